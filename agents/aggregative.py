@@ -14,18 +14,18 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.tables import Hertz, Share, Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
-from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Duration, Period, Spot, Spots, given, require_none
+from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import SETTLE, TimedFlight
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.graph import Graph, metropolis
-from crazychoir.swarm.tables import Hertz, Share, Table
+from crazychoir.recording.analysis.tracks import draw_ways
+from crazychoir.team.graph import Graph, metropolis
 from crazychoir.types import FullState
 
 Results = dict[int, dict[str, Any]]

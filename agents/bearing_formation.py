@@ -14,20 +14,20 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.config.checks import LIGHTWEIGHT
+from crazychoir.config.tables import Share
 from crazychoir.control.gains import AGILE, FORMATION, FORMATION_ON_MOTORS, Gains
 from crazychoir.errors import ConfigError
-from crazychoir.guidance import bearing, leader, shapes
-from crazychoir.guidance.bearing import Law, check_formation
-from crazychoir.guidance.leader import LeaderOptions
+from crazychoir.guidance.formation import bearing, leader, shapes
+from crazychoir.guidance.formation.bearing import Law, check_formation
+from crazychoir.guidance.formation.leader import LeaderOptions
+from crazychoir.guidance.formation.modes import Chain
+from crazychoir.guidance.formation.scattering import Scatter, scattered
+from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.guidance.mission_options import Gain, Length, Places, Spreads, given, require_each
-from crazychoir.guidance.modes import Chain
-from crazychoir.guidance.scattering import Scatter, scattered
-from crazychoir.guidance.shapes import Shape
-from crazychoir.math3d import projector
+from crazychoir.numerics.math3d import projector
 from crazychoir.platforms import platform
-from crazychoir.recording.tracks import draw_tracks
-from crazychoir.swarm.checks import LIGHTWEIGHT
-from crazychoir.swarm.tables import Share
+from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]

@@ -10,16 +10,16 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.bus import draws
+from crazychoir.bus.impairment import random_draws as draws
+from crazychoir.config.tables import Share
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance import leader
-from crazychoir.guidance.leader import LeaderOptions
+from crazychoir.guidance.formation import leader
+from crazychoir.guidance.formation.leader import LeaderOptions
+from crazychoir.guidance.formation.modes import Chain, mode_margin
+from crazychoir.guidance.formation.rigidity import distance_to_hull, grounded_laplacian, require_led
 from crazychoir.guidance.mission_options import Gain, given
-from crazychoir.guidance.modes import Chain, mode_margin
-from crazychoir.guidance.rigidity import distance_to_hull, grounded_laplacian, require_led
-from crazychoir.recording.tracks import draw_tracks
+from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.runtime.clock import SECOND
-from crazychoir.swarm.tables import Share
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]

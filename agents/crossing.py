@@ -12,10 +12,10 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.config.tables import Height, Speed, Table
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission_options import Duration, Length, Offset, given, require_none
-from crazychoir.recording.tracks import draw_tracks
-from crazychoir.swarm.tables import Height, Speed, Table
+from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import FullState, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]

@@ -11,13 +11,13 @@ import numpy as np
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.control.gains import AGILE
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance import leader
-from crazychoir.guidance.leader import LeaderOptions
+from crazychoir.guidance.formation import leader
+from crazychoir.guidance.formation.leader import LeaderOptions
+from crazychoir.guidance.formation.modes import Chain, mode_margin
+from crazychoir.guidance.formation.rigidity import require_rigid
+from crazychoir.guidance.formation.scattering import Scatter, scattered
 from crazychoir.guidance.mission_options import Gain, Places, Spreads, given, require_each
-from crazychoir.guidance.modes import Chain, mode_margin
-from crazychoir.guidance.rigidity import require_rigid
-from crazychoir.guidance.scattering import Scatter, scattered
-from crazychoir.recording.tracks import draw_tracks
+from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]

@@ -12,15 +12,15 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.tables import Scale, Table, Text
 from crazychoir.control.gains import STANDARD
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
+from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import Way, noted
-from crazychoir.planning.drawing import Drawing, Pen, drawing
-from crazychoir.planning.drawing_file import read_drawing
+from crazychoir.planning.drawing.drawing import Drawing, Pen, drawing
+from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
-from crazychoir.swarm.tables import Scale, Table, Text
 
 Results = dict[int, dict[str, Any]]
 WORD = Path(__file__).parent / "data" / "casy.csv"

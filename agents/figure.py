@@ -9,13 +9,13 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.tables import Table
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Laps, Length, Period, Ramp, Yaw, given, require_none
+from crazychoir.guidance.path_checks import require_inside
 from crazychoir.planning import feasibility
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import Figure, circle, eight
-from crazychoir.swarm.tables import Table
 
 Results = dict[int, dict[str, Any]]
 Kind = Annotated[Literal["circle", "eight"], Meta(description='"circle" or "eight"', examples=["eight"])]

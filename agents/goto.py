@@ -12,16 +12,16 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.tables import Id, Table
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.inside import require_inside
 from crazychoir.guidance.mission_options import Coordinate, given, require_each, require_none
+from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import TimedFlight
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.tables import Id, Table
+from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import FullState
 
 Results = dict[int, dict[str, Any]]

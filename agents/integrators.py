@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from crazychoir import Acceleration, CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.config.checks import DOUBLE, SINGLE
+from crazychoir.guidance.formation.rigidity import require_led
 from crazychoir.guidance.mission_options import NoOptions, given, require_none
-from crazychoir.guidance.rigidity import require_led
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.checks import DOUBLE, SINGLE
+from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]

@@ -14,13 +14,13 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.tables import Acceleration, Drone, Speed, Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Duration, Spot, given, own
 from crazychoir.guidance.mpc import Motion, MPCGuidance
-from crazychoir.math3d import Vec
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.safety.guard import EDGE
-from crazychoir.swarm.tables import Acceleration, Drone, Speed, Table
+from crazychoir.numerics.math3d import Vec
+from crazychoir.recording.analysis.tracks import draw_ways
+from crazychoir.safety.rules.guard import EDGE
 
 Results = dict[int, dict[str, Any]]
 MARGIN = 0.05

@@ -8,18 +8,18 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from crazychoir.config.reader import read
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.delivery_checks import require_flown, require_servable, require_used
-from crazychoir.guidance.delivery_options import Appearance, DeliveryOptions
-from crazychoir.guidance.delivery_picture import draw_flown
-from crazychoir.guidance.online_delivery import OnlinePDVRPGuidance, Options
-from crazychoir.guidance.site import Site
-from crazychoir.guidance.task_book import Fate, Task
-from crazychoir.guidance.task_source import Event
-from crazychoir.routing.instance import Instance
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.graph import span
-from crazychoir.swarm.reading import read
+from crazychoir.guidance.delivery.delivery_checks import require_flown, require_servable, require_used
+from crazychoir.guidance.delivery.delivery_options import Appearance, DeliveryOptions
+from crazychoir.guidance.delivery.delivery_picture import draw_flown
+from crazychoir.guidance.delivery.online_delivery import OnlinePDVRPGuidance, Options
+from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.tasks.task_book import Fate, Task
+from crazychoir.guidance.tasks.task_source import Event
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.team.graph import span
 
 Results = dict[int, dict[str, Any]]
 FLIGHT = {"takeoff_height": 0.4, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from crazychoir import PDVRPGuidance, SwarmConfig
-from crazychoir.guidance.pickup_checks import require_ready
-from crazychoir.guidance.pickup_options import PickupOptions
-from crazychoir.routing.checker import check as violations
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.picture import draw_routes
-from crazychoir.routing.plan import Plan, Route
-from crazychoir.swarm.reading import read
+from crazychoir.config.reader import read
+from crazychoir.guidance.delivery.pickup_checks import require_ready
+from crazychoir.guidance.delivery.pickup_options import PickupOptions
+from crazychoir.routing.instance.checker import check as violations
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.picture import draw_routes
+from crazychoir.routing.instance.plan import Plan, Route
 
 Results = dict[int, dict[str, Any]]
 DEMO = Path(__file__).parent / "data" / "lab6.json"

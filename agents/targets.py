@@ -10,13 +10,13 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.flight_room import room_of
+from crazychoir.config.tables import Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Place, given, require_none
 from crazychoir.guidance.timed import TargetList
-from crazychoir.math3d import Mat, Vec
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.flight_room import room_of
-from crazychoir.swarm.tables import Table
+from crazychoir.numerics.math3d import Mat, Vec
+from crazychoir.recording.analysis.tracks import draw_ways
 
 Results = dict[int, dict[str, Any]]
 TARGETS = ((0.8, 0.0, 1.0), (0.8, 0.8, 1.3), (0.0, 0.8, 1.0), (-0.4, 0.4, 0.6), (0.0, 0.0, 1.0))

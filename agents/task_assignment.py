@@ -10,12 +10,12 @@ from msgspec import Meta
 from scipy.optimize import linear_sum_assignment
 
 from crazychoir import SwarmConfig
+from crazychoir.config.reader import read
+from crazychoir.config.tables import Probability, Table
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.task_assignment import TaskAssignmentGuidance, Work
-from crazychoir.guidance.task_book import Task
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.reading import read
-from crazychoir.swarm.tables import Probability, Table
+from crazychoir.guidance.tasks.task_assignment import TaskAssignmentGuidance, Work
+from crazychoir.guidance.tasks.task_book import Task
+from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Mat
 
 Results = dict[int, dict[str, Any]]

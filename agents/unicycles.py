@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
+from crazychoir.config.checks import UNICYCLE
 from crazychoir.guidance.mission_options import NoOptions, given, require_none
-from crazychoir.recording.tracks import draw_ways
-from crazychoir.swarm.checks import UNICYCLE
+from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]

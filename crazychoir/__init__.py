@@ -7,17 +7,17 @@ or a program that needs one room, does not spend.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from crazychoir import user_folders
+from crazychoir.files import user_folders
 
 if TYPE_CHECKING:
+    from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.errors import CrazyChoirError
-    from crazychoir.guidance.base import CFGuidance
+    from crazychoir.guidance.delivery.pickup_delivery import PDVRPGuidance
     from crazychoir.guidance.feedback import CFDistributedFeedback
-    from crazychoir.guidance.pickup_delivery import PDVRPGuidance
-    from crazychoir.swarm.communicator import Communicator
-    from crazychoir.swarm.config import SwarmConfig
-    from crazychoir.swarm.graph import Graph, GraphSequence
-    from crazychoir.swarm.round import Round
+    from crazychoir.guidance.guidance import CFGuidance
+    from crazychoir.team.communicator import Communicator
+    from crazychoir.team.graph import Graph, GraphSequence
+    from crazychoir.team.round import Round
     from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State, Velocity
 
 __all__ = [

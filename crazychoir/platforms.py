@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY, Vec
+from crazychoir.numerics.math3d import GRAVITY, Vec
 
 Three = tuple[float, float, float]
 MOST_TURN = 32767.0

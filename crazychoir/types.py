@@ -267,7 +267,7 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
 class Plan(Wire, frozen=True, array_like=True, gc=False):
     """What a drone that flies by its planner on board will fly, said to all others that do.
 
-    way: (k, 25), see safety/collision/ways.py, (0, 25) on the ground;  since: s, it has been flown;  offer: the way
+    way: (k, 25), see safety/collision/agreed/paths.py, (0, 25) on the ground;  since: s, it has been flown;  offer: the way
     that it wants to fly instead, (0, 25) if none;  due: s, until that would begin;  number: of the offer, in its upper
     bits the incarnation of who offers;  agreed: by drone, the number of its offer that may be flown as far as this one
     is concerned, -1 for none; whoever is not in it is not known to fly;  awaits: (3,) m, world, where it wants to

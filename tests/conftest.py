@@ -42,8 +42,8 @@ def modules_with_laws() -> list[str]:
 
 def compile_routing() -> None:
     """The search compiles its laws when they are called, for one trip and for several: nearly half of all compiling."""
-    from crazychoir.routing.generate import random_instance
-    from crazychoir.routing.solve import warm
+    from crazychoir.routing.distributed.plain_loop import warm
+    from crazychoir.routing.instance.generate import random_instance
 
     for trips in (1, 2):
         warm(replace(random_instance(2, 3, seed=0), recharge=trips).local(0))

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from crazychoir.optimization.mixed_integer import MixedIntegerBlock
+from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 
 HIGH = [5.0, 5.0, 5.0, 3.0, 3.0]
 

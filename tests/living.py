@@ -7,14 +7,14 @@ from typing import Any
 
 from campaign.hosts import hosts
 
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.local import Bus
-from crazychoir.bus.rules import Partition, Rule
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.port import Bus
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.graph import Graph, GraphSequence
-from crazychoir.swarm.members import Roster
-from crazychoir.swarm.roster import Barrier
+from crazychoir.team.barrier import Barrier
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph, GraphSequence
+from crazychoir.team.messages import Roster
 
 
 @dataclass

@@ -5,7 +5,7 @@ import json
 import cvxpy as cp
 import numpy as np
 
-from crazychoir.optimization.problems import CostCoupled
+from crazychoir.optimization.problems.problems import CostCoupled
 
 
 def costs(count, n, seed):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from crazychoir.platforms import PAPER
+from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.engines import OURS
-from crazychoir.simulation.world import WorldSetup
 
 
 def world_of(uri, homes=((0.0, 0.0, 0.0),), yaws=(0.0,), dt=0.01):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from msgspec import structs
 
-from crazychoir.radio.crtp import FORMS
+from crazychoir.radio.protocol.crtp import FORMS
 from crazychoir.radio.virtual.drone import RELEASE, Identity, VirtualCrazyflie
 from crazychoir.radio.virtual.setup import on_a_grid
 

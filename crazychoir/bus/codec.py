@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from crazychoir import types
-from crazychoir.bus.arrays import (
+from crazychoir.bus.array_codec import (
     ARRAY,
     DTYPES,
     FORMAT,
@@ -31,7 +31,7 @@ from crazychoir.bus.arrays import (
     flat_layout,
 )
 from crazychoir.errors import CodecError
-from crazychoir.runtime.texts import readable_texts
+from crazychoir.files.path_texts import readable_texts
 
 MAX_PAYLOAD: Final = 600_000
 """Bytes of one payload; a message of them fits into a frame, so that what is encoded here can leave the process."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.local import Port
+from crazychoir.bus.port import Port
 from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
 from crazychoir.errors import CodecError, ConfigError, Refused
 

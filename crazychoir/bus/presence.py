@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from crazychoir.bus.local import Port
+from crazychoir.bus.port import Port
 from crazychoir.bus.topics import HEARTBEAT
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND

@@ -7,7 +7,7 @@ goes on after it. Delivered in order, once. A sender that restarts begins a new 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from crazychoir.bus.local import Port
+from crazychoir.bus.port import Port
 from crazychoir.bus.topics import ACK, Topic
 from crazychoir.runtime.clock import SECOND, Alarm
 

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.control.gains import STANDARD, Gains, Tuned
-from crazychoir.math3d import Vec, clip, columns, dot, kernel, memory, vector
+from crazychoir.numerics.math3d import Vec, clip, columns, dot, kernel, memory, vector
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.config.tables import Control
 from crazychoir.control.attitude import ATTITUDE_ON_BOARD, AngleAttitudeCtrl, AttitudeControl, GeometryAttitudeCtrl
 from crazychoir.control.controller import CrazyflieController, HierarchicalController
 from crazychoir.control.gains import FORMATION, OF_TRACKING, RANGES, STANDARD, Gains
@@ -29,7 +30,6 @@ from crazychoir.control.velocity import (
 )
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import PAPER, Platform
-from crazychoir.swarm.tables import Control
 
 SENDERS: dict[str, type[CommunicationHandler]] = {
     "fpqr": FPQRSender, "frpy": FRPYSender, "vel": VelSender, "xyz": XYZSender,

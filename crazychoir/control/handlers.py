@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.math3d import Vec, yaw_of
+from crazychoir.numerics.math3d import Vec, yaw_of
 from crazychoir.types import Acceleration, FullState, Reference, State
 
 _NOWHERE = State.at((0.0, 0.0, 0.0))

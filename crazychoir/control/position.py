@@ -7,7 +7,7 @@ import numpy as np
 
 from crazychoir.control.gains import FORMATION, STANDARD, Gains, Tuned
 from crazychoir.control.trim import Trim
-from crazychoir.math3d import (
+from crazychoir.numerics.math3d import (
     GRAVITY,
     Triple,
     Vec,

@@ -6,6 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
+from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import Flight
 from crazychoir.control.choice import Controls
 from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.gains import STANDARD
@@ -13,11 +16,8 @@ from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.senders import AccSender, CommunicationHandler, DriveSender, VelSender
 from crazychoir.control.trim import Trim
 from crazychoir.control.unicycle import UnicycleCtrl
-from crazychoir.math3d import Vec, saturate, wrap, yaw_of
+from crazychoir.numerics.math3d import Vec, saturate, wrap, yaw_of
 from crazychoir.platforms import PAPER
-from crazychoir.swarm.checks import DOUBLE, SINGLE, UNICYCLE
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.tables import Flight
 from crazychoir.types import State
 
 SILENT = 0.1

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from crazychoir.math3d import Vec, clip, saturate, wrap, yaw_of
+from crazychoir.numerics.math3d import Vec, clip, saturate, wrap, yaw_of
 from crazychoir.types import State
 
 STANDS = 1e-3

@@ -7,7 +7,7 @@ import numpy as np
 from crazychoir.control.controller import EARLY, CrazyflieController
 from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.senders import CommunicationHandler
-from crazychoir.math3d import GRAVITY, Vec, finite, kernel, memory, real, vector, wrap
+from crazychoir.numerics.math3d import GRAVITY, Vec, finite, kernel, memory, real, vector, wrap
 from crazychoir.types import Command, Reference, State
 
 VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt

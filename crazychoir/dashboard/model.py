@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS, Topic
-from crazychoir.dashboard.lately import Lately, share
-from crazychoir.dashboard.watch import Watch
-from crazychoir.math3d import Vec
+from crazychoir.config.checks import limit_area
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.dashboard.event_log import Watch
+from crazychoir.dashboard.recent_loss import Lately, share
+from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.mailbox import Call
-from crazychoir.swarm.checks import limit_area
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, LinkStatus, State, Status
 
 RATE, SELDOM, LINKS = 30.0, 10.0, 4.0

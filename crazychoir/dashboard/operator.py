@@ -7,7 +7,12 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from crazychoir.dashboard.asks import (
+from crazychoir.agent.sketch import Planned, loaded_with_words, messages, places, planned, saved
+from crazychoir.config.network import changes, in_words
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.dashboard.commands import Desk
+from crazychoir.dashboard.polling import TaskBoard
+from crazychoir.dashboard.requests import (
     AddTask,
     CancelTask,
     Draw,
@@ -22,14 +27,9 @@ from crazychoir.dashboard.asks import (
     Stop,
     Strokes,
 )
-from crazychoir.dashboard.desk import Desk
-from crazychoir.dashboard.polls import TaskBoard
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.sketch import Planned, loaded_with_words, messages, places, planned, saved
-from crazychoir.planning.drawing import Pen
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.graph import span
-from crazychoir.swarm.impairment import changes, in_words
+from crazychoir.planning.drawing.drawing import Pen
+from crazychoir.team.graph import span
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -15,19 +15,19 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from nicegui import ui
 from starlette.staticfiles import StaticFiles
 
-from crazychoir.bus.local import Bus
-from crazychoir.dashboard.desk import Desk, Place
-from crazychoir.dashboard.gate import LOOPBACK, MOST_BODY, Gate
-from crazychoir.dashboard.guests import Guest
+from crazychoir.agent.dead_man import Console, is_console
+from crazychoir.bus.port import Bus
+from crazychoir.dashboard.access import LOOPBACK, MOST_BODY, Gate
+from crazychoir.dashboard.commands import Desk, Place
+from crazychoir.dashboard.connection_limits import Guest
+from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.model import SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.page import THREE, Page
-from crazychoir.dashboard.polls import Overview, TaskBoard
+from crazychoir.dashboard.polling import Overview, TaskBoard
 from crazychoir.dashboard.stream import Stream
-from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.console import Console, is_console
 
 PORT, PORTS = 8765, 20
 """Of a page for which none is named: the first of so many that is free."""

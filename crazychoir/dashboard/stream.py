@@ -10,15 +10,15 @@ from typing import Any, Protocol
 
 import msgspec
 
-from crazychoir.dashboard.asks import Message, Stop, read
-from crazychoir.dashboard.desk import Desk
+from crazychoir.dashboard.commands import Desk
+from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.model import RATE, SwarmModel
-from crazychoir.dashboard.polls import Overview, TaskBoard
-from crazychoir.dashboard.watch import Watch
+from crazychoir.dashboard.polling import Overview, TaskBoard
+from crazychoir.dashboard.requests import Message, Stop, read
 from crazychoir.errors import CrazyChoirError
+from crazychoir.files.path_texts import json_bytes
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.texts import json_bytes
 
 log = logging.getLogger(__name__)
 TABLES = 2.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.filters.motion import RATE_LAG, STANDING, Commanded, fly, stands
 from crazychoir.filters.velocity import ROUNDING, SOONEST, lateness, readable
-from crazychoir.math3d import (
+from crazychoir.numerics.math3d import (
     Mat,
     Triple,
     Vec,

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.math3d import (
+from crazychoir.numerics.math3d import (
     GRAVITY,
     Triple,
     Vec,

@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.types import Pose, State
 
 

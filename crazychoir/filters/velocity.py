@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.filters.motion import ConstantVelocity, Motion, coast
-from crazychoir.math3d import Vec, conjugate, kernel, logarithm, memory, product, real, unit, vector
+from crazychoir.numerics.math3d import Vec, conjugate, kernel, logarithm, memory, product, real, unit, vector
 from crazychoir.types import Pose, State
 
 

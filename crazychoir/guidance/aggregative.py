@@ -13,8 +13,8 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.timed import Way
-from crazychoir.math3d import Mat, Vec
-from crazychoir.optimization.aggregative_tracking import AggregativeTracking
+from crazychoir.numerics.math3d import Mat, Vec
+from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
 from crazychoir.planning.smoothing import Smoother
 from crazychoir.types import FullState, Heard, State
 

@@ -12,14 +12,14 @@ import numpy as np
 from crazychoir.bus.topics import STATE
 from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.base import CFGuidance
-from crazychoir.guidance.hearing import Hearing, Paired, VelocitySum
-from crazychoir.guidance.hook import Hook, place_of
+from crazychoir.flight.references import taken, unflyable
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, raisable, standing
+from crazychoir.guidance.neighbour_state import Hearing, Paired, VelocitySum
+from crazychoir.guidance.user_hook import Hook, place_of
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.modes import Mode
-from crazychoir.safety.references import taken, unflyable
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, State, Velocity
 
 log = logging.getLogger(__name__)

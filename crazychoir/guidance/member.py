@@ -4,15 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CrazyChoirError
+from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.guidance.turns import blocked
 from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.hanging import Guards
-from crazychoir.safety.modes import Mode
-from crazychoir.safety.pilot import Pilot
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.runtime.user_code_guard import Guards
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.team.communicator import Communicator
 
 SETTLE = 0.05
 PATIENCE = 300.0

@@ -10,13 +10,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, cast
 
+from crazychoir.config.checks import refuse_conflicts
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Hung, without_exit
-from crazychoir.guidance.base import CFGuidance
-from crazychoir.guidance.hooks import MissionFile
+from crazychoir.guidance.guidance import CFGuidance
+from crazychoir.guidance.mission_hooks import MissionFile
 from crazychoir.radio.budget import rates
-from crazychoir.runtime.hanging import HOOK, limited
-from crazychoir.swarm.checks import refuse_conflicts
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.runtime.user_code_guard import HOOK, limited
 from crazychoir.types import Point
 
 PACKAGE = "crazychoir.agents"

@@ -5,11 +5,11 @@ from typing import Annotated, Literal, TypeVar
 
 from msgspec import Meta
 
+from crazychoir.config.reader import read
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import Drone, Height, Id, Swarm, Table
 from crazychoir.errors import ConfigError
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.graph import span
-from crazychoir.swarm.reading import read
-from crazychoir.swarm.tables import Drone, Height, Id, Swarm, Table
+from crazychoir.team.graph import span
 
 T = TypeVar("T", bound=Table)
 Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]

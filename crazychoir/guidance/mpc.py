@@ -11,7 +11,7 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.timed import Way
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, SequentialMPC, integrators
 from crazychoir.types import FullState, Heard, State
 

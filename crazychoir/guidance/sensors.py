@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterable
 
-from crazychoir.bus.local import Port
+from crazychoir.bus.port import Port
 from crazychoir.bus.topics import TELEMETRY
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Call

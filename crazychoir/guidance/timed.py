@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.guidance.base import CFGuidance
+from crazychoir.config.tables import Flight
 from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.swarm.tables import Flight
 from crazychoir.types import FullState, Goto, Heard, Point, State, Vec
 
 SETTLE = 1.0

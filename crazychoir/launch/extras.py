@@ -3,11 +3,11 @@
 import importlib.util
 from collections.abc import Iterable
 
+from crazychoir.config.checks import MUJOCO
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.launch.processes import WORLD_OWNER, Owner
 from crazychoir.mocap.system import EXTRA, MODULE
-from crazychoir.swarm.checks import MUJOCO
-from crazychoir.swarm.config import SwarmConfig
 
 WITHOUT_EXTRA = ("virtual", "replay")
 """Sources of [mocap] that need no extra."""

@@ -8,24 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.agent import Agent
+from crazychoir.agent.agent import Agent
+from crazychoir.agent.dead_man import Console, is_console
+from crazychoir.agent.drone import WAITING
+from crazychoir.agent.mission_runner import ENDED, NO_REASON
 from crazychoir.bus.commands import Commander
+from crazychoir.config.checks import TOUCHING
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import spoken
-from crazychoir.guidance.drone import WAITING
 from crazychoir.guidance.feedback import idle
-from crazychoir.guidance.life import ENDED, NO_REASON
 from crazychoir.guidance.mission import Mission, has
+from crazychoir.launch.flight_observer import Score, Watch, goal_of
 from crazychoir.launch.network import attached, observer
 from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
-from crazychoir.launch.score import Score, Watch, goal_of
-from crazychoir.recording.file import RecordingFile
+from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
-from crazychoir.runtime.hanging import HangWatch
+from crazychoir.runtime.user_code_guard import HangWatch
 from crazychoir.simulation.trace import Trace
-from crazychoir.swarm.checks import TOUCHING
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.console import Console, is_console
 
 log = logging.getLogger(__name__)
 NO_REASONS = "the mission's report returned success = False, without reasons"
@@ -171,10 +171,10 @@ def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
     """Those that are started here: with all drones, or with the lowest one of their host."""
     found = [WORLD_OWNER] if config.owned and _starts(config, config.world.host, started) else []
     if config.seen and _starts(config, config.mocap.host, started):
-        found.append(Owner("mocap", "crazychoir.cli.mocap", again=True))
+        found.append(Owner("mocap", "crazychoir.cli.fly.mocap", again=True))
     for k in dongles(config, started):
         options = ("--dongle", str(k))
-        found.append(Owner(f"dongle {k}", "crazychoir.cli.radios", options, again=True, ids=config.dongles[k]))
+        found.append(Owner(f"dongle {k}", "crazychoir.cli.fly.radio_owner", options, again=True, ids=config.dongles[k]))
     return found
 
 

@@ -1,7 +1,7 @@
 """How a process that was started with others waits for those that it has neighbours in."""
 
-from crazychoir.bus.zenoh import ZenohLink
-from crazychoir.swarm.graph import Graph
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.team.graph import Graph
 
 LOOK = 0.01
 """s between two looks at who is there."""

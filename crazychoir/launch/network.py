@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.access import OBSERVERS
-from crazychoir.bus.hello import VERSION
-from crazychoir.bus.local import OBSERVER, Bus
-from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.bus.network.access import OBSERVERS
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import OBSERVER, Bus
+from crazychoir.config.checks import LOWEST_PORT
+from crazychoir.config.swarm_config import LOCAL, SwarmConfig
+from crazychoir.config.tables import BASE_PORT
 from crazychoir.errors import ConfigError
+from crazychoir.files.private_folder import scratch_folder
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.places import scratch_folder
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.checks import LOWEST_PORT
-from crazychoir.swarm.config import LOCAL, SwarmConfig
-from crazychoir.swarm.tables import BASE_PORT
 
 REPLAY = "Replay"
 """The host of what a recording says: no host of a swarm file can have this name."""

@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.agent.mission_runner import LANDING_DEADLINE
 from crazychoir.bus.codec import decode, encode
-from crazychoir.cache import COMPILES, shared_by_children
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CodecError, ProcessFailed
-from crazychoir.guidance.life import LANDING_DEADLINE
+from crazychoir.files.path_texts import child_environment
+from crazychoir.files.user_folders import WARNING
+from crazychoir.numerics.kernel_cache import COMPILES, shared_by_children
 from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
-from crazychoir.runtime.texts import child_environment
-from crazychoir.runtime.worker import add_signal_handler
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.runtime.worker_thread import add_signal_handler
 from crazychoir.types import FullState
-from crazychoir.user_folders import WARNING
 
 GRACE = 20.0
 """s that processes get to end after SIGTERM beside the time of their landings, before they are killed."""
@@ -59,7 +59,7 @@ class Owner:
     ids: tuple[int, ...] | None = None
 
 
-WORLD_OWNER = Owner("world", "crazychoir.cli.world")
+WORLD_OWNER = Owner("world", "crazychoir.cli.fly.world")
 
 
 async def run_children(
@@ -190,7 +190,7 @@ def patience(config: SwarmConfig) -> float:
 
 async def _spawn(group: tuple[int, ...], path: Path, result: Path, options: list[str]) -> Process:
     ids = [word for i in group for word in ("--id", str(i))]
-    return await _start("crazychoir.cli.agent", "--swarm", str(path), *ids, "--child", str(result), *options)
+    return await _start("crazychoir.cli.fly.agent", "--swarm", str(path), *ids, "--child", str(result), *options)
 
 
 async def _start(module: str, *words: str) -> Process:

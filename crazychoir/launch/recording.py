@@ -13,12 +13,12 @@ import numba
 import numpy as np
 import scipy
 
-from crazychoir.bus.hello import VERSION
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import is_library
 from crazychoir.guidance.mission import PACKAGE, Mission
-from crazychoir.recording.figures import UNSEEN
-from crazychoir.recording.file import RecordingFile
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.recording.analysis.figures import UNSEEN
+from crazychoir.recording.mcap.file import RecordingFile
 
 FILES = "files"
 """What a recording's `about` calls the digests of files, as JSON."""

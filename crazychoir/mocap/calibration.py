@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec, conjugate, logarithm, product, rotation
 from crazychoir.mocap.mounting import turned
+from crazychoir.numerics.math3d import Mat, Vec, conjugate, logarithm, product, rotation
 
 STILL, STEADY = 0.01, math.radians(1.0)
 """m, rad: who moves by more is not at rest."""

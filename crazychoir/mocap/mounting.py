@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crazychoir.math3d import Vec, conjugate, exponential, kernel, product, unit, vector
+from crazychoir.numerics.math3d import Vec, conjugate, exponential, kernel, product, unit, vector
 
 
 @kernel(vector, vector, vector)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from crazychoir.math3d import Vec
 from crazychoir.mocap.frames import Frame
+from crazychoir.numerics.math3d import Vec
 
 FAR = 0.3
 """m from its home beyond which a drone is not taken to stand there."""

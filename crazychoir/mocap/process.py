@@ -4,12 +4,12 @@ import logging
 from dataclasses import dataclass
 from typing import Any
 
-from crazychoir.bus.local import EYES, Bus, Port
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import EYES, Bus, Port
 from crazychoir.bus.topics import BODY, POSE, TRUTH
-from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import Vec
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.mounting import Mounting
 from crazychoir.mocap.recording import Recorder, ReplaySource
@@ -18,11 +18,11 @@ from crazychoir.mocap.system import SystemSource
 from crazychoir.mocap.view import Blur, RateLimit, View
 from crazychoir.mocap.virtual import VirtualSource
 from crazychoir.mocap.watch import Watch
+from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Body, Pose
 
 log = logging.getLogger(__name__)

@@ -12,11 +12,11 @@ from typing import Any, Self, TextIO
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.files.text_files import read_text
 from crazychoir.mocap.frames import Frame, frame_of
 from crazychoir.mocap.source import Complaints, Say, Take
 from crazychoir.mocap.view import LARGEST_TIME
 from crazychoir.runtime.clock import SECOND, Clock
-from crazychoir.text_files import read_text
 
 log = logging.getLogger(__name__)
 HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from crazychoir.math3d import Mat, Vec, exponential, kernel, matrix, product, real, table, vector
+from crazychoir.numerics.math3d import Mat, Vec, exponential, kernel, matrix, product, real, table, vector
 from crazychoir.types import Pose
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.filters.velocity import readable
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.simulated import SimulatedMocap
-from crazychoir.swarm.config import SwarmConfig
 
 EARLY = 0.9
 """Of a period that a frame may come early: less, and of 120 a second only 90 would pass a limit of 100."""

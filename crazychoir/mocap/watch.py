@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.math3d import Vec
 from crazychoir.mocap.frames import Frame
+from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.throttle import Throttle
 
 WINDOW = 2.0

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.plain import plain
+from crazychoir.bus.json_view import plain
 from crazychoir.errors import ConfigError
-from crazychoir.output_files import require_writable_file, written_file
+from crazychoir.files.output_files import require_writable_file, written_file
 
 SUFFIXES = (".csv", ".json", ".npz")
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.output_files import save_figure
-from crazychoir.runtime.texts import readable
+from crazychoir.files.output_files import save_figure
+from crazychoir.files.path_texts import readable
 from crazychoir.types import Vec
 
 if TYPE_CHECKING:

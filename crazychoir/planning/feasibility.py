@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY, Mat, Vec, dot, flat_attitude, flat_rates, kernel, matrix, table
+from crazychoir.numerics.math3d import GRAVITY, Mat, Vec, dot, flat_attitude, flat_rates, kernel, matrix, table
 from crazychoir.planning.trajectory import Trajectory, setpoints
 
 RATE = 200.0  # Hz, of the instants that are looked at

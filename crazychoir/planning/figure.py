@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Triple, Vec, kernel, memory, real, vector
+from crazychoir.numerics.math3d import Triple, Vec, kernel, memory, real, vector
 from crazychoir.types import FullState
 
 Yaw = float | Literal["along"]

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.feasibility import Limits, check, references
 from crazychoir.planning.landing import Landing
 from crazychoir.planning.piecewise import Piecewise, joined

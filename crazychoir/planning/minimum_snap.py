@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits, check, check_references, keeps
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.scaling import slowdown

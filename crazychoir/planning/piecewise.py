@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec, kernel, matrix, memory, real, table, vector, wrap
+from crazychoir.numerics.math3d import Mat, Vec, kernel, matrix, memory, real, table, vector, wrap
 from crazychoir.types import FullState
 
 DEGREE = 7

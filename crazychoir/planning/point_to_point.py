@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Vec, wrap
+from crazychoir.numerics.math3d import Vec, wrap
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.types import FullState
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Vec, kernel, real, table, vector, wrap
+from crazychoir.numerics.math3d import Vec, kernel, real, table, vector, wrap
 from crazychoir.planning.piecewise import DEGREE, Piecewise
 from crazychoir.types import FullState
 

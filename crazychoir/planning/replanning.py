@@ -3,7 +3,7 @@
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import wrap
+from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.feasibility import TOLERANCE, Limits, demands, references
 from crazychoir.planning.point_to_point import SHORTEST
 from crazychoir.planning.polynomial import Polynomial7th

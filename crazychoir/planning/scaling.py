@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY, Mat, Vec
+from crazychoir.numerics.math3d import GRAVITY, Mat, Vec
 from crazychoir.planning.feasibility import THRUST, Limits, demands, references
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory import Trajectory

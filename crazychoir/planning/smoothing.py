@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.types import FullState
 
 SLOPE, CURVE = 0.4481, 0.3750

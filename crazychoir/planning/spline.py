@@ -5,7 +5,7 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec, wrap
+from crazychoir.numerics.math3d import Mat, Vec, wrap
 from crazychoir.planning.piecewise import DEGREE, FACTORIALS, Piecewise
 from crazychoir.types import FullState
 

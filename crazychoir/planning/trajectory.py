@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import FullState
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
-from crazychoir.math3d import Mat
+from crazychoir.numerics.math3d import Mat
+from crazychoir.planning.number_table import TableError, check_increasing, read_table, write_table
 from crazychoir.planning.piecewise import DEGREE, Piecewise
 from crazychoir.planning.spline import spline, unwrapped
-from crazychoir.planning.table import TableError, check_increasing, read_table, write_table
 from crazychoir.planning.trajectory import Trajectory, setpoints
 
 PLACE = ("t", "x", "y", "z")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec, wrap
+from crazychoir.numerics.math3d import Mat, Vec, wrap
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory

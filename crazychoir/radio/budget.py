@@ -1,8 +1,8 @@
 """Whether the dongles carry what a swarm would send, and how many set-points a second they leave."""
 
+from crazychoir.config.radio_checks import carried
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import sender_of
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.radios import carried
 
 
 def rates(config: SwarmConfig) -> dict[int, float]:

@@ -2,9 +2,9 @@
 
 import math
 
-from crazychoir.safety.radio_watch import CRASHED as CRASHED
-from crazychoir.safety.radio_watch import LOCKED as LOCKED
-from crazychoir.safety.radio_watch import TUMBLED as TUMBLED
+from crazychoir.safety.rules.radio_watch import CRASHED as CRASHED
+from crazychoir.safety.rules.radio_watch import LOCKED as LOCKED
+from crazychoir.safety.rules.radio_watch import TUMBLED as TUMBLED
 
 CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING = (1 << k for k in range(5))
 DECK_FAULT = 1 << 11

@@ -5,10 +5,10 @@ from collections.abc import Callable
 
 from crazychoir.errors import Refused
 from crazychoir.radio import checks
-from crazychoir.radio.connection import Connection
-from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import SUPERVISOR, Packet
-from crazychoir.radio.firmware import Firmware
+from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.firmware import Firmware
+from crazychoir.radio.link.toc_cache import TableOfContents
+from crazychoir.radio.protocol.crtp import SUPERVISOR, Packet
 from crazychoir.runtime.clock import Clock
 
 BOARD: dict[str, float] = {"led.bitmask": 0xFF}

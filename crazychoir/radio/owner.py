@@ -4,24 +4,24 @@ import logging
 import math
 from typing import Any
 
-from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.port import BODIES, Bus
 from crazychoir.bus.topics import LINK
+from crazychoir.config.checks import limit_area
+from crazychoir.config.radio_checks import capacity_of
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import sender_of
 from crazychoir.errors import Refused
 from crazychoir.radio.budget import rates
-from crazychoir.radio.contents import TableOfContents, folder
-from crazychoir.radio.dongles import DONGLES
-from crazychoir.radio.drone import LOOKS, LOST, RadioDrone
-from crazychoir.radio.sights import Sights
-from crazychoir.radio.writer import Turns
+from crazychoir.radio.drone.radio_drone import LOOKS, LOST, RadioDrone
+from crazychoir.radio.link.dongles import DONGLES
+from crazychoir.radio.link.toc_cache import TableOfContents, folder
+from crazychoir.radio.link.writer import Turns
+from crazychoir.radio.visibility import Sights
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.safety.guard import Fence
+from crazychoir.safety.rules.guard import Fence
 from crazychoir.simulation.remote import RemoteBody
-from crazychoir.swarm.checks import limit_area
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.radios import capacity_of
 
 log = logging.getLogger(__name__)
 LEFT_ALONE = 1.0

@@ -11,10 +11,10 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import BY_NAME, OBSERVABLE, ROUND, Topic
-from crazychoir.recording.file import Entry, RecordingFile, Series
-from crazychoir.recording.messages import MESSAGES, Exchanged, Pack, packer, usual
+from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, Pack, packer, usual
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.optimization.picture import COLOURS
 from crazychoir.platforms import platform
-from crazychoir.recording.figures import Flight, Track, joined
-from crazychoir.recording.plots import scale
+from crazychoir.recording.analysis.figures import Flight, Track, joined
+from crazychoir.recording.analysis.plots import scale
 from crazychoir.recording.video import Image
 from crazychoir.simulation.mujoco.film import Film
 from crazychoir.simulation.mujoco.model import model_of
 from crazychoir.simulation.mujoco.shape import Colour, crazyflie, scaled, shape_of
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Mat, Vec
 
 POINTS = 25

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from crazychoir.bus.topics import TRUTH
+from crazychoir.config.checks import REPLAY
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.trajectory_file import read_samples
-from crazychoir.recording.odometry import into_world
-from crazychoir.recording.reading import read
-from crazychoir.simulation.truth import Truth
-from crazychoir.simulation.world import KINDS, Link, WorldSetup, not_flown
-from crazychoir.swarm.checks import REPLAY
+from crazychoir.recording.mcap.odometry import into_world
+from crazychoir.recording.mcap.reading import read
+from crazychoir.simulation.common.truth import Truth
+from crazychoir.simulation.common.world import KINDS, Link, WorldSetup, not_flown
 from crazychoir.types import Command
 
 NEAR = 0.1

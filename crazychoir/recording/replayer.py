@@ -3,10 +3,10 @@
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import BY_NAME, OBSERVABLE, Topic
-from crazychoir.recording.sequence import told
-from crazychoir.recording.values import Values
+from crazychoir.recording.mcap.decode import Values
+from crazychoir.recording.mcap.sequence import told
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
 

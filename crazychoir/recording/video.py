@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.output_files import written_file
+from crazychoir.files.output_files import written_file
 
 Image = npt.NDArray[np.uint8]
 ENDINGS = (".mp4", ".gif", ".webp")

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any, TypeVar
 
 from crazychoir.errors import Deadlock, Livelock
-from crazychoir.runtime.worker import Worker, is_inside_loop
+from crazychoir.runtime.worker_thread import Worker, is_inside_loop
 
 T = TypeVar("T")
 SECOND = 1_000_000_000

@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-from crazychoir.simulation.world import Link
+from crazychoir.simulation.common.world import Link
 from crazychoir.types import Command
 
 

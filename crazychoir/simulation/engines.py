@@ -7,14 +7,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from crazychoir.config.checks import DOUBLE, LIGHTWEIGHT, MOTORS, MUJOCO, REPLAY, SINGLE, UNICYCLE, WORLD_STEP, WORLDS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import Drone, Table
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.platforms import platform
-from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.mismatch import scaled
-from crazychoir.simulation.world import World, WorldSetup
-from crazychoir.swarm.checks import DOUBLE, LIGHTWEIGHT, MOTORS, MUJOCO, REPLAY, SINGLE, UNICYCLE, WORLD_STEP, WORLDS
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.swarm.tables import Drone, Table
+from crazychoir.simulation.common.mismatch import scaled
+from crazychoir.simulation.common.world import World, WorldSetup
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 
 Engine = Callable[[WorldSetup], World]
 
@@ -23,9 +23,9 @@ OURS = {
     MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
     MUJOCO: EntryPoint(MUJOCO, "crazychoir.simulation.mujoco.world:engine", WORLDS),
     REPLAY: EntryPoint(REPLAY, "crazychoir.recording.replay:engine", WORLDS),
-    SINGLE: EntryPoint(SINGLE, "crazychoir.simulation.points:single_integrators", WORLDS),
-    DOUBLE: EntryPoint(DOUBLE, "crazychoir.simulation.points:double_integrators", WORLDS),
-    UNICYCLE: EntryPoint(UNICYCLE, "crazychoir.simulation.points:unicycles", WORLDS),
+    SINGLE: EntryPoint(SINGLE, "crazychoir.simulation.lightweight.points:single_integrators", WORLDS),
+    DOUBLE: EntryPoint(DOUBLE, "crazychoir.simulation.lightweight.points:double_integrators", WORLDS),
+    UNICYCLE: EntryPoint(UNICYCLE, "crazychoir.simulation.lightweight.points:unicycles", WORLDS),
 }
 
 
@@ -39,7 +39,9 @@ def lightweight(setup: WorldSetup) -> World:
 
 def motors(setup: WorldSetup) -> World:
     """Rotors, batteries, sensors, air, and the firmware on board."""
-    from crazychoir.simulation.crazyflies import CrazyflieWorld  # kernels that a lightweight world does not need
+    from crazychoir.simulation.motor_level.crazyflies import (
+        CrazyflieWorld,  # kernels that a lightweight world does not need
+    )
 
     return CrazyflieWorld.of(setup)
 

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import BODY, POSE, TRUTH
-from crazychoir.math3d import Mat
+from crazychoir.numerics.math3d import Mat
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, WORLD
+from crazychoir.simulation.common.world import Link, World
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.telemetry import Telemetry
-from crazychoir.simulation.world import Link, World
 from crazychoir.types import Body, Pose
 
 MOST_CATCH_UP = 20

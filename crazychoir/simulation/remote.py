@@ -10,16 +10,16 @@ import numpy as np
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.commands import DONE, Commander, CommandServer
-from crazychoir.bus.local import BODIES, Port
+from crazychoir.bus.port import BODIES, Port
 from crazychoir.bus.topics import BODY, COMMAND, CUT
+from crazychoir.config.tables import Flight
 from crazychoir.errors import CodecError, Refused
-from crazychoir.math3d import yaw_of
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Call, Latest
-from crazychoir.simulation.world import KINDS, Link
-from crazychoir.swarm.tables import Flight
+from crazychoir.simulation.common.world import KINDS, Link
 from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Command, Drive, FullState, State, Vel
 
 log = logging.getLogger(__name__)

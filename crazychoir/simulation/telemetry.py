@@ -3,12 +3,12 @@
 import difflib
 from collections.abc import Iterable, Mapping
 
-from crazychoir.bus.local import Port
+from crazychoir.bus.port import Port
 from crazychoir.bus.topics import TELEMETRY
+from crazychoir.config.checks import LIGHTWEIGHT, MOTORS
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.logs import LIGHT
-from crazychoir.simulation.world import World
-from crazychoir.swarm.checks import LIGHTWEIGHT, MOTORS
+from crazychoir.simulation.common.logs import LIGHT
+from crazychoir.simulation.common.world import World
 
 TICK, LONGEST = 0.01, 2.55
 """s: periods of the firmware's log blocks are multiples of the first, at most the second."""

@@ -3,7 +3,7 @@
 import hashlib
 import struct
 
-from crazychoir.bus.local import OBSERVER
+from crazychoir.bus.port import OBSERVER
 
 _HEAD = struct.Struct("<iiiq")
 

@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.draws import bad_states
 from crazychoir.bus.frames import Envelope, Frame, FrameBuffer, decode_frame, encode_frame
-from crazychoir.bus.impairment import Impairment
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.random_draws import bad_states
 from crazychoir.types import Goto, State, Status
 
 VALUES: dict[str, Any] = {

@@ -27,13 +27,13 @@ from system.browsers import FLAGS
 from system.pages import dashboard, looking_on, six
 
 from crazychoir.bus.commands import CommandServer
-from crazychoir.bus.hello import VERSION
-from crazychoir.bus.local import Bus
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import REFERENCE, STATE, STATUS
-from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import apart, attached
 from crazychoir.runtime.clock import run_wall
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, State, Status
 
 SECONDS, CLICKS, TURN = 20.0, 20, 10.0

@@ -7,7 +7,7 @@ import numpy as np
 from flight_kernels import Clock, microseconds
 from rich import print as show
 
-from crazychoir.cli import bench_filters
+from crazychoir.bench import filters as bench_filters
 from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter

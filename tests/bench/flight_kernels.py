@@ -18,8 +18,8 @@ from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.safety.guard import Guard
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.safety.rules.guard import Guard
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import Acceleration, FullState, Pose, State
 
 

@@ -30,12 +30,12 @@ import zenoh
 from system.link_process import linked, wall_clock
 
 from crazychoir.bus.frames import Frame, encode_frame
+from crazychoir.bus.network import authority
+from crazychoir.bus.network.authority import CERTIFICATE, KEY, ROOT
+from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.topics import STATUS
-from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import free_ports
-from crazychoir.security import authority
-from crazychoir.security.authority import CERTIFICATE, KEY, ROOT
-from crazychoir.swarm.config import SwarmConfig
 
 ARMS = ("nobody", "unrelated", "itself")
 RATE, EACH = 100_000, 100

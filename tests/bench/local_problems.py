@@ -10,7 +10,7 @@ from collections.abc import Callable
 import cvxpy as cp
 import numpy as np
 
-from crazychoir.optimization.problems import CostCoupled
+from crazychoir.optimization.problems.problems import CostCoupled
 
 N = 10
 """Entries of x."""

@@ -4,9 +4,9 @@ import time
 
 import numpy as np
 
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.simulation.motor_control import MotorCtrlFPQR
+from crazychoir.simulation.motor_level.motor_control import MotorCtrlFPQR
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import fleet

@@ -20,16 +20,16 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.hello import VERSION
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import STATE
-from crazychoir.bus.zenoh import ZenohLink
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import apart, attached, observer
-from crazychoir.recording.file import RecordingFile
+from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State
 
 VALUES = 512

@@ -6,9 +6,9 @@ python tests/bench/search.py [lc101.txt ...] prints cost in m, vehicles that lea
 import sys
 import time
 
-from crazychoir.routing.generate import random_instance
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.search import search
+from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.search.search import search
 
 CASES = [(8, 16, 6_000, 2), (20, 40, 40_000, 2), (50, 100, 300_000, 3)]
 """Robots, tasks, steps, rounds."""

@@ -26,9 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from system.agents import AGENT, WORLD, Program, results
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.network import apart
-from crazychoir.swarm.config import SwarmConfig
 
 FILE = Path(__file__).resolve().parents[2] / "deploy/grid30.toml"
 MISSION = load("bearing_formation")
@@ -50,7 +50,7 @@ def swarm(minutes: float, each: int) -> SwarmConfig:
 
 async def soak(minutes: float, each: int, progress: Progress) -> dict[str, object]:
     config = swarm(minutes, each)
-    compiled = await Program.start(sys.executable, "-c", "import crazychoir.cli.process")
+    compiled = await Program.start(sys.executable, "-c", "import crazychoir.launch.process.process")
     await compiled.end(300.0)  # who compiles the laws itself has twice the memory
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "swarm.json"

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from campaign.report import Report
-from crazychoir.bus.rules import Partition, Rule
-from crazychoir.swarm import graph as graphs
-from crazychoir.swarm.graph import Graph
+from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.team import graph as graphs
+from crazychoir.team.graph import Graph
 
 Draw = np.random.Generator
 

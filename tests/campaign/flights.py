@@ -9,17 +9,17 @@ from system.online import crash, drawn
 from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
-from crazychoir.agent import Agent
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.rules import Partition
+from crazychoir.agent.agent import Agent
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Partition
 from crazychoir.bus.topics import POSE
+from crazychoir.config.checks import TOUCHING
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import Mission, load
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.safety.modes import Mode
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.trace import Trace
-from crazychoir.swarm.checks import TOUCHING
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Acceleration, FullState, Reference
 
 BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}

@@ -14,20 +14,20 @@ from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.bus.commands import ACCEPTED, DONE, Commander, CommandServer
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import ESTOP
 from crazychoir.errors import CrazyChoirError, PeerLost, Refused, RosterChanged
-from crazychoir.optimization.consensus import Consensus
-from crazychoir.optimization.convexified import Convexified
-from crazychoir.optimization.primal_decomposition import PrimalDecomposition
-from crazychoir.optimization.step_size import Diminishing
-from crazychoir.routing.generate import random_instance
-from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.routing.primal_decomposition import PriceRounds
+from crazychoir.optimization.algorithms.consensus import Consensus
+from crazychoir.optimization.algorithms.convexified import Convexified
+from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
+from crazychoir.optimization.rounds.step_size import Diminishing
+from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.routing.distributed.primal_decomposition import PriceRounds
+from crazychoir.routing.instance.generate import random_instance
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.simulate import simulate
-from crazychoir.solving import solve_here
-from crazychoir.swarm.graph import metropolis
+from crazychoir.solve.simulate import simulate
+from crazychoir.solve.solving import solve_here
+from crazychoir.team.graph import metropolis
 
 LONGEST = 600.0
 """s of virtual time in which every wait of a scenario must be over."""

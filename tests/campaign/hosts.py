@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.local import Bus
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import Topic
 from crazychoir.runtime.clock import SECOND, Alarm, Clock
 

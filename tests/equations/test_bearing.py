@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from crazychoir.control.margin import REQUIRED
-from crazychoir.guidance.bearing import KP, KV, bearing_laplacian, check_formation
-from crazychoir.guidance.modes import slowest_mode
+from crazychoir.guidance.formation.bearing import KP, KV, bearing_laplacian, check_formation
+from crazychoir.guidance.formation.modes import slowest_mode
 
 SQUARE = {0: (0, 0, 1), 1: (1, 0, 1), 2: (1, 1, 1), 3: (0, 1, 1)}
 PAPER_GRAPH = {0: {1, 3}, 1: {0, 2, 3}, 2: {1, 3}, 3: {0, 1, 2}}

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crazychoir.math3d import GRAVITY, exponential, rotation
+from crazychoir.numerics.math3d import GRAVITY, exponential, rotation
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, rotor_speed
-from crazychoir.simulation import lanes
-from crazychoir.simulation.body import ROTOR_HEIGHT, fly, near_floor
-from crazychoir.simulation.lanes import FULL, G1, HALF, LANES
-from crazychoir.simulation.motors import MotorWorld
+from crazychoir.simulation.motor_level import lanes
+from crazychoir.simulation.motor_level.body import ROTOR_HEIGHT, fly, near_floor
+from crazychoir.simulation.motor_level.lanes import FULL, G1, HALF, LANES
+from crazychoir.simulation.motor_level.motors import MotorWorld
 
 P = CRAZYFLIE_21
 WIND = np.array([0.5, -0.3, 0.2])

@@ -1,10 +1,10 @@
-"""crazychoir/bus/draws.py: the Gilbert-Elliott chain, computed block by block, is the chain walked step by step."""
+"""crazychoir/bus/impairment/random_draws.py: the Gilbert-Elliott chain, computed block by block, is the chain walked step by step."""
 
 import numpy as np
 import pytest
 
-from crazychoir.bus import draws
-from crazychoir.bus.draws import BLOCK, LOOK_BACK, ONE, bad_states, draw
+from crazychoir.bus.impairment import random_draws as draws
+from crazychoir.bus.impairment.random_draws import BLOCK, LOOK_BACK, ONE, bad_states, draw
 
 
 def states(key, count, p_good_bad, p_bad_good):

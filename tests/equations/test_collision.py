@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.motion import late

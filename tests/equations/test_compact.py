@@ -7,11 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from crazychoir.routing.checker import check
-from crazychoir.routing.compact import solve_compact
-from crazychoir.routing.generate import random_instance
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.pricing import RouteTable
+from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.pricing.arc_flow import solve_compact
+from crazychoir.routing.pricing.route_table import RouteTable
 
 
 def best_of(instance, vehicles, objective):

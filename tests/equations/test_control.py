@@ -16,7 +16,7 @@ from crazychoir.control.position import (
     FlatnessPositionCtrl,
 )
 from crazychoir.control.trim import Trim
-from crazychoir.math3d import GRAVITY, exponential, quaternion, rotation, rotation_from_flat
+from crazychoir.numerics.math3d import GRAVITY, exponential, quaternion, rotation, rotation_from_flat
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.platforms import PAPER
 from crazychoir.types import FullState, State

@@ -16,7 +16,7 @@ from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositi
 from crazychoir.control.senders import FPQRSender
 from crazychoir.control.trim import DOUBT, MOST_THRUST, MOST_TRIM, Trim
 from crazychoir.control.velocity import VelocityCtrlStrategy
-from crazychoir.math3d import GRAVITY, exponential, quaternion, quaternion_of_yaw, rotation, rotation_from_flat
+from crazychoir.numerics.math3d import GRAVITY, exponential, quaternion, quaternion_of_yaw, rotation, rotation_from_flat
 from crazychoir.planning.figure import eight
 from crazychoir.platforms import PAPER
 from crazychoir.types import FullState, State

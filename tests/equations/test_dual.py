@@ -6,16 +6,16 @@ import pytest
 from in_step import run_in_step
 from quadratics import costs, problems
 
-from crazychoir.optimization.active_set import minimise
-from crazychoir.optimization.admm import ADMM
-from crazychoir.optimization.asymm import ASYMM
-from crazychoir.optimization.constraints_consensus import ConstraintsConsensus
-from crazychoir.optimization.dual_decomposition import DualDecomposition
-from crazychoir.optimization.dual_subgradient import DualSubgradient
-from crazychoir.optimization.problems import CommonCost, ConstraintCoupled
-from crazychoir.optimization.quadratic import Polyhedron, QuadraticProgram
-from crazychoir.optimization.smooth import Smooth, descended
-from crazychoir.swarm.graph import erdos_renyi_connected, metropolis, path
+from crazychoir.optimization.algorithms.admm import ADMM
+from crazychoir.optimization.algorithms.asymm import ASYMM
+from crazychoir.optimization.algorithms.constraints_consensus import ConstraintsConsensus
+from crazychoir.optimization.algorithms.dual_decomposition import DualDecomposition
+from crazychoir.optimization.algorithms.dual_subgradient import DualSubgradient
+from crazychoir.optimization.problems.active_set import minimise
+from crazychoir.optimization.problems.problems import CommonCost, ConstraintCoupled
+from crazychoir.optimization.problems.quadratic import Polyhedron, QuadraticProgram
+from crazychoir.optimization.problems.smooth import Smooth, descended
+from crazychoir.team.graph import erdos_renyi_connected, metropolis, path
 
 GRAPH = erdos_renyi_connected(5, 0.5, 2)
 

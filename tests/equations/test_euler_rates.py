@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from crazychoir.math3d import quaternion
+from crazychoir.numerics.math3d import quaternion
 from crazychoir.platforms import PAPER
-from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.links import EulerRatesLink
+from crazychoir.simulation.common.links import EulerRatesLink
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import FPQR
 
 DT = 1e-7

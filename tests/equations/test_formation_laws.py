@@ -11,9 +11,9 @@ from crazychoir.agents.containment import Containment
 from crazychoir.agents.distance_formation import HEIGHT, DistanceFormation
 from crazychoir.control.gains import AGILE
 from crazychoir.control.margin import Inner, guidance_loop
-from crazychoir.guidance.bearing import bearing_laplacian, equilibrium, normalised
-from crazychoir.guidance.modes import FREQUENCIES, TICK, Chain, _attitude_response, slowest_normalised
-from crazychoir.guidance.rigidity import distance_to_hull, grounded_laplacian, rigidity_matrix
+from crazychoir.guidance.formation.bearing import bearing_laplacian, equilibrium, normalised
+from crazychoir.guidance.formation.modes import FREQUENCIES, TICK, Chain, _attitude_response, slowest_normalised
+from crazychoir.guidance.formation.rigidity import distance_to_hull, grounded_laplacian, rigidity_matrix
 from crazychoir.types import State
 
 SQUARE = {0: (0, 0, 1), 1: (1, 0, 1), 2: (1, 1, 1), 3: (0, 1, 1)}

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crazychoir.math3d import GRAVITY, exponential, quaternion, rotation
+from crazychoir.numerics.math3d import GRAVITY, exponential, quaternion, rotation
 from crazychoir.platforms import PAPER
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 
 U = np.array([1.1 * PAPER.weight, 2.0, -1.5, 1.0])
 START = np.array([0.3, -0.2, 5.0, 0.8, -0.5, 0.3, *exponential(0.2, -0.3, 0.5)])

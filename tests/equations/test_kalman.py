@@ -22,9 +22,9 @@ from crazychoir.filters.kalman import (
     P,
 )
 from crazychoir.filters.motion import Commanded
-from crazychoir.math3d import exponential, product
+from crazychoir.flight.estimate import rates_on_board
+from crazychoir.numerics.math3d import exponential, product
 from crazychoir.platforms import PAPER
-from crazychoir.safety.estimate import rates_on_board
 from crazychoir.types import Pose
 
 JERK, PUSH, SWING, R_P, R_A = 0.7, 2e-3, 0.4, 1e-6, 2.5e-5

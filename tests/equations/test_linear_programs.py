@@ -7,12 +7,12 @@ import pytest
 from coupled import random_blocks
 from scipy.optimize import linprog
 
-from crazychoir.optimization.convexified import Convexified
-from crazychoir.optimization.lexicographic import Columns, optimal_basis, union
-from crazychoir.optimization.mixed_integer import MixedIntegerBlock
-from crazychoir.optimization.options import Options, Pool
-from crazychoir.optimization.simplex import BasisExchange
-from crazychoir.swarm.graph import complete, metropolis
+from crazychoir.optimization.algorithms.convexified import Convexified
+from crazychoir.optimization.algorithms.simplex import BasisExchange
+from crazychoir.optimization.problems.lexicographic import Columns, optimal_basis, union
+from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
+from crazychoir.optimization.problems.options_lp import Options, Pool
+from crazychoir.team.graph import complete, metropolis
 
 DRAW = np.random.default_rng(11)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm
 
-from crazychoir import math3d
+from crazychoir.numerics import math3d
 
 ordinary = st.floats(-10.0, 10.0).map(lambda x: x if abs(x) > 1e-3 else 1e-3)
 vectors = arrays(float, 3, elements=ordinary)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import exponential, product, quaternion_of_yaw, rotation
 from crazychoir.mocap.calibration import angles, from_rest, from_turn, mean_attitude
 from crazychoir.mocap.mounting import Mounting, turned
+from crazychoir.numerics.math3d import exponential, product, quaternion_of_yaw, rotation
 
 MOUNTINGS = [
     Mounting(),

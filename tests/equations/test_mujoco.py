@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from crazychoir.math3d import GRAVITY, exponential, rotation
+from crazychoir.numerics.math3d import GRAVITY, exponential, rotation
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
-from crazychoir.simulation.crazyflies import CrazyflieWorld
-from crazychoir.simulation.imu import Imu
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.motor_level.imu import Imu
 from crazychoir.simulation.mujoco.world import MujocoWorld
 from crazychoir.simulation.mujoco.wrench import impel, settle, touch
 

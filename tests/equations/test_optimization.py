@@ -10,19 +10,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_step import run_in_step
 
-from crazychoir.optimization.aggregative_tracking import AggregativeTracking
-from crazychoir.optimization.average import RunningAverage
-from crazychoir.optimization.block_subgradient import BlockSubgradientMethod
-from crazychoir.optimization.directed_gradient_tracking import DirectedGradientTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.average import RunningAverage
+from crazychoir.optimization.algorithms.block_subgradient import BlockSubgradientMethod
+from crazychoir.optimization.algorithms.directed_gradient_tracking import DirectedGradientTracking
+from crazychoir.optimization.algorithms.gradient_tracking import GradientTracking
+from crazychoir.optimization.algorithms.push_sum import PushSum
+from crazychoir.optimization.algorithms.subgradient import SubgradientMethod
 from crazychoir.optimization.generate import random_quadratics
-from crazychoir.optimization.gradient import Samples
-from crazychoir.optimization.gradient_tracking import GradientTracking
-from crazychoir.optimization.mixing import columns, rows, team
-from crazychoir.optimization.projection import Box, Convex, Disc, Intersection, Strip
-from crazychoir.optimization.push_sum import PushSum
-from crazychoir.optimization.step_size import Constant, Diminishing
-from crazychoir.optimization.subgradient import SubgradientMethod
-from crazychoir.swarm import graph as graphs
+from crazychoir.optimization.problems.gradient import Samples
+from crazychoir.optimization.problems.projection import Box, Convex, Disc, Intersection, Strip
+from crazychoir.optimization.rounds.mixing import columns, rows, team
+from crazychoir.optimization.rounds.step_size import Constant, Diminishing
+from crazychoir.team import graph as graphs
 
 Q = random_quadratics(6, 3, seed=1)
 GRAPH = graphs.erdos_renyi_connected(6, 0.5, 1)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from crazychoir.radio import simulated_radio
-from crazychoir.radio.interference import Bluetooth, Jammer, Network, Uses, frames
-from crazychoir.radio.simulated_radio import BITS, Room, SimulatedRadio, random_room, success
+from crazychoir.radio.survey import simulated_radio
+from crazychoir.radio.survey.interference import Bluetooth, Jammer, Network, Uses, frames
+from crazychoir.radio.survey.simulated_radio import BITS, Room, SimulatedRadio, random_room, success
 
 
 def test_one_bit_in_a_thousand_is_wrong_at_the_sensitivity():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from crazychoir.math3d import rotation
-from crazychoir.recording.figures import JOINED, joined, rms
-from crazychoir.recording.odometry import into_world, odometry
+from crazychoir.numerics.math3d import rotation
+from crazychoir.recording.analysis.figures import JOINED, joined, rms
+from crazychoir.recording.mcap.odometry import into_world, odometry
 from crazychoir.types import State
 
 DRAW = np.random.default_rng(1)

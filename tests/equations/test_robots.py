@@ -7,10 +7,10 @@ import pytest
 from robots import heading, world_of
 from scipy.integrate import solve_ivp
 
+from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
 from crazychoir.control.robots import DoubleIntegratorCtrl, SingleIntegratorCtrl
 from crazychoir.control.unicycle import UnicyclePoseCtrl, UnicycleVelocityCtrl
-from crazychoir.math3d import quaternion_of_yaw, wrap
-from crazychoir.swarm.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.numerics.math3d import quaternion_of_yaw, wrap
 from crazychoir.types import Acc, Drive, FullState, State, Vel
 
 DRAW = np.random.default_rng(3)

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from crazychoir.routing.bound import Bound
-from crazychoir.routing.columns import ColumnProgram
-from crazychoir.routing.generate import random_instance
-from crazychoir.routing.halves import Halves
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.master import Pool
-from crazychoir.routing.member import Member, Place, Settings
-from crazychoir.routing.pricing import Column, RouteTable
-from crazychoir.routing.primal_decomposition import PriceRounds
-from crazychoir.routing.solve import solve_in_loop
+from crazychoir.routing.distributed.bound import Bound
+from crazychoir.routing.distributed.columns import ColumnProgram
+from crazychoir.routing.distributed.master import Pool
+from crazychoir.routing.distributed.member import Member, Place, Settings
+from crazychoir.routing.distributed.plain_loop import solve_in_loop
+from crazychoir.routing.distributed.primal_decomposition import PriceRounds
+from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.pricing.bidirectional_pricing import Halves
+from crazychoir.routing.pricing.route_table import Column, RouteTable
 
 N, M = 4, 6
 RING = {0: [1, 3], 1: [0, 2], 2: [1, 3], 3: [0, 2]}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.routing.annealing import exponential
-from crazychoir.routing.ruin import draw
+from crazychoir.routing.search.annealing import exponential
+from crazychoir.routing.search.ruin import draw
 
 
 def test_draw_is_splitmix64():

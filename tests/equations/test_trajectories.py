@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.math3d import E3, GRAVITY, rotation_from_flat
+from crazychoir.numerics.math3d import E3, GRAVITY, rotation_from_flat
 from crazychoir.planning.feasibility import DEMANDS, Limits, demands, peaks
 from crazychoir.planning.figure import circle, eight
 from crazychoir.planning.minimum_snap import allocated, minimum_snap, snap

@@ -16,7 +16,7 @@ from crazychoir.control.velocity import (
     VelocityCtrlStrategy,
     WaypointController,
 )
-from crazychoir.math3d import exponential, wrap, yaw_of
+from crazychoir.numerics.math3d import exponential, wrap, yaw_of
 from crazychoir.types import FullState, State
 
 H = 0.001

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import exponential, product
+from crazychoir.numerics.math3d import exponential, product
 from crazychoir.types import Pose
 
 

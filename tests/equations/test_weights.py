@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.swarm.graph import (
+from crazychoir.team.graph import (
     Graph,
     Weights,
     column_stochastic,

@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import LAW
-from crazychoir.swarm.config import SwarmConfig
 
-AGENT = (sys.executable, "-m", "crazychoir.cli.agent")
-CRAZYCHOIR = (sys.executable, "-m", "crazychoir.cli.crazychoir")
-WORLD = (sys.executable, "-m", "crazychoir.cli.world")
-MOCAP = (sys.executable, "-m", "crazychoir.cli.mocap")
-RADIO = (sys.executable, "-m", "crazychoir.cli.radios")
+AGENT = (sys.executable, "-m", "crazychoir.cli.fly.agent")
+CRAZYCHOIR = (sys.executable, "-m", "crazychoir.cli.main")
+WORLD = (sys.executable, "-m", "crazychoir.cli.fly.world")
+MOCAP = (sys.executable, "-m", "crazychoir.cli.fly.mocap")
+RADIO = (sys.executable, "-m", "crazychoir.cli.fly.radio_owner")
 OBSERVER = (sys.executable, str(Path(__file__).with_name("observer.py")))
 BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
 

@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 from system.flights import mission_of
 
-from crazychoir.agent import Agent
-from crazychoir.bus.local import BODIES, EYES
+from crazychoir.agent.agent import Agent
+from crazychoir.bus.port import BODIES, EYES
 from crazychoir.bus.topics import LINK, POSE, TRUTH
-from crazychoir.math3d import product, quaternion_of_yaw
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.view import Blur
+from crazychoir.numerics.math3d import product, quaternion_of_yaw
 from crazychoir.radio.budget import rates
-from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import Packet
-from crazychoir.radio.drone import LOOKS, RadioDrone
+from crazychoir.radio.drone.radio_drone import LOOKS, RadioDrone
+from crazychoir.radio.link.toc_cache import TableOfContents
+from crazychoir.radio.protocol.crtp import Packet
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 from crazychoir.radio.virtual.readings import readings
 from crazychoir.radio.virtual.setup import of_swarm
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock, run_virtual
 from crazychoir.simulation.remote import RemoteBody
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Pose, State
 
 STEP = 0.01

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.config.swarm_config import SwarmConfig
 
 PROGRAMS = {
-    "crazychoir": (sys.executable, "-m", "crazychoir.cli.crazychoir"),
-    "crazychoir-agent": (sys.executable, "-m", "crazychoir.cli.agent"),
-    "crazychoir-world": (sys.executable, "-m", "crazychoir.cli.world"),
-    "crazychoir-mocap": (sys.executable, "-m", "crazychoir.cli.mocap"),
+    "crazychoir": (sys.executable, "-m", "crazychoir.cli.main"),
+    "crazychoir-agent": (sys.executable, "-m", "crazychoir.cli.fly.agent"),
+    "crazychoir-world": (sys.executable, "-m", "crazychoir.cli.fly.world"),
+    "crazychoir-mocap": (sys.executable, "-m", "crazychoir.cli.fly.mocap"),
 }
 
 

@@ -8,7 +8,8 @@ from system.commands import Said, fly
 from system.flights import scattered
 from typer.testing import CliRunner
 
-from crazychoir.cli import agent, crazychoir
+from crazychoir.cli import main as crazychoir
+from crazychoir.cli.fly import agent
 
 
 @pytest.fixture(scope="session")

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from system.agents import BRISK
 
-from crazychoir.agent import Agent
-from crazychoir.guidance.base import CFGuidance
+from crazychoir.agent.agent import Agent
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import load
-from crazychoir.math3d import wrap, yaw_of
+from crazychoir.numerics.math3d import wrap, yaw_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.safety.modes import Mode
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.safety.rules.modes import Mode
 
 TICK = 0.01
 

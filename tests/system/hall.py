@@ -11,10 +11,10 @@ from typing import Any, Self
 
 from system.agents import CRAZYCHOIR, Program
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.launch.network import apart
 from crazychoir.radio.virtual.control import ask
-from crazychoir.swarm.config import SwarmConfig
 
 
 def udp_block(count: int) -> int:

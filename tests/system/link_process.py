@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import BY_NAME
-from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import CrazyChoirError, Refused, SolverError
 from crazychoir.runtime.clock import Clock, WallClock, run_wall
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.graph import ring
-from crazychoir.swarm.running import run_algorithm
+from crazychoir.team.algorithm_run import run_algorithm
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import ring
 
 
 @contextlib.asynccontextmanager

@@ -10,14 +10,14 @@ from typing import Any
 
 import msgspec
 
-from crazychoir.bus.access import OBSERVERS
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.network.access import OBSERVERS
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import LOG, STATUS
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import observer_link, own_name
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.config import SwarmConfig
 
 
 def say(clock: Clock, drone: int, topic: str, value: Any) -> None:

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.agent import Agent
+from crazychoir.agent.agent import Agent
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
-from crazychoir.guidance.task_book import Fate
-from crazychoir.launch.score import Score
+from crazychoir.guidance.tasks.task_book import Fate
+from crazychoir.launch.flight_observer import Score
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.swarm.config import SwarmConfig
 
 FALL = 1.5
 """s after it is killed within which a drone has come down: it falls 2.2 m in 0.7 s, if nothing holds it."""

@@ -11,8 +11,8 @@ import numpy as np
 from system.agents import CRAZYCHOIR, Program, until
 from websockets.asyncio.client import connect
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import apart
-from crazychoir.swarm.config import SwarmConfig
 
 FLIGHT = {"takeoff_height": 0.6, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6, "operator": True}
 COLUMNS = 17

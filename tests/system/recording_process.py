@@ -8,9 +8,9 @@ import sys
 from itertools import count
 from pathlib import Path
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import STATE
-from crazychoir.recording.file import RecordingFile
+from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.supervisor import Supervisor

@@ -6,8 +6,8 @@ import io
 import pytest
 from rich.console import Console
 
-from crazychoir.cli import bench_exchange
-from crazychoir.cli.bench_exchange import Row
+from crazychoir.bench import exchange as bench_exchange
+from crazychoir.bench.exchange import Row
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 

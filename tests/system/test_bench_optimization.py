@@ -4,7 +4,7 @@ import importlib.util
 
 import pytest
 
-from crazychoir.cli.bench_exchange import Row, measure
+from crazychoir.bench.exchange import Row, measure
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 PROGRAMS = [("peers_rounds", "", 2), ("peers_mpi4py_rounds", "mpi4py", 3)]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from crazychoir.cli import bench_scale
-from crazychoir.cli.bench_scale import Cell
+from crazychoir.bench import scale as bench_scale
+from crazychoir.bench.scale import Cell
 
 pytestmark = pytest.mark.system
 

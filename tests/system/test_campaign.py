@@ -8,7 +8,7 @@ import pytest
 from campaign import flights, seeds
 from campaign.report import Report
 
-from crazychoir.agent import Agent
+from crazychoir.agent.agent import Agent
 from crazychoir.guidance.mission import load
 from crazychoir.runtime.clock import run_virtual
 

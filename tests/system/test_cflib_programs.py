@@ -49,7 +49,7 @@ def _readme(port: int) -> str:
 def ran():
     """What each program has ended with, and the server; all fly at once, each its own drone."""
     port = _free_ports()
-    command = [sys.executable, "-m", "crazychoir.cli.crazychoir", "virtual", "--drones", str(DRONES), "--json"]
+    command = [sys.executable, "-m", "crazychoir.cli.main", "virtual", "--drones", str(DRONES), "--json"]
     server = subprocess.Popen(
         [*command, "--port", str(port)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

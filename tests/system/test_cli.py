@@ -15,11 +15,11 @@ import pytest
 from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
 from system.commands import call
 
-from crazychoir.cli import window
+from crazychoir.cli.shared import observer as window
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load, names
 from crazychoir.launch.flight import NO_REASON, fly_fast
 from crazychoir.launch.network import apart
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 

@@ -6,11 +6,11 @@ import threading
 import pytest
 from system.hall import Hall, reached
 
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.connection import Connection
-from crazychoir.radio.contents import TableOfContents
+from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.runtime.clock import WallClock
-from crazychoir.swarm.config import default_swarm
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 EIGHT = range(8)

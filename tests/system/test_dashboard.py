@@ -21,7 +21,7 @@ from system.pages import FLIGHT, dashboard, looking_on, six
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
-from crazychoir.dashboard.guests import IDLE, MOST
+from crazychoir.dashboard.connection_limits import IDLE, MOST
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 

@@ -15,22 +15,22 @@ from cflib.drivers import crazyradio
 from fake_dongle import FakeDongle, Receiver
 from system.hall import udp_block
 
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import LinkFailed
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.upload import uploaded
-from crazychoir.radio import drivers
-from crazychoir.radio.connection import Connection
-from crazychoir.radio.contents import TableOfContents
-from crazychoir.radio.crtp import FORMS, MEMORY, Packet
-from crazychoir.radio.dongles import DongleFailed
-from crazychoir.radio.drone import TABLES
-from crazychoir.radio.firmware import Firmware
-from crazychoir.radio.handlers import emergency
+from crazychoir.radio.drone.radio_drone import TABLES
+from crazychoir.radio.link import drivers
+from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.dongles import DongleFailed
+from crazychoir.radio.link.firmware import Firmware
+from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.owner import RadioProcess
+from crazychoir.radio.protocol.crtp import FORMS, MEMORY, Packet
+from crazychoir.radio.protocol.handlers import emergency
 from crazychoir.radio.virtual.server import VirtualServer
 from crazychoir.radio.virtual.setup import on_a_grid
 from crazychoir.runtime.clock import WallClock
-from crazychoir.swarm.config import SwarmConfig, default_swarm
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HOVER = FORMS["hover"]

@@ -19,10 +19,10 @@ from system.agents import BRISK, CRAZYCHOIR, Program, Team, flying, results, see
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import ESTOP, HEARTBEAT, HELLO, ROSTER, ROUND, STATE, Class
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.network import apart
 from crazychoir.runtime.watchdog import EXIT_CODE
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("compiled")]
 DATA = Path(__file__).parents[1] / "data"

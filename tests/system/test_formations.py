@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crazychoir.cli.bench_formation import CASES, summary, table, times
+from crazychoir.bench.formation import CASES, summary, table, times
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
-from crazychoir.guidance.bearing import bearing_laplacian
+from crazychoir.flight.pilot import Pilot
+from crazychoir.guidance.formation.bearing import bearing_laplacian
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
-from crazychoir.safety.pilot import Pilot
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Pose
 
 pytestmark = pytest.mark.system

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.namespaces import switched
-from crazychoir.swarm.config import SwarmConfig
 
 PYTHON, SYSTEMD = Path("/usr/bin/python3"), Path("/usr/lib/systemd/systemd")
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin")

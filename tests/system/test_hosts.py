@@ -11,9 +11,9 @@ import pytest
 from system.agents import BRISK, Team, flying, results
 from system.namespaces import ADDRESSES, Hosts, two_hosts
 
+from crazychoir.bus.network import authority
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
-from crazychoir.security import authority
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 SKEW = 1000.0

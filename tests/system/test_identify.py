@@ -7,9 +7,9 @@ from system.agents import CRAZYCHOIR, Program
 from system.hall import Hall, reached
 from typer.testing import CliRunner
 
-from crazychoir.cli.crazychoir import app
-from crazychoir.radio.ownership import owned
-from crazychoir.swarm.config import default_swarm
+from crazychoir.cli.main import app
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.radio.link.ownership import owned
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(120)]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from system.flights import Flight, fly
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import CFDistributedFeedback
-from crazychoir.safety.modes import Mode
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, FullState
 
 pytestmark = pytest.mark.system

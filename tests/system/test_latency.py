@@ -4,10 +4,10 @@ from statistics import median
 
 import pytest
 
-from crazychoir.cli.bench_latency import added_p99_ms, pose_to_command, ten_robots, tick_alone, tick_while_solving
+from crazychoir.bench.latency import added_p99_ms, pose_to_command, ten_robots, tick_alone, tick_while_solving
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.clock import WallClock
-from crazychoir.solving import solve_here
+from crazychoir.solve.solving import solve_here
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.slow, pytest.mark.timeout(300)]
 QUIET_MS = 1.0

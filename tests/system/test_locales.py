@@ -27,7 +27,7 @@ def guidance(i, config):
     return Rising()
 """
 ALGORITHM = """
-from crazychoir.optimization.consensus import Consensus
+from crazychoir.optimization.algorithms.consensus import Consensus
 
 def agent(i, graph):
     return Consensus(i, [float(i)], {j: 1.0 / 3.0 for j in (i, *graph.neighbors(i))}, 3)
@@ -41,8 +41,8 @@ CASES = {
 }
 COMMANDS = """
 import json, os, sys
-from crazychoir.cli import ending
-from crazychoir.cli.crazychoir import app
+from crazychoir.launch.process import ending
+from crazychoir.cli.main import app
 
 ending.run(lambda: None)
 for words in json.loads(sys.argv[1]):
@@ -100,7 +100,7 @@ def test_processes_are_told_such_names_and_say_them(tmp_path):
     name, environment = CASES["umlaut, ASCII"]
     folder = folder_named(name, tmp_path)
     words = ["run", str(folder / "rise.py"), "--drones", "1", "--processes", "1", "--json"]
-    done = run([sys.executable, "-m", "crazychoir.cli.crazychoir", *words], environment, folder)
+    done = run([sys.executable, "-m", "crazychoir.cli.main", *words], environment, folder)
     result = json.loads(done.stdout)
     assert "[red]böse[/red] [/] :smile:" in result["reasons"]["0"]
     assert done.returncode == 1

@@ -6,10 +6,10 @@ import pytest
 from system.commands import fly, run
 from system.flights import scattered
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import has, load
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.score import Score
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.launch.flight_observer import Score
 from crazychoir.types import Status
 
 pytestmark = pytest.mark.system

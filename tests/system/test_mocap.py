@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from system.agents import MOCAP, Program, until
 
-from crazychoir.bus.local import EYES
+from crazychoir.bus.port import EYES
 from crazychoir.bus.topics import POSE
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import attached, free_ports, observer
-from crazychoir.math3d import quaternion_of_yaw
 from crazychoir.mocap.frames import ASK, Frame
 from crazychoir.mocap.recording import Recorder, read_recording
+from crazychoir.numerics.math3d import quaternion_of_yaw
 from crazychoir.runtime.clock import run_wall
 from crazychoir.runtime.mailbox import Call
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HANGS = "import ctypes\n\ndef connect(system, settings):\n    ctypes.PyDLL(None).pause()  # in C, the lock is kept\n"

@@ -7,8 +7,8 @@ import pytest
 from system.flights import TICK, fly, mission_of, swarm_of
 
 from crazychoir.guidance.mission import load
-from crazychoir.math3d import wrap
-from crazychoir.safety.modes import Mode
+from crazychoir.numerics.math3d import wrap
+from crazychoir.safety.rules.modes import Mode
 
 pytestmark = pytest.mark.system
 SENDERS = ("fpqr", "frpy", "vel", "xyz")

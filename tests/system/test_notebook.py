@@ -9,14 +9,14 @@ import pytest
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_real
 from crazychoir.launch.network import apart, swarm_file
-from crazychoir.optimization.consensus import Consensus
-from crazychoir.optimization.mixing import team
-from crazychoir.simulate import simulate
-from crazychoir.swarm.config import default_swarm
-from crazychoir.swarm.graph import ring
+from crazychoir.optimization.algorithms.consensus import Consensus
+from crazychoir.optimization.rounds.mixing import team
+from crazychoir.solve.simulate import simulate
+from crazychoir.team.graph import ring
 
 pytestmark = [
     pytest.mark.system,
@@ -28,18 +28,18 @@ import json, pathlib, threading
 from types import SimpleNamespace
 from crazychoir import CFGuidance
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.team import solve_in_processes
+from crazychoir.solve.team import solve_in_processes
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_real
 from crazychoir.launch.network import apart, swarm_file
-from crazychoir.optimization.consensus import Consensus
-from crazychoir.optimization.mixing import team
-from crazychoir.routing.generate import random_instance
-from crazychoir.simulate import simulate
-from crazychoir.solving import solve_here
-from crazychoir.swarm.config import default_swarm
-from crazychoir.swarm.config import default_swarm
-from crazychoir.swarm.graph import ring
+from crazychoir.optimization.algorithms.consensus import Consensus
+from crazychoir.optimization.rounds.mixing import team
+from crazychoir.routing.instance.generate import random_instance
+from crazychoir.solve.simulate import simulate
+from crazychoir.solve.solving import solve_here
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.team.graph import ring
 """
 SIMULATE = """
 graph = ring(4)

@@ -9,17 +9,17 @@ from system.agents import CRAZYCHOIR, Program, flying, results, until
 from system.online import carried, crash, drawn, fly_online, killed_at, wilson
 
 from crazychoir.bus.commands import Commander
-from crazychoir.bus.local import OBSERVER
+from crazychoir.bus.port import OBSERVER
+from crazychoir.config.checks import TOUCHING
 from crazychoir.errors import SolverError
-from crazychoir.guidance import replanning
+from crazychoir.guidance.delivery import replanning
+from crazychoir.guidance.delivery.online_delivery import NO_PLAN
 from crazychoir.guidance.mission import load
-from crazychoir.guidance.online_delivery import NO_PLAN
-from crazychoir.guidance.task_book import Fate, Task
-from crazychoir.guidance.task_source import ADDED
+from crazychoir.guidance.tasks.task_book import Fate, Task
+from crazychoir.guidance.tasks.task_source import ADDED
 from crazychoir.launch.network import apart
-from crazychoir.routing.parallel_auction import parallel_auction
-from crazychoir.routing.pickup_delivery import PickupDelivery
-from crazychoir.swarm.checks import TOUCHING
+from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
+from crazychoir.routing.search.parallel_auction import parallel_auction
 
 pytestmark = pytest.mark.system
 SECONDS = 1e9

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.simulate import simulate
-from crazychoir.swarm.graph import ring
+from crazychoir.solve.simulate import simulate
+from crazychoir.team.graph import ring
 
 pytestmark = pytest.mark.system
 MISSION = '''
@@ -13,12 +13,12 @@ MISSION = '''
 import numpy as np
 
 from crazychoir import CFGuidance
-from crazychoir.optimization.aggregative_tracking import AggregativeTracking
-from crazychoir.optimization.asynchronous_consensus import AsynchronousConsensus
-from crazychoir.optimization.mixing import rows
-from crazychoir.swarm.config import default_swarm
-from crazychoir.swarm.graph import row_stochastic
-from crazychoir.swarm.running import Pace
+from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.asynchronous_consensus import AsynchronousConsensus
+from crazychoir.optimization.rounds.mixing import rows
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.team.graph import row_stochastic
+from crazychoir.team.algorithm_run import Pace
 
 TARGETS = np.array([drone.home[:2] for drone in default_swarm(4).drones])  # all move alike, and keep apart
 

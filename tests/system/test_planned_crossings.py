@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from system.flights import fly
 
-from crazychoir.guidance.base import CFGuidance
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import CFDistributedFeedback
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.types import FullState
 
 pytestmark = pytest.mark.system

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from system.flights import fly, mission_of
 
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.rules import Rule
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Rule
+from crazychoir.config.swarm_config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 HOMES = ((-1.2, 0.02, 0.0), (1.2, 0.0, 0.0))

@@ -14,9 +14,9 @@ import pytest
 from system.agents import CRAZYCHOIR, WORLD, Program, flying, results, seen, until
 from system.lossy_link import wired
 
+from crazychoir.bus.network import authority
+from crazychoir.flight.pilot import DEAF
 from crazychoir.guidance.mission import load
-from crazychoir.safety.pilot import DEAF
-from crazychoir.security import authority
 
 pytestmark = [
     pytest.mark.system,

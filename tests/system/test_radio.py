@@ -10,7 +10,7 @@ import threading
 import pytest
 from typer.testing import CliRunner
 
-from crazychoir.cli.crazychoir import app
+from crazychoir.cli.main import app
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
@@ -22,7 +22,7 @@ def port():
         door.bind(("127.0.0.1", 0))
         first = door.getsockname()[1]
     words = ["virtual", "--drones", "2", "--dongles", "0,1", "--port", str(first), "--json"]
-    command = [sys.executable, "-m", "crazychoir.cli.crazychoir", *words]
+    command = [sys.executable, "-m", "crazychoir.cli.main", *words]
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         while "poses at" not in (line := server.stderr.readline()):

@@ -15,11 +15,11 @@ import pytest
 from system.agents import Program
 from system.hall import Hall, processes, reached
 
+from crazychoir.config.checks import limit_area
+from crazychoir.config.link_loss import TILTED, crowded, inset
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.control.robots import sender_of
-from crazychoir.safety.guard import Fence
-from crazychoir.swarm.checks import limit_area
-from crazychoir.swarm.config import SwarmConfig, default_swarm
-from crazychoir.swarm.link_loss import TILTED, crowded, inset
+from crazychoir.safety.rules.guard import Fence
 
 pytestmark = [
     pytest.mark.system,

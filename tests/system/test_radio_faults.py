@@ -14,8 +14,8 @@ import pytest
 from system.agents import CRAZYCHOIR, Program
 from system.hall import Hall, processes, reached
 
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.radio.virtual.faults import Faults
-from crazychoir.swarm.config import SwarmConfig, default_swarm
 
 pytestmark = [
     pytest.mark.system,

@@ -12,8 +12,8 @@ import pytest
 from system.agents import RADIO, Program
 from system.hall import Hall, processes, reached
 
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.guidance.mission import load
-from crazychoir.swarm.config import SwarmConfig, default_swarm
 
 pytestmark = [
     pytest.mark.system,

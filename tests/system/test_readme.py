@@ -10,12 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from crazychoir.guidance.base import CFGuidance
+from crazychoir.config.tables import Collision
 from crazychoir.guidance.feedback import CFDistributedFeedback
-from crazychoir.guidance.hooks import HOOKS
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import names as missions
-from crazychoir.optimization.problems import CostCoupled
-from crazychoir.swarm.tables import Collision
+from crazychoir.guidance.mission_hooks import HOOKS
+from crazychoir.optimization.problems.problems import CostCoupled
 
 pytestmark = pytest.mark.system
 MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"

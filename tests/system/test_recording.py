@@ -15,19 +15,19 @@ from rosbags.rosbag2 import Reader
 from system.agents import BRISK
 
 from crazychoir.bus.topics import OBSERVABLE
-from crazychoir.cli.record import _until_gone
-from crazychoir.cli.replay import _replay
-from crazychoir.cli.window import Window
+from crazychoir.cli.recordings.record import _until_gone
+from crazychoir.cli.recordings.replay import _replay
+from crazychoir.cli.shared.observer import Window
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.network import apart, attached, observer
 from crazychoir.launch.recording import new_recording
-from crazychoir.recording import plots
-from crazychoir.recording.figures import flight_of
-from crazychoir.recording.reading import header, read
+from crazychoir.recording.analysis import plots
+from crazychoir.recording.analysis.figures import flight_of
+from crazychoir.recording.mcap.reading import header, read
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 MISSION = "bearing_formation"

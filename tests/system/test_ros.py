@@ -9,8 +9,8 @@ import zenoh
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
-from crazychoir.bus.zenoh import Outside
-from crazychoir.cli.ros import Bridge
+from crazychoir.bus.network.zenoh_link import Outside
+from crazychoir.cli.recordings.ros import Bridge
 from crazychoir.launch.network import free_ports
 from crazychoir.types import State
 

@@ -6,15 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.local import Bus
-from crazychoir.bus.rules import Partition, Rule
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.port import Bus
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
-from crazychoir.swarm import graph as graphs
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.graph import Graph, metropolis
-from crazychoir.swarm.roster import Barrier
-from crazychoir.swarm.running import run_algorithm
+from crazychoir.team import graph as graphs
+from crazychoir.team.algorithm_run import run_algorithm
+from crazychoir.team.barrier import Barrier
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph, metropolis
 
 pytestmark = pytest.mark.system
 LOSSY = [Rule({"loss": 0.5, "delay": 0.001, "jitter": 0.004, "duplicate": 0.2, "reorder": 0.2, "reorder_delay": 0.01})]

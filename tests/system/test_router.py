@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import pytest
 from system.agents import BRISK, CRAZYCHOIR, Program, flying, results
 
+from crazychoir.bus.network import authority
 from crazychoir.guidance.mission import load
 from crazychoir.launch.namespaces import DEVICE, cable, ip, namespace
-from crazychoir.security import authority
 
 pytestmark = pytest.mark.system
 MISSION = load("pickup_delivery")

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from crazychoir.agent import Agent
+from crazychoir.agent.agent import Agent
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.mpc import MPCGuidance
 from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.recording import recording_file
-from crazychoir.optimization.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
 from crazychoir.runtime.clock import SECOND, run_virtual
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 QUICK = {"takeoff_height": 0.5, "landing_speed": 1.0}

@@ -14,13 +14,13 @@ from system.link_process import linked, wall_clock
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.network import authority
+from crazychoir.bus.network.authority import CERTIFICATE, KEY, ROOT
+from crazychoir.bus.network.zenoh_link import LOOKS
 from crazychoir.bus.topics import REQUEST, STATUS
-from crazychoir.bus.zenoh import LOOKS
-from crazychoir.cli import host_facts
+from crazychoir.cli.setup import host_facts
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import free_ports
-from crazychoir.security import authority
-from crazychoir.security.authority import CERTIFICATE, KEY, ROOT
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Status
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]

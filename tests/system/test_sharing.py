@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from system.flights import fly, mission_of
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
-from crazychoir.safety.modes import Mode
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.safety.rules.modes import Mode
 
 pytestmark = pytest.mark.system
 N = 4

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from crazychoir.routing.instance import Instance
-from crazychoir.solving import solve_here
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.solve.solving import solve_here
 
 pytestmark = pytest.mark.system
 KEYS = {
@@ -51,9 +51,9 @@ def test_own_instances(here, repository, name):
 WARM = """
 import gc, json, sys
 from numba.core.dispatcher import Dispatcher
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.solve import warm
-from crazychoir.solving import solve_here
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.distributed.plain_loop import warm
+from crazychoir.solve.solving import solve_here
 
 def compiled():
     return {repr(d): len(d.overloads) for d in gc.get_objects() if isinstance(d, Dispatcher)}

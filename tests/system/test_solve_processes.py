@@ -10,11 +10,11 @@ import time
 import pytest
 from system.commands import call
 
-from crazychoir import cache
 from crazychoir.errors import ConfigError, ProcessFailed
-from crazychoir.launch import team
-from crazychoir.routing.instance import Instance
-from crazychoir.solving import solve_here
+from crazychoir.numerics import kernel_cache as cache
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.solve import team
+from crazychoir.solve.solving import solve_here
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.usefixtures("compiled")]
 
@@ -88,7 +88,7 @@ def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
 
 
 def test_no_robot_outlives_who_started_it(demo):
-    words = [sys.executable, "-m", "crazychoir.cli.crazychoir", "solve", str(demo), "--processes", "2", "--loss", "0.9"]
+    words = [sys.executable, "-m", "crazychoir.cli.main", "solve", str(demo), "--processes", "2", "--loss", "0.9"]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as parent:
         children = _until(lambda: found if len(found := _children(parent.pid)) == 2 else None)
         os.kill(parent.pid, signal.SIGKILL)

@@ -5,13 +5,13 @@ import asyncio
 import pytest
 from system.online import crash
 
-from crazychoir.agent import Agent
+from crazychoir.agent.agent import Agent
+from crazychoir.config.checks import TOUCHING
 from crazychoir.guidance.mission import load
-from crazychoir.guidance.task_source import ADDED
+from crazychoir.guidance.tasks.task_source import ADDED
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.score import Score
+from crazychoir.launch.flight_observer import Score
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.swarm.checks import TOUCHING
 
 pytestmark = pytest.mark.system
 MISSION = load("task_assignment")

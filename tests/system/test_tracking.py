@@ -2,15 +2,15 @@
 
 import pytest
 
-from crazychoir.cli import bench_tracking
-from crazychoir.cli.bench_tracking import CORNERS, NOMINAL, alone, original, ours, row, whole
+from crazychoir.bench import tracking as bench_tracking
+from crazychoir.bench.tracking import CORNERS, NOMINAL, alone, original, ours, row, whole
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.recording import recording_file
-from crazychoir.recording.figures import TOPICS, flight_of
-from crazychoir.recording.reading import read
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.recording.analysis.figures import TOPICS, flight_of
+from crazychoir.recording.mcap.reading import read
 
 pytestmark = pytest.mark.system
 LIMITS_MM = {

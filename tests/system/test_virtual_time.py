@@ -9,8 +9,8 @@ import time
 import pytest
 from system.commands import PROGRAMS
 
-from crazychoir.routing.instance import Instance
-from crazychoir.solving import solve_here
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.solve.solving import solve_here
 
 pytestmark = pytest.mark.system
 RUNNING, AWAY = 0.3, 0.1

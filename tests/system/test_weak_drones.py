@@ -2,9 +2,9 @@
 
 import pytest
 
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
-from crazychoir.swarm.config import default_swarm
 
 pytestmark = pytest.mark.system
 LAW = '''

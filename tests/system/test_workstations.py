@@ -8,9 +8,9 @@ import signal
 import pytest
 from system.agents import AGENT, CRAZYCHOIR, MOCAP, RADIO, WORLD, Program, results, until
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.namespaces import switched
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.slow, pytest.mark.timeout(300)]
 FORMATION = load("bearing_formation")

@@ -4,9 +4,9 @@ import importlib
 
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = pytest.mark.system
 PACKAGE = '''

@@ -13,10 +13,10 @@ import pytest
 from system.agents import BRISK, CRAZYCHOIR, OBSERVER, WORLD, Program, until
 from system.commands import call
 
+from crazychoir.config.checks import MOTORS
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch import network
 from crazychoir.launch.network import apart
-from crazychoir.swarm.checks import MOTORS
-from crazychoir.swarm.config import SwarmConfig
 
 pytestmark = [
     pytest.mark.system,

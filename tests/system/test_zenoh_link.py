@@ -21,14 +21,14 @@ from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import MAX_DESTINATIONS, Envelope, Frame, encode_frame
-from crazychoir.bus.hello import Hello
-from crazychoir.bus.local import Bus
+from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import ESTOP, HELLO, LOG, RESULT, ROUND, STATE, STATUS
-from crazychoir.bus.zenoh import ZenohLink
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch.network import free_ports
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.graph import Graph
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph
 from crazychoir.types import State, Status
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]

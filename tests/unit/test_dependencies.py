@@ -13,12 +13,12 @@ ROOMS = {
     "dashboard": ("crazychoir/dashboard/",),
     "mujoco": (
         "crazychoir/simulation/mujoco/",
-        "crazychoir/cli/bench_worlds.py",
-        "crazychoir/cli/render.py",
+        "crazychoir/bench/worlds.py",
+        "crazychoir/cli/recordings/render.py",
         "crazychoir/recording/video.py",
     ),
     "mocap": ("crazychoir/mocap/reader.py",),
-    "ros2": ("crazychoir/recording/rmw_zenoh.py",),
+    "ros2": ("crazychoir/recording/ros/rmw_zenoh.py",),
     "bench": ("crazychoir/cli/bench", "crazychoir/cli/peers"),
 }
 """The files that may import what an extra brings, by the beginnings of their paths."""

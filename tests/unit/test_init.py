@@ -9,7 +9,7 @@ import pytest
 
 import crazychoir
 from crazychoir import Acceleration, types
-from crazychoir.guidance.base import CFGuidance
+from crazychoir.guidance.guidance import CFGuidance
 
 
 def python(program):
@@ -57,6 +57,6 @@ def test_a_light_name_imports_no_kernels():
 
 def test_simulated_worlds_import_the_engines_that_they_have():
     found = python("import crazychoir.worlds, sys; print(sorted(sys.modules))")
-    assert "'crazychoir.simulation.integrator'" in found
-    assert "'crazychoir.simulation.air'" not in found
+    assert "'crazychoir.simulation.lightweight.integrator'" in found
+    assert "'crazychoir.simulation.motor_level.air'" not in found
     assert "'crazychoir.simulation.onboard'" not in found

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.plain import plain
+from crazychoir.bus.json_view import plain
 from crazychoir.errors import CodecError, CrazyChoirError
-from crazychoir.math3d import Mat, Vec, product, quaternion_of_yaw
 from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
+from crazychoir.numerics.math3d import Mat, Vec, product, quaternion_of_yaw
 from crazychoir.radio.virtual.control import LARGEST
 from crazychoir.radio.virtual.faults import Faults
 from crazychoir.radio.virtual.port import Address, opened, waiting

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.radio.compressed import quaternion
+from crazychoir.radio.protocol.compressed import quaternion
 from crazychoir.simulation.onboard.onboard import Onboard
 
 UNKNOWN = 8

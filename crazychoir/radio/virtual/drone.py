@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from crazychoir.platforms import Platform
-from crazychoir.radio.crtp import (
+from crazychoir.radio.protocol.crtp import (
     COMMANDER,
     CONSOLE,
     HIGH_LEVEL,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CodecError
-from crazychoir.radio.compressed import quaternion
-from crazychoir.radio.crtp import (
+from crazychoir.radio.protocol.compressed import quaternion
+from crazychoir.radio.protocol.crtp import (
     COMMANDER,
     FORMS,
     HIGH_LEVEL,

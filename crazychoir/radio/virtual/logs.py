@@ -5,7 +5,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from crazychoir.radio.crtp import LOG, Packet
+from crazychoir.radio.protocol.crtp import LOG, Packet
 from crazychoir.radio.virtual.toc import LETTERS, LOG_TYPES, Entry, Toc
 from crazychoir.simulation.onboard.logs import whole
 

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator
 from typing import Protocol
 
-from crazychoir.radio.crtp import MEMORY, Packet
+from crazychoir.radio.protocol.crtp import MEMORY, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
 INFO, READ, WRITE = range(3)

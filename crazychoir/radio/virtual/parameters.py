@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.crtp import PARAM, Packet
+from crazychoir.radio.protocol.crtp import PARAM, Packet
 from crazychoir.radio.virtual.toc import PARAM_TYPES, Entry, Toc
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.parameters import RESET_ESTIMATION, TABLE

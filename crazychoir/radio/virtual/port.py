@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.radio.crtp import LINK, Packet, parse
+from crazychoir.radio.protocol.crtp import LINK, Packet, parse
 from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 

@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.math3d import GRAVITY
-from crazychoir.radio.compressed import compressed
+from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.radio.protocol.compressed import compressed
 from crazychoir.radio.virtual.flight import Flight
 from crazychoir.radio.virtual.memories import Memories
 from crazychoir.radio.virtual.parameters import Parameters

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.plain import plain
+from crazychoir.bus.json_view import plain
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.math3d import Vec, yaw_of
+from crazychoir.numerics.math3d import Vec, yaw_of
 from crazychoir.radio.virtual.air import Air, Dongle
 from crazychoir.radio.virtual.cameras import Cameras, seen
 from crazychoir.radio.virtual.drone import Identity, VirtualCrazyflie
@@ -18,8 +18,8 @@ from crazychoir.radio.virtual.port import Address, Port
 from crazychoir.radio.virtual.setup import Seat
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
-from crazychoir.simulation.battery import OPEN_CIRCUIT
-from crazychoir.simulation.crazyflies import CrazyflieWorld
+from crazychoir.simulation.motor_level.battery import OPEN_CIRCUIT
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 
 AT_ONCE, BEHIND = 10, 50
 """Steps of the world that a late server makes up for in one pass, and from which on it gives up and lets them go."""

@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
+from crazychoir.config.checks import WORLD_STEP
+from crazychoir.config.number_lists import parse_spans
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
+from crazychoir.config.tables import Drone
+from crazychoir.config.uris import udp_uri
 from crazychoir.errors import ConfigError
 from crazychoir.mocap.frames import MOST
 from crazychoir.platforms import Platform, platform
-from crazychoir.radio.thrust import MEASURED_UNTIL
+from crazychoir.radio.protocol.thrust import MEASURED_UNTIL
 from crazychoir.radio.virtual.drone import DECKS, POSITIONING, RELEASE, device_of
 from crazychoir.radio.virtual.toc import names
-from crazychoir.simulation.crazyflies import CrazyflieWorld
-from crazychoir.simulation.world import WorldSetup
-from crazychoir.swarm.checks import WORLD_STEP
-from crazychoir.swarm.config import SwarmConfig, default_swarm
-from crazychoir.swarm.spans import parse_spans
-from crazychoir.swarm.tables import Drone
-from crazychoir.swarm.uris import udp_uri
+from crazychoir.simulation.common.world import WorldSetup
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 
 ADDRESS = 0xE7
 """Last byte of the address of drone 0; each next one has the next."""

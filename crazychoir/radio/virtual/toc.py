@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-from crazychoir.radio.crtp import Packet
+from crazychoir.radio.protocol.crtp import Packet
 
 ITEM, INFO = 2, 3
 """Commands of channel 0, with indices of two bytes."""

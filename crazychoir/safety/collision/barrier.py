@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import Triple, dot, kernel
+from crazychoir.numerics.math3d import Triple, dot, kernel
 
 EVEN = 0.05
 """m/s: of drones that hardly move each takes half."""

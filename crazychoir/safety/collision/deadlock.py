@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import Triple, Vec, dot, kernel
+from crazychoir.numerics.math3d import Triple, Vec, dot, kernel
 
 HARDEST = 4.0
 """m/s2, of what is turned at most."""

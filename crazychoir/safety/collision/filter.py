@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 
-from crazychoir.math3d import Triple, Vec, clip, dot, kernel, memory, real, table, vector
+from crazychoir.config.tables import Collision
+from crazychoir.numerics.math3d import Triple, Vec, clip, dot, kernel, memory, real, table, vector
 from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import Side, turned
-from crazychoir.safety.collision.hearsay import Hearsay
 from crazychoir.safety.collision.motion import late, length, resting, scaled, shrunk
-from crazychoir.safety.collision.projection import nearest
-from crazychoir.safety.collision.traffic import (
+from crazychoir.safety.collision.neighbour_table import (
     BORN,
     BORNE,
     GONE,
@@ -23,8 +22,9 @@ from crazychoir.safety.collision.traffic import (
     USABLE,
     Traffic,
 )
-from crazychoir.safety.guard import Fence
-from crazychoir.swarm.tables import Collision
+from crazychoir.safety.collision.projection import nearest
+from crazychoir.safety.collision.relayed_states import Hearsay
+from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import State
 
 MOST = 16

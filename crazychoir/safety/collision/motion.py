@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import GRAVITY, Triple, Vec, columns, kernel
+from crazychoir.numerics.math3d import GRAVITY, Triple, Vec, columns, kernel
 
 STEEPEST = 0.3
 """Of z_b along the vertical, at least: a drone on its side accelerates sideways by no more than this says."""

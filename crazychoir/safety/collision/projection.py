@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import Triple, Vec, dot, kernel, memory, table, vector
+from crazychoir.numerics.math3d import Triple, Vec, dot, kernel, memory, table, vector
 
 PARALLEL = 1e-9
 """Squared sine of the angle between two planes, below which they count as parallel."""

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.simulation.mujoco.model import HIGHEST, SCENE, WIDEST, body_name
 from crazychoir.simulation.mujoco.shape import Colour
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import mujoco
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import Platform
-from crazychoir.simulation.motors import H
+from crazychoir.simulation.motor_level.motors import H
 from crazychoir.simulation.mujoco.shape import Shape
 
 FLOOR = "floor"

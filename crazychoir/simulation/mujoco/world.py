@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Mat, Vec
+from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.platforms import CRAZYFLIE_21, Platform
-from crazychoir.simulation.crazyflies import CrazyflieWorld
-from crazychoir.simulation.imu import Imu
-from crazychoir.simulation.lanes import ALIVE1, FREE, LANES
-from crazychoir.simulation.motors import H
+from crazychoir.simulation.common.world import WorldSetup
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.motor_level.imu import Imu
+from crazychoir.simulation.motor_level.lanes import ALIVE1, FREE, LANES
+from crazychoir.simulation.motor_level.motors import H
 from crazychoir.simulation.mujoco.model import ACCELEROMETER, FLOOR, SCENE, SENSORS, body_name, model_of
 from crazychoir.simulation.mujoco.shape import Shape, crazyflie, shape_of
 from crazychoir.simulation.mujoco.wrench import impel, place, settle, touch
-from crazychoir.simulation.world import WorldSetup
 
 SLOW = 0.05
 """m/s: one that touches something and is slower stands."""

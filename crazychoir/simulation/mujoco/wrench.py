@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.math3d import (
+from crazychoir.numerics.math3d import (
     GRAVITY,
     Mat,
     Triple,
@@ -26,7 +26,7 @@ from crazychoir.math3d import (
     unit,
     vector,
 )  # fmt: skip
-from crazychoir.simulation.lanes import LANES, SX, Blocks, blocks
+from crazychoir.simulation.motor_level.lanes import LANES, SX, Blocks, blocks
 
 Rows = npt.NDArray[np.int64]
 numbers = numba.types.Array(numba.int64, 1, "C", readonly=True)

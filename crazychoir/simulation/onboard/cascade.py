@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from crazychoir.math3d import clip, kernel
+from crazychoir.numerics.math3d import clip, kernel
 from crazychoir.platforms import MOST_TURN
 from crazychoir.simulation.onboard import pid
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, LEGACY, VELOCITY, Record

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.simulation.onboard.laws import PERIOD, Answer, ForceTorque, Legacy, Setpoint
 from crazychoir.simulation.onboard.units import FULL
 from crazychoir.types import State

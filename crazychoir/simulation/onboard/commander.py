@@ -5,7 +5,7 @@ Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them; pitch pos
 
 import math
 
-from crazychoir.math3d import Vec, kernel, real, vector
+from crazychoir.numerics.math3d import Vec, kernel, real, vector
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Fleet, Record, rows, whole
 
 NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3

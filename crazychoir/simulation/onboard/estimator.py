@@ -6,7 +6,7 @@ one of position and velocity an axis, one of the attitude, with the firmware's n
 
 import math
 
-from crazychoir.math3d import (
+from crazychoir.numerics.math3d import (
     GRAVITY,
     Vec,
     columns,

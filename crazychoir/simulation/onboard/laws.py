@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, MOTORS, Record
 from crazychoir.types import State
 

@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import GRAVITY, Triple, columns, dot, kernel
+from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, kernel
 from crazychoir.simulation.onboard.attitude import DT, Axes, error, errors, rates, shortened, wanted
 from crazychoir.simulation.onboard.record import DISABLE, FORCE_TORQUE, Record
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.simulation.onboard import supervisor
 from crazychoir.simulation.onboard.record import Fleet, entries
 from crazychoir.simulation.onboard.units import FULL

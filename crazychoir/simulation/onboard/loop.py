@@ -2,7 +2,7 @@
 
 import math
 
-from crazychoir.math3d import GRAVITY, kernel, real
+from crazychoir.numerics.math3d import GRAVITY, kernel, real
 from crazychoir.simulation.onboard import cascade, estimator, lee, mellinger, mixing, planner, supervisor
 from crazychoir.simulation.onboard.commander import leveled
 from crazychoir.simulation.onboard.record import LEE, MELLINGER, PID, Fleet, Record, rows, whole

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import Vec
+from crazychoir.numerics.math3d import Vec
 from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard import (
     bezier,

@@ -35,4 +35,4 @@ def make_exclusive(drivers):
 
 
 if FOLDER:
-    when_loaded("crazychoir.radio.drivers", make_exclusive)
+    when_loaded("crazychoir.radio.link.drivers", make_exclusive)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from crazychoir.bus import codec
-from crazychoir.bus.arrays import ARRAY, DTYPES
+from crazychoir.bus.array_codec import ARRAY, DTYPES
 from crazychoir.bus.codec import MAX_DEPTH, decode, encode, register
 from crazychoir.errors import CodecError
 from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State, Status, Vec, Wire

@@ -8,7 +8,7 @@ from virtual_time import virtual
 from crazychoir.bus import commands
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Answer, Commander, CommandServer
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
 from crazychoir.errors import Refused
 

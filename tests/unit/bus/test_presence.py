@@ -3,10 +3,10 @@ import asyncio
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.local import Bus
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.port import Bus
 from crazychoir.bus.presence import Presence, PresenceMonitor
-from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import HEARTBEAT, ROUND
 from crazychoir.runtime.actor import ON_FAILURE
 

@@ -1,10 +1,10 @@
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.local import Bus
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.port import Bus
 from crazychoir.bus.reliable import FORMER, MAX_AGE, MAX_PENDING, Reliable
-from crazychoir.bus.rules import Partition, Rule
 from crazychoir.bus.topics import ROSTER
 from crazychoir.runtime.clock import run_virtual
 

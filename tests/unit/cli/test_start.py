@@ -7,9 +7,9 @@ from importlib.metadata import version
 
 import pytest
 
-from crazychoir.cli import solve
-from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.solving import solve_here
+from crazychoir.cli.compute import solve
+from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.solve.solving import solve_here
 
 HEAVY = {"numpy", "numba", "scipy", "zenoh", "highspy", "matplotlib", "msgspec", "asyncio", "rich.live"}
 
@@ -23,7 +23,7 @@ def test_a_command_line_starts_without_what_is_heavy(module):
 
 
 def test_its_version_is_told():
-    command = (sys.executable, "-m", "crazychoir.cli.crazychoir", "--version")
+    command = (sys.executable, "-m", "crazychoir.cli.main", "--version")
     said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert said == f"crazychoir {version('crazychoir')}\n"
 

@@ -8,11 +8,11 @@ from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import GRAVITY
 from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.planning.point_to_point import PointToPoint, duration_for
 from crazychoir.platforms import PAPER
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import Acceleration, FullState, State
 
 HERE = State.at((0.0, 0.0, 1.0))

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from crazychoir.config.tables import Control
 from crazychoir.control.choice import controls
 from crazychoir.control.gains import STANDARD
 from crazychoir.control.parameters import Parameters
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import PLATFORMS
-from crazychoir.swarm.tables import Control
 from crazychoir.types import FullState, State
 
 HERE = State.at((0.0, 0.0, 1.0))

@@ -3,12 +3,12 @@ import math
 import numpy as np
 from virtual_time import virtual
 
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.dashboard.event_log import KEPT as LINES
+from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.model import AGE, COLUMNS, KEPT, SILENT, STALE, WANTED, WINDOW, SwarmModel
-from crazychoir.dashboard.watch import KEPT as LINES
-from crazychoir.dashboard.watch import Watch
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FullState, LinkStatus, State, Status
 
 

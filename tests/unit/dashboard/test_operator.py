@@ -1,9 +1,9 @@
 import pytest
 
-from crazychoir.dashboard.asks import GoTo
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.operator import Operator
+from crazychoir.dashboard.requests import GoTo
 from crazychoir.errors import ConfigError
-from crazychoir.swarm.config import SwarmConfig
 
 
 class Desk:

@@ -6,19 +6,19 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.commands import REFUSED, Commander, CommandServer
-from crazychoir.bus.impairment import Impairment
-from crazychoir.bus.local import OBSERVER, Bus
-from crazychoir.bus.rules import Partition
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Partition
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard import operator
-from crazychoir.dashboard.desk import SILENT, UNFINISHED, WITHDRAWN, Desk
+from crazychoir.dashboard.commands import SILENT, UNFINISHED, WITHDRAWN, Desk
+from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
-from crazychoir.dashboard.polls import LATER, Overview, TaskBoard
+from crazychoir.dashboard.polling import LATER, Overview, TaskBoard
 from crazychoir.dashboard.stream import FLOOD, MOST_ASKED, MOST_PAGES, PER_SECONDS, POLICY, TOO_MANY, Stream
-from crazychoir.dashboard.watch import Watch
 from crazychoir.errors import Refused
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import State, Status
 
 

@@ -7,7 +7,7 @@ from crazychoir.filters.kalman import CALLED, DOUBTS, A, D, KalmanFilter, P
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.math3d import conjugate, exponential, logarithm, product, quaternion_of_yaw
+from crazychoir.numerics.math3d import conjugate, exponential, logarithm, product, quaternion_of_yaw
 from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 

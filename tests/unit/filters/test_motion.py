@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from crazychoir.filters.motion import RATE_LAG, Commanded, ConstantVelocity
-from crazychoir.math3d import conjugate, exponential, logarithm, product, rotation
+from crazychoir.numerics.math3d import conjugate, exponential, logarithm, product, rotation
 from crazychoir.platforms import PAPER
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import State
 
 NOWHERE = -math.inf

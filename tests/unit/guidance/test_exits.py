@@ -5,14 +5,14 @@ from textwrap import dedent
 import pytest
 from typer.testing import CliRunner
 
-from crazychoir.cli.agent import app as agent_app
-from crazychoir.cli.crazychoir import app
+from crazychoir.cli.fly.agent import app as agent_app
+from crazychoir.cli.main import app
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_fast
-from crazychoir.simulate import simulate
-from crazychoir.swarm import graph as graphs
-from crazychoir.swarm.config import default_swarm
+from crazychoir.solve.simulate import simulate
+from crazychoir.team import graph as graphs
 
 CALLS = ("import sys; sys.exit(3)", "exit()", "quit('done')", "raise SystemExit")
 MISSION = """

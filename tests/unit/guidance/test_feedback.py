@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.local import Bus
+from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import STATE
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.safety.guard import Fence
-from crazychoir.safety.modes import Mode
-from crazychoir.safety.pilot import Pilot
-from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.links import SimulatedLink
-from crazychoir.swarm import graph as graphs
-from crazychoir.swarm.communicator import Communicator
-from crazychoir.swarm.config import default_swarm
+from crazychoir.safety.rules.guard import Fence
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.simulation.common.links import SimulatedLink
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.team import graph as graphs
+from crazychoir.team.communicator import Communicator
 from crazychoir.types import Acceleration, Pose, State
 
 TICK = 0.01
@@ -347,7 +347,7 @@ def forever(law):
     ids=["raises", "hangs", "array", "array of one", "text", "nan"],
 )
 def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(monkeypatch, height, said):
-    monkeypatch.setattr("crazychoir.guidance.hook.HOOK", 0.3)
+    monkeypatch.setattr("crazychoir.guidance.user_hook.HOOK", 0.3)
 
     @virtual
     async def refused(clock):

@@ -7,19 +7,19 @@ from types import SimpleNamespace
 import pytest
 from virtual_time import virtual
 
-from crazychoir.agent import Agent
-from crazychoir.bus.local import BODIES, OBSERVER, Bus
+from crazychoir.agent.agent import Agent
+from crazychoir.agent.worlds import WorldProcess
+from crazychoir.bus.port import BODIES, OBSERVER, Bus
 from crazychoir.bus.topics import TELEMETRY
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.base import CFGuidance
 from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.simulation.remote import RemoteLink
 from crazychoir.simulation.telemetry import names_of
-from crazychoir.swarm.config import SwarmConfig
-from crazychoir.worlds import WorldProcess
 
 BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
 EMPTY = 3.9

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from crazychoir.guidance.turns import AROUND, LEAVES, NEAR, PATIENT, Turns, aside, blocked, first_at
-from crazychoir.safety.collision.traffic import BORN, COLUMNS
-from crazychoir.safety.guard import Fence
+from crazychoir.safety.collision.neighbour_table import BORN, COLUMNS
+from crazychoir.safety.rules.guard import Fence
 
 P = np.array([1.0, 2.0, 0.5])
 ME = 5

@@ -5,15 +5,15 @@ import importlib.util
 import pytest
 from typer.testing import CliRunner
 
-from crazychoir.cli.crazychoir import app
+from crazychoir.cli.main import app
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.launch import flight
 from crazychoir.launch.extras import require_extras
 from crazychoir.launch.processes import Owner
-from crazychoir.swarm.config import SwarmConfig
 
-WORLD = Owner("world", "crazychoir.cli.world")
-MOCAP = Owner("mocap", "crazychoir.cli.mocap")
+WORLD = Owner("world", "crazychoir.cli.fly.world")
+MOCAP = Owner("mocap", "crazychoir.cli.fly.mocap")
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ import time
 from collections import deque
 from types import SimpleNamespace
 
-from crazychoir.guidance.base import CFGuidance
-from crazychoir.guidance.drone import WAITING
+from crazychoir.agent.drone import WAITING
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch.flight import NO_REASON, NO_REASONS, NO_RESULT, all_wait, fly_fast, owners, summary
-from crazychoir.swarm.config import SwarmConfig, default_swarm
 from crazychoir.types import Status
 
 

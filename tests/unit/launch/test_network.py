@@ -13,14 +13,14 @@ import pytest
 from other_user import as_user, in_own_namespace
 from typer.testing import CliRunner
 
-from crazychoir.bus.local import OBSERVER, Bus
-from crazychoir.cli.crazychoir import app
+from crazychoir.bus.port import OBSERVER, Bus
+from crazychoir.cli.main import app
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.launch import network
 from crazychoir.launch.network import apart, attached, free_ports, held_ports, observer, set_apart, swarm_file
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.swarm.config import SwarmConfig, default_swarm
 
 
 def test_two_runs_have_names_and_ports_of_their_own():
@@ -114,7 +114,7 @@ LOCAL = "127.0.0.1"
 LOW_RANGE = """if True:
     import sys
     from crazychoir.launch.network import set_apart
-    from crazychoir.swarm.config import default_swarm
+    from crazychoir.config.swarm_config import default_swarm
     for given in (None, 7999):
         config = default_swarm(int(sys.argv[1]))
         config = config if given is None else config.replace(base_port=given)
@@ -259,7 +259,7 @@ def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(mo
 
     expected = r"temporary folder: found .*{}.*; allowed: .* has room\. Free some room, or set TMPDIR"
     with monkeypatch.context() as patch:
-        patch.setattr("crazychoir.runtime.places.write_fault", lambda folder: "No space left on device")
+        patch.setattr("crazychoir.files.private_folder.write_fault", lambda folder: "No space left on device")
         with pytest.raises(ConfigError, match=expected.format("No space left on device")):
             swarm_file(default_swarm(2)).__enter__()
     monkeypatch.setattr(tempfile, "TemporaryDirectory", none)

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.agent import Agent
-from crazychoir.cache import COMPILES
+from crazychoir.agent.agent import Agent
+from crazychoir.agent.mission_runner import LANDING_DEADLINE
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ProcessFailed
-from crazychoir.guidance.base import CFGuidance
-from crazychoir.guidance.life import LANDING_DEADLINE
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch import processes
 from crazychoir.launch.processes import (
     LONGEST,
@@ -25,8 +25,8 @@ from crazychoir.launch.processes import (
     run_children,
     write_results,
 )
+from crazychoir.numerics.kernel_cache import COMPILES
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.swarm.config import default_swarm
 
 
 async def child(program):
@@ -141,7 +141,7 @@ def world_that(does, monkeypatch):
     """In place of the world's owner, a program."""
 
     async def start(module, *words):
-        assert (module, words[-1]) == ("crazychoir.cli.world", "--child")
+        assert (module, words[-1]) == ("crazychoir.cli.fly.world", "--child")
         return await child(f"import os, signal, time; print('there', flush=True); {does}")
 
     monkeypatch.setattr(processes, "_start", start)

@@ -6,12 +6,12 @@ import sys
 
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.recording import FILES, digests, new_recording, other_files
-from crazychoir.recording.file import Entry, Series
-from crazychoir.recording.messages import MESSAGES, packer
-from crazychoir.recording.reading import header
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.recording.mcap.file import Entry, Series
+from crazychoir.recording.mcap.messages import MESSAGES, packer
+from crazychoir.recording.mcap.reading import header
 
 MISSION = """
 import numpy

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.bus.local import BODIES, EYES, OBSERVER
+from crazychoir.bus.port import BODIES, EYES, OBSERVER
 from crazychoir.bus.topics import BODY, POSE, TRUTH
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.mocap.frames import Frame, frame_of, parse
 from crazychoir.mocap.mounting import Mounting
@@ -15,7 +16,6 @@ from crazychoir.mocap.process import PATIENT, MocapProcess, source_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import Body
 
 

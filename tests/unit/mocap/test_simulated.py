@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.math3d import conjugate, logarithm, product, rotation
 from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.numerics.math3d import conjugate, logarithm, product, rotation
 
 
 def truth(ids):

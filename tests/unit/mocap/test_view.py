@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.view import Blur, RateLimit, View
-from crazychoir.swarm.config import SwarmConfig
 
 LEVEL = np.array([1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0])
 

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.planning.feasibility import DEMANDS, Limits, check, demands, peaks
 from crazychoir.planning.figure import circle
 from crazychoir.types import FullState

@@ -3,7 +3,7 @@ import pytest
 
 from crazychoir.planning.figure import eight
 from crazychoir.planning.minimum_snap import minimum_snap
-from crazychoir.planning.table import TableError
+from crazychoir.planning.number_table import TableError
 from crazychoir.planning.trajectory_file import PIECE, read_pieces, read_samples, write_pieces, write_samples
 from crazychoir.planning.upload import difference
 

@@ -7,7 +7,7 @@ from virtual_time import virtual
 
 from crazychoir.errors import LinkFailed, Refused
 from crazychoir.radio import checks, identify
-from crazychoir.radio.crtp import SUPERVISOR, Packet
+from crazychoir.radio.protocol.crtp import SUPERVISOR, Packet
 
 
 class Link:

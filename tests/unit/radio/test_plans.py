@@ -6,8 +6,8 @@ from virtual_drones import Hangar
 
 from crazychoir.control.senders import STOP
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.radio.crtp import MEMORY, Packet
-from crazychoir.radio.handlers import RadioHandlerXYZ
+from crazychoir.radio.protocol.crtp import MEMORY, Packet
+from crazychoir.radio.protocol.handlers import RadioHandlerXYZ
 from crazychoir.types import XYZ
 
 

@@ -3,7 +3,7 @@
 import pytest
 from virtual_drones import Hangar
 
-from crazychoir.radio.crtp import FORMS, PARAM, SETPOINT, Packet
+from crazychoir.radio.protocol.crtp import FORMS, PARAM, SETPOINT, Packet
 from crazychoir.radio.virtual.drone import BOOT
 from crazychoir.radio.virtual.flight import UNCHECKED
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from virtual_drones import Hangar
 
-from crazychoir.math3d import yaw_of
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
-from crazychoir.radio.compressed import compressed
+from crazychoir.radio.protocol.compressed import compressed
 from crazychoir.radio.virtual.setup import released
 
 HOVER = round(0.0319 * 9.81 * 136531)
@@ -131,7 +131,7 @@ def test_thrust_is_locked_until_a_packet_without_thrust_comes():
 
 
 def test_a_receivers_sticks_forward_and_right_fly_forward_and_right():
-    from crazychoir.radio.crtp import SETPOINT, Packet
+    from crazychoir.radio.protocol.crtp import SETPOINT, Packet
 
     hangar = Hangar(yaw=QUARTER).hovering(0.8)
     home = hangar.state[:2].copy()
@@ -145,7 +145,7 @@ def test_a_receivers_sticks_forward_and_right_fly_forward_and_right():
 
 
 def test_packed_poses_are_for_the_number_that_they_name():
-    from crazychoir.radio.crtp import LOCALIZATION, Packet
+    from crazychoir.radio.protocol.crtp import LOCALIZATION, Packet
 
     hangar = Hangar(told=False, number=0xE9).run(0.1)
     level = compressed(np.array([0.0, 0.0, 0.0, 1.0])).to_bytes(4, "little")

@@ -9,7 +9,7 @@ import pytest
 from transcripts import ALL
 from virtual_drones import Hangar
 
-from crazychoir.radio.crtp import LOG, PARAM, Packet, parse
+from crazychoir.radio.protocol.crtp import LOG, PARAM, Packet, parse
 from crazychoir.radio.virtual.logs import value_of
 
 

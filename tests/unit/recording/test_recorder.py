@@ -11,7 +11,7 @@ from ros2_decoders import by_mcap_ros2, by_rosbags
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.local import OBSERVER, Bus
+from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import (
     BODY,
     COMMAND,
@@ -29,8 +29,8 @@ from crazychoir.bus.topics import (
     TRUTH,
 )
 from crazychoir.recording import recorder as module
-from crazychoir.recording.file import RecordingFile
-from crazychoir.recording.reading import header
+from crazychoir.recording.mcap.file import RecordingFile
+from crazychoir.recording.mcap.reading import header
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.recording.file import Entry, RecordingFile, Series
-from crazychoir.recording.messages import MESSAGES, packer
+from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGES, packer
 from crazychoir.recording.replay import states_of
 from crazychoir.simulation.engines import worlds
-from crazychoir.swarm.config import SwarmConfig
 from crazychoir.types import FPQR, State
 
 DT = 0.01

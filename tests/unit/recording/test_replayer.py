@@ -5,10 +5,10 @@ import asyncio
 import numpy as np
 import pytest
 
-from crazychoir.bus.local import BODIES, OBSERVER, Bus
+from crazychoir.bus.port import BODIES, OBSERVER, Bus
 from crazychoir.bus.topics import COMMAND, STATE, STATUS, TRUTH
-from crazychoir.recording.file import Entry, RecordingFile, Series
-from crazychoir.recording.messages import MESSAGES, Exchanged, packer
+from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, packer
 from crazychoir.recording.replayer import Replayer
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from crazychoir.routing.instance import Instance
+from crazychoir.routing.instance.instance import Instance
 
 Graph = dict[int, list[int]]
 

@@ -9,15 +9,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.checker import check
-from crazychoir.routing.compact import solve_compact
-from crazychoir.routing.generate import random_instance
-from crazychoir.routing.instance import Instance
-from crazychoir.routing.master import Pool, partition
-from crazychoir.routing.member import Settings
-from crazychoir.routing.pickup_delivery import METHODS
-from crazychoir.routing.pricing import RouteTable
-from crazychoir.routing.solve import solve_in_loop
+from crazychoir.routing.distributed.master import Pool, partition
+from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.routing.distributed.plain_loop import solve_in_loop
+from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.pricing.arc_flow import solve_compact
+from crazychoir.routing.pricing.route_table import RouteTable
 
 TOLERANCE = 1e-6
 QUICK = Settings(price_rounds=8)

@@ -5,7 +5,7 @@ import pytest
 
 from crazychoir.platforms import PAPER
 from crazychoir.simulation.delay import DelayedLink
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import FPQR
 
 

@@ -7,17 +7,17 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
+from crazychoir.config import checks
+from crazychoir.config.checks import MOTORS, WORLDS
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.choice import SENDERS
 from crazychoir.control.senders import AccSender, DriveSender
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import CRAZYFLIE_21, PAPER
 from crazychoir.simulation import engines
+from crazychoir.simulation.common.world import KINDS
 from crazychoir.simulation.engines import delay_steps, worlds
-from crazychoir.simulation.integrator import CFIntegrator
-from crazychoir.simulation.world import KINDS
-from crazychoir.swarm import checks
-from crazychoir.swarm.checks import MOTORS, WORLDS
-from crazychoir.swarm.config import SwarmConfig
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import FPQR
 
 

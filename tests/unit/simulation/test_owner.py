@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.port import BODIES, Bus
 from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
-from crazychoir.simulation.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.owner import MOST_CATCH_UP, WorldOwner
 from crazychoir.types import FPQR, Body
 

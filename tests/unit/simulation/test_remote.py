@@ -9,17 +9,17 @@ from robots import world_of
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.local import BODIES, Bus
+from crazychoir.bus.port import BODIES, Bus
 from crazychoir.bus.topics import BODY, COMMAND, CUT
+from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
 from crazychoir.errors import Refused
-from crazychoir.math3d import yaw_of
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.platforms import PAPER
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import remote
-from crazychoir.simulation.crazyflies import CrazyflieWorld
-from crazychoir.simulation.integrator import SILENCE, CFIntegrator
+from crazychoir.simulation.lightweight.integrator import SILENCE, CFIntegrator
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
-from crazychoir.swarm.checks import DOUBLE, SINGLE, UNICYCLE
 from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Drive, Pose, Vel
 
 said: list[str] = []

@@ -6,10 +6,10 @@ from itertools import product
 import numpy as np
 import pytest
 
+from crazychoir.config.checks import TOUCHING
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import PLATFORMS
 from crazychoir.simulation.mujoco.shape import CENTRE, HEIGHT, crazyflie, scaled, shape_of
-from crazychoir.swarm.checks import TOUCHING
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))

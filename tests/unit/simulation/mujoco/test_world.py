@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from crazychoir.config.checks import MUJOCO
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21, PLATFORMS
 from crazychoir.simulation.engines import worlds
-from crazychoir.simulation.imu import Imu
+from crazychoir.simulation.motor_level.imu import Imu
 from crazychoir.simulation.mujoco.model import body_name
 from crazychoir.simulation.mujoco.shape import CENTRE
 from crazychoir.simulation.mujoco.world import MujocoWorld
-from crazychoir.swarm.checks import MUJOCO
-from crazychoir.swarm.config import SwarmConfig
 
 STILL = Imu(0.0, 0.0, 0.0, 0.0)
 SCENE = """<mujoco><worldbody><geom name="wall" type="box" size="0.05 1 1" pos="1 0 1"/>

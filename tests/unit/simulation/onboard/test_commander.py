@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.simulation.motor_control import MotorCtrlFPQR, MotorCtrlFRPY
+from crazychoir.simulation.motor_level.motor_control import MotorCtrlFPQR, MotorCtrlFRPY
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.commander import CRTP, EXTERNAL
 from crazychoir.simulation.onboard.onboard import Onboard

@@ -7,7 +7,7 @@ import pytest
 from rigid_body import Body
 
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, CRAZYFLIE_21_PLUS, CRAZYFLIE_21_THRUST
-from crazychoir.simulation import motor_control as mc
+from crazychoir.simulation.motor_level import motor_control as mc
 from crazychoir.types import FPQR, FRPY, XYZ, FullState, Vel
 
 CONTROLLERS = ("pid", "mellinger", "lee")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.math3d import GRAVITY
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard

@@ -1,0 +1,314 @@
+"""The life of a mission at one drone: GO, the mission, its end; the drone is judged when it is on the ground."""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Coroutine
+from typing import Any
+
+from crazychoir.agent.drone import Drone
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused, exit_call, raised_at, spoken
+from crazychoir.guidance.awaited_call import forgotten
+from crazychoir.guidance.member import Member, raisable, touch_down
+from crazychoir.guidance.turns import blocked
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.user_code_guard import Guarded, Guards
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import Failure
+
+log = logging.getLogger(__name__)
+LANDING_DEADLINE = 30.0
+"""s, beyond the planned time of the descent, after which a drone that is still up has its motors cut."""
+LAST_WORDS = 1.0
+"""s after its drone is down that an aborted mission has for its last messages, before it is cancelled again."""
+FIT = 5.0
+"""s, beyond the deadline of its link, after which a drone that could not take off is left out."""
+FAREWELL = 1.5
+"""s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
+STOPPED = "emergency stop in force: it does not take off until `crazychoir stop --clear`"
+STAYS = "emergency stop in force: stays, to tell who starts, until `crazychoir stop --clear` or Ctrl-C"
+
+LANDED = "landed on command"
+SENT_HOME = "sent home on command"
+ENDS_ON_COMMAND = (LANDED, SENT_HOME)
+"""Why a mission is over that its operator has ended: it has not failed."""
+NO_REASON = "its mission returned success = False, without a reason"
+ENDED = "ended"
+"""The key of a result that says how an operator has ended the mission; absent from all others."""
+
+Result = dict[str, Any]
+
+
+class GuidanceActor(Actor):
+    """Waits for the team, runs the mission, and leaves the drone on the ground, with the result.
+
+    The mission ends by itself, or somebody aborts it.
+    """
+
+    name = "guidance"
+
+    def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Guards | None) -> None:
+        self.drone, self.config, self.watchdog = drone, config, watchdog
+        self._life: asyncio.Task[Result] | None = None
+        self._member: Member | None = None
+        self._abort: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._by_operator = False
+
+    async def run(self) -> None:
+        """The whole life; afterwards the drone stays for a while, for the others."""
+        drone = self.drone
+        life = self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
+        telling: list[asyncio.Task[None]] = []
+        try:
+            ends: list[asyncio.Future[Any]] = [life, self._abort]
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if not life.done():
+                await self._last_words(life)
+            drone.result = self._unforgotten(self._outcome(life))
+            if drone.barrier.apart:
+                drone.result = {**drone.result, "apart": drone.barrier.apart}
+            if not drone.result["success"] or ENDED in drone.result:
+                telling.append(asyncio.create_task(drone.communicator.fail(self._last_word(life))))
+        except asyncio.CancelledError:
+            drone.result = failure("the mission was cancelled")
+            drone.pilot.land("the mission was cancelled")
+            raise
+        finally:
+            life.cancel()
+            self._forbid("the mission has ended")
+            await self._down()
+            drone.result = self._judged(drone.result)
+            drone.port.publish(RESULT, drone.result)
+        await asyncio.gather(*telling)  # it lands meanwhile
+        await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
+        await self._until_cleared(STAYS)
+
+    def abort(self, reason: str, by_operator: bool = False) -> None:
+        """End the mission where it is, for good; the first reason stays.
+
+        by_operator: whether the drone's operator has ended it, by a command: then the mission has not failed.
+        """
+        cut_for = self.drone.pilot.cut_for  # whoever ends it after that has not brought it down
+        reason = spoken(cut_for or reason, "its mission was ended")
+        if not self._abort.done():
+            self._abort.set_result(reason)
+            self._by_operator = by_operator and not cut_for
+        self._forbid(reason)
+        if self._life is not None:
+            self._life.cancel()
+
+    @property
+    def over(self) -> str:
+        """Why the mission is over; empty if it is not."""
+        ended = self._life is not None and self._life.done()
+        return self._aborted or ("it has ended" if ended else "")
+
+    @property
+    def _aborted(self) -> str:
+        """Why the mission was aborted; empty if it was not."""
+        return self._abort.result() if self._abort.done() else ""
+
+    def _forbid(self, reason: str) -> None:
+        """Nothing that the mission leaves behind flies the drone again."""
+        if self._member is not None:
+            self._member.ended = self._member.ended or reason
+
+    # The mission ----------------------------------------------------------------------------------------------
+
+    async def _mission(self) -> Result:
+        """Wait for GO, then run the mission's own code; returns its checked result."""
+        drone = self.drone
+        await self._until_cleared(STOPPED)
+        await self._until_fit()
+        await drone.barrier.go()
+        if drone.port.bus.stopped:
+            raise Refused(f"drone {drone.id}", STOPPED)
+        member = Member(drone.id, self.config, drone.port.bus.clock, drone.communicator, drone.pilot, self.watchdog)
+        member.sensors = drone.sensors
+        member.announce = lambda: drone.port.publish(STATUS, drone.status())
+        self._member = member
+        try:
+            drone.guidance.bind(member)
+            return checked(await self._guarded(drone.guidance.mission()))
+        except SystemExit as end:
+            raise RuntimeError(f"the mission called {exit_call(end)}").with_traceback(end.__traceback__) from end
+        except asyncio.CancelledError as cancelled:
+            if self._life is not None and self._life.cancelling():
+                raise
+            raise raisable(cancelled, "the mission") from cancelled
+
+    def _guarded(self, mission: Coroutine[Any, Any, Any]) -> Awaitable[Any]:
+        """It may not hang; on the ground it may compute for a while."""
+        if self.watchdog is None:
+            return mission
+        pilot, name = self.drone.pilot, f"drone {self.drone.id} guidance"
+        return Guarded(mission, self.watchdog, name, lambda: not pilot.airborne)
+
+    async def _until_cleared(self, why: str) -> None:
+        """An emergency stop outlives its mission: who starts, or restarts, hears of it from those who stay."""
+        drone, bus = self.drone, self.drone.port.bus
+        if bus.stopped and not self._aborted:
+            log.warning("drone %d: %s", drone.id, why)
+            drone.waits = why
+        while bus.stopped and not self._aborted:
+            await bus.clock.sleep(0.1, drone=drone.id)
+        drone.waits = ""
+
+    async def _until_fit(self) -> None:
+        """Who could not fly is no member of the team; Refused, with what is wrong, when it takes too long: the others
+        hear it then.
+        """
+        drone, clock, monitor = self.drone, self.drone.port.bus.clock, self.drone.barrier.monitor
+        if drone.id not in self.config.reached:
+            return
+        monitor.silent, ends = True, clock.now() + self.config.radio.connect_deadline + FIT
+        while (problems := drone.unfit()) and clock.now() < ends:
+            await clock.sleep(0.05, drone=drone.id)
+        drone.barrier.refused = "; ".join(problems)
+        monitor.silent = False
+        if problems:
+            raise Refused(f"drone {drone.id}", drone.barrier.refused)
+
+    # Its end --------------------------------------------------------------------------------------------------
+
+    async def _last_words(self, life: asyncio.Task[Result]) -> None:
+        """An aborted mission may go on talking while its drone lands; then it is cancelled until it obeys."""
+        clock, i = self.drone.port.bus.clock, self.drone.id
+        await self._down()
+        patient = clock.now() + LAST_WORDS
+        while not life.done() and clock.now() < patient + LAST_WORDS:
+            if clock.now() >= patient:
+                life.cancel()
+            await clock.sleep(0.05, drone=i)
+        if not life.done():
+            log.error("drone %d: its mission does not end when it is cancelled; left behind", i)
+
+    async def _down(self) -> None:
+        """Wait until it is on the ground; whoever ended the mission has a pilot that lands already.
+
+        One that others keep up hovers on, and looks for a place beside them: without motors it would fall on them.
+        """
+        pilot = self.drone.pilot
+        await touch_down(pilot, LANDING_DEADLINE)
+        while pilot.airborne and blocked(pilot):
+            log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
+            await touch_down(pilot, LANDING_DEADLINE)
+        if pilot.airborne and pilot.unreached:  # motors cut when it hears that were a fall
+            log.error("drone %d: its radio is silent: its firmware lands it when it is reached", self.drone.id)
+        elif pilot.airborne:
+            pilot.cut("does not come down")
+
+    def _outcome(self, life: asyncio.Task[Result]) -> Result:
+        """What the mission has come to, before its drone is down.
+
+        An aborted one has failed, whatever it says, unless its operator has ended it, or has ended a member that it
+        waits for. A mission whose own code fails while it is being ended has failed.
+        """
+        pilot = self.drone.pilot
+        error = life.exception() if life.done() and not life.cancelled() else None
+        if self._by_operator:
+            return self._aborted_by_operator(error)
+        if self._aborted:
+            return failure(self._aborted)
+        if error is None:
+            pilot.land("the mission has ended in the air")
+            return life.result()
+        if isinstance(error, AgentFailed) and error.reason in ENDS_ON_COMMAND:
+            pilot.land(str(error))
+            return ended_by_operator(f"drone {error.agent}: {error.reason}, and with it the team")
+        if isinstance(error, CrazyChoirError) and not isinstance(error, Hung):  # somebody lost, a refusal
+            log.warning("drone %d: %s", self.drone.id, str(error).removeprefix(f"drone {self.drone.id}: "))
+            pilot.land(str(error))
+            return failure(str(error))
+        return failure(self._broken(error))
+
+    def _unforgotten(self, result: Result) -> Result:
+        """The outcome; a failure that names the calls which the mission has made without await, if there are any."""
+        words = forgotten(self.drone.guidance)
+        if not words:
+            return result
+        reason = "" if result["success"] else f"; {result['reason']}"
+        return failure(f"drone {self.drone.id}: {words}{reason}", result)
+
+    def _aborted_by_operator(self, error: BaseException | None) -> Result:
+        """The operator's end; a failure if the mission's own code has broken meanwhile."""
+        if error is None or _is_expected(error):
+            return ended_by_operator(self._aborted)
+        return failure(f"{self._aborted}; {self._broken(error)}")
+
+    def _last_word(self, life: asyncio.Task[Result]) -> Failure:
+        """What the others hear who wait for this drone: who has failed first, and why."""
+        error = life.exception() if life.done() and not life.cancelled() else None
+        if isinstance(error, AgentFailed):
+            return Failure(error.agent, error.reason)
+        return Failure(self.drone.id, str(self.drone.result.get("reason", "no success")))
+
+    def _broken(self, error: BaseException) -> str:
+        """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
+        at = raised_at(error)
+        cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
+        text = f"drone {self.drone.id}: guidance failed: {cause}"
+        log.error("%s", text, exc_info=error)
+        self.drone.port.publish(LOG, text)
+        self.drone.pilot.guidance_failed(cause)
+        return text
+
+    def _judged(self, result: Result) -> Result:
+        """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
+        pilot, harm = self.drone.pilot, self.drone.harm()
+        if pilot.clearance.ticks:
+            result = {**result, "kept_clear_s": round(pilot.clearance.ticks * pilot.period_ns / SECOND, 2)}
+        if pilot.at_fence:
+            result = {**result, "at_fence_s": round(pilot.at_fence * pilot.period_ns / SECOND, 2)}
+        cut = pilot.note if pilot.mode is Mode.CUT else ""
+        aborted = "" if self._by_operator else self._aborted
+        brought_down = aborted or cut or pilot.guard.latched or pilot.brought_down
+        if result.get("success"):
+            reasons = [text for text in (brought_down, harm) if text]
+            if reasons:
+                return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result)
+            return result if not self._by_operator else {**result, ENDED: result.get(ENDED, self._aborted)}
+        reason = str(result.get("reason") or "")
+        if harm and harm not in reason:
+            return failure("; ".join(filter(None, (reason, harm))), result)
+        return failure(reason, result)
+
+
+def checked(returned: object) -> Result:
+    """What a mission returned, as every reader gets it in every world: through the codec; its success True or False.
+
+    Raises TypeError, with what is allowed, for anything but a dictionary that can travel, or nothing.
+    """
+    if returned is None:
+        returned = {}
+    if not isinstance(returned, dict):
+        raise TypeError(f"mission() returned a {type(returned).__name__}; allowed: a dictionary, or nothing")
+    try:
+        result: Result = decode(encode(dict(returned)))
+    except CodecError as error:
+        raise TypeError(f"mission() returned what cannot travel: {error}") from error
+    success = result.get("success", True)
+    if not isinstance(success, bool | int):
+        raise TypeError(f"mission() returned success = {success!r}; allowed: True or False")
+    return result | {"success": bool(success)}
+
+
+def ended_by_operator(words: str) -> Result:
+    """The result of a mission that its operator has ended: no failure, and it says so."""
+    return {"success": True, "reason": words, ENDED: words}
+
+
+def failure(reason: str, result: Result | None = None) -> Result:
+    """The result of a mission that has failed, with what is known else; its reason is never empty."""
+    told = {key: value for key, value in (result or {}).items() if key != ENDED}
+    return {**told, "success": False, "reason": spoken(reason, NO_REASON)}
+
+
+def _is_expected(error: BaseException) -> bool:
+    """Whether a mission may end so when it is told to end: by errors of this package alone."""
+    if isinstance(error, BaseExceptionGroup):
+        return all(map(_is_expected, error.exceptions))
+    return isinstance(error, CrazyChoirError | asyncio.CancelledError) and not isinstance(error, Hung)

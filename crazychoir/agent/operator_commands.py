@@ -1,0 +1,171 @@
+"""What an operator commands a drone: each command is refused with the reason, or done when it has come to pass."""
+
+from collections.abc import Awaitable, Callable
+from typing import NoReturn
+
+from crazychoir.agent.drone import Drone
+from crazychoir.agent.mission_runner import LANDED, LANDING_DEADLINE, SENT_HOME
+from crazychoir.bus.commands import NOT_READY
+from crazychoir.bus.port import Port
+from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import Refused
+from crazychoir.flight.homecoming import level_above
+from crazychoir.guidance.guidance import FLYING
+from crazychoir.guidance.member import PATIENCE, Member, standing, touch_down
+from crazychoir.runtime.mailbox import Latest
+from crazychoir.safety.rules.guard import EDGE
+from crazychoir.safety.rules.modes import Event, Mode
+from crazychoir.types import Point, State, Status
+
+POLL = 0.05
+RISES = 10.0
+"""s beyond the planned time of a take-off within which it must hover."""
+LOOK = 0.5
+"""s for which a drone that is sent home listens where the others are: as long as a status takes, and a bit."""
+HEARD = 10.0
+"""Hz, of the states that it hears then."""
+EVENTS = (Event.ARM, Event.TAKE_OFF, Event.START, Event.HOLD, Event.GO, Event.LAND, Event.HOME)
+VERBS = tuple(event.value for event in EVENTS)
+"""What is executed here; an emergency stop has a way of its own."""
+HOMING = "sent home"
+"""The task of a drone that its operator has sent home."""
+UNSEEN, READY = "it is not seen by the cameras yet", "ready"
+STANDING = (Mode.GROUND.value, Mode.CUT.value)
+WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait for an operator"
+
+
+class Orders:
+    """The commands of one drone's operator.
+
+    abort: ends its mission with a reason, as its operator;  over: why it is over, empty if it is not;  arm: lets the
+    motors of a drone turn that a radio reaches, and says what has come of it; None: the first command does.
+    """
+
+    def __init__(
+        self, drone: Drone, config: SwarmConfig, abort: Callable[[str], None], over: Callable[[], str],
+        arm: Callable[[], Awaitable[str]] | None = None,
+    ) -> None:  # fmt: skip
+        self.drone, self.config, self.abort, self.over, self.arm = drone, config, abort, over, arm
+        self._others: _Others | None = None
+
+    async def execute(self, verb: str) -> str:
+        """Do it; returns what has come of it, raises Refused with the reason."""
+        command, pilot = Event(verb), self.drone.pilot
+        if why := pilot.refuses(command):
+            self._refuse(why)
+        match command:
+            case Event.ARM:
+                return await self._arm()
+            case Event.TAKE_OFF:
+                return await self._take_off()
+            case Event.START:
+                return self._start()
+            case Event.HOLD:
+                pilot.hold()
+                return "held" if pilot.airborne else "held on the ground"
+            case Event.GO:
+                was_held = pilot.held
+                pilot.hold(on=False)
+                return "goes on" if was_held else "was not held"
+            case Event.LAND:
+                return await self._land()
+            case _:
+                return await self._home()
+
+    def _refuse(self, why: str) -> NoReturn:
+        raise Refused(f"drone {self.drone.id}", why)
+
+    def _gate(self, command: str) -> Member:
+        """What waits for this command; Refused if nothing does."""
+        guidance = self.drone.guidance
+        if over := self.over():
+            self._refuse(f"its mission is over: {over}")
+        if not self.config.flight.operator:
+            self._refuse(f"its mission waits for nobody: {WAITS}")
+        if not self.drone.pilot.awaits_start:
+            self._refuse("its mission has started")
+        if not hasattr(guidance, "member") or not guidance.member.gate:
+            self._refuse(f"{NOT_READY}: {self.drone.status().task or 'its mission prepares'}")
+        if guidance.member.gate != command:
+            self._refuse(f"it {guidance.member.report()['task']}")
+        return guidance.member
+
+    async def _arm(self) -> str:
+        """What is asked of a take-off is asked now; then motors that wait for it are armed."""
+        pilot = self.drone.pilot
+        if why := pilot.unready()[1]:
+            self._refuse(why)
+        if pilot.state is None:
+            self._refuse(UNSEEN)
+        return READY if self.arm is None else await self.arm()
+
+    async def _take_off(self) -> str:
+        member, pilot = self._gate("take-off"), self.drone.pilot
+        seconds = pilot.take_off(member.rise)
+        if seconds == 0.0:
+            self._refuse(pilot.note or UNSEEN)
+        ends = pilot.clock.now() + seconds + RISES
+        while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
+            await pilot.clock.sleep(POLL, drone=self.drone.id)
+        if pilot.mode not in FLYING:
+            self._refuse(standing(pilot))
+        return pilot.mode.value
+
+    def _start(self) -> str:
+        self._gate("start")
+        self.drone.pilot.start()
+        return "its mission goes on"
+
+    async def _land(self) -> str:
+        self.drone.pilot.land("landing on command")
+        self.abort(LANDED)
+        return await self._on_the_ground()
+
+    async def _home(self) -> str:
+        """Above the others as far as it hears of them, and those returning each at a level of its own."""
+        drone, pilot = self.drone, self.drone.pilot
+        self.abort(SENT_HOME)
+        pilot.commanded = False
+        pilot.hover()
+        self._others = self._others or _Others(drone.port, tuple(i for i in self.config.ids if i != drone.id))
+        if hasattr(drone.guidance, "member"):
+            drone.guidance.member.report = lambda: {"task": HOMING}
+        drone.port.publish(STATUS, drone.status())
+        await pilot.clock.sleep(LOOK, drone=drone.id)
+        state = pilot.state
+        if why := pilot.refuses(Event.HOME):
+            self._refuse(why)
+        if state is None:
+            self._refuse("it is not seen")
+        home = pilot.started_at if pilot.started_at is not None else self.config.drone(drone.id).home
+        pilot.go_home(home, self._others.level(state.p, home, pilot.fence.high[2] - EDGE))
+        return await self._on_the_ground()
+
+    async def _on_the_ground(self) -> str:
+        pilot = self.drone.pilot
+        await touch_down(pilot, LANDING_DEADLINE + PATIENCE)
+        if pilot.mode is not Mode.GROUND:
+            self._refuse(standing(pilot))
+        return str(pilot.mode.value)
+
+
+class _Others:
+    """Where the others are and what they do, as far as it is heard."""
+
+    def __init__(self, port: Port, ids: tuple[int, ...]) -> None:
+        bus, i = port.bus, port.address
+        self.id = i
+        self._states: dict[int, Latest[State]] = {j: Latest(bus.clock, "state", STATE.max_age) for j in ids}
+        self._statuses: dict[int, Latest[Status]] = {j: Latest(bus.clock, "status", STATUS.max_age) for j in ids}
+        for j in ids:
+            bus.subscribe(STATE, j, i, self._states[j], HEARD)
+            bus.subscribe(STATUS, j, i, self._statuses[j], STATUS.rate)
+
+    def level(self, p: Point, home: Point, top: float) -> float:
+        """m, the height of a return from p that keeps above those in the air, see `level_above`."""
+        statuses = {j: status for j, box in self._statuses.items() if (status := box.fresh()) is not None}
+        states = {j: state for j, box in self._states.items() if (state := box.fresh()) is not None}
+        up = [state.p for j, state in states.items() if j not in statuses or statuses[j].phase not in STANDING]
+        before = [j for j, status in statuses.items() if status.task == HOMING and j < self.id]
+        return level_above(p, home, up, len(before), top)

@@ -1,0 +1,146 @@
+"""Where an operator lets a drone fly while its mission waits for him: it is held, or it waits for his start."""
+
+from typing import Annotated, Any, NoReturn
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+
+from crazychoir.agent.drone import Drone
+from crazychoir.bus.codec import MAX_PAYLOAD
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.guidance import ARRIVED, ATTEMPTS, require_feasible
+from crazychoir.guidance.member import standing
+from crazychoir.guidance.turns import blocked
+from crazychoir.planning.piecewise import DEGREE, Piecewise
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import Vec
+
+POLL = 0.05
+LATE = 60.0
+"""s beyond the planned time of a flight that an operator's goal may take, among others that are in the way."""
+STOPPED = "emergency stop in force: no flight until `crazychoir stop --clear`"
+PIECE = 8 * (4 * (DEGREE + 1) + 1)
+MOST_PIECES = MAX_PAYLOAD // PIECE - 10
+"""Of a path that travels in one message."""
+Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+
+
+class Goal(Struct, frozen=True, forbid_unknown_fields=True):
+    """p: m, world;  yaw: rad, None: as it is;  duration: s, 0: as fast as the limits allow."""
+
+    p: tuple[Metres, Metres, Metres]
+    yaw: Annotated[float, Meta(ge=-7.0, le=7.0)] | None = None
+    duration: Annotated[float, Meta(ge=0.0, le=600.0)] = 0.0
+
+
+def path_message(path: Piecewise) -> dict[str, Any]:
+    """The arguments of `fly`; raises ConfigError for a path that is too long for one message."""
+    if len(path.durations) > MOST_PIECES:
+        raise ConfigError("path", f"{len(path.durations)} pieces", f"at most {MOST_PIECES}", "Draw less at once.")
+    return {"coefficients": path.coefficients.copy(), "durations": path.durations}
+
+
+class Steering:
+    """One drone's; a newer command ends the older one."""
+
+    def __init__(self, drone: Drone) -> None:
+        self.drone = drone
+        self._count = 0
+
+    async def go_to(self, arguments: dict[str, Any]) -> str:
+        """Be at the Goal in the arguments; raises Refused with what keeps it from there."""
+        try:
+            goal = msgspec.convert(arguments, Goal)
+        except msgspec.ValidationError as error:
+            self._refuse(f"go-to: {error}; allowed: p [x, y, z] m, yaw rad, duration s")
+        self._require_cleared()
+        self._require_steerable()
+        try:
+            place = self.drone.pilot.require_goal("go-to", goal.p, goal.yaw, goal.duration)
+        except ConfigError as error:
+            self._refuse(str(error))
+        await self._reach(place, goal.yaw, goal.duration, self._turn())
+        return "there"
+
+    async def fly(self, arguments: dict[str, Any]) -> str:
+        """Fly the pieces in the arguments, from their beginning; raises Refused.
+
+        A leader of a formation that flies its mission takes the path into that.
+        """
+        self._require_cleared()
+        try:
+            path = Piecewise(arguments["coefficients"], arguments["durations"])
+            if self.drone.pilot.airborne and not self.drone.pilot.steerable:
+                return self.drone.guidance.led(path)
+            require_feasible(path, self.drone.pilot)
+        except (ConfigError, KeyError, TypeError, ValueError) as error:
+            self._refuse(f"fly: {error}")
+        self._require_steerable()
+        pilot, turn, start = self.drone.pilot, self._turn(), path.sample(0.0)
+        await self._reach(start.p, start.yaw, 0.0, turn)
+        left = pilot.fly(path, commanded=True)
+        while left > 0.0 and pilot.flights.plan is path:
+            await self._look(turn)
+            left = pilot.remaining()
+        if pilot.flights.plan is not path or pilot.gap(path.sample(path.duration).p) > ARRIVED:
+            self._refuse(f"its path was not flown to the end: {pilot.note or pilot.mode.value}")
+        return "flown"
+
+    def _turn(self) -> int:
+        self._count += 1
+        return self._count
+
+    def _require_cleared(self) -> None:
+        """A stop in force is not flown against, whoever's motors still turn; one without guidance is to land."""
+        if self.drone.port.bus.stopped:
+            self._refuse(STOPPED)
+        if why := self.drone.pilot.unguided:
+            self._refuse(f"its guidance has failed: {why}")
+
+    def _require_steerable(self) -> None:
+        pilot = self.drone.pilot
+        if not pilot.airborne:
+            self._refuse(f"it is {pilot.mode.value}")
+        if not pilot.steerable:
+            flies = pilot.mode in (Mode.HOVER, Mode.FOLLOW)
+            self._refuse("its mission flies it: hold it first" if flies else f"it is {pilot.mode.value}")
+
+    async def _reach(self, p: Vec, yaw: float | None, duration: float, turn: int) -> None:
+        pilot, clock = self.drone.pilot, self.drone.pilot.clock
+        attempts, ends = 0, clock.now() + duration + LATE
+        while attempts < ATTEMPTS:
+            seconds = pilot.go_to(p, yaw, duration, commanded=True)
+            if pilot.guard.acts:  # it flies as soon as the safety table lets it
+                if clock.now() > ends:
+                    break
+                await self._look(turn)
+                continue
+            attempts, ends = attempts + 1, max(ends, clock.now() + seconds + LATE)
+            while pilot.mode is Mode.FOLLOW or blocked(pilot):
+                await self._look(turn)
+                if clock.now() > ends:
+                    break
+            await self._look(turn)
+            if pilot.gap(p) < ARRIVED:
+                return
+        place = np.round(p, 2).tolist()
+        self._refuse(f"does not reach {place}, still {pilot.gap(p):.2f} m from it: {pilot.note or 'no reason'}")
+
+    async def _look(self, turn: int) -> None:
+        """Let time pass; Refused when somebody else flies it."""
+        await self.drone.pilot.clock.sleep(POLL, drone=self.drone.id)
+        if turn != self._count:
+            self._refuse("it does what was commanded later")
+        self._require_cleared()
+        if not self.drone.pilot.steerable:
+            pilot = self.drone.pilot
+            goes_on = f"it goes on with its mission: {standing(pilot)}"
+            self._refuse(goes_on if pilot.obeys else f"it is {pilot.mode.value}")
+        if not self.drone.pilot.commanded:
+            self._refuse("it was held on its way")
+
+    def _refuse(self, why: str) -> NoReturn:
+        raise Refused(f"drone {self.drone.id}", why)
+
+

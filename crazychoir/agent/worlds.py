@@ -1,0 +1,154 @@
+"""The simulated worlds of a process, wired: engines, cameras, owners; and the process that owns them for all."""
+
+import logging
+import math
+from collections import deque
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.port import BODIES, Bus
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.control.robots import sender_of
+from crazychoir.errors import Refused
+from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.simulation.engines import delay_steps, worlds
+from crazychoir.simulation.owner import Digest, WorldOwner
+from crazychoir.simulation.remote import RemoteBody
+
+log = logging.getLogger(__name__)
+LEFT_ALONE = 1.0
+"""s without a command after which nobody flies a body any more."""
+LOOKS = 20.0
+"""Hz, at which it is seen who still flies."""
+KEPT = 20_000
+"""Latencies that are kept, the newest."""
+
+
+def owners(
+    bus: Bus, config: SwarmConfig, ids: tuple[int, ...], *, trace: Digest | None = None, base: int = 0
+) -> list[WorldOwner]:
+    """Who steps the worlds of these drones and looks at them; their ports are at base + id."""
+    return [
+        WorldOwner(bus, world, _cameras(config, world.ids), config.mocap.rate, trace, base, delay_steps(config, world))
+        for world in worlds(config, ids)
+    ]
+
+
+def _cameras(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
+    mocap = config.mocap
+    return SimulatedMocap(
+        ids, config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
+        latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate, tilt=mocap.tilt,
+    )  # fmt: skip
+
+
+@dataclass
+class Latency:
+    """From a look of the cameras to the command that comes back for it, through two processes and the network."""
+
+    owner: WorldOwner
+    kept: deque[int]
+
+    def note(self) -> None:
+        """A command has arrived."""
+        self.kept.append(self.owner.bus.clock.now_ns() - self.owner.looked_ns)
+
+
+class WorldProcess(Actor):
+    """The owner of all worlds of a swarm, whose drones have their pilots in other processes.
+
+    Drones that nobody commands are left to their engines. It ends when it is told to and nobody flies any more, so that
+    drones that land see the floor; at once when its network or a world fails.
+    """
+
+    name = "bodies"
+
+    def __init__(self, clock: Clock, config: SwarmConfig, process: str, host: str, incarnation: int) -> None:
+        self.clock, self.bus, self._config = clock, Bus(clock, process=process, host=host), config
+        for i in config.owned:
+            self.bus.port(BODIES + i, incarnation)
+        self.owners = owners(self.bus, config, config.owned, base=BODIES)
+        self.latencies_ns: deque[int] = deque(maxlen=KEPT)
+        self.bodies = [body for owner in self.owners for body in self._bodies(owner)]
+        bodies = {body.drone: body for body in self.bodies}
+        for owner in self.owners:
+            owner.flying, owner.cut = lambda i: bodies[i].flying, lambda i: bodies[i].was_cut
+        self.failure = ""
+        self._ending: str | None = None
+        self._patient_until = 0.0
+        self._supervisor = Supervisor(clock, "world", self._failed)
+
+    def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
+        note, flight = Latency(owner, self.latencies_ns).note, self._config.flight
+        kinds = {i: sender_of(self._config, i) for i in owner.world.ids}
+        return [
+            RemoteBody(
+                self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note, flight,
+                partial(owner.telemetry.ask, i),
+            )
+            for i, kind in kinds.items()
+        ]  # fmt: skip
+
+    async def serve(self, *services: Actor) -> None:
+        """Until its end."""
+        await self._supervisor.run([*services, *self.owners, self])
+
+    async def run(self) -> None:
+        """Look after the bodies that nobody commands."""
+        async for _ in self.clock.ticks(LOOKS):
+            for body in self.bodies:
+                body.look()
+            if self._ending is not None:
+                self._end_if_alone()
+
+    @property
+    def flown(self) -> list[int]:
+        """Drones that somebody commands."""
+        return [body.drone for body in self.bodies if body.silence < LEFT_ALONE]
+
+    def end(self, reason: str) -> None:
+        """As soon as nobody flies."""
+        self._ending, self._patient_until = reason, self.clock.now() + 2.0 * LEFT_ALONE
+
+    def _end_if_alone(self) -> None:
+        """Say it once if it takes longer than agents that have just ended need."""
+        flown = self.flown
+        if not flown:
+            self._supervisor.stop()
+        elif self.clock.now() > self._patient_until:
+            names, self._patient_until = ", ".join(map(str, flown)), math.inf
+            log.warning("world: %s: it goes on until the agents of drone(s) %s have ended", self._ending, names)
+
+    def abort(self, reason: str) -> None:
+        """Now; whoever flies sees nothing any more."""
+        self.failure = self.failure or reason
+        log.error("world: %s", reason)
+        self._supervisor.stop()
+
+    def refuse(self, refused: Refused) -> None:
+        """Another process owns these worlds already."""
+        self.abort(str(refused))
+
+    def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
+        self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
+
+    def report(self) -> dict[str, Any]:
+        """What it was like: steps in all and missed, and ms from a look to the command that came back for it."""
+        kept = np.array(self.latencies_ns) / SECOND * 1e3
+        p50, p99 = (round(float(np.percentile(kept, q)), 3) if len(kept) else None for q in (50.0, 99.0))
+        return {
+            "success": not self.failure,
+            "reason": self.failure,
+            "steps": sum(round(owner.world.time / owner.world.dt) for owner in self.owners),
+            "missed": sum(owner.ticks.missed for owner in self.owners),
+            "crashed": sorted(i for owner in self.owners for i in owner.world.crashed),
+            "commands": len(kept),
+            "pose_to_command_p50_ms": p50,
+            "pose_to_command_p99_ms": p99,
+        }

@@ -1,0 +1,1 @@
+"""Benchmarks: one file a benchmark; each compares crazychoir with a peer in the same run."""

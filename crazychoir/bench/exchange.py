@@ -1,0 +1,184 @@
+"""`crazychoir bench exchange`: rounds of neighbours' exchange a second, beside CycloneDDS and MPI, in one run.
+
+Rows are measured in turns and repeated, so that what else the machine does falls on all of them; medians are shown.
+"""
+
+import importlib.util
+import json
+import os
+import secrets
+import shutil
+import statistics
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.config.swarm_config import LOCAL
+from crazychoir.launch.network import held_ports
+from crazychoir.solve.group import Group
+from crazychoir.team.graph import Graph, k_regular, ring
+
+GRAPHS: dict[str, Callable[[int], Graph]] = {"ring": ring, "4-regular": lambda n: k_regular(n, 4)}
+START_DEADLINE = 90.0
+"""s until all processes of a row have found each other."""
+WARM = 0.3
+"""s of exchange before the measured window."""
+BARE = (
+    "import runpy, sys, types; package = types.ModuleType('crazychoir'); package.__path__ = [sys.argv.pop(1)]; "
+    "sys.modules['crazychoir'] = package; runpy.run_module(sys.argv.pop(1), run_name='__main__')"
+)
+"""Runs a module of the package without the package's public names: missions and solvers cost 1 s of CPU a process."""
+PACKAGE = Path(__file__).parents[1]
+INSTALL = "not measured: pip install crazychoir[bench]"
+
+
+@dataclass
+class Row:
+    """One program on one graph, spread over so many processes; options: what it is told beside."""
+
+    name: str
+    module: str
+    graph: str
+    agents: int
+    processes: int
+    extra: str = ""
+    note: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    rounds: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+
+    def shown(self) -> dict[str, Any]:
+        """The row of the result: medians."""
+        shown: dict[str, Any] = {"name": self.name, "graph": self.graph, **self.options}
+        shown |= {"agents": self.agents, "processes": self.processes}
+        shown["rounds_per_s"] = round(statistics.median(self.rounds), 1) if self.rounds else None
+        shown["cpu_us_per_message"] = round(statistics.median(self.cpu), 2) if self.cpu else None
+        return shown | ({"note": self.note} if self.note else {})
+
+
+def run(
+    seconds: float = 0.8,
+    repeats: int = 3,
+    quick: bool = False,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Measure all rows; seconds: of one window.
+
+    quick: rings only, one turn of short windows. `say` is told what is measured.
+    """
+    if quick:
+        seconds, repeats = min(seconds, 0.5), 1
+    rows = _rows(("ring",) if quick else tuple(GRAPHS))
+    for turn in range(repeats):
+        for row in rows:
+            if row.extra and importlib.util.find_spec(row.extra) is None:
+                row.note = INSTALL
+                continue
+            say(f"{turn + 1}/{repeats}: {row.name}, {row.graph} of {row.agents}, {row.processes} process(es)")
+            measure(row, seconds)
+    shown = [row.shown() for row in rows]
+    return {"rows": shown, "ratios": _ratios(shown), "cores": os.cpu_count(), "seconds": seconds, "repeats": repeats}
+
+
+def table(result: dict[str, Any]) -> Table:
+    """The rows, for people."""
+    made = Table(title="Neighbours' exchange: medians of one run")
+    for name in ("graph", "agents", "program", "processes", "rounds/s", "CPU us/message"):
+        made.add_column(name, justify="left" if name in ("graph", "program") else "right")
+    for row in sorted(result["rows"], key=lambda row: (row["graph"] != "ring", row["agents"])):
+        rounds, cpu = row["rounds_per_s"], row["cpu_us_per_message"]
+        figures = ["-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)]
+        made.add_row(row["graph"], str(row["agents"]), row["name"], str(row["processes"]), *figures)
+    notes = dict.fromkeys(f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row)
+    notes["Of several processes, each is bound to a core of its own where there are enough."] = None
+    made.caption = Text("\n".join(notes))  # not markup: a note may hold brackets
+    return made
+
+
+def _rows(graphs: tuple[str, ...]) -> list[Row]:
+    rows = []
+    cores = os.cpu_count() or 1
+    for graph in graphs:
+        for n in (10, 30):
+            for processes in (1, 2, n):
+                rows.append(Row("crazychoir", "peers_crazychoir", graph, n, processes))
+            for processes in (2, n):
+                rows.append(Row("cyclonedds", "peers_cyclonedds", graph, n, processes, "cyclonedds"))
+            mpi = Row("mpi4py-pickle", "peers_mpi4py", graph, n, n, "mpi4py")
+            if n > cores:
+                mpi.note = f"MPI polls: it collapses with more ranks ({n}) than cores ({cores})"
+            rows.append(mpi)
+    return rows
+
+
+def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """What is promised, from the medians of this run."""
+    rate = {(r["name"], r["graph"], r["agents"], r["processes"]): r["rounds_per_s"] for r in rows}
+    two, one = rate[("crazychoir", "ring", 10, 2)], rate[("crazychoir", "ring", 30, 1)]
+    pairs = {
+        "ring 10: crazychoir, two processes / cyclonedds, one an agent": (two, rate[("cyclonedds", "ring", 10, 10)]),
+        "ring 10: crazychoir, two processes / mpi4py-pickle": (two, rate[("mpi4py-pickle", "ring", 10, 10)]),
+        "ring 30: crazychoir, one process / one an agent": (one, rate[("crazychoir", "ring", 30, 30)]),
+    }
+    return {name: round(ours / other, 1) for name, (ours, other) in pairs.items() if ours and other}
+
+
+# One measurement ----------------------------------------------------------------------------------------------
+
+
+def measure(row: Row, seconds: float) -> None:
+    """One window of one row; what goes wrong becomes its note."""
+    neighbors = {i: GRAPHS[row.graph](row.agents).in_neighbors(i) for i in range(row.agents)}
+    common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "swarm": f"bench{secrets.token_hex(4)}"}
+    common |= row.options
+    ranks = row.extra == "mpi4py"
+    answers = row.agents if ranks else row.processes
+    try:
+        with held_ports(dict.fromkeys(range(row.processes), LOCAL)) as base, Group(
+            _mpi_command(row, common) if ranks else _commands(row, common, base)
+        ) as group:
+            list(group.answers(answers, START_DEADLINE, "do not find each other"))
+            group.tell("go")
+            found = [answer for _, answer in group.answers(answers, WARM + seconds + 20.0, "do not answer")]
+    except (TimeoutError, OSError) as error:
+        row.note = f"failed: {error}"
+        return
+    row.rounds.append(min(one["rounds_per_s"] for one in found))
+    messages = sum(one["messages_per_s"] for one in found)
+    if messages:
+        row.cpu.append(1e6 * sum(one["cores"] for one in found) / messages)
+
+
+def _commands(row: Row, common: dict[str, Any], base: int) -> list[list[str]]:
+    """One command a process, each with a contiguous part of the agents, and a core of its own if there are enough.
+
+    base: the port of the first process.
+    """
+    endpoints = [f"tcp/{LOCAL}:{base + p}" for p in range(row.processes)]
+    domain = 1 + secrets.randbelow(100)  # ports of higher ones may be anybody's
+    cores = sorted(os.sched_getaffinity(0))
+    commands = []
+    for p in range(row.processes):
+        mine = [i for i in range(row.agents) if i * row.processes // row.agents == p]
+        others = [endpoint for q, endpoint in enumerate(endpoints) if q != p]
+        own: dict[str, Any] = {"mine": mine, "process": f"{p}-{common['swarm']}"}
+        own |= {"listen": [endpoints[p]], "connect": others}
+        if 1 < row.processes <= len(cores):
+            own["core"] = cores[p]
+        commands.append(_python(row, {**common, **own, "domain": domain}))
+    return commands
+
+
+def _mpi_command(row: Row, common: dict[str, Any]) -> list[list[str]]:
+    beside = Path(sys.executable).parent / "mpiexec"
+    mpiexec = str(beside) if beside.exists() else shutil.which("mpiexec") or "mpiexec"
+    return [[mpiexec, "-n", str(row.agents), *_python(row, common)]]
+
+
+def _python(row: Row, specification: dict[str, Any]) -> list[str]:
+    return [sys.executable, "-c", BARE, str(PACKAGE), f"crazychoir.cli.{row.module}", json.dumps(specification)]

@@ -1,0 +1,203 @@
+"""How far the velocities of the filters are off, on a flight whose truth is known.
+
+A quadrotor flies an eight with 1 m/s at most while its heading turns, as differential flatness has it. Cameras see it
+with noise, with independent dropouts and one gap. The root mean square is that of the length of the error vector, of
+all ticks after the first SETTLE s, those without a pose too.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from rich.table import Table
+
+from crazychoir.filters.kalman import KalmanFilter
+from crazychoir.filters.motion import RATE_LAG, Commanded
+from crazychoir.filters.state_filter import StateFilter
+from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Vec,
+    conjugate,
+    exponential,
+    logarithm,
+    product,
+    quaternion,
+    rotation_from_flat,
+    yaw_of,
+)
+from crazychoir.platforms import PAPER
+from crazychoir.types import Pose
+
+RATES = (50, 100, 240)  # Hz
+SEEDS = (1, 2, 3)
+NOISE_P, NOISE_ANGLE = 0.0005, math.radians(0.25)  # m, rad, standard deviations an axis
+DROPOUT = 0.02
+GAP_AT, GAP = 6.0, 0.05  # s
+SETTLE, END = 2.0, 12.0  # s
+TURNING = 1.0  # rad/s of the heading: it passes pi
+OFF = 0.95  # thrust told / thrust flown: a battery that is fuller than assumed
+
+Say = Callable[[str], None]
+
+
+class Estimate(Protocol):
+    """What a row is about."""
+
+    def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
+        """Velocity (3,) m/s and body rates (3,) rad/s at now; `command` (4,) is what is commanded from now on."""
+        ...
+
+
+class Original:
+    """The difference equation of the original CrazyChoir: its gain is that of 100 Hz, whatever the rate.
+
+        v_k = 0.6 v_k-1 + 40 (p_k - p_k-1),  and the same from roll, pitch and yaw to their rates
+
+    Angles are not unwrapped, their rates taken for body rates, and a pose that is missing for the last one.
+    """
+
+    def __init__(self) -> None:
+        self._last, self._rates = np.zeros(6), np.zeros(6)
+
+    def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
+        """Velocity and rates of the angles, (3,) each."""
+        here = self._last if pose is None else np.array([*pose.p, *_euler(pose.q)])
+        self._rates = 0.6 * self._rates + 40.0 * (here - self._last)
+        self._last = here
+        return self._rates[:3], self._rates[3:]
+
+
+class Ours:
+    """A filter as the pilot runs it; one that is not `commanded` is told no commands."""
+
+    def __init__(self, filtering: StateFilter, commanded: bool) -> None:
+        self.filter, self.commanded = filtering, commanded
+
+    def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
+        """Velocity and body rates, (3,) each; at rest before the first pose."""
+        state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+        if self.commanded:
+            self.filter.commanded = command
+        return (np.zeros(3), np.zeros(3)) if state is None else (state.v, state.w)
+
+
+FILTERS: dict[str, Callable[[float], Estimate]] = {
+    "original": lambda period: Original(),
+    "derivative": lambda period: Ours(
+        VelocityFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True
+    ),
+    "kalman": lambda period: Ours(KalmanFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True),
+    "kalman, no commands": lambda period: Ours(KalmanFilter(period=period), commanded=False),
+}
+"""By name: a new one for cameras with this period, s."""
+
+
+def run(
+    rates: tuple[int, ...] = RATES, seeds: tuple[int, ...] = SEEDS, say: Say = lambda line: None
+) -> dict[str, Any]:
+    """{"rows": [one a filter and rate]}."""
+    rows = []
+    for rate in rates:
+        say(f"{rate} Hz")
+        flight = Flight.at(rate)
+        for name, new in FILTERS.items():
+            v, w = flight.errors(new, seeds)
+            rows.append(
+                {
+                    "filter": name,
+                    "rate_hz": rate,
+                    "noise_mm": 1e3 * NOISE_P,
+                    "noise_deg": math.degrees(NOISE_ANGLE),
+                    "dropout": DROPOUT,
+                    "gap_ms": 1e3 * GAP,
+                    "velocity_rmse_mm_s": 1e3 * v,
+                    "angular_rmse_rad_s": w,
+                }
+            )
+    return {"rows": rows}
+
+
+def table(result: dict[str, Any]) -> Table:
+    """The rows, for people."""
+    shown = Table(title="Root mean square of the error of the velocities")
+    for name in ("filter", "poses, Hz", "velocity, mm/s", "body rates, rad/s"):
+        shown.add_column(name, justify="left" if name == "filter" else "right")
+    for row in result["rows"]:
+        v, w = row["velocity_rmse_mm_s"], row["angular_rmse_rad_s"]
+        shown.add_row(row["filter"], str(row["rate_hz"]), f"{v:.1f}", f"{w:.3f}")
+    return shown
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The truth: instants (n,) s, states (n, 13), and the commands (n, 4) from each of these instants on."""
+
+    times: Vec
+    states: Vec
+    commands: Vec
+
+    @classmethod
+    def at(cls, rate: int) -> "Flight":
+        """Sampled at `rate` Hz."""
+        times = np.arange(round(END * rate)) / rate
+        states, commands = zip(*(truth(t) for t in times), strict=True)
+        return cls(times, np.array(states), np.array(commands))
+
+    def errors(self, new: Callable[[float], Estimate], seeds: tuple[int, ...]) -> tuple[float, float]:
+        """Root mean squares of the errors of velocity, m/s, and body rates, rad/s."""
+        counted, period = self.times >= SETTLE, float(self.times[1])
+        told = np.array([self._flown(new(period), seed) for seed in seeds])[:, counted]  # (seeds, n, v or w, 3)
+        off = told - self.states[counted][:, [3, 4, 5, 10, 11, 12]].reshape(-1, 2, 3)
+        v, w = np.sqrt((off**2).sum(axis=3).mean(axis=(0, 1))).tolist()
+        return v, w
+
+    def _flown(self, estimate: Estimate, seed: int) -> list[tuple[Vec, Vec]]:
+        draw, said = np.random.default_rng(seed), []
+        for t, x, u in zip(self.times, self.states, self.commands, strict=True):
+            noise, lost = draw.standard_normal(6), draw.random() < DROPOUT
+            angle = NOISE_ANGLE * noise[3:]
+            pose = Pose(np.array([*(x[:3] + NOISE_P * noise[:3]), *product(tuple(x[6:10]), exponential(*angle))]))
+            said.append(estimate.told(None if lost or GAP_AT <= t < GAP_AT + GAP else pose, float(t), u))
+        return said
+
+
+def truth(t: float) -> tuple[Vec, Vec]:
+    """State (13,) and command (4,) at t s: the thrust told is off, the rates told are those that are reached later.
+
+    u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w',  w = log(q(t)^-1 q(t + h)) / h by central differences
+    """
+    h = 1e-3
+    (p, v, q, thrust), before, after = _flat(t), _flat(t - h)[2], _flat(t + h)[2]
+    first, second = _turn(before, q) / h, _turn(q, after) / h
+    w, turning = 0.5 * (first + second), (second - first) / h
+    return np.array([*p, *v, *q, *w]), np.array([OFF * thrust, *(w + RATE_LAG * turning)])
+
+
+def _turn(before: Vec, after: Vec) -> Vec:
+    """Rotation vector (3,) rad, body, from one attitude to the other."""
+    return np.array(logarithm(product(conjugate(tuple(before)), tuple(after))))
+
+
+def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
+    """p (3,), v (3,), q (4,), thrust N of the eight at t s: x = sin wt, y = 1/2 sin 2wt, z = 1, w = 1/sqrt(2) rad/s.
+
+        F/m = g e3 + a + (1/m) R A R^T v,  R e3 along F
+    """
+    w, yaw = math.sqrt(0.5), TURNING * t
+    s, c, s2, c2 = math.sin(w * t), math.cos(w * t), math.sin(2.0 * w * t), math.cos(2.0 * w * t)
+    v, pull = w * np.array([c, c2, 0.0]), np.array([-w * w * s, -2.0 * w * w * s2, GRAVITY])
+    r = rotation_from_flat(pull, yaw)
+    for _ in range(3):  # the drag depends on the attitude a little
+        f = pull + r @ (np.array(PAPER.drag) * (r.T @ v)) / PAPER.mass
+        r = rotation_from_flat(f, yaw)
+    return np.array([s, 0.5 * s2, 1.0]), v, quaternion(r), float(PAPER.mass * np.linalg.norm(f))
+
+
+def _euler(q: Vec) -> tuple[float, float, float]:
+    """Roll, pitch, yaw, rad."""
+    x, y, z, w = q.tolist()
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)), yaw_of(q)

@@ -1,0 +1,218 @@
+"""How much faster than real time one core flies a swarm with the whole stack, and which room takes the time."""
+
+import math
+import signal
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+
+import crazychoir
+from crazychoir.agent.agent import Agent
+from crazychoir.bench import worlds as bench_worlds
+from crazychoir.bench.worlds import COUNTS
+from crazychoir.config.checks import LIGHTWEIGHT, MOTORS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.control.margin import Plant
+from crazychoir.errors import Refused
+from crazychoir.guidance.mission import load
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.safety.rules.modes import Mode
+
+CASES: tuple[tuple[int, Plant], ...] = (
+    (10, "lightweight"), (30, "lightweight"), (100, "lightweight"), (100, "motors"), (1000, "lightweight"),
+)  # fmt: skip
+"""Drones and engine of each row."""
+QUICK = CASES[:2]
+URI: dict[Plant, str] = {"lightweight": LIGHTWEIGHT, "motors": MOTORS}
+PLATFORM: dict[Plant, str] = {"lightweight": "paper", "motors": "cf21"}
+MANY = 300
+"""Drones beyond which one flight of shorter windows is enough."""
+SPACING = 0.7
+"""m between neighbours on the ring."""
+SETTLE = 0.5
+"""s of the law before the clock of the measurement starts."""
+WINDOW = 5.0
+"""s of simulated time that one figure is about."""
+WINDOWS = 3
+"""Figures a flight, one after the other."""
+SAMPLE = 0.001
+"""s of processor time between two samples of a profile."""
+ROOMS = (
+    "bus", "runtime", "safety", "control", "filters", "guidance", "simulation", "mocap", "swarm", "planning",
+)  # fmt: skip
+
+Say = Callable[[str], None]
+
+
+def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
+    """{"rows": [one a flight], "worlds": [one an engine]}; raises Refused if a swarm does not land in good order."""
+    rows = [_row(n, plant, 1 if quick or n > MANY else 2, say) for n, plant in (QUICK if quick else CASES)]
+    return {"rows": rows, "worlds": bench_worlds.run(COUNTS[:1] if quick else COUNTS, say)}
+
+
+def _row(n: int, plant: Plant, flights: int, say: Say) -> dict[str, Any]:
+    window = WINDOW if n <= MANY else 0.2 * WINDOW
+    say(f"{n} drones, {plant}: flying")
+    windows = [each for _ in range(flights) for each in fly(n, plant, window)]
+    say(f"{n} drones, {plant}: profiling one more flight")
+    return {
+        "drones": n,
+        "plant": plant,
+        "processes": 1,
+        "real_time_factor": window / statistics.median(wall for wall, _ in windows),
+        "real_time_factor_cpu": window / statistics.median(cpu for _, cpu in windows),
+        "windows": len(windows),
+        "window_s": window,
+        "profile": profile(n, plant) if n <= MANY else {},
+    }
+
+
+def tables(result: dict[str, Any]) -> Group:
+    """Flights and worlds, for people."""
+    return Group(table(result), bench_worlds.table(result["worlds"]))
+
+
+def table(result: dict[str, Any]) -> Table:
+    """The flights."""
+    shown = Table(title="The whole stack in virtual time, one core")
+    for name in ("drones", "plant", "times real time", "by processor time", "where the time goes"):
+        shown.add_column(name, justify="left" if "goes" in name else "right")
+    for row in result["rows"]:
+        rooms = sorted(row["profile"].items(), key=lambda item: -item[1])
+        shares = ", ".join(f"{room} {share:.0%}" for room, share in rooms if share >= 0.01)
+        factors = [f"{row[name]:.2f}" for name in ("real_time_factor", "real_time_factor_cpu")]
+        shown.add_row(str(row["drones"]), row["plant"], *factors, shares)
+    return shown
+
+
+def fly(
+    drones: int, plant: Plant = "lightweight", window: float = WINDOW, watch: Callable[[bool], None] = lambda on: None
+) -> list[tuple[float, float]]:
+    """One flight in virtual time; returns (wall, processor) seconds of each window.
+
+    watch: called with True when the first window begins and with False when the last one has ended.
+    """
+    config = ring(drones, plant, window)
+
+    async def main(clock: Clock) -> list[tuple[float, float]]:
+        agent = Agent(clock, config, load("bearing_formation"), config.ids)
+        meter = Meter(agent, window, watch)
+        agent.services.append(meter)
+        failed = {i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]}
+        if failed or len(meter.windows) < WINDOWS or agent.owners[0].world.crashed:
+            raise Refused(f"bench flight, {drones} drones", f"not a good flight: {failed or meter.windows}")
+        return meter.windows
+
+    return run_virtual(main)
+
+
+def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmConfig:
+    """n drones on the corners of a regular polygon, each hears its two neighbours; two opposite ones lead.
+
+    They take off into the shape, so the law only has to hold it against the noise of the cameras.
+    """
+    radius = SPACING / (2.0 * math.sin(math.pi / n))
+    angles = [2.0 * math.pi * k / n for k in range(n)]
+    corners = [[radius * math.cos(angle), radius * math.sin(angle)] for angle in angles]
+    far = radius + 2.0
+    return SwarmConfig.of(
+        {
+            "name": f"ring{n}",
+            "mission": "bearing_formation",
+            "mission_options": {
+                "shape": {str(k): [*corner, 1.0] for k, corner in enumerate(corners)},
+                "duration": SETTLE + WINDOWS * window + 0.5,
+            },
+            "seed": 1,
+            "edges": [[k, (k + 1) % n] for k in range(n)],
+            "drones": [
+                {
+                    "id": k, "home": [*corners[k], 0.0], "leader": k in (0, n // 2), "uri": URI[plant],
+                    "platform": PLATFORM[plant],
+                }
+                for k in range(n)
+            ],
+            "fence": {"min": [-far, -far, 0.0], "max": [far, far, 3.0]},
+        },
+        "bench flight",
+    )
+
+
+class Meter(Actor):
+    """Measures the windows, once everybody flies the law."""
+
+    name = "meter"
+
+    def __init__(self, agent: Agent, window: float, watch: Callable[[bool], None]) -> None:
+        self.agent, self.window, self.watch = agent, window, watch
+        self.windows: list[tuple[float, float]] = []
+
+    async def run(self) -> None:
+        """Wait for the law, then read the machine's clocks every `window` s of virtual time."""
+        clock = self.agent.clock
+        while not self._flying():
+            await clock.sleep(0.1)
+        await clock.sleep(SETTLE)
+        self.watch(True)
+        for _ in range(WINDOWS):
+            wall, cpu = time.perf_counter(), time.process_time()
+            await clock.sleep(self.window)
+            self.windows.append((time.perf_counter() - wall, time.process_time() - cpu))
+        self.watch(False)
+
+    def _flying(self) -> bool:
+        leaders = {drone.id for drone in self.agent.config.drones if drone.leader}
+        return all(d.pilot.mode is Mode.FOLLOW for i, d in self.agent.drones.items() if i not in leaders)
+
+
+def profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
+    """Share of each room in the processor time of a flight; what a room calls outside of the house counts for it."""
+    seen: Counter[str] = Counter()
+    with sampling(seen) as watch:
+        fly(drones, plant, watch=watch)
+    total = max(seen.total(), 1)
+    return {room: round(seen[room] / total, 4) for room in (*ROOMS, "asyncio", "other")}
+
+
+@contextmanager
+def sampling(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
+    """Count the room of the running code every SAMPLE s of processor time, between watch(True) and watch(False)."""
+
+    def sampled(number: int, frame: FrameType | None) -> None:
+        seen[room_of(frame)] += 1
+
+    def watch(on: bool) -> None:
+        signal.setitimer(signal.ITIMER_PROF, SAMPLE if on else 0.0, SAMPLE)
+
+    before = signal.signal(signal.SIGPROF, sampled)
+    try:
+        yield watch
+    finally:
+        watch(False)
+        signal.signal(signal.SIGPROF, before)
+
+
+HOUSE = Path(crazychoir.__file__).parent
+
+
+def room_of(frame: FrameType | None) -> str:
+    """The room of the innermost frame that belongs to one; missions count for guidance."""
+    while frame is not None:
+        path = Path(frame.f_code.co_filename)
+        if path.is_relative_to(HOUSE) and len(parts := path.relative_to(HOUSE).parts) > 1:
+            if parts[0] in ROOMS:
+                return parts[0]
+            return "guidance" if parts[0] == "agents" else "other"
+        if path.parent.name == "asyncio":
+            return "asyncio"
+        frame = frame.f_back
+    return "other"

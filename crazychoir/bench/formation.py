@@ -1,0 +1,103 @@
+"""How fast formations form up at motor level: many seeds, the worst one counts.
+
+A time is that since the law began, after which every drone stays within 1 cm of its place, by the truth.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+from rich import box
+from rich.table import Table
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.guidance.mission import Mission, load
+from crazychoir.launch.flight import fly_fast
+
+LOSSY = {"loss": 0.2, "delay": 0.02}
+GRID_GAINS = {"kp": 2.0, "kv": 2.5}
+"""1/s2, 1/s: of the paper's law on the grid, whose drones have up to eight neighbours."""
+SCATTER: dict[int, list[float]] = {4: [1.0, 1.0, 1.0], 30: [0.2, 0.2, 0.2]}
+"""m an axis, by which starts are moved at most."""
+FLIGHT = {"takeoff_height": 1.2, "speed_limit": 3.0, "acceleration_limit": 4.0, "landing_speed": 1.0}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A team, its law, its network, and the s that the worst seed may need."""
+
+    drones: int
+    law: str
+    network: str
+    limit: float
+
+    def config(self, mission: Mission, seed: int) -> SwarmConfig:
+        """The mission's own swarm, of Crazyflies with motors, scattered by this seed."""
+        config = mission.swarm(self.drones)
+        given: dict[str, Any] = {"scatter": SCATTER[self.drones]}
+        if self.law == "paper" and self.drones == 30:
+            given |= GRID_GAINS
+        drones = [
+            {"id": d.id, "home": d.home, "leader": d.leader, "uri": "sim://motors", "platform": "cf21"}
+            for d in config.drones
+        ]
+        options = {
+            **config.mission_options, **given, "law": self.law, "duration": 6.0 if self.law == "normalised" else 20.0,
+        }  # fmt: skip
+        network = LOSSY if self.network == "lossy" else {}
+        return mission.scatter(
+            config.replace(
+                drones=drones, seed=seed, flight=FLIGHT, mission_options=options, network=network,
+                plant={"command_delay": 0.02}, fence={"min": [-3, -3, 0], "max": [6, 6, 4]},
+            )
+        )  # fmt: skip
+
+
+CASES = (
+    Case(4, "paper", "perfect", 16.0),
+    Case(4, "normalised", "perfect", 3.0),
+    Case(4, "normalised", "lossy", 3.0),
+    Case(30, "paper", "perfect", 16.0),
+    Case(30, "normalised", "perfect", 4.0),
+    Case(30, "normalised", "lossy", 4.0),
+)
+
+
+def times(case: Case, seeds: range, say: Callable[[str], None] = lambda line: None) -> list[float | None]:
+    """s to 1 cm of each seed; None: not at all, or the flight failed."""
+    mission, found = load("bearing_formation"), []
+    for seed in seeds:
+        result = fly_fast(case.config(mission, seed), mission)
+        found.append(result["settling_s"] if result["success"] else None)
+        say(f"{case.drones} drones, {case.law}, {case.network}: seed {seed}: {found[-1]} s")
+    return found
+
+
+def run(
+    seeds: range, cases: tuple[Case, ...] = CASES, say: Callable[[str], None] = lambda line: None
+) -> dict[str, Any]:
+    """The worst and the median of each case."""
+    return {"seeds": len(seeds), "rows": [summary(case, times(case, seeds, say)) for case in cases]}
+
+
+def summary(case: Case, found: list[float | None]) -> dict[str, Any]:
+    """Of the seeds that settled; worst_s is None if one did not."""
+    settled = [s for s in found if s is not None]
+    worst = max(settled) if len(settled) == len(found) else None
+    reached = worst is not None and worst <= case.limit
+    return {
+        **asdict(case), "worst_s": worst, "median_s": median(settled) if settled else None,
+        "failed": len(found) - len(settled), "reached": reached,
+    }  # fmt: skip
+
+
+def table(result: dict[str, Any]) -> Table:
+    """What is printed."""
+    shown = Table(title=f"time to 1 cm, motor level, {result['seeds']} seeds", box=box.SIMPLE_HEAD)
+    for name in ("drones", "law", "network", "worst s", "median s", "allowed s", "failed"):
+        shown.add_column(name, justify="left" if name in ("law", "network") else "right")
+    for row in result["rows"]:
+        figures = [f"{row[key]:.2f}" if row[key] is not None else "-" for key in ("worst_s", "median_s", "limit")]
+        shown.add_row(str(row["drones"]), row["law"], row["network"], *figures, str(row["failed"]))
+    return shown

@@ -1,0 +1,205 @@
+"""The benchmarks' pictures for a column of a paper: lines told apart by colour, dash and mark."""
+
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from crazychoir.bench.paper.ablation import GRAPHS
+from crazychoir.bench.significance import relative
+from crazychoir.files.output_files import save_figure
+from crazychoir.optimization.picture import COLOURS, DASHES
+from crazychoir.recording.analysis.plots import STYLE, WIDTH
+from crazychoir.routing.distributed.pickup_delivery import METHODS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKS = "os^vDPX"
+TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+"""%, on a scale that is linear up to 1."""
+Rows = list[dict[str, Any]]
+
+
+def draw(name: str, height: float, folder: Path, picture: Callable[["Figure"], None]) -> Path:
+    """One picture of a column's width, as PNG."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height), dpi=300, layout="constrained")
+        FigureCanvasAgg(figure)
+        picture(figure)
+        file = folder / f"{name}.png"
+        save_figure(figure, file)
+    return file
+
+
+def draw_ablation(rows: Rows, folder: Path) -> list[Path]:
+    """Loss, size and method, from the rows of `bench_ablation.summary`."""
+    of = {study: [row for row in rows if row["study"] == study] for study in ("loss", "size", "method")}
+    return [
+        draw("loss", 3.4, folder, lambda figure: _draw_loss(figure, of["loss"])),
+        draw("size", 4.6, folder, lambda figure: _draw_size(figure, of["size"])),
+        draw("method", 3.4, folder, lambda figure: _draw_method(figure, of["method"])),
+    ]
+
+
+def _draw_loss(figure: "Figure", rows: Rows) -> None:
+    """Time of communication and kB a robot over the loss, for independent losses and for bursts."""
+    axes = figure.subplots(2, 2, sharex=True, sharey="row")
+    patterns = [("independent", None), ("bursts", next((r["burst"] for r in rows if r["burst"]), None))]
+    figures = [("communication_s", 1.0, "communication [s]"), ("bytes_a_robot", 1e-3, "kB a robot")]
+    for column, (title, burst) in enumerate(patterns):
+        here = [row for row in rows if row["burst"] == burst or row["loss"] == 0.0]
+        axes[0, column].set_title(title, fontsize=8)
+        axes[1, column].set_xlabel("loss [%]")
+        for line, (figure_of, scale, label) in enumerate(figures):
+            for graph in _present(GRAPHS, here, "graph"):
+                _line(axes[line, column], here, ("graph", graph), "loss", 100.0, figure_of, scale)
+            _logarithmic(axes[line, column])
+            if column == 0:
+                axes[line, column].set_ylabel(label)
+    _legend(figure, axes[0, 0])
+
+
+def _draw_size(figure: "Figure", rows: Rows) -> None:
+    """Rounds, kB and CPU a robot over the size of the team."""
+    axes = figure.subplots(3, 1, sharex=True)
+    figures = [("rounds", 1.0, "rounds"), ("bytes_a_robot", 1e-3, "kB a robot"),
+               ("cpu_s_a_robot", 1.0, "CPU s a robot")]  # fmt: skip
+    for panel, (figure_of, scale, label) in zip(axes, figures, strict=True):
+        for graph in _present(GRAPHS, rows, "graph"):
+            _line(panel, rows, ("graph", graph), "robots", 1.0, figure_of, scale)
+        panel.set(ylabel=label, xscale="log")
+        _logarithmic(panel)
+    sizes = sorted({row["robots"] for row in rows})
+    axes[-1].set_xticks(sizes, [str(n) for n in sizes])
+    axes[-1].minorticks_off()
+    axes[-1].set_xlabel("robots")
+    _legend(figure, axes[0])
+
+
+def _draw_method(figure: "Figure", rows: Rows) -> None:
+    """How much more than the best method's plan a method's costs, and what it sends, by the size of the team."""
+    axes = figure.subplots(2, 1, sharex=True)
+    best = {n: min(r["cost_median"] for r in rows if r["robots"] == n) for n in {row["robots"] for row in rows}}
+    extra = [row | {"over_median": 100.0 * (row["cost_median"] / best[row["robots"]] - 1.0)} for row in rows]
+    for method in _present(METHODS, rows, "method"):
+        _line(axes[0], extra, ("method", method), "robots", 1.0, "over", 1.0, quartiles=False)
+        _line(axes[1], rows, ("method", method), "robots", 1.0, "bytes_a_robot", 1e-3)
+    axes[0].set_ylabel("median cost over\nthe best [%]")
+    axes[1].set(ylabel="kB a robot", xlabel="robots")
+    _logarithmic(axes[1])
+    axes[1].set_xticks(sorted(best))
+    _legend(figure, axes[0], columns=2)
+
+
+def draw_routing(rows: Rows, folder: Path) -> list[Path]:
+    """Anytime curves of the largest instances, and gaps by size, from the rows of `bench_routing`."""
+    largest = max((row["tasks"] for row in rows), default=0)
+    at = min(row["seed"] for row in rows)
+    one = [row for row in rows if row["tasks"] == largest and row["seed"] == at and row["curve"]]
+    return [
+        draw("anytime", 2.4, folder, lambda figure: _draw_anytime(figure, one)),
+        draw("solvers", 2.6, folder, lambda figure: _draw_solvers(figure, rows)),
+    ]
+
+
+def _draw_anytime(figure: "Figure", rows: Rows) -> None:
+    """Cost of the best plan over time; each line goes on until its solver has ended."""
+    axes = figure.add_subplot()
+    for number, row in enumerate(rows):
+        times, costs = zip(*row["curve"], strict=True)
+        ends = max(row["wall_s"] or 0.0, times[-1])
+        axes.step([*times, ends], [*costs, costs[-1]], where="post", label=row["name"], markersize=2.5,
+                  markevery=1 + len(times) // 10, **_look(number))  # fmt: skip
+    if rows:
+        axes.set_title(f"{rows[0]['robots']} robots, {rows[0]['tasks']} tasks", fontsize=8)
+        _logarithmic(axes, "x")
+    axes.set(xlabel="time [s]", ylabel="cost [m]")
+    _legend(figure, axes)
+
+
+def _draw_solvers(figure: "Figure", rows: Rows) -> None:
+    """How much more than the best plan of the run each solver's plan costs: a point an instance, a bar the median."""
+    axes = figure.add_subplot()
+    over = _over_best([row for row in rows if row["feasible"]])
+    names, sizes = list(dict.fromkeys(name for name, _ in over)), sorted({tasks for _, tasks in over})
+    width = 0.8 / max(len(names), 1)
+    for number, name in enumerate(names):
+        colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+        of = {place: over[name, tasks] for place, tasks in enumerate(sizes) if (name, tasks) in over}
+        offset = (number - (len(names) - 1) / 2) * width
+        xs = [place + offset for place, values in of.items() for _ in values]
+        ys = [value for values in of.values() for value in values]
+        axes.plot(xs, ys, mark, markersize=2.5, color=colour, label=name)
+        for place, values in of.items():
+            at = place + offset
+            axes.hlines(median(values), at - 0.4 * width, at + 0.4 * width, color=colour, linewidth=1.2)
+    axes.set_yscale("symlog", linthresh=1.0)
+    axes.set_yticks(TICKS, [str(tick) for tick in TICKS])
+    axes.set_ylim(-0.1, 2.0 * max((max(values) for values in over.values()), default=1.0) + 0.1)
+    axes.set_xticks(range(len(sizes)), [f"{tasks} tasks" for tasks in sizes])
+    axes.set_ylabel("cost over the best [%]")
+    _legend(figure, axes, columns=2)
+
+
+def _over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
+    """{(solver, tasks): per cent over the best plan of each instance}."""
+    best: dict[tuple[int, int], float] = {}
+    for row in rows:
+        best[_key(row)] = min(row["cost"], best.get(_key(row), math.inf))
+    found: dict[tuple[str, int], list[float]] = {}
+    for row in rows:
+        found.setdefault((row["name"], row["tasks"]), []).append(relative(row["cost"], best[_key(row)]))
+    return found
+
+
+def _key(row: dict[str, Any]) -> tuple[int, int]:
+    return row["tasks"], row["seed"]
+
+
+def _line(
+    axes: "Axes", rows: Rows, of: tuple[str, str], x: str, x_scale: float, y: str, y_scale: float,
+    quartiles: bool = True,
+) -> None:  # fmt: skip
+    """Medians of the rows with key = value, with a bar from quartile to quartile."""
+    key, value = of
+    mine = sorted((row for row in rows if row[key] == value), key=lambda row: row[x])
+    number = [*GRAPHS, *METHODS].index(value) % len(GRAPHS)
+    places, middle = [row[x] * x_scale for row in mine], [row[f"{y}_median"] * y_scale for row in mine]
+    axes.plot(places, middle, label=value, markersize=2.5, **_look(number))
+    if quartiles:
+        low, high = ([row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper"))
+        axes.vlines(places, low, high, color=COLOURS[number], linewidth=0.8)
+
+
+def _logarithmic(axes: "Axes", which: str = "y") -> None:
+    """A logarithmic scale of x or y that is marked 1, 2, 5, 10, ... in plain figures."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axes.set(**{f"{which}scale": "log"})
+    axis = axes.yaxis if which == "y" else axes.xaxis
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+
+
+def _look(number: int) -> dict[str, Any]:
+    at = number % len(COLOURS)
+    return {"color": COLOURS[at], "linestyle": DASHES[at % len(DASHES)], "marker": MARKS[at]}
+
+
+def _present(names: Iterable[str], rows: Rows, key: str) -> list[str]:
+    there = {row[key] for row in rows}
+    return [name for name in names if name in there]
+
+
+def _legend(figure: "Figure", axes: "Axes", columns: int = 3) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    if labels:
+        figure.legend(handles, labels, loc="outside upper center", ncols=columns)

@@ -1,0 +1,1 @@
+"""The programs that crazychoir is compared with, one file a peer."""

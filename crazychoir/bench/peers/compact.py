@@ -1,0 +1,32 @@
+"""The whole problem as one arc-flow MILP in HiGHS."""
+
+import contextlib
+import json
+import sys
+import time
+
+from crazychoir.bench.peers.routing import end_with_parent
+from crazychoir.errors import SolverError
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.plan import Plan
+from crazychoir.routing.pricing.arc_flow import solve_compact
+
+
+def main() -> None:
+    """Until it is proven optimal, or so many nodes have been searched."""
+    end_with_parent()
+    spec = json.loads(sys.argv[1])
+    instance = Instance.load(spec["instance"])
+    began, cpu = time.perf_counter(), time.process_time()
+    plan, note = Plan(()), f"no proof within {spec['nodes']} nodes"
+    with contextlib.suppress(SolverError):
+        plan, note = solve_compact(instance, spec["nodes"]), "proven optimal"
+    m = len(instance.tasks)
+    stops = {route.robot: [s.task + m * (s.kind == "delivery") for s in route.stops] for route in plan.routes}
+    routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()] or None
+    elapsed = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
+    sys.stdout.write(json.dumps({"routes": routes, "curve": [], "note": note, **elapsed}) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""Ours: drones of one process exchange with `neighbors_exchange`; processes are joined by Zenoh."""
+
+import asyncio
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import Bus
+from crazychoir.launch.joining import joined
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph
+
+
+async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
+    """Exchange for ever."""
+    x, i = np.zeros(6), communicator.id
+    while True:
+        await communicator.neighbors_exchange(x, deadline=30.0)
+        rounds[i] += 1
+
+
+async def start(group: asyncio.TaskGroup, bus: Bus, team: Graph, spec: dict[str, Any], rounds: dict[int, int]) -> None:
+    """Find the other processes, say so, wait for the word; from then on `rounds` are counted."""
+    if spec["connect"]:
+        endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
+        link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
+        link.open()
+        group.create_task(link.run())
+        await joined(link, team)
+    say({"ready": True})
+    await asyncio.to_thread(wait_for_go)
+    report(rounds, spec)
+
+
+async def main(clock: Clock) -> None:
+    """Join, wait for the word, exchange until killed."""
+    spec: dict[str, Any] = specification()
+    bus = Bus(clock, process=spec["process"], host="bench")
+    team = Graph.from_neighbors(spec["neighbors"])
+    members = [Communicator(bus.port(i), team) for i in spec["mine"]]
+    rounds = dict.fromkeys(spec["mine"], 0)
+    async with asyncio.TaskGroup() as group:
+        await start(group, bus, team, spec, rounds)
+        for member in members:
+            group.create_task(agent(member, rounds))
+
+
+if __name__ == "__main__":
+    run_wall(main)

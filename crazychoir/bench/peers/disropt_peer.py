@@ -1,0 +1,71 @@
+"""DISROPT's rule for pickup and delivery: primal decomposition, then every robot serves what it has a share of.
+
+Prices, columns and weights are ours, which favours it: DISROPT's own local problem is the arc-flow MILP, and its step,
+without weights, diverges on dense graphs.
+"""
+
+import json
+import sys
+import time
+
+from crazychoir.bench.peers.routing import end_with_parent
+from crazychoir.optimization.rounds.program import Exchange, Program
+from crazychoir.routing.distributed.member import Member, Place, Settings
+from crazychoir.routing.distributed.plain_loop import diameter
+from crazychoir.routing.distributed.primal_decomposition import PriceRounds
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.pricing.route_table import Column, shortest_route
+from crazychoir.types import Vec
+
+
+class ShareRule(Program[tuple[int, ...]]):
+    """Robot i after T rounds:  min c_i'z  s.t.  visits(z) >= y_i - rho_i,  rho_i the least for which some route does.
+
+    Visits are 0 or 1, so that it serves every task j with y_ij > rho_i, and rho_i > 0 where no route serves all tasks
+    of which it has a share. The result is the tasks that it serves.
+    Source: the recovery of Camisa, Notarnicola & Notarstefano 2021, arXiv 2010.14446, without restriction.
+    """
+
+    def __init__(self, member: Member) -> None:
+        self._member = member
+        super().__init__()
+
+    def run(self) -> Exchange[tuple[int, ...]]:
+        """Prices, then the robot's own choice."""
+        prices = PriceRounds(self._member)
+        yield from prices.run()
+        return served(prices.y, [self._member.table.column(c) for c in range(len(self._member.table))])
+
+
+def served(y: Vec, columns: list[Column]) -> tuple[int, ...]:
+    """The tasks of the cheapest column that serves every task with a share above the least possible rho."""
+    missing = [max((float(y[j]) for j in range(len(y)) if j not in column.tasks), default=0.0) for column in columns]
+    rho = max(0.0, min(missing))
+    return min(column for column, most in zip(columns, missing, strict=True) if most <= rho).tasks
+
+
+def main() -> None:
+    """All robots in one loop."""
+    end_with_parent()
+    spec = json.loads(sys.argv[1])
+    instance = Instance.load(spec["instance"])
+    graph = {int(i): list(js) for i, js in spec["neighbors"].items()}
+    span, settings = diameter(graph), Settings(price_rounds=spec["rounds"], still=0.0)
+    began, cpu = time.perf_counter(), time.process_time()
+    members = {
+        i: Member(instance.local(i), Place(i, len(graph), tuple(js), span, {j: len(graph[j]) for j in js}), settings)
+        for i, js in graph.items()
+    }
+    rules = {i: ShareRule(member) for i, member in members.items()}
+    while not all(rule.done for rule in rules.values()):
+        messages = {i: rule.message() for i, rule in rules.items()}
+        for i, rule in rules.items():
+            rule.step({j: messages[j] for j in graph[i]})
+    stops = {i: shortest_route(members[i].local.vehicle, rule.result)[0] for i, rule in rules.items()}
+    routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()]
+    elapsed = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
+    sys.stdout.write(json.dumps({"routes": routes, "curve": [], "note": f"{spec['rounds']} rounds", **elapsed}) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""DISROPT's pattern: one MPI rank an agent, dill, Isend to the neighbours, and a loop that probes until all have come.
+
+The loop gives its processor away between two probes, which DISROPT's own does not, but its MPI does where ranks share
+processors; without that nothing goes on with more ranks than processors.
+"""
+
+import importlib
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bench.peers.optimization import STEP, problem, start, weights
+from crazychoir.bench.peers.peers import report, say, specification
+from crazychoir.types import Vec
+
+Neighbors = tuple[int, ...]
+Exchange = Callable[..., dict[int, Any]]
+
+
+def communicator(neighbors: Neighbors) -> Exchange:
+    """Sends the data, dumped once for all, with `each` to each neighbour its own; returns what has come from each."""
+    mpi = importlib.import_module("mpi4py.MPI")
+    dill = importlib.import_module("dill")
+    world = mpi.COMM_WORLD
+
+    def exchange(data: Any, each: bool = False) -> dict[int, Any]:
+        dumped = {j: dill.dumps(data[j]) for j in neighbors} if each else dict.fromkeys(neighbors, dill.dumps(data))
+        sent = [world.Isend([dumped[j], mpi.BYTE], dest=j) for j in neighbors]
+        heard: dict[int, Any] = {}
+        status = mpi.Status()
+        while len(heard) < len(neighbors):
+            for j in neighbors:
+                if j not in heard and world.Iprobe(source=j, status=status):
+                    buffer = bytearray(status.Get_count(mpi.BYTE))
+                    world.Recv([buffer, mpi.BYTE], source=j)
+                    heard[j] = dill.loads(bytes(buffer))
+            os.sched_yield()
+        mpi.Request.Waitall(sent)
+        return heard
+
+    return exchange
+
+
+def consensus(i: int, neighbors: dict[int, Neighbors], exchange: Exchange) -> Callable[[], None]:
+    """x_i <- sum_j w_ij x_j."""
+    row, x = weights(neighbors, i), start(i)
+
+    def step() -> None:
+        nonlocal x
+        heard = exchange(x)
+        x = row[i] * x + sum(row[j] * heard[j] for j in neighbors[i])
+
+    return step
+
+
+def dual_decomposition(i: int, neighbors: dict[int, Neighbors], exchange: Exchange) -> Callable[[], None]:
+    """Multipliers on edges: x_i = argmin f_i + x'sum_j (l_ij - l_ji),  l_ij += a (x_i - x_j);  in two exchanges."""
+    local = problem(i)
+    multipliers: dict[int, Vec] = {j: np.zeros(local.n) for j in neighbors[i]}
+
+    def step() -> None:
+        theirs = exchange(multipliers, each=True)
+        x = local.argmin(sum((multipliers[j] - theirs[j] for j in neighbors[i]), np.zeros(local.n)))
+        heard = exchange(x)
+        for j in neighbors[i]:
+            multipliers[j] = multipliers[j] + STEP * (x - heard[j])
+
+    return step
+
+
+def main() -> None:
+    """Meet at a barrier, run until ended."""
+    importlib.import_module("mpi4py").rc.thread_level = "funneled"
+    world = importlib.import_module("mpi4py.MPI").COMM_WORLD
+    spec = specification()
+    i, neighbors, rounds = world.rank, spec["neighbors"], {world.rank: 0}
+    make = consensus if spec["algorithm"] == "consensus" else dual_decomposition
+    step = make(i, neighbors, communicator(neighbors[i]))
+    world.Barrier()
+    say({"ready": True})
+    report(rounds, spec)
+    while True:
+        step()
+        rounds[i] += 1
+
+
+if __name__ == "__main__":
+    main()

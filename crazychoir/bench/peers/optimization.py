@@ -1,0 +1,50 @@
+"""What `bench optimization` runs, by both programs: consensus, and dual decomposition with the same local solver."""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crazychoir.team.graph import Graph, metropolis
+from crazychoir.types import Mat, Vec
+
+if TYPE_CHECKING:
+    from crazychoir.optimization.problems.problems import CostCoupled
+
+SIZE = 3
+"""Entries of x."""
+STEP = 0.05
+"""Of dual decomposition."""
+
+
+def start(i: int) -> Vec:
+    """Where agent i begins consensus."""
+    return np.random.default_rng(i).normal(size=SIZE)
+
+
+def weights(neighbors: dict[int, tuple[int, ...]], i: int) -> dict[int, float]:
+    """Row i of the Metropolis weights."""
+    return metropolis(Graph.from_neighbors(neighbors))[i]
+
+
+def problem(i: int) -> "CostCoupled":
+    """f_i(x) = x'Q_i x / 2 + c_i'x over a box, Q_i positive definite."""
+    from crazychoir.optimization.problems.problems import CostCoupled
+
+    cp = importlib.import_module("cvxpy")  # as a user models it; 1 s, which consensus need not wait for
+    draw = np.random.default_rng(i)
+    half: Mat = draw.normal(size=(SIZE, SIZE))
+    x = cp.Variable(SIZE)
+    cost = 0.5 * cp.quad_form(x, half @ half.T + np.eye(SIZE)) + draw.normal(size=SIZE) @ x
+    return CostCoupled(i, x, cost, [x >= -10.0, x <= 10.0])
+
+
+def algorithm(name: str, neighbors: dict[int, tuple[int, ...]], i: int) -> Any:
+    """Our agent i."""
+    if name == "consensus":
+        from crazychoir.optimization.algorithms.consensus import Consensus
+
+        return Consensus(i, start(i), weights(neighbors, i))
+    from crazychoir.optimization.algorithms.dual_decomposition import DualDecomposition
+
+    return DualDecomposition(problem(i), STEP)

@@ -1,0 +1,86 @@
+"""OR-tools' routing library: transit matrices, guided local search, from the better of two first plans."""
+
+import importlib
+import time
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bench.peers.routing import Best, Problem, Routes, answer
+
+SCALE = 10_000.0
+"""1/m, of its whole numbers."""
+PATIENCE = 3.0
+"""Of the clock on the wall, in times of the CPU that it gets."""
+FIRST = ("PARALLEL_CHEAPEST_INSERTION", "LOCAL_CHEAPEST_INSERTION")
+
+
+def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
+    """`seconds` of CPU from each first plan: it computes in one thread."""
+    found = [f"{first.lower()}: {_cost(search(problem, first, spec['seconds'], best))}" for first in FIRST]
+    return "; ".join(found)
+
+
+def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
+    """One search; returns the cost in m of its best plan, inf if it has none."""
+    c = importlib.import_module("ortools.constraint_solver.pywrapcp")
+    enums = importlib.import_module("ortools.constraint_solver.routing_enums_pb2")
+    n = problem.robots
+    manager = c.RoutingIndexManager(len(problem.distance), n, list(range(n)), list(range(n)))
+    model = c.RoutingModel(manager)
+    _add_rules(model, manager, problem)
+    parameters = c.DefaultRoutingSearchParameters()
+    parameters.first_solution_strategy = getattr(enums.FirstSolutionStrategy, first)
+    parameters.local_search_metaheuristic = enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
+    parameters.time_limit.FromMilliseconds(round(1000 * PATIENCE * seconds))
+
+    def seen() -> None:
+        best.curve.append([best.elapsed(), model.CostVar().Max() / SCALE])
+
+    ends = time.process_time() + seconds
+    model.AddAtSolutionCallback(seen)
+    model.AddSearchMonitor(model.solver().CustomLimit(lambda: time.process_time() > ends))
+    solution = model.SolveWithParameters(parameters)
+    if solution is None:
+        return float(np.inf)
+    routes = _routes(model, manager, solution, n)
+    best.offer(routes)
+    return problem.cost(routes)
+
+
+def _add_rules(model: Any, manager: Any, problem: Problem) -> None:
+    n, m = problem.robots, problem.tasks
+    transit = model.RegisterTransitMatrix(problem.whole(SCALE).tolist())
+    model.SetArcCostEvaluatorOfAllVehicles(transit)
+    model.AddDimension(transit, 0, problem.longest(SCALE), True, "length")
+    load = [0] * n + problem.load.tolist() + (-problem.load).tolist()
+    carried = model.RegisterUnaryTransitVector(load)
+    model.AddDimensionWithVehicleCapacity(carried, 0, problem.capacity.tolist(), True, "load")
+    length, solver = model.GetDimensionOrDie("length"), model.solver()
+    for j in range(m):
+        pickup, delivery = manager.NodeToIndex(n + j), manager.NodeToIndex(n + m + j)
+        model.AddPickupAndDelivery(pickup, delivery)
+        solver.Add(model.VehicleVar(pickup) == model.VehicleVar(delivery))
+        solver.Add(length.CumulVar(pickup) <= length.CumulVar(delivery))
+        able = np.flatnonzero(problem.capability[:, j]).tolist()
+        if len(able) < n:
+            for stop in (pickup, delivery):
+                model.VehicleVar(stop).SetValues([-1, *able])
+
+
+def _routes(model: Any, manager: Any, solution: Any, robots: int) -> Routes:
+    routes: Routes = {}
+    for i in range(robots):
+        at, routes[i] = solution.Value(model.NextVar(model.Start(i))), []
+        while not model.IsEnd(at):
+            routes[i].append(manager.IndexToNode(at) - robots)
+            at = solution.Value(model.NextVar(at))
+    return routes
+
+
+def _cost(cost: float) -> str:
+    return f"{cost:.3f} m" if np.isfinite(cost) else "no plan"
+
+
+if __name__ == "__main__":
+    answer(solve)

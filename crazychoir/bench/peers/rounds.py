@@ -1,0 +1,48 @@
+"""Ours: agents of one process run a distributed algorithm; processes are joined by Zenoh."""
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+from crazychoir.bench.peers.crazychoir_peer import start
+from crazychoir.bench.peers.optimization import algorithm
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bus.port import Bus
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.team.algorithm_run import run_algorithm
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph
+
+
+class Counted:
+    """An algorithm whose rounds are counted; it never ends."""
+
+    done = False
+
+    def __init__(self, agent: Any, i: int, rounds: dict[int, int]) -> None:
+        self.agent, self.i, self.rounds = agent, i, rounds
+        self.heavy, self.message = getattr(agent, "heavy", False), agent.message
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """One round more."""
+        self.agent.step(heard)
+        self.rounds[self.i] += 1
+
+
+async def main(clock: Clock) -> None:
+    """Join, wait for the word, run until killed."""
+    spec: dict[str, Any] = specification()
+    neighbors = spec["neighbors"]
+    bus = Bus(clock, process=spec["process"], host="bench")
+    team = Graph.from_neighbors(neighbors)
+    rounds = dict.fromkeys(spec["mine"], 0)
+    agents = {i: Counted(algorithm(spec["algorithm"], neighbors, i), i, rounds) for i in spec["mine"]}
+    members = {i: Communicator(bus.port(i), team) for i in spec["mine"]}
+    async with asyncio.TaskGroup() as group:
+        await start(group, bus, team, spec, rounds)
+        for i, agent in agents.items():
+            group.create_task(run_algorithm(members[i], agent))
+
+
+if __name__ == "__main__":
+    run_wall(main)

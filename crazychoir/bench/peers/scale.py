@@ -1,0 +1,77 @@
+"""What `bench scale` measures: agents of one process exchange with four neighbours each, most of them elsewhere."""
+
+import asyncio
+import os
+import resource
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bench.peers.peers import say, specification, wait_for_go
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import Bus
+from crazychoir.launch.joining import joined
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph
+
+
+async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
+    """Exchange for ever."""
+    x, i = np.zeros(6), communicator.id
+    while True:
+        await communicator.neighbors_exchange(x, deadline=60.0)
+        rounds[i] += 1
+
+
+def private() -> int:
+    """Bytes that are this process's alone."""
+    lines = Path("/proc/self/smaps_rollup").read_text(encoding="utf-8").splitlines()
+    return 1024 * sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
+
+
+def looked_at(bus: Bus, link: ZenohLink | None, rounds: dict[int, int]) -> dict[str, float]:
+    """What has been counted until now."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    found = {"t": time.perf_counter(), "cpu": used.ru_utime + used.ru_stime, "steps": float(sum(rounds.values()))}
+    found |= {"messages": float(sum(port.counters.sent for port in bus.ports.values())), "frames": 0.0, "bytes": 0.0}
+    if link is not None:
+        found |= {"frames": float(link.counters.frames_sent), "bytes": float(link.counters.bytes_sent)}
+    return found
+
+
+async def main(clock: Clock) -> None:
+    """Join, wait for the word, exchange, and say what a window of it has cost."""
+    spec: dict[str, Any] = specification()
+    bus, link = Bus(clock, process=spec["process"], host=spec["host"]), None
+    team, mine = Graph.from_neighbors(spec["neighbors"]), spec["mine"]
+    members = [Communicator(bus.port(i), team) for i in mine]
+    rounds = dict.fromkeys(mine, 0)
+    async with asyncio.TaskGroup() as group:
+        if spec["processes"] > 1:
+            ends = {"listen": spec["listen"], "connect": spec["connect"]}
+            link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **ends)
+            link.open()
+            group.create_task(link.run())
+            await joined(link, team)
+        say({"ready": True})
+        await asyncio.to_thread(wait_for_go)
+        running = [group.create_task(agent(member, rounds)) for member in members]
+        await clock.sleep(spec["warm"])
+        first = looked_at(bus, link, rounds)
+        await clock.sleep(spec["seconds"])
+        last = looked_at(bus, link, rounds)
+        seconds = last["t"] - first["t"]
+        figures = {key: (last[key] - first[key]) / seconds for key in last if key != "t"}
+        others = [j for i in mine for j in spec["neighbors"][i]]
+        far = sum(j not in rounds for j in others) / len(others)
+        say({**figures, "far": far, "memory": private(), "threads": len(os.listdir("/proc/self/task"))})
+        await asyncio.to_thread(wait_for_go)
+        for task in running:
+            task.cancel()
+
+
+if __name__ == "__main__":
+    run_wall(main)

@@ -1,0 +1,52 @@
+"""VROOM: restarted from random orders of robots and tasks, and random scales of its whole numbers; the best counts."""
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bench.peers.routing import Best, Problem, Routes, answer
+
+SCALES = (100.0, 10_000.0)
+"""1/m, of the whole numbers that VROOM computes with; its plans depend on it by some per cent."""
+
+
+def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
+    """Until `seconds` are over, and at least `restarts` times; returns how often some task stayed unserved."""
+    vroom = importlib.import_module("vroom")
+    draw = np.random.default_rng(spec["seed"])
+    runs = unserved = 0
+    while runs < spec["restarts"] or best.elapsed() < spec["seconds"]:
+        routes = once(vroom, problem, draw, spec["exploration"], spec["threads"])
+        unserved += not problem.serves_all(routes)
+        runs += 1
+        best.offer(routes)
+    return f"{runs} runs" + (f", {unserved} left tasks unserved" if unserved else "")
+
+
+def once(vroom: Any, problem: Problem, draw: np.random.Generator, exploration: int, threads: int) -> Routes:
+    """One run."""
+    n, m = problem.robots, problem.tasks
+    low, high = np.log(SCALES)
+    scale = float(np.exp(draw.uniform(low, high)))
+    data = vroom.Input()
+    data.set_durations_matrix("car", problem.whole(scale).astype(np.uint32))
+    longest = problem.longest(scale)
+    for i in draw.permutation(n).tolist():
+        able = {int(j) for j in np.flatnonzero(problem.capability[i])}
+        load = [int(problem.capacity[i])]
+        data.add_vehicle(vroom.Vehicle(i, start=i, end=i, capacity=load, skills=able, max_travel_time=longest))
+    for j in draw.permutation(m).tolist():
+        pickup, delivery = vroom.ShipmentStep(j, n + j), vroom.ShipmentStep(j, n + m + j)
+        data.add_job(vroom.Shipment(pickup, delivery, amount=[int(problem.load[j])], skills={j}))
+    steps = data.solve(exploration_level=exploration, nb_threads=threads).to_dict()["routes"]
+    return {route["vehicle"]: _stops(route["steps"], m) for route in steps}
+
+
+def _stops(steps: list[dict[str, Any]], tasks: int) -> list[int]:
+    kinds = {"pickup": 0, "delivery": tasks}
+    return [kinds[step["type"]] + step["id"] for step in steps if step["type"] in kinds]
+
+
+if __name__ == "__main__":
+    answer(solve)

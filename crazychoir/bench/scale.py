@@ -1,0 +1,276 @@
+"""`crazychoir bench scale`: what 10 to 1000 agents in 1 to 8 processes cost, and a model of it for more of them.
+
+Each agent exchanges with four neighbours, scattered over all processes, as fast as it goes. A model is fitted to
+the cells by non-negative least squares of relative errors:
+
+    processor    s a second = steps/s * step + messages/s to others * far + frames/s * frame
+    memory       B of all = processes * process + agents * agent + ends of links * link
+    start        s = once + processes * process + ends of links * link
+    bytes        B/s over the network = messages/s to others * message + frames/s * head
+
+A step has four messages; `far` is what one to another process costs beyond one to the own.
+"""
+
+import json
+import random
+import secrets
+import statistics
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Group as Lines
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.bench.exchange import BARE, PACKAGE
+from crazychoir.config.swarm_config import LOCAL
+from crazychoir.launch.namespaces import Switched, switched
+from crazychoir.launch.network import held_ports
+from crazychoir.solve.group import Group
+from crazychoir.team.graph import k_regular
+
+AGENTS, PROCESSES = (10, 30, 100, 300, 1000), (1, 2, 4, 8)
+QUICK = (10, 40), (1, 2)
+DEGREE = 4
+START_DEADLINE, WARM = 120.0, 0.5
+HOSTS, EACH, RATE = 100, 100, 10.0
+"""What the model is asked for: hosts, agents on each, rounds/s."""
+CORES, NETWORK = 8, 125e6
+"""Of each host: cores, B/s of its network."""
+TERMS = {
+    "processor": ("step", "far", "frame"),
+    "memory": ("process", "agent", "link"),
+    "start": ("once", "process", "link"),
+    "bytes": ("message", "head"),
+}
+
+
+@dataclass
+class Cell:
+    """So many agents in so many processes; of all processes together, a second where nothing else is said.
+
+    rounds: of the slowest agent;  steps: of all agents;  near, far: messages to the own process, and to others;
+    cpu: s;  frames, bytes: over the network;  memory: B;  start: s until all had found each other;  threads: of one.
+    """
+
+    agents: int
+    processes: int
+    rounds: float
+    steps: float
+    near: float
+    far: float
+    frames: float
+    bytes: float
+    cpu: float
+    memory: float
+    start: float
+    threads: int
+
+    def ends(self) -> int:
+        """Of links: each process has one to each other."""
+        return self.processes * (self.processes - 1)
+
+
+@dataclass
+class Fit:
+    """A model of one figure: its coefficients, and how far it is off, as shares.
+
+    error, worst: in the cells that it was fitted to, median and most;  left_out, left_out_worst: in cells of a number
+    of agents, or of processes, that it was not fitted to, None where there are too few.
+    """
+
+    coefficients: dict[str, float]
+    error: float
+    worst: float
+    left_out: float | None
+    left_out_worst: float | None
+
+
+def run(quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None]) -> dict[str, Any]:
+    """Measure all cells and fit the model.
+
+    namespaces: each process has a network of its own;  repeats: medians of so many.
+    """
+    agents, processes = QUICK if quick else (AGENTS, PROCESSES)
+    cells, count = [], 1 if quick else repeats
+    for n in agents:
+        for p in processes:
+            if p > 1 and n < 5 * p:
+                continue
+            turns = []
+            for k in range(count):
+                say(f"{n} agents in {p} process(es), {k + 1} of {count}")
+                turns.append(measure(n, p, 1.0 if quick else 3.0, namespaces))
+            rows = [asdict(turn) for turn in turns]
+            cells.append(Cell(**{key: statistics.median(row[key] for row in rows) for key in rows[0]} | {
+                "agents": n, "processes": p, "threads": rows[0]["threads"],
+            }))  # fmt: skip
+    fits = {name: fit(name, cells) for name in TERMS}
+    return {
+        "cells": [asdict(cell) for cell in cells], "fits": {name: asdict(one) for name, one in fits.items()},
+        "needs": needs(fits), "namespaces": namespaces, "repeats": count,
+    }  # fmt: skip
+
+
+# One measurement ----------------------------------------------------------------------------------------------------
+
+
+def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
+    """One window of one cell; raises TimeoutError where they do not find each other."""
+    ids = random.Random(1).sample(range(n), n)  # noqa: S311 - who is where
+    graph = k_regular(n, DEGREE)
+    neighbors = {ids[i]: sorted(ids[j] for j in graph.in_neighbors(i)) for i in range(n)}
+    with ExitStack() as stack:
+        addresses = {f"h{k}": f"10.76.0.{k + 1}" for k in range(p)}
+        hosts = stack.enter_context(switched(addresses)) if namespaces else None
+        began = time.perf_counter()
+        base = stack.enter_context(held_ports(dict.fromkeys(range(p), LOCAL)))
+        group = stack.enter_context(Group(commands(neighbors, p, seconds, hosts, addresses, base)))
+        list(group.answers(p, START_DEADLINE, "do not find each other"))
+        start = time.perf_counter() - began
+        group.tell("go")
+        found = [answer for _, answer in group.answers(p, WARM + seconds + 30.0, "do not answer")]
+    total = {key: sum(one[key] for one in found) for key in ("cpu", "steps", "messages", "frames", "bytes", "memory")}
+    far = sum(one["far"] * one["messages"] for one in found)
+    slowest = min(one["steps"] for one in found) / (n / p)
+    return Cell(
+        n, p, slowest, total["steps"], total["messages"] - far, far, total["frames"], total["bytes"], total["cpu"],
+        total["memory"], start, max(one["threads"] for one in found),
+    )  # fmt: skip
+
+
+def commands(
+    neighbors: Mapping[int, list[int]], p: int, seconds: float, hosts: Switched | None, addresses: dict[str, str],
+    base: int,
+) -> list[list[str]]:
+    """One a process, each with a contiguous part of the agents, on a port from `base` on."""
+    n = len(neighbors)
+    at = list(addresses.values()) if hosts is not None else [LOCAL] * p
+    ends = [f"tcp/{address}:{base + k}" for k, address in enumerate(at)]
+    common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "processes": p,
+              "swarm": f"bench{secrets.token_hex(4)}"}  # fmt: skip
+    made = []
+    for k in range(p):
+        own = {"mine": [i for i in range(n) if i * p // n == k], "process": f"{k}-scale", "host": f"h{k}",
+               "listen": [ends[k]], "connect": ends[:k]}  # fmt: skip
+        inside = hosts.command(f"h{k}") if hosts is not None else []
+        program = [sys.executable, "-c", BARE, str(PACKAGE), "crazychoir.bench.peers.scale"]
+        made.append([*inside, *program, json.dumps({**common, **own})])
+    return made
+
+
+# The model ----------------------------------------------------------------------------------------------------------
+
+
+def features(name: str, cell: Cell) -> list[float]:
+    """What the terms of a model count in a cell."""
+    match name:
+        case "processor":
+            return [cell.steps, cell.far, cell.frames]
+        case "memory":
+            return [cell.processes, cell.agents, cell.ends()]
+        case "start":
+            return [1.0, cell.processes, cell.ends()]
+        case _:
+            return [cell.far, cell.frames]
+
+
+def figure(name: str, cell: Cell) -> float:
+    """What a model is of."""
+    return {"processor": cell.cpu, "memory": cell.memory, "start": cell.start, "bytes": cell.bytes}[name]
+
+
+def solved(name: str, cells: list[Cell]) -> np.ndarray:
+    """Coefficients >= 0 with the least squares of relative errors."""
+    from scipy.optimize import nnls
+
+    y = np.array([figure(name, cell) for cell in cells])
+    rows = np.array([features(name, cell) for cell in cells]) / y[:, None]
+    scale = np.where(rows.any(axis=0), np.abs(rows).max(axis=0), 1.0)
+    return np.asarray(nnls(rows / scale, np.ones(len(y)))[0] / scale)
+
+
+def off(name: str, coefficients: np.ndarray, cells: list[Cell]) -> list[float]:
+    """Relative errors."""
+    return [abs(float(coefficients @ features(name, cell)) / figure(name, cell) - 1.0) for cell in cells]
+
+
+def fit(name: str, cells: list[Cell]) -> Fit:
+    """The model of a figure, and what it says of cells that it has not seen."""
+    cells = [cell for cell in cells if figure(name, cell) > 0.0]
+    coefficients = solved(name, cells)
+    inside, outside = off(name, coefficients, cells), []
+    for key in ("agents", "processes"):
+        for value in dict.fromkeys(getattr(cell, key) for cell in cells):
+            others = [cell for cell in cells if getattr(cell, key) != value]
+            if len(others) >= len(coefficients):
+                outside += off(name, solved(name, others), [cell for cell in cells if getattr(cell, key) == value])
+    named = dict(zip(TERMS[name], map(float, coefficients), strict=True))
+    unseen = (statistics.median(outside), max(outside)) if outside else (None, None)
+    return Fit(named, statistics.median(inside), max(inside), *unseen)
+
+
+def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
+    """Of HOSTS hosts with EACH agents each, at RATE rounds/s, in one process a host, and in one a core.
+
+    All neighbours are on other hosts, and no two messages share a frame: nothing is better than that, much is worse
+    than need be.
+    """
+    rows = []
+    for p in (1, CORES):
+        processes = HOSTS * p
+        steps = EACH * RATE
+        far = frames = steps * DEGREE
+        links = processes - 1
+        cpu, memory, bytes_, start = (fits[name].coefficients for name in ("processor", "memory", "bytes", "start"))
+        rows.append({
+            "processes": processes,
+            "links": processes * links / 2,
+            "cores_a_host": steps * cpu["step"] + far * cpu["far"] + frames * cpu["frame"],
+            "memory_a_host": p * memory["process"] + EACH * memory["agent"] + p * links * memory["link"],
+            "bytes_a_host": far * bytes_["message"] + frames * bytes_["head"],
+            "start": start["once"] + p * start["process"] + p * links * start["link"],
+        })  # fmt: skip
+    return rows
+
+
+# What is shown ------------------------------------------------------------------------------------------------------
+
+
+def share(error: float | None) -> str:
+    """In per cent."""
+    return "-" if error is None else f"{error:.0%}"
+
+
+def table(result: dict[str, Any]) -> RenderableType:
+    """Cells, model, and what it says of more."""
+    columns = ("agents", "proc", "rounds/s", "us/msg", "B/msg", "msg/frame", "MiB", "start s", "threads")
+    cells = Table(*columns, title="Exchange with four neighbours each, scattered over the processes")
+    for row in result["cells"]:
+        cell = Cell(**row)
+        messages = cell.near + cell.far
+        cells.add_row(
+            str(cell.agents), str(cell.processes), f"{cell.rounds:,.0f}", f"{1e6 * cell.cpu / messages:.1f}",
+            f"{cell.bytes / cell.far:.0f}" if cell.bytes else "-",
+            f"{cell.far / cell.frames:.1f}" if cell.frames else "-", f"{cell.memory / 2**20:.0f}",
+            f"{cell.start:.1f}", str(cell.threads),
+        )  # fmt: skip
+    fits = Table("model of", "coefficients", "off", "worst", "left out", "worst", title="Fitted")
+    for name, one in result["fits"].items():
+        said = ", ".join(f"{term} {value:.3g}" for term, value in one["coefficients"].items())
+        fits.add_row(name, said, *map(share, (one[key] for key in ("error", "worst", "left_out", "left_out_worst"))))
+    more = Table("processes", "links", "cores/host", "MiB/host", "Mbit/s a host", "start, s",
+                 title=f"{HOSTS * EACH:,} agents on {HOSTS} hosts, {RATE:g} rounds/s")  # fmt: skip
+    for row in result["needs"]:
+        more.add_row(
+            str(row["processes"]), f"{row['links']:,.0f}", f"{row['cores_a_host']:.2f}",
+            f"{row['memory_a_host'] / 2**20:,.0f}", f"{8e-6 * row['bytes_a_host']:.1f}", f"{row['start']:.0f}",
+        )  # fmt: skip
+    where = "a network namespace each" if result["namespaces"] else "one network"
+    return Lines(cells, Text(f"{where}; medians of {result['repeats']}"), fits, more)

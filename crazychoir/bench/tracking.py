@@ -1,0 +1,249 @@
+"""How exactly a drone flies a path: the controllers alone behind two plants, and the whole stack in virtual time."""
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any, Literal
+
+import numpy as np
+from rich.table import Table
+
+from crazychoir.agent.agent import Agent
+from crazychoir.bus.topics import REFERENCE
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.control.attitude import GeometryAttitudeCtrl
+from crazychoir.control.choice import Controls, controls
+from crazychoir.control.controller import HierarchicalController
+from crazychoir.control.gains import Gains
+from crazychoir.control.margin import Plant
+from crazychoir.control.position import FlatnessPositionCtrl
+from crazychoir.guidance.mission import load
+from crazychoir.numerics.math3d import Vec
+from crazychoir.planning.figure import Figure, circle, eight
+from crazychoir.platforms import CRAZYFLIE_21
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.runtime.mailbox import Call
+from crazychoir.simulation.engines import worlds
+from crazychoir.types import Command, FullState, State
+
+TICK = 0.01
+SETTLE = 4.0
+"""s at full speed that do not count."""
+SECONDS = 20.0
+"""s that do."""
+RAMP = 4.0
+"""s from rest to full speed."""
+DELAY = 0.02
+"""s until a command is obeyed, at the motor level."""
+LOST = 1.0
+"""m from the reference at which a flight is given up."""
+NOMINAL = "nominal"
+URI = {"lightweight": "sim://", "motors": "sim://motors"}
+CAMERAS = {"noise": 0.0005, "noise_angle": math.radians(0.25), "latency": 0.01}
+
+Say = Callable[[str], None]
+Errors = list[Vec]
+Path = Literal["circle", "eight-1", "eight-2"]
+PATHS: tuple[Path, ...] = ("circle", "eight-1", "eight-2")
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A drone that is not what its controllers believe.
+
+    thrust, mass: shares of error;  tilt: (roll, pitch) deg, by which the cameras see it tilted.
+    """
+
+    thrust: float
+    mass: float
+    tilt: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        axis, angle = ("roll", self.tilt[0]) if self.tilt[0] else ("pitch", self.tilt[1])
+        return f"thrust {self.thrust:+.0%}, mass {self.mass:+.0%}, {axis} {angle:+g} deg"
+
+
+CORNERS = [Corner(*c) for c in product((-0.05, 0.05), (-0.03, 0.03), ((1, 0), (-1, 0), (0, 1), (0, -1)))]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of the table: rmse_mm None if the drone was lost."""
+
+    plant: str
+    path: str
+    controller: str
+    corner: str
+    rmse_mm: float | None
+    peak_mm: float | None
+
+
+def row(plant: str, name: str, controller: str, corner: str, errors: Errors | None) -> Row:
+    """The root mean square and the largest distance from the reference."""
+    if not errors:
+        return Row(plant, name, controller, corner, None, None)
+    distances = 1e3 * np.linalg.norm(errors, axis=1)
+    return Row(plant, name, controller, corner, float(np.sqrt(np.mean(distances**2))), float(distances.max()))
+
+
+def shape(name: Path) -> dict[str, Any]:
+    """The circle of 0.4 m in 40 s; the eight of 2 m by 1 m at a peak of 1 or 2 m/s: options of the mission `figure`."""
+    period = 40.0 if name == "circle" else 2.0 * math.pi * math.sqrt(2.0) / float(name[-1])
+    kind, size = ("circle", 0.4) if name == "circle" else ("eight", 1.0)
+    return {"figure": kind, "size": size, "period": period, "laps": (RAMP + SETTLE + SECONDS) / period, "ramp": RAMP}
+
+
+def path(name: Path) -> Figure:
+    """The same as a trajectory, around (0, 0, 1)."""
+    chosen = shape(name)
+    size, kind = chosen.pop("size"), chosen.pop("figure")
+    center = (0.0, 0.0, 1.0)
+    return circle(center, size, **chosen) if kind == "circle" else eight(center, size, 0.5 * size, **chosen)
+
+
+def counts(t: float) -> bool:
+    """Whether this instant of a path is at full speed and settled."""
+    return RAMP + SETTLE <= t <= RAMP + SETTLE + SECONDS
+
+
+def swarm(plant: Plant, name: Path, home: tuple[float, float, float], corner: Corner | None = None) -> SwarmConfig:
+    """One Crazyflie 2.1 with the mission `figure`, in still air."""
+    exact = {"command_delay": DELAY if plant == "motors" else 0.0, "rate_lag": 0.0}
+    off = {} if corner is None else {"thrust_error": corner.thrust, "mass_error": corner.mass}
+    tilt = {} if corner is None else {"tilt": [math.radians(angle) for angle in corner.tilt]}
+    return SwarmConfig.of(
+        {
+            "name": "tracking",
+            "mission": "figure",
+            "mission_options": shape(name),
+            "graph": "empty",
+            "drones": [{"id": 0, "home": home, "uri": URI[plant], "platform": "cf21"}],
+            "flight": {"speed_limit": 2.5, "acceleration_limit": 5.0},
+            "mocap": {**CAMERAS, **tilt},
+            "plant": {**exact, **off},
+        }
+    )
+
+
+# The controllers alone: they see the truth, each tick of 10 ms ----------------------------------------------------
+
+
+def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
+    """Errors of a flight whose controllers see the truth, from the start of the path; None if the drone is lost.
+
+    A lightweight drone obeys at once, one at the motor level DELAY s late.
+    """
+    figure = path(name)
+    [world] = worlds(swarm(plant, name, tuple(figure.sample(0.0).p.tolist())), (0,))
+    late = round(DELAY / TICK) if plant == "motors" else 0
+    link, way, errors = world.link(0, chosen.sender.kind), deque[Command](), []
+    chosen.trim.frozen = False
+    for k in range(round(figure.duration / TICK)):
+        t = k * TICK
+        reference = figure.sample(t)
+        error = world.states[0, :3] - reference.p
+        if not np.linalg.norm(error) < LOST:
+            return None
+        if counts(t):
+            errors.append(error)
+        command = chosen.tracker.command(State(world.states[0].copy()), reference, t)
+        assert command is not None  # noqa: S101 - every tick has one
+        way.append(command)
+        if len(way) > late:
+            link.send(way.popleft())
+        world.step()
+    return errors
+
+
+def original(plant: Plant) -> Controls:
+    """The flatness controller with the gains of CrazyChoir's Webots simulation, nothing fed forward early or learnt."""
+    m = 0.038
+    gains = Gains((0.4 / m, 0.4 / m, 1.25 / m), (0.2 / m, 0.2 / m, 0.4 / m), (16.0, 16.0, 0.2))
+    chosen = controls(platform=CRAZYFLIE_21, plant=plant)
+    assert isinstance(chosen.tracker, HierarchicalController)  # noqa: S101 - it sends fpqr
+    chosen.tracker.pos_strategy = FlatnessPositionCtrl(gains, CRAZYFLIE_21)
+    chosen.tracker.attitude_strategy = GeometryAttitudeCtrl(gains, CRAZYFLIE_21)
+    return chosen
+
+
+def ours(plant: Plant) -> Controls:
+    """The standard."""
+    return controls(platform=CRAZYFLIE_21, plant=plant, rate_lag=0.0, command_delay=DELAY if plant == "motors" else 0.0)
+
+
+# The whole stack: cameras, filter, pilot, controllers, firmware, rotors, in virtual time -----------------------------
+
+
+def whole(name: Path, corner: Corner | None = None) -> Errors | None:
+    """Errors of the mission `figure` flown by an agent; None if the drone is lost, or has not flown all that counts."""
+    config = swarm("motors", name, (0.0, 0.0, 0.0), corner)
+
+    async def main(clock: Clock) -> Errors | None:
+        agent = Agent(clock, config, load("figure"), config.ids)
+        meter = Meter(agent)
+        agent.services.append(meter)
+        results = await agent.run()
+        flown = results[0].get("success", True) and not agent.owners[0].world.crashed
+        return meter.errors if flown and len(meter.errors) >= 0.99 * SECONDS / TICK else None
+
+    return run_virtual(main)
+
+
+class Meter(Actor):
+    """Looks at the truth in each tick in which drone 0 flies its figure."""
+
+    name = "meter"
+
+    def __init__(self, agent: Agent) -> None:
+        self.clock, self.pilot, self.world = agent.clock, agent.drones[0].pilot, agent.owners[0].world
+        self.errors: Errors = []
+        agent.bus.subscribe(REFERENCE, 0, 0, Call(agent.clock, self._flown))
+
+    async def run(self) -> None:
+        """References call it."""
+        await asyncio.get_running_loop().create_future()
+
+    def _flown(self, reference: FullState, age: float) -> None:
+        flights = self.pilot.flights
+        if isinstance(flights.plan, Figure) and counts(self.clock.now() - flights.start):
+            self.errors.append(self.world.states[0, :3] - reference.p)
+
+
+# The table ---------------------------------------------------------------------------------------------------------
+
+
+def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
+    """{"rows": [...]}: {plant, path, controller, corner, rmse_mm, peak_mm}, rmse_mm null where the drone was lost."""
+    return {"rows": [asdict(row) for row in _rows(quick, say)]}
+
+
+def _rows(quick: bool, say: Say) -> Iterator[Row]:
+    plants: tuple[tuple[Plant, str], ...] = (("lightweight", "lightweight"), ("motors", "motor"))
+    for plant, title in plants:
+        for name in PATHS:
+            say(f"{title}, {name}")
+            yield row(title, name, "standard", NOMINAL, alone(plant, name, ours(plant)))
+            yield row(title, name, "original's gains", NOMINAL, alone(plant, name, original(plant)))
+    for name in PATHS:
+        say(f"whole stack, {name}")
+        yield row("full", name, "standard", NOMINAL, whole(name))
+    for corner in CORNERS[:2] if quick else CORNERS:
+        say(f"whole stack, eight-1, {corner.name}")
+        yield row("full", "eight-1", "standard", corner.name, whole("eight-1", corner))
+
+
+def table(result: dict[str, Any]) -> Table:
+    """The rows, for people."""
+    shown = Table(title="Distance from the reference, mm, at full speed after 4 s")
+    for name in ("plant", "path", "controller", "corner", "RMS", "largest"):
+        shown.add_column(name, justify="right" if name in ("RMS", "largest") else "left")
+    for row in result["rows"]:
+        figures = ("lost", "") if row["rmse_mm"] is None else (f"{row['rmse_mm']:.2f}", f"{row['peak_mm']:.2f}")
+        shown.add_row(row["plant"], row["path"], row["controller"], row["corner"], *figures)
+    return shown

@@ -1,0 +1,168 @@
+"""What the step of a simulated world costs alone, beside other simulators of quadrotors."""
+
+import importlib
+import importlib.util
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from crazychoir.errors import Refused
+from crazychoir.numerics.math3d import GRAVITY, Mat
+from crazychoir.platforms import CRAZYFLIE_21
+from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.motor_level.air import Wind
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.motor_level.motors import MotorWorld
+
+COUNTS = (100, 1000)
+TICK = 0.01
+"""s, of one step."""
+REPEATS = 7
+PATIENCE = 300.0
+"""s that a program of others gets."""
+REFRESH = 40
+"""Steps after which set-points are sent again: before the firmware takes the silence for a lost radio."""
+WIND = Wind((0.5, 0.0, 0.0), 0.2)
+
+Step = Callable[[], object]
+Engine = Callable[[int], Step]
+
+
+def places(n: int) -> Mat:
+    """n places in a lattice 0.8 m wide, 1 m above the floor and higher: as dense as drones fly."""
+    side = int(np.ceil(np.cbrt(n)))
+    lattice = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)[:n]
+    return np.asarray(0.8 * lattice + [0.0, 0.0, 1.0])
+
+
+def lightweight(n: int) -> Step:
+    """The paper's model."""
+    return CFIntegrator(range(n), places(n)).step
+
+
+def motors(n: int) -> Step:
+    """Everything of the motor level, wind and gusts, with held motor commands."""
+    return MotorWorld(range(n), places(n), wind=WIND).step
+
+
+def crazyflies(n: int) -> Step:
+    """The same with the firmware on board of every drone, flying body rates."""
+    return _hovering(CrazyflieWorld(range(n), places(n), wind=WIND), n)
+
+
+def crazyflies_in_mujoco(n: int) -> Step:
+    """The same in MuJoCo, with contacts; what is not installed raises ModuleNotFoundError."""
+    importlib.import_module("mujoco")
+    from crazychoir.simulation.mujoco.world import MujocoWorld
+
+    return _hovering(MujocoWorld(range(n), places(n), wind=WIND), n)
+
+
+def _hovering(world: CrazyflieWorld, n: int) -> Step:
+    """The step of a world whose drones have been armed, and are sent their weight as thrust."""
+    steps = 0
+    links = [world.link(i, "fpqr") for i in range(n)]
+    for link in links:
+        link.onboard.arm()
+
+    def step() -> None:
+        nonlocal steps
+        if steps % REFRESH == 0:
+            for link in links:
+                link.onboard.fpqr(0.0 if steps == 0 else CRAZYFLIE_21.weight, 0.0, 0.0, 0.0)
+        steps += 1
+        world.step()
+
+    for _ in range(REFRESH + 1):
+        step()
+    return step
+
+
+def in_mujoco(n: int) -> Step:
+    """MuJoCo: n free bodies in one model, 1 kHz, wrenches held for 10 ms; without contacts, as nothing touches."""
+    mujoco: Any = importlib.import_module("mujoco")
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.gravity = 0.001, [0, 0, -GRAVITY]
+    for p in places(n):
+        body = spec.worldbody.add_body(pos=p)
+        body.add_freejoint()
+        body.mass, body.inertia, body.explicitinertial = CRAZYFLIE_21.mass, CRAZYFLIE_21.inertia, True
+        body.ipos, body.iquat = [0, 0, 0], [1, 0, 0, 0]
+    model = spec.compile()
+    data = mujoco.MjData(model)
+
+    def step() -> None:
+        data.xfrc_applied[1:, 2] = CRAZYFLIE_21.weight
+        mujoco.mj_step(model, data, nstep=10)
+
+    return step
+
+
+def in_crazyflow(n: int, calls: int) -> float:
+    """s of a step of crazyflow, in a process of its own; raises ModuleNotFoundError."""
+    if importlib.util.find_spec("crazyflow") is None:
+        raise ModuleNotFoundError("crazyflow")
+    program = Path(__file__).with_name("peers_crazyflow.py")
+    words = [sys.executable, str(program), *map(str, (n, calls, REPEATS))]
+    done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=PATIENCE, check=False)
+    if done.returncode:
+        raise Refused("crazyflow", (done.stderr.strip().splitlines() or ["it said nothing"])[-1])
+    return float(json.loads(done.stdout.splitlines()[-1])["seconds"])
+
+
+ENGINES: dict[str, Engine] = {
+    "lightweight": lightweight,
+    "motor level": motors,
+    "  with firmware": crazyflies,
+    "    in MuJoCo, contacts": crazyflies_in_mujoco,
+    "MuJoCo, free bodies": in_mujoco,
+}
+CRAZYFLOW = "crazyflow"
+
+
+def run(counts: tuple[int, ...] = COUNTS, say: Callable[[str], None] = lambda line: None) -> list[dict[str, Any]]:
+    """Rows {engine, drones, real_time_factor, ns_per_drone_ms}, medians; with a note where it is not installed."""
+    return [_row(name, n, say) for n in counts for name in (*ENGINES, CRAZYFLOW)]
+
+
+def _row(name: str, n: int, say: Callable[[str], None]) -> dict[str, Any]:
+    say(f"{name.strip()}: {n} drones")
+    row: dict[str, Any] = {"engine": name, "drones": n, "real_time_factor": None, "ns_per_drone_ms": None, "note": ""}
+    calls = max(5, 1000 // n)
+    try:
+        took = in_crazyflow(n, calls) if name == CRAZYFLOW else _seconds(ENGINES[name](n), calls)
+    except ModuleNotFoundError:
+        return row | {"note": "not installed"}
+    return row | {"real_time_factor": TICK / took, "ns_per_drone_ms": took / n / (1e3 * TICK) * 1e9}
+
+
+def _seconds(step: Step, calls: int) -> float:
+    """Of one call: the median over repeats of so many."""
+    took = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        for _ in range(calls):
+            step()
+        took.append((time.perf_counter() - start) / calls)
+    return statistics.median(took)
+
+
+def table(rows: list[dict[str, Any]]) -> Table:
+    """The rows, for people."""
+    shown = Table(title="The step of a world alone, one core")
+    for name in ("engine", "drones", "times real time", "ns/drone/ms"):
+        shown.add_column(name, justify="left" if name == "engine" else "right")
+    for row in rows:
+        figures = [row["note"], ""]
+        if not row["note"]:
+            figures = [f"{row['real_time_factor']:.1f}", f"{row['ns_per_drone_ms']:.0f}"]
+        shown.add_row(row["engine"], str(row["drones"]), *figures)
+    return shown

@@ -1,0 +1,1 @@
+"""The simulated network: loss, delay, duplication, reordering, bandwidth and partitions."""

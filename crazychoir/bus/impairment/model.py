@@ -1,0 +1,183 @@
+"""A simulated bad network between drones: loss, bursts, delay, jitter, duplicates, reordering, bandwidth, partitions.
+
+A verdict is a pure function of (seed, source, destination, channel, number, attempt), so it does not depend on
+processes, scheduling or the order of calls; only the queue of a bandwidth remembers what was sent before.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from math import inf
+from typing import Any, NamedTuple
+
+from crazychoir.bus.impairment.random_draws import BLOCK, ONE, bad_states, draw, key
+from crazychoir.bus.impairment.rules import Link, Partition, Rule, changed, resolve
+
+_HALF = 1 << 32
+_LATENESS, _COPY = 0x3C6EF372FE94F82B, 0xA54FF53A5F1D36F1
+
+
+class Verdict(NamedTuple):
+    """What happens to a message: one delay in s for each time that it arrives; none, and it is lost."""
+
+    deliveries: tuple[float, ...]
+
+
+@dataclass(slots=True)
+class EdgeCounters:
+    """Messages of one directed edge that a simulated network looked at; `lost` includes partitions and full queues."""
+
+    sent: int = 0
+    lost: int = 0
+    duplicated: int = 0
+    delayed: int = 0
+
+
+LOST = Verdict(())
+AT_ONCE = Verdict((0.0,))
+
+
+class Impairment:
+    """The simulated network of one process.
+
+    active: whether anything is set at all;  counters: by (source, destination), since the start;  began: when the
+    mission began, by the clock of `now`: partitions count from there, and cut nobody before.
+    """
+
+    def __init__(self, seed: int, rules: Iterable[Rule] = (), partitions: Iterable[Partition] = ()) -> None:
+        self.seed = seed
+        self.began = inf
+        self.counters: dict[tuple[int, int], EdgeCounters] = {}
+        self.replace(rules, partitions)
+
+    def replace(self, rules: Iterable[Rule], partitions: Iterable[Partition] = ()) -> None:
+        """From now on these rules and partitions, and no other; queues are empty."""
+        self.rules, self.partitions = tuple(rules), tuple(partitions)
+        self.active = bool(self.rules or self.partitions)
+        self._edges: dict[tuple[int, int], _Edge] = {}
+
+    def update(self, changes: Mapping[str, Any]) -> None:
+        """Change a rule: {"loss": 0.3}, {"edge": [1, 2], "directed": true, "delay": 0.05}, {"drone": 3, "loss": None}.
+
+        The named fields of the rule of that scope change, None unsets one. {"clear": True} drops everything first;
+        {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]} sets the partitions, {"cut": {"a": [2]}} adds
+        one to them.
+        Raises ConfigError, and then nothing has changed.
+        """
+        self.replace(*changed(self.rules, self.partitions, changes))
+
+    def begin(self, now: float, age: float = 0.0) -> None:
+        """GO: the mission is `age` s old. Of several sayings the oldest counts: the others were longer on their way."""
+        self.began = min(self.began, now - age)
+
+    def age(self, now: float) -> float:
+        """s since GO; 0 before."""
+        return max(0.0, now - self.began)
+
+    def verdict(
+        self, source: int, destination: int, channel: int | str, number: int, attempt: int, size: int, now: float
+    ) -> Verdict:
+        """What happens to a message of `size` bytes; now: s by the sender's clock."""
+        edge = self._edges.get((source, destination)) or self._edge(source, destination)
+        lane = edge.lanes.get(channel) or edge.lane(channel)
+        counters = edge.counters
+        counters.sent += 1
+        wait = edge.wait(size, now, now - self.began) if edge.stateful else 0.0
+        threshold = edge.loss_bad if edge.bursty and lane.bad(number + attempt) else edge.loss
+        if wait < 0.0 or draw(lane.key, number, attempt) < threshold:
+            counters.lost += 1
+            return LOST
+        return edge.late(lane.key, number, attempt, wait) if edge.slow else AT_ONCE
+
+    def describe(self) -> dict[str, Any]:
+        """What is set, in the words of `update`; for people and for JSON."""
+        return {
+            "seed": self.seed,
+            "rules": [rule.describe() for rule in self.rules],
+            "partitions": [partition.describe() for partition in self.partitions],
+        }
+
+    def _edge(self, source: int, destination: int) -> "_Edge":
+        pair = (source, destination)
+        if pair not in self._edges:
+            cuts = tuple((cut.since, cut.until) for cut in self.partitions if cut.cuts(source, destination))
+            counters = self.counters.setdefault(pair, EdgeCounters())
+            link = resolve(self.rules, source, destination)
+            self._edges[pair] = _Edge(
+                link, cuts, counters, lambda channel: key(self.seed, source, destination, channel)
+            )
+        return self._edges[pair]
+
+
+@dataclass(slots=True)
+class _Lane:
+    """One channel of an edge: its key, and the block of burst states that was asked for last."""
+
+    key: int
+    link: Link
+    block: int = -1
+    states: bytes = b""
+
+    def bad(self, index: int) -> bool:
+        block, place = divmod(index, BLOCK)
+        if block != self.block:
+            self.states = bad_states(self.key, block, self.link.p_good_bad, self.link.p_bad_good)
+            self.block = block
+        return self.states[place] == 1
+
+
+@dataclass(slots=True)
+class _Edge:
+    """A directed edge: its link, with the probabilities as thresholds of draws."""
+
+    link: Link
+    cuts: tuple[tuple[float, float], ...]
+    counters: EdgeCounters
+    key_of: Callable[[int | str], int]
+    lanes: dict[int | str, _Lane] = field(default_factory=dict)
+    free_at: float = 0.0
+    loss: int = 0
+    loss_bad: int = 0
+    bursty: bool = False
+    slow: bool = False
+    stateful: bool = False
+    affected: bool = False
+
+    def __post_init__(self) -> None:
+        link = self.link
+        self.loss, self.loss_bad = round(link.loss * ONE), round(link.loss_bad * ONE)
+        self.bursty = link.p_good_bad > 0.0
+        self.stateful = bool(self.cuts) or link.bandwidth > 0.0
+        self.slow = max(link.delay, link.jitter, link.duplicate, link.reorder, link.bandwidth) > 0.0
+        self.affected = self.slow or self.stateful or self.bursty or self.loss > 0
+
+    def lane(self, channel: int | str) -> _Lane:
+        lane = self.lanes[channel] = _Lane(self.key_of(channel), self.link)
+        return lane
+
+    def wait(self, size: int, now: float, age: float) -> float:
+        """Time in s until the last byte has left; -1 if a partition or a full queue stops the message."""
+        if any(since <= age < until for since, until in self.cuts):
+            return -1.0
+        if self.link.bandwidth <= 0.0:
+            return 0.0
+        queued = max(self.free_at - now, 0.0)
+        if queued > self.link.queue:
+            return -1.0
+        self.free_at = now + queued + size / self.link.bandwidth
+        return self.free_at - now
+
+    def late(self, lane: int, number: int, attempt: int, wait: float) -> Verdict:
+        """Delay, jitter and reordering of a message that arrives, and of its copy."""
+        link = self.link
+        first, second = divmod(draw(lane ^ _LATENESS, number, attempt), _HALF)
+        delay = wait + link.delay + link.jitter * (first / _HALF)
+        if second < link.reorder * _HALF:
+            delay += link.reorder_delay
+        self.counters.delayed += delay > 0.0
+        if link.duplicate <= 0.0:
+            return Verdict((delay,))
+        first, second = divmod(draw(lane ^ _COPY, number, attempt), _HALF)
+        if first >= link.duplicate * _HALF:
+            return Verdict((delay,))
+        self.counters.duplicated += 1
+        return Verdict((delay, wait + link.delay + link.jitter * (second / _HALF)))

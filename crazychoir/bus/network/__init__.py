@@ -1,0 +1,1 @@
+"""Messages between processes and hosts over Zenoh: links, peers, access and keys."""

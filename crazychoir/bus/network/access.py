@@ -1,0 +1,109 @@
+"""Who may say what: mutual TLS, Zenoh's access control by certificate, and what is checked of each message.
+
+Zenoh holds a host to the keys of its own frames and tokens, by the common name of the certificate on the connection;
+what is within a frame, a HELLO that claims drones and the commands of operators, is held against the swarm file here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from crazychoir.bus.frames import Envelope
+from crazychoir.bus.port import BODIES, OBSERVER
+from crazychoir.bus.topics import ESTOP, REQUEST
+
+COMMANDS = (REQUEST.number, ESTOP.number)
+OBSERVERS = "observer"
+"""How the processes of those begin who look on, before their host."""
+LOOKING = 32
+"""Processes of a host that look on at once."""
+_TALK = ["put", "delete", "declare_subscriber"]
+_TOKENS = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
+
+
+@dataclass(frozen=True)
+class Access:
+    """What the swarm file allows.
+
+    host: ours;  folder: with its certificate.pem, key.pem, authority.pem;  processes: of each host, how their names
+    begin;  holders: the host of each address of a drone, its body, its eyes;  operators: hosts that may command;
+    router: the host that passes on what all say: it holds each to its own name, and is itself believed.
+    """
+
+    swarm: str
+    host: str
+    folder: Path
+    processes: Mapping[str, tuple[str, ...]]
+    holders: Mapping[int, str]
+    operators: tuple[str, ...]
+    router: str | None = None
+
+    def may_hold(self, host: str, address: int) -> bool:
+        """Whether an address may be of a process of this host; those of observers may be anybody's."""
+        if OBSERVER <= address < BODIES:
+            return True
+        return self.holders.get(address) == host
+
+    def may_be(self, host: str, process: str) -> bool:
+        """Whether a process of this name may be on a host: nobody takes the names of others."""
+        return process.startswith(self._begins(host))
+
+    def most(self, host: str) -> int:
+        """Processes of a host at once, where each is started again before it is seen that it has gone."""
+        return 2 * len(self.processes.get(host, ())) + LOOKING
+
+    def _begins(self, host: str) -> tuple[str, ...]:
+        """How the names of its processes begin. No name of a host has a dot."""
+        return (*(f"{start}-" for start in self.processes.get(host, ())), f"{OBSERVERS}-{host}.")
+
+    def may_say(self, host: str, message: Envelope) -> bool:
+        """Whether a message counts from this host. A drone asks its own body what it needs, wherever that is."""
+        own_body = message.topic == REQUEST.number and message.to == (BODIES + message.source,)
+        return message.topic not in COMMANDS or host in self.operators or own_body
+
+    def settings(self) -> dict[str, Any]:
+        """Zenoh's, by path."""
+        own = {"private_key": str(self.folder / "key.pem"), "certificate": str(self.folder / "certificate.pem")}
+        tls = {f"{side}_{key}": path for side in ("listen", "connect") for key, path in own.items()}
+        return {
+            # A certificate names a host, no address, and its host is held to the keys of that name.
+            "transport/link/tls": tls
+            | {
+                "root_ca_certificate": str(self.folder / "authority.pem"),
+                "enable_mtls": True,
+                "verify_name_on_connect": False,
+            },
+            "transport/link/protocols": ["tls", "quic"],
+            "access_control": self._control(),
+        }
+
+    def _control(self) -> dict[str, Any]:
+        """Nothing is allowed to come in but what each host says of itself, and asks for itself."""
+        top = f"choir/{self.swarm}"
+        rules = [_rule("out", "egress", _TALK + _TOKENS, [f"{top}/**"])]
+        policies: list[dict[str, Any]] = []
+        for host in self.processes:
+            here = [f"{top}/f/{begin}$*/**" for begin in self._begins(host)]
+            drones = [f"{top}/drone/{i}/**" for i, of in self.holders.items() if of == host and i < OBSERVER]
+            own = [
+                _rule(f"{host} says", "ingress", ["put", "delete"], [f"{top}/f/*/{host}/*/*", *drones]),
+                _rule(f"{host} hears", "ingress", ["declare_subscriber"], [*here, f"{top}/drone/**"]),
+                _rule(f"{host} is there", "ingress", ["liveliness_token"], [f"{top}/live/{host}/**"]),
+                _rule(f"{host} looks", "ingress", _TOKENS[1:], [f"{top}/live/**"]),
+            ]
+            if host == self.router:
+                own = [_rule(f"{host} passes on", "ingress", _TALK + _TOKENS, [f"{top}/**"])]
+            rules += own
+            policies.append({"subjects": [host], "rules": ["out", *(rule["id"] for rule in own)]})
+        return {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": rules,
+            "subjects": [{"id": host, "cert_common_names": [host]} for host in self.processes],
+            "policies": policies,
+        }
+
+
+def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
+    return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}

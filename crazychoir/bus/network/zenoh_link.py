@@ -1,0 +1,694 @@
+"""Between processes: one Zenoh session, one wildcard subscriber, one put a (peer process, class, loop pass).
+
+    frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
+    tokens  choir/<swarm>/live/<host>/<process>[/<number>]    numbered ones: see estranged.py
+
+Zenoh's threads hand bytes to the event loop through one deque and one wake-up a burst; every put is DROP and never
+waits. A peer is a process whose liveliness token is there; it is talked to when its HELLO has come, which both
+sides send until each has heard the other.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Self
+
+import zenoh
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.frames import (
+    MAX_DESTINATIONS,
+    Envelope,
+    Frame,
+    FrameBuffer,
+    FrameVersionError,
+    decode_frame,
+    encode_frame,
+)
+from crazychoir.bus.network import endpoints, handshakes
+from crazychoir.bus.network.access import Access
+from crazychoir.bus.network.flood_limit import Budget, Budgets
+from crazychoir.bus.network.foreign_connections import Connections
+from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.lost_tokens import Estranged
+from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
+from crazychoir.bus.port import ANY, Bus
+from crazychoir.bus.topics import CLOCK, HELLO, LOG, Class, Topic
+from crazychoir.errors import CodecError, ConfigError
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import SECOND
+
+log = logging.getLogger(__name__)
+BACKLOG = 10_000
+"""Frames that wait for the event loop; the oldest go when it hangs."""
+SLICE = 64
+"""Frames that are read in one pass of the event loop: ticks wait for no more."""
+SLICE_NS, SLICE_MOST_NS = SECOND // 500, SECOND // 50
+"""How long they are read for, beyond the one that is being read. Who is behind reads for as long as the loop did other
+things since it left frames unread, half of the time: the former at least, the latter at most.
+"""
+CLOSE_DEADLINE = 1.5
+"""s; within what a supervisor grants."""
+CLOSING = "zenoh close"
+"""The name of the thread that a session is left behind in, see launch/process/ending.py."""
+SETTLED = 5
+"""s during which a changed HELLO is repeated every second; then every so many s."""
+RUNTIME = "(rx: (worker_threads: 64))"
+"""Zenoh's threads that receive. It closes the connection to a process that has vanished, as by a cut cable, in one of
+them, which waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718): with none left over, nobody is heard.
+"""
+ASKING = 4
+"""HELLOs a second to a peer that is not yet talked to."""
+LOOKS = 2
+"""s between looks at who is connected."""
+TOKENS = 8
+"""Of ours beyond the first, the newest."""
+KEY_PARTS = 7
+"""Of the key of a frame."""
+OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
+_PRIORITY = {
+    Class.ESTOP: zenoh.Priority.REAL_TIME,
+    Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
+    Class.ROUNDS: zenoh.Priority.DATA_HIGH,
+    Class.RELIABLE: zenoh.Priority.DATA,
+    Class.BULK: zenoh.Priority.DATA_LOW,
+}
+
+Handler = Callable[[str, bytes, int], None]
+"""Called with (key, bytes, when they arrived in ns)."""
+
+
+@dataclass(slots=True, eq=False)
+class Lane:
+    """The messages of one class on their way to one peer."""
+
+    buffer: FrameBuffer
+    publisher: zenoh.Publisher
+
+
+@dataclass
+class LinkCounters:
+    """What went over the network, and what was thrown away.
+
+    malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
+    token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
+    unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a
+    hung event loop did not take;  flooded: frames and tokens of hosts that send too many;  failed: frames whose handler
+    raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
+    """
+
+    frames_sent: int = 0
+    frames_received: int = 0
+    bytes_sent: int = 0
+    malformed: int = 0
+    other_version: int = 0
+    strangers: int = 0
+    forbidden: int = 0
+    unsendable: int = 0
+    dropped: int = 0
+    overflowed: int = 0
+    flooded: int = 0
+    failed: int = 0
+    put_errors: int = 0
+    tokens: int = 0
+    worst_put_s: float = 0.0
+
+
+class ZenohLink(Actor):
+    """This process on the network; the `Forwarder` of its bus. Raises ConfigError for a malformed endpoint.
+
+    listen, connect: endpoints;  routers: one that passes everything on, instead of both;  lease: s without a sign of a
+    host before its tokens go;  access: who may say what, None for everybody all;  agreed: see Hello;  settings: of
+    Zenoh, by path.
+    """
+
+    name = "zenoh"
+
+    def __init__(
+        self,
+        bus: Bus,
+        swarm: str,
+        *,
+        listen: list[str],
+        connect: list[str],
+        incarnation: int,
+        version: str,
+        lease: float = 1.0,
+        routers: list[str] | None = None,
+        access: Access | None = None,
+        agreed: Mapping[str, str] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        on_token: OnToken = lambda drones, there: None,
+        on_refused: OnRefused = lambda refused: None,
+    ) -> None:
+        for where, name in (("swarm", swarm), ("host", bus.host), ("process", bus.process)):
+            endpoints.check_name(where, name)
+        self.bus, self.swarm, self.access = bus, swarm, access
+        self.listen, self.connect = ([], routers) if routers else (listen, connect)
+        self._live = f"choir/{swarm}/live"
+        self.counters = LinkCounters()
+        self.table = Peers(bus, swarm, incarnation, version, access, on_token, on_refused, agreed)
+        self.peers, self.directory = self.table.by_name, self.table.directory
+        secured = access.settings() if access is not None else {}
+        mode = "client" if routers else "peer"
+        own = endpoints.settings(self.listen, self.connect, lease, mode)
+        self._config = _config({**own, **secured, **(settings or {})})
+        self._loop = asyncio.get_running_loop()
+        self._now_ns = bus.clock.now_ns
+        self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
+        self._budgets, self._token_budgets = Budgets(), Budgets()
+        self._armed, self._behind_ns = False, 0
+        self._flushing = False
+        self._full: list[Lane] = []
+        self._after: deque[Callable[[], None]] = deque()
+        self._to_greet: dict[str, None] = {}
+        self._estranged = Estranged()
+        self._connections = Connections()
+        self._tokens: deque[Any] = deque()
+        self._declared: list[Any] = []
+        self._session: zenoh.Session | None = None
+
+    # Opening and closing --------------------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """Listen, connect, subscribe, and only then declare the token; raises ConfigError for a busy endpoint."""
+        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        _tell_of_handshakes(self.access)
+        if self.access is None and not endpoints.are_local(self.listen + self.connect):
+            log.warning("%s", OPEN)
+        try:
+            session = zenoh.open(self._config)
+        except zenoh.ZError as error:
+            raise endpoints.cannot_open(self.listen, self.connect, str(error)) from error
+        self._session = session
+        received = zenoh.handlers.Callback(self._received, indirect=True)
+        tokens = zenoh.handlers.Callback(self._token, indirect=True)
+        self._declared = [
+            session.declare_subscriber(f"choir/{self.swarm}/f/{self.bus.process}/**", received),
+            session.liveliness().declare_subscriber(f"{self._live}/*/*/**", tokens, history=True),
+            session.liveliness().declare_token(f"{self._live}/{self.bus.host}/{self.bus.process}"),
+        ]
+        self.bus.forwarder = self
+
+    async def run(self) -> None:
+        """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all; ask other
+        hosts for their clocks.
+        """
+        tick = 0
+        async for _ in self.bus.clock.ticks(ASKING * HELLO.rate):
+            tick += 1
+            self.table.offer_new_ports()
+            _, age = self.table.hello()
+            due = tick % ASKING == 0 and age < SETTLED
+            if due or age == 0.0 or tick % (SETTLED * ASKING) == 0:
+                self.greet()
+            for peer in self.peers.values():
+                if not peer.refusal and not self.table.mutual(peer):
+                    self._greet(peer)
+            self._greet_estranged(gone_too=tick % ASKING == 0)
+            if tick % ASKING == 0:
+                self._ask_clocks()
+            if tick % (LOOKS * ASKING) == 0:
+                self._look_who_is_connected()
+
+    async def on_stop(self) -> None:
+        """Send what is waiting and close the session, in a thread: it may take its time."""
+        self._flush()
+        session, self._session = self._session, None
+        if session is None:
+            return
+        closed = asyncio.Event()
+        threading.Thread(target=self._close, args=(session, closed), name=CLOSING, daemon=True).start()
+        try:
+            async with asyncio.timeout(CLOSE_DEADLINE):
+                await closed.wait()
+        except TimeoutError:
+            log.warning("the Zenoh session does not close within %g s; left behind", CLOSE_DEADLINE)
+
+    def _close(self, session: zenoh.Session, closed: asyncio.Event) -> None:
+        try:
+            for declared in reversed([*self._declared, *self._tokens]):
+                declared.undeclare()
+            session.close()
+        except zenoh.ZError as error:
+            log.warning("while the Zenoh session closed: %s", error)
+        finally:
+            self._on_loop(closed.set)
+
+    def _on_loop(self, call: Callable[[], None]) -> bool:
+        try:
+            self._loop.call_soon_threadsafe(call)
+        except RuntimeError:  # the loop is closed: nobody is left to hear it
+            return False
+        return True
+
+    # Sending --------------------------------------------------------------------------------------------------
+
+    def forward(
+        self,
+        topic: Topic,
+        source: int,
+        to: list[int],
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Put a message into the frame of each process that holds one of `to`; sent at the end of this loop pass."""
+        directory = self.directory
+        groups: dict[Peer | None, list[int]] = {}
+        if len(to) == 1:
+            groups[directory.get(to[0])] = to
+        else:
+            for j in to:
+                groups.setdefault(directory.get(j), []).append(j)
+        for peer, there in groups.items():
+            if peer is None:
+                self.bus.unroutable += len(there)
+                continue
+            for k in range(0, len(there), MAX_DESTINATIONS):
+                some = tuple(there[k : k + MAX_DESTINATIONS])
+                message = Envelope(topic.number, source, some, number, flags, max(0.0, age), channel, payload)
+                self._add(peer, topic.klass, message)
+
+    def then(self, work: Callable[[], None]) -> None:
+        """Call it after the puts at the end of this loop pass: what others wait for does not wait for it."""
+        self._after.append(work)
+        self._schedule_flush()
+
+    def interested(self) -> None:
+        """Our interests changed: tell everybody."""
+        self.greet()
+
+    def greet(self) -> None:
+        """HELLO to every peer, at the end of this loop pass."""
+        self._to_greet.update(dict.fromkeys(self.peers))
+        self._schedule_flush()
+
+    def _greet(self, peer: Peer) -> None:
+        self._to_greet[peer.process] = None
+        self._schedule_flush()
+
+    def _ask_clocks(self) -> None:
+        self.bus.offsets = self.table.offsets()
+        for peer in self.table.on_other_hosts:
+            self._say_time(peer, peer.offset.ask(self._now_ns()))
+
+    def _look_who_is_connected(self) -> None:
+        session = self._session
+        if session is None or self.access is None or self.access.router is not None:
+            return  # through a router come connections of all hosts
+        links = [(link.auth_identifier, str(link.zid)) for link in session.info.links()]
+        for host in self._connections.look(links, (peer.host for peer in self.peers.values())):
+            log.warning(
+                "a program with the certificate of host %s is connected and is no process of this swarm: nothing of "
+                "it is believed but what that host may say", host,
+            )  # fmt: skip
+
+    def _say_time(self, peer: Peer, payload: bytes) -> None:
+        self._add(peer, CLOCK.klass, Envelope(CLOCK.number, 0, (), 0, 0, 0.0, "", payload))
+
+    def _greet_estranged(self, gone_too: bool) -> None:
+        session, processes = self._session, self._estranged.due(gone_too)
+        if session is None or not processes:
+            return
+        payload, age = self.table.hello()
+        hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
+        frame = encode_frame(Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello]))
+        drop, priority = zenoh.CongestionControl.DROP, _PRIORITY[HELLO.klass]
+        for process in processes:
+            key = self._key(process, HELLO.klass)
+            self._put(partial(session.put, key, congestion_control=drop, priority=priority), frame)
+
+    def _declare_another_token(self, process: str) -> None:
+        session = self._session
+        if session is None:
+            return
+        self.counters.tokens += 1
+        key = f"{self._live}/{self.bus.host}/{self.bus.process}/{self.counters.tokens}"
+        log.info("%s hears us and has no token of ours: one more", process)
+        try:
+            self._tokens.append(session.liveliness().declare_token(key))
+            if len(self._tokens) > TOKENS:
+                self._tokens.popleft().undeclare()
+        except zenoh.ZError as error:
+            log.warning("a liveliness token could not be declared: %s", error)
+
+    def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
+        session = self._session
+        if session is None:
+            self.counters.dropped += 1
+            return
+        lane = peer.lanes.get(klass) or self._lane(session, peer, klass)
+        if not lane.buffer:
+            self._full.append(lane)
+        try:
+            lane.buffer.add(message)
+        except CodecError as error:
+            self.counters.unsendable += 1
+            log.warning("not sent: %s", error)
+            return
+        self._schedule_flush()
+
+    def _lane(self, session: zenoh.Session, peer: Peer, klass: Class) -> Lane:
+        publisher = session.declare_publisher(
+            self._key(peer.process, klass),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=_PRIORITY[klass],
+            reliability=zenoh.Reliability.RELIABLE,
+        )
+        name, number, conflate = self.bus.process, self.table.incarnation, klass is Class.CONTROL
+        buffer = FrameBuffer(name, number, klass, conflate)
+        lane = peer.lanes[klass] = Lane(buffer, publisher)
+        return lane
+
+    def _key(self, process: str, klass: Class) -> str:
+        return f"choir/{self.swarm}/f/{process}/{self.bus.host}/{self.bus.process}/{klass.name.lower()}"
+
+    def _schedule_flush(self) -> None:
+        if not self._flushing:
+            self._flushing = True
+            self._loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        if self._to_greet:
+            self._say_hello()
+        self._flushing = False
+        full, self._full = self._full, []
+        for lane in full:
+            try:
+                frames = lane.buffer.take()
+            except CodecError as error:
+                self.counters.unsendable += 1
+                log.warning("not sent: %s", error)
+                continue
+            for frame in frames:
+                self._put(lane.publisher.put, frame)
+        for _ in range(len(self._after)):
+            self._after.popleft()()
+
+    def _say_hello(self) -> None:
+        names, self._to_greet = self._to_greet, {}
+        payload, age = self.table.hello()
+        hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
+        for name in names:
+            if name in self.peers:
+                self._add(self.peers[name], HELLO.klass, hello)
+
+    def _put(self, put: Callable[[bytes], None], frame: bytes) -> None:
+        counters = self.counters
+        began_ns = self._now_ns()
+        try:
+            put(frame)
+        except zenoh.ZError:
+            counters.put_errors += 1
+            return
+        counters.worst_put_s = max(counters.worst_put_s, (self._now_ns() - began_ns) / SECOND)
+        counters.frames_sent += 1
+        counters.bytes_sent += len(frame)
+
+    def announce(self, drone: int, topic: str, text: bytes) -> None:
+        """A JSON text for other Zenoh programs, under the drone's public key."""
+        if self._session is not None:
+            key = f"choir/{self.swarm}/drone/{drone}/{topic}"
+            self._session.put(key, text, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def alarm(self, drone: int, text: str) -> None:
+        """From any thread, while the event loop may hang: a log line to all who read the drone's, and a public copy."""
+        session = self._session
+        if session is None:
+            return
+        session.put(f"choir/{self.swarm}/drone/{drone}/alarm", text)
+        for peer in list(self.peers.values()):
+            readers = _readers(peer, LOG, drone)
+            if readers:
+                line = Envelope(LOG.number, drone, readers, 0, 0, 0.0, "", encode(text))
+                frame = encode_frame(Frame(self.bus.process, self.table.incarnation, LOG.klass, [line]))
+                session.put(self._key(peer.process, LOG.klass), frame)
+
+    # Receiving ------------------------------------------------------------------------------------------------
+
+    def _received(self, sample: zenoh.Sample) -> None:
+        """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
+        key = str(sample.key_expr)
+        host, _ = _speaker(key)
+        budget = self._budgets.of(host, now := self._now_ns())
+        if budget.take(now, len(sample.payload)):
+            self._enqueue(self._frame, key, sample.payload.to_bytes())
+        else:
+            self._flooded(budget, host)
+
+    def _token(self, sample: zenoh.Sample) -> None:
+        """In Zenoh's other thread."""
+        there, key = sample.kind == zenoh.SampleKind.PUT, str(sample.key_expr)
+        host = key.split("/")[3]
+        budget = self._token_budgets.of(host, now := self._now_ns())
+        if budget.take(now):
+            self._enqueue(self._token_came if there else self._token_went, key, b"")
+        else:
+            self._flooded(budget, host)
+
+    def _flooded(self, budget: Budget, host: str) -> None:
+        """Something is not read; it is said once."""
+        self.counters.flooded += 1
+        if not budget.said:
+            budget.said = True
+            self._on_loop(partial(log.warning, "host %s floods us: of what it says beyond that nothing is read", host))
+
+    def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
+        queue = self._queue
+        if len(queue) == BACKLOG:
+            self.counters.overflowed += 1
+        queue.append((handler, key, data, self._now_ns()))
+        if not self._armed:
+            self._armed = True
+            if not self._on_loop(self._drain):
+                queue.clear()
+
+    def _drain(self) -> None:
+        self._armed = False  # before the queue is read, else a wake-up is lost
+        queue, now = self._queue, self._now_ns()
+        busy = now - self._behind_ns if self._behind_ns else 0
+        ends_ns = now + max(SLICE_NS, min(busy, SLICE_MOST_NS))
+        for _ in range(min(len(queue), SLICE)):
+            handler, key, data, arrived_ns = queue.popleft()
+            try:
+                handler(key, data, arrived_ns)
+            except Exception as error:
+                self.counters.failed += 1  # whatever one frame breaks, the next one is read
+                if self.counters.failed.bit_count() == 1:  # the first, the second, the fourth, ...
+                    log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+            if self._now_ns() > ends_ns:
+                break
+        self._behind_ns = self._now_ns() if queue else 0
+        if queue and not self._armed:
+            self._armed = True
+            self._loop.call_soon(self._drain)
+
+    def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
+        host, process, *_ = key.split("/")[3:]
+        self._estranged.came(process)
+        peer = self.table.came(host, process, key)
+        if peer is not None:
+            self._greet(peer)
+
+    def _token_went(self, key: str, data: bytes, arrived_ns: int) -> None:
+        host, process, *_ = key.split("/")[3:]
+        peer = self.table.went(host, process, key)
+        if peer is None:
+            return
+        self._estranged.went(process)
+        for lane in peer.lanes.values():
+            self.counters.dropped += len(lane.buffer)
+            lane.buffer.take()
+            lane.publisher.undeclare()
+
+    def _frame(self, key: str, data: bytes, arrived_ns: int) -> None:
+        counters = self.counters
+        try:
+            frame = decode_frame(data)
+        except FrameVersionError:
+            counters.other_version += 1
+            return
+        except CodecError:
+            counters.malformed += 1
+            return
+        peer = self._sender(key, frame)
+        if peer is None:
+            counters.strangers += 1
+            self._stranger(key, frame)
+            return
+        counters.frames_received += 1
+        self._distribute(peer, frame.envelopes, arrived_ns)
+
+    def _sender(self, key: str, frame: Frame) -> Peer | None:
+        """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
+        host, process = _speaker(key)
+        peer = self.peers.get(process)
+        return peer if peer is not None and peer.host == host and frame.process == process else None
+
+    def _stranger(self, key: str, frame: Frame) -> None:
+        """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
+        host, process = _speaker(key)
+        known = process == self.bus.process or process in self.peers
+        if known or process != frame.process or not self.table.may_be(host, process):
+            return
+        self._estranged.heard(process)
+        for message in frame.envelopes:
+            if message.topic == HELLO.number:
+                self._greeted_by_stranger(host, process, message.payload)
+
+    def _greeted_by_stranger(self, host: str, process: str, payload: bytes) -> None:
+        try:
+            hello = Hello.of(payload)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        if (hello.host, hello.process) == (host, process):
+            self._heard_of_us(process, self.bus.process in hello.heard)
+
+    def _heard_of_us(self, process: str, knows_us: bool) -> None:
+        if self._estranged.greeted(process, knows_us):
+            self._declare_another_token(process)
+
+    def _distribute(self, peer: Peer, messages: list[Envelope], arrived_ns: int) -> None:
+        directory, ports, waited = self.directory, self.bus.ports, (self._now_ns() - arrived_ns) / SECOND
+        for message in messages:
+            if message.topic == HELLO.number:
+                self._greeted(peer, message.payload, message.age + waited)
+            elif message.topic == CLOCK.number:
+                self._asked(peer, message.payload, arrived_ns)
+            elif directory.get(message.source) is not peer:
+                self.counters.strangers += 1
+            elif self.access is not None and not self.access.may_say(peer.host, message):
+                self._forbid(peer)
+            else:
+                age = message.age + waited
+                for j in message.to if len(message.to) == 1 else dict.fromkeys(message.to):
+                    port = ports.get(j)
+                    if port is not None:
+                        port.deliver(
+                            message.topic, message.source, message.payload, message.number,
+                            message.channel, message.flags, age,
+                        )  # fmt: skip
+
+    def _forbid(self, peer: Peer) -> None:
+        """A command that is not obeyed; it is said once."""
+        self.counters.forbidden += 1
+        if not peer.forbidden:
+            peer.forbidden = True
+            log.warning("host %s (process %s) commands and is no operator: not obeyed", peer.host, peer.process)
+
+    def _asked(self, peer: Peer, payload: bytes, arrived_ns: int) -> None:
+        """A question for our clock, or the answer to ours; of those that are talked to."""
+        if peer.hello is None:
+            return
+        try:
+            answer = peer.offset.hear(payload, arrived_ns, self._now_ns())
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        if answer is not None:
+            self._say_time(peer, answer)
+
+    def _greeted(self, peer: Peer, payload: bytes, age: float) -> None:
+        try:
+            if self.table.greeted(peer, payload, age):
+                self._greet(peer)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        if not peer.refusal:
+            self._heard_of_us(peer.process, self.table.mutual(peer))
+
+
+@contextlib.contextmanager
+def routing(listen: list[str], lease: float, access: Access | None) -> Iterator[None]:
+    """Pass on what the processes of a swarm say to each other, while its `with` lasts.
+
+    lease: s without a sign of a host before its tokens go. Raises ConfigError where it cannot be opened.
+    """
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+    _tell_of_handshakes(access)
+    if access is None and not endpoints.are_local(listen):
+        log.warning("%s", OPEN)
+    secured = access.settings() if access is not None else {}
+    try:
+        session = zenoh.open(_config({**endpoints.of_router(listen, lease), **secured}))
+    except zenoh.ZError as error:
+        raise endpoints.cannot_open(listen, [], str(error)) from error
+    try:
+        yield
+    finally:
+        session.close()
+
+
+def _tell_of_handshakes(access: Access | None) -> None:
+    if access is not None and handshakes.overhears():
+        zenoh.init_log_from_env_or(handshakes.WANTED)
+
+
+class Outside:
+    """A session with programs that are no part of a swarm, at an endpoint, while its `with` lasts.
+
+    Raises ConfigError where it cannot be opened.
+    """
+
+    def __init__(self, connect: str) -> None:
+        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        try:
+            self._session = zenoh.open(_config(endpoints.settings([], [connect], 1.0)))
+        except zenoh.ZError as error:
+            raise endpoints.cannot_open([], [connect], str(error)) from error
+        self._declared: list[Any] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for declared in reversed(self._declared):
+            declared.undeclare()
+        self._session.close()
+
+    @property
+    def id(self) -> str:
+        """Of the session, hex without leading zeros."""
+        return str(self._session.info.zid()).lstrip("0")
+
+    def token(self, key: str) -> None:
+        """Declare that something is there, until the end."""
+        self._declared.append(self._session.liveliness().declare_token(key))
+
+    def put(self, key: str, data: bytes, attachment: bytes) -> None:
+        """Say something to whoever listens; dropped where they are too slow."""
+        drop = zenoh.CongestionControl.DROP
+        self._session.put(key, data, attachment=attachment, congestion_control=drop)
+
+
+def _config(settings: Mapping[str, Any]) -> zenoh.Config:
+    config = zenoh.Config()
+    for key, value in settings.items():
+        try:
+            config.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise ConfigError(f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]) from error
+    return config
+
+
+def _speaker(key: str) -> tuple[str, str]:
+    """Host and process in the key of a frame: where access control looks for the host. Nobody, if it has more parts."""
+    parts = key.split("/")
+    return (parts[4], parts[5]) if len(parts) == KEY_PARTS else ("", "")
+
+
+def _readers(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:
+    wants = peer.hello.wants() if peer.hello is not None else []
+    return tuple(one.reader for one in wants if one.topic == topic.name and one.source in (ANY, drone))

@@ -1,0 +1,447 @@
+"""The bus of one process: its ports, who reads what, and the way of a message to the next mailbox.
+
+A message between two drones always passes the codec and the simulated network, in one process too. Actors of
+one drone hand each other frozen values by reference. What is for another process goes to the `Forwarder`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Protocol
+
+from crazychoir.bus.clock_offset import Estimate
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Class, Topic
+from crazychoir.errors import CodecError
+from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
+from crazychoir.runtime.mailbox import AnyMailbox
+from crazychoir.runtime.tick_stages import Stages
+from crazychoir.types import Wire
+
+ANY = -1
+"""In an interest: every drone but the reader; a mailbox then gets (drone, value)."""
+NEVER_NS = 1 << 62
+SLOW_NS, PHASE_NS = SECOND // 10, SECOND // 100
+"""ns: from this interval on, values leave at times that differ from drone to drone by the second."""
+OBSERVER = 10_000
+"""Addresses from here on are observers and operators; below are drones."""
+BODIES = 1 << 25
+"""The body of drone i is at BODIES + i where another process than the drone's holds it: beyond all observers."""
+EYES = 1 << 26
+"""What motion capture sees of drone i is said at EYES + i, where a process of its own has the cameras."""
+
+Handler = Callable[[int, bytes, int, str, int, float], None]
+"""Called with (source, payload, number, channel, flags, age)."""
+Tap = Callable[[int, int, int, int, bytes, str, int, float], None]
+"""Called with (destination, topic, source, number, payload, channel, flags, age) of each message as it arrives."""
+
+
+class Forwarder(Protocol):
+    """The way to other processes."""
+
+    def forward(
+        self,
+        topic: Topic,
+        source: int,
+        to: list[int],
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Take a message for ports elsewhere."""
+
+    def then(self, work: Callable[[], None]) -> None:
+        """Call it when what was forwarded in this pass of the loop has left."""
+
+    def interested(self) -> None:
+        """The interests of this process have changed."""
+
+
+@dataclass(slots=True)
+class Rate:
+    """How often the port of another drone or observer gets a topic: one value in each interval of a fixed grid.
+
+    interval_ns: now;  asked_ns: what it has asked for, the longest;  the sender may hasten it.
+    """
+
+    interval_ns: int
+    due_ns: int = 0
+    asked_ns: int = 0
+
+    def due(self, now_ns: int) -> bool:
+        """Whether a value may go now."""
+        if now_ns < self.due_ns:
+            return False
+        self.due_ns += ((now_ns - self.due_ns) // self.interval_ns + 1) * self.interval_ns
+        return True
+
+
+@dataclass(slots=True)
+class Readers:
+    """Who reads a topic of one drone: its own actors' mailboxes; ports that get every value, or some a second."""
+
+    mailboxes: list[AnyMailbox] = field(default_factory=list)
+    every: list[int] = field(default_factory=list)
+    some: dict[int, Rate] = field(default_factory=dict)
+    due: dict[int, list[int]] = field(default_factory=dict)
+    """When those of `some` are due, in ns; who is due at another time by now does not count."""
+    next_ns: int = NEVER_NS
+    """Before that nobody of `some` is due."""
+
+    def add(self, address: int, interval_ns: int, phase: int = 0) -> None:
+        """A port reads, at its fastest rate; phase: ns, of a slow grid, lest all drones say theirs in the same tick."""
+        if address in self.every:
+            return
+        if interval_ns == 0:
+            self.some.pop(address, None)
+            self.every.append(address)
+        elif address in self.some:
+            rate = self.some[address]
+            rate.interval_ns, rate.asked_ns = min(rate.interval_ns, interval_ns), min(rate.asked_ns, interval_ns)
+        else:
+            rate = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
+            self.some[address] = rate
+            self._plan(address, rate)
+
+    def _plan(self, address: int, rate: Rate) -> None:
+        self.due.setdefault(rate.due_ns, []).append(address)
+        self.next_ns = min(self.next_ns, rate.due_ns)
+
+    def pace(self, address: int, interval_ns: int) -> None:
+        """A port that gets some values gets them at this interval, or as often as it asked, if that is more."""
+        rate = self.some.get(address)
+        if rate is not None:
+            rate.interval_ns = min(interval_ns, rate.asked_ns)
+            rate.due_ns %= rate.asked_ns
+            self._plan(address, rate)
+
+    def now_due(self, now_ns: int) -> list[int]:
+        """The ports of `some` that get a value now."""
+        found: list[int] = []
+        if now_ns < self.next_ns:
+            return found
+        for at in [at for at in self.due if at <= now_ns]:
+            for j in self.due.pop(at):
+                rate = self.some.get(j)
+                if rate is not None and rate.due_ns == at and rate.due(now_ns):
+                    found.append(j)
+                    self.due.setdefault(rate.due_ns, []).append(j)
+        self.next_ns = min(self.due, default=NEVER_NS)
+        return found
+
+    def drop(self, addresses: Sequence[int]) -> None:
+        """These ports read no more."""
+        self.every = [j for j in self.every if j not in addresses]
+        self.some = {j: rate for j, rate in self.some.items() if j not in addresses}
+
+
+@dataclass(slots=True)
+class Counters:
+    """What a port has exchanged.
+
+    sent, bytes: messages to drones;  lost: verdicts of the simulated network;  malformed: undecodable payloads.
+    """
+
+    sent: int = 0
+    lost: int = 0
+    resent: int = 0
+    received: int = 0
+    malformed: int = 0
+    bytes: int = 0
+
+
+@dataclass(frozen=True)
+class Interest:
+    """`reader` wants `topic` of drone `source` (or ANY) at most `rate` times a second (0: all)."""
+
+    topic: str
+    source: int
+    reader: int
+    rate: float = 0.0
+
+
+class Bus:
+    """All ports of one process.  offsets: of the clocks of other hosts, to be shown."""
+
+    def __init__(
+        self, clock: Clock, impairment: Impairment | None = None, process: str = "local", host: str = "local"
+    ) -> None:
+        self.clock, self.stages = clock, Stages(clock)
+        self.impairment = impairment or Impairment(0)
+        self.process, self.host = process, host
+        self.ports: dict[int, Port] = {}
+        self.forwarder: Forwarder | None = None
+        self.offsets: dict[str, Estimate] = {}
+        self.interests: list[Interest] = []
+        self.unroutable = 0
+        self.stopped = False
+        self.tap: Tap | None = None
+        self._readers: dict[int, dict[int, Readers]] = {}
+        self._opened: tuple[bytes | None, Any] = (None, None)
+
+    def port(self, address: int, incarnation: int = 1) -> "Port":
+        """Open the port of a drone or an observer; when it opens again, its readers elsewhere are still there."""
+        readers = self._readers.setdefault(address, {})
+        port = self.ports[address] = Port(self, address, incarnation, _readers=readers)
+        for topic in readers.values():
+            topic.mailboxes.clear()
+        for interest in self.interests:
+            if address in self._sources(interest):
+                port.add_reader(interest, None)
+        return port
+
+    def close(self, address: int) -> None:
+        """Close a port: what is for it is lost from now on, as if its drone had crashed."""
+        self.ports.pop(address, None)
+
+    def open(self, topic: int, payload: bytes) -> Any:
+        """The value of a payload of this topic; raises CodecError. Decoded once for all who share the frozen value."""
+        opened, value = self._opened
+        if payload is opened:
+            return value
+        value, row = decode(payload), BY_NUMBER[topic]
+        if row.type is not None and not isinstance(value, row.type):
+            raise CodecError(f"{row.name}: found a {type(value).__name__}; allowed: {row.allowed}.")
+        if isinstance(value, Wire):
+            self._opened = payload, value
+        return value
+
+    def drones(self) -> list[int]:
+        """Ids of the drones of this process."""
+        return [address for address in self.ports if address < OBSERVER]
+
+    def subscribe(self, topic: Topic, source: int, reader: int, mailbox: AnyMailbox, rate: float = 0.0) -> None:
+        """Let `mailbox` of `reader` get `topic` of drone `source` (or ANY)."""
+        interest = Interest(topic.name, source, reader, rate)
+        self.ports[reader].mailboxes.setdefault(topic.number, {}).setdefault(source, []).append(mailbox)
+        for address in self._sources(interest):
+            self.ports[address].add_reader(interest, mailbox if address == reader else None)
+        if (source == ANY or source not in self.ports) and interest not in self.interests:
+            self.interests.append(interest)
+            if self.forwarder is not None:
+                self.forwarder.interested()
+
+    def add_remote_interests(self, interests: list[Interest]) -> None:
+        """Another process has said what it wants."""
+        for interest in interests:
+            if interest.topic in OBSERVABLE:
+                for address in self._sources(interest):
+                    self.ports[address].add_reader(interest, None)
+
+    def _sources(self, interest: Interest) -> list[int]:
+        """The open ports here that an interest is about."""
+        if interest.source != ANY:
+            return [interest.source] if interest.source in self.ports else []
+        return [address for address in self.drones() if address != interest.reader]
+
+    def drop_readers(self, addresses: list[int]) -> None:
+        """These ports of another process are gone."""
+        for port in self.ports.values():
+            port.drop_readers(addresses)
+
+
+@dataclass(eq=False)
+class Port:
+    """The place on the bus of one drone, or of one observer."""
+
+    bus: Bus
+    address: int
+    incarnation: int
+    counters: Counters = field(default_factory=Counters)
+    handlers: dict[int, Handler] = field(default_factory=dict)
+    mailboxes: dict[int, dict[int, list[AnyMailbox]]] = field(default_factory=dict)
+    heard_ns: dict[int, int] = field(default_factory=dict)
+    _readers: dict[int, Readers] = field(default_factory=dict)
+    _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
+    _numbers: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._now_ns = self.bus.clock.now_ns
+
+    def send(
+        self,
+        topic: Topic,
+        to: Sequence[int],
+        payload: bytes,
+        number: int = 0,
+        channel: str = "",
+        flags: int = 0,
+        attempt: int = 0,
+        age: float = 0.0,
+    ) -> None:
+        """Send to each address of `to`, here or elsewhere; between drones through the simulated network."""
+        bus, ports, sent = self.bus, self.bus.ports, 0
+        impaired = topic.impaired and bus.impairment.active
+        if bus.forwarder is not None:  # what leaves this process goes first: the others work meanwhile
+            far = []
+            for j in to:  # a loop: a comprehension would make a function for each message
+                if j not in ports and not (impaired and j < OBSERVER):
+                    far.append(j)
+            if far:
+                self._forward(topic, far, payload, number, channel, flags, age)
+                sent += sum(j < OBSERVER for j in far)
+                to = [j for j in to if j in ports or (impaired and j < OBSERVER)]
+                if to and topic.klass is Class.ROUNDS:  # those elsewhere wait for it, and then we for them
+                    here = partial(self.send, topic, to, payload, number, channel, flags, attempt, age)
+                    bus.forwarder.then(here)
+                    to = ()
+        for j in to:
+            if j < OBSERVER:
+                sent += 1
+                if impaired:
+                    self._send_impaired(topic, j, payload, number, channel, flags, attempt, age)
+                    continue
+            port = ports.get(j)
+            if port is not None:
+                port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+            elif bus.forwarder is None:
+                bus.unroutable += 1
+        self.counters.sent += sent
+        self.counters.bytes += sent * len(payload)
+
+    def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
+        """Give a value to all its readers; costs nothing where nobody reads."""
+        if topic.latched:
+            self._latched[topic.number] = value, self.bus.clock.now_ns() - round(age * SECOND)
+        readers = self._readers.get(topic.number)
+        if readers is None:
+            return
+        for mailbox in readers.mailboxes:
+            mailbox.put(value, age)
+        to = readers.every
+        if readers.some:
+            to = [*to, *readers.now_due(self.bus.clock.now_ns())]
+        if to:
+            number = self._numbers[topic.number] = self._numbers.get(topic.number, 0) + 1
+            payload, bus = encode(value), self.bus
+            if bus.forwarder is None and bus.tap is None and not bus.impairment.active:
+                self._give(topic, to, payload, number, age)
+            else:
+                self.send(topic, to, payload, number, age=age)
+
+    def _give(self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float) -> None:
+        """The short way of `send` and `deliver`, where all are here and nothing is done to a message on its way."""
+        bus, source, now_ns, sent = self.bus, self.address, self._now_ns(), 0
+        for j in to:
+            sent += j < OBSERVER
+            port = bus.ports.get(j)
+            inputs = port.mailboxes.get(topic.number) if port is not None else None
+            if port is None:
+                bus.unroutable += 1
+            elif inputs is None:
+                port.deliver(topic.number, source, payload, number, "", 0, age)
+            else:
+                port.counters.received += 1
+                port.heard_ns[source] = now_ns
+                value = bus.open(topic.number, payload)
+                for box in inputs.get(source, ()):
+                    box.put(value, age)
+                for box in inputs.get(ANY, ()):
+                    box.put((source, value), age)
+        self.counters.sent += sent
+        self.counters.bytes += sent * len(payload)
+
+    def deliver(
+        self, topic: int, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
+    ) -> None:
+        """A message has arrived for this port."""
+        bus = self.bus
+        self.counters.received += 1
+        if bus.tap is not None:
+            bus.tap(self.address, topic, source, number, payload, channel, flags, age)
+        self.heard_ns[source] = self._now_ns()
+        handler = self.handlers.get(topic)
+        if handler is not None:
+            handler(source, payload, number, channel, flags, age)
+            return
+        inputs = self.mailboxes.get(topic)
+        if inputs is None:
+            return
+        boxes, every = inputs.get(source, ()), inputs.get(ANY, ())
+        if not boxes and not every:
+            return
+        try:
+            value = bus.open(topic, payload)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        for box in boxes:
+            box.put(value, age)
+        for box in every:
+            box.put((source, value), age)
+
+    def add_reader(self, interest: Interest, mailbox: AnyMailbox | None) -> None:
+        """From now on `interest.reader` gets the topic; a latched value at once.
+
+        mailbox: of an actor of this drone itself, None for another port. A port is served once, at its fastest rate.
+        """
+        topic = BY_NAME[interest.topic]
+        readers = self._readers.setdefault(topic.number, Readers())
+        if mailbox is None:
+            interval_ns = round(SECOND / interest.rate) if interest.rate > 0 else 0
+            readers.add(interest.reader, interval_ns, PHASE_NS * self.address)
+        elif mailbox not in readers.mailboxes:
+            readers.mailboxes.append(mailbox)
+        if topic.number in self._latched:
+            self._give_latched(topic, interest.reader, mailbox)
+
+    def _give_latched(self, topic: Topic, j: int, mailbox: AnyMailbox | None) -> None:
+        value, born_ns = self._latched[topic.number]
+        age = (self.bus.clock.now_ns() - born_ns) / SECOND
+        if mailbox is not None:
+            mailbox.put(value, age)
+        else:
+            self.send(topic, (j,), encode(value), age=age)
+
+    def pace(self, topic: Topic, reader: int, rate: float) -> None:
+        """Give a reader that gets some values of a topic so many a second, at least what it has asked for."""
+        readers = self._readers.get(topic.number)
+        if readers is not None:
+            readers.pace(reader, round(SECOND / rate) if rate > 0.0 else NEVER_NS)
+
+    def drop_readers(self, addresses: list[int]) -> None:
+        """Forget the readers at these addresses."""
+        for readers in self._readers.values():
+            readers.drop(addresses)
+
+    def _send_impaired(
+        self,
+        topic: Topic,
+        j: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        attempt: int,
+        age: float,
+    ) -> None:
+        bus = self.bus
+        lane = channel or topic.name
+        verdict = bus.impairment.verdict(self.address, j, lane, number, attempt, len(payload), bus.clock.now())
+        if not verdict.deliveries:
+            self.counters.lost += 1
+        for delay in verdict.deliveries:
+            if delay > 0.0:
+                when_ns = bus.clock.now_ns() + round(delay * SECOND)
+                arguments = (topic, j, payload, number, channel, flags, age + delay)
+                bus.clock.call_at(when_ns, self._arrive, *arguments, priority=MESSAGE, drone=j)
+            else:
+                self._arrive(topic, j, payload, number, channel, flags, age)
+
+    def _arrive(self, topic: Topic, j: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        port = self.bus.ports.get(j)
+        if port is not None:
+            port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+        else:
+            self._forward(topic, [j], payload, number, channel, flags, age)
+
+    def _forward(
+        self, topic: Topic, far: list[int], payload: bytes, number: int, channel: str, flags: int, age: float
+    ) -> None:
+        if self.bus.forwarder is None:
+            self.bus.unroutable += len(far)
+        else:
+            self.bus.forwarder.forward(topic, self.address, far, payload, number, channel, flags, age)

@@ -1,0 +1,185 @@
+"""crazychoir solve: a pickup-and-delivery instance by its robots, without flying."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import (
+    STDOUT,
+    Outputs,
+    Progress,
+    fail,
+    interrupted,
+    require_drawable,
+    set_up_logging,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from crazychoir.routing.instance.instance import Instance
+    from crazychoir.solve.solving import Team
+    from crazychoir.solve.team import Progress as TeamProgress
+
+SHOWN_ROBOTS = 20
+"""While they solve; the plan shows all."""
+
+
+def solve(
+    instance: Annotated[Path, typer.Argument(help="Instance file (JSON, or of Li and Lim).")],
+    method: Annotated[
+        str,
+        typer.Option(help="Recovery of the plan: columns, resource-columns, resource, resource-argmax, cbba, auction."),
+    ] = "columns",
+    loss: Annotated[float, options.share("Share of messages between robots that is lost.")] = 0.0,
+    graph: Annotated[
+        str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
+    ] = "ring",
+    seed: Annotated[int, options.seed("Seed of the simulated network.")] = 0,
+    processes: Annotated[
+        int | None, options.whole("Real time, over Zenoh: the robots in so many processes; else virtual time.")
+    ] = None,
+    prove: Annotated[bool, typer.Option(
+        "--prove", help="Prove the plan optimal, or a bound for large teams, whatever it costs."
+    )] = False,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Solve an instance: every robot with its own part of it.
+
+    The file is one JSON object of N robots and M tasks, in metres: home (N points of 2 or 3 numbers), pickup and
+    delivery (M points), load (M numbers), capacity (N numbers, in the unit of load); agents/data/lab6.json is one.
+    If you like: route_length_limit (m), capability (N rows of M booleans), initial_load (N numbers), end (N points),
+    open_tours (boolean), distance (N + 2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
+    service_time (s), time_windows and release (s), penalty (of refusing a task), priority, fixed_cost, objective
+    (total, makespan, or both in order, or vehicles and total); the README says how each is written. Files of Li and
+    Lim are read too: vehicles first, then the total.
+
+    lower_bound: m; no plan costs less, of plans with as few vehicles where these come first. bound_exact: that is
+    proven. A plan that costs its lower_bound is optimal.
+    bound_relaxation: the kind of routes that a bound which is not exact was priced by.
+    """
+    set_up_logging()
+    from crazychoir.routing.distributed.member import Settings
+    from crazychoir.routing.instance.instance import Instance
+    from crazychoir.solve.solving import solve_here
+    from crazychoir.solve.team import solve_in_processes  # kernels and solvers: 1 s that --help does not need
+
+    outputs = Outputs()
+    try:
+        require_drawable(picture)
+        if loss >= 1.0:
+            raise ConfigError("--loss", loss, "less than 1: robots that hear nothing of each other agree on nothing")
+        problem = Instance.load(instance)
+        options.graph_of(graph, problem.robots, seed)
+        how: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
+                               "settings": Settings(prove=prove)}  # fmt: skip
+        if processes is None:
+            with Progress(_team_table, enabled=not as_json) as shown:
+                result = solve_here(problem, watch=shown, **how)
+        else:
+            with Progress(_progress_table, enabled=not as_json) as progress:
+                result = solve_in_processes(problem, processes, watch=None if as_json else progress, **how)
+        if picture is not None:
+            with outputs.writing("--picture"):
+                _draw(problem, result, picture)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
+    if as_json:
+        write_json(result | outputs.told)
+    else:
+        STDOUT.print(_tables(result))
+    outputs.say()
+    raise typer.Exit(0 if result["feasible"] and not outputs.failed else 1)
+
+
+def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
+    from crazychoir.routing.instance.picture import draw_routes
+    from crazychoir.routing.instance.plan import Plan, Route
+
+    draw_routes(problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path)
+
+
+def _team_table(team: "Team") -> Table:
+    progress = {i: agent.progress for i, agent in team.items()}
+    return _progress_table({i: (p.phase, p.round, p.cost) for i, p in progress.items()})
+
+
+def _progress_table(progress: "TeamProgress") -> Table:
+    """One row a robot, of the first ones: phase, round, cost."""
+    table = Table("robot", "phase", "round", "cost")
+    for i, (phase, k, cost) in list(progress.items())[:SHOWN_ROBOTS]:
+        table.add_row(str(i), phase, str(k), "" if cost is None else f"{cost:.3f}")
+    if len(progress) > SHOWN_ROBOTS:
+        table.add_row("...", f"and {len(progress) - SHOWN_ROBOTS} more")
+    return table
+
+
+def _tables(result: dict[str, Any]) -> Group:
+    """What came of it, and a row a trip."""
+    figures = Table("figure", "value", title="plan" if result["feasible"] else Text("not feasible", "red"))
+    for name, text in _figures(result).items():
+        figures.add_row(name, Text(text))
+    for wrong in result["violations"]:
+        figures.add_row("wrong", Text(wrong, "red"))
+    if not result["trips"]:
+        return Group(figures, Text("No robot leaves home."))
+    times = "; @: s, when service begins" if result["timed"] else ""
+    return Group(figures, Text(f"+3: picks task 3 up, -3: delivers it{times}"), _trip_table(result))
+
+
+def _figures(result: dict[str, Any]) -> dict[str, str]:
+    """The rows of the first table; what says nothing of this instance is left out."""
+    rows = {"cost": f"{result['cost']:.6g}{_unit(result)}"}
+    if result["objective"][0] == "vehicles":
+        bound = result["vehicles_bound"]
+        rows = {"vehicles": str(result["vehicles"]), "vehicles_bound": "none" if bound is None else str(bound)} | rows
+    if result["penalties"] or result["objective"] not in (["total"], ["vehicles", "total"]):
+        rows["total_m"] = f"{result['total_m']:.6g} m"
+    if result["timed"]:
+        rows["makespan_s"] = f"{result['makespan_s']:.6g} s"
+    if result["refused"]:
+        rows["refused"] = ", ".join(f"task {one['task']} (penalty {one['penalty']:g})" for one in result["refused"])
+    rows["lower_bound"] = "none" if result["lower_bound"] is None else f"{result['lower_bound']:.6g}{_unit(result)}"
+    rows["bound_exact"] = str(result["bound_exact"])
+    if result["bound_relaxation"] is not None:
+        rows["bound_relaxation"] = result["bound_relaxation"]
+    rows["method"] = result["method"]
+    rows["disclosed"] = f"{len(result['disclosed'])} kinds of facts; --json lists them"
+    rows |= {name: str(result[name]) for name in ("rounds", "messages", "lost", "resent", "bytes")}
+    times = ("startup_s", "wall_s", "cpu_s", "critical_path_s")
+    rows |= {name: f"{result[name]:.3g} s" for name in times if name in result}
+    return rows | {"plan_digest": result["plan_digest"][:16]}
+
+
+def _unit(result: dict[str, Any]) -> str:
+    """Of the cost, where it has one: penalties are of none."""
+    if result["penalties"]:
+        return ""
+    return " s" if result["objective"][0] == "makespan" else " m"
+
+
+def _trip_table(result: dict[str, Any]) -> Table:
+    """Trips are numbered where there are several, and times shown where they matter."""
+    several, timed = any(trip["trip"] > 1 for trip in result["trips"]), result["timed"]
+    made = Table()
+    made.add_column("robot", justify="right")
+    if several:
+        made.add_column("trip", justify="right")
+    made.add_column("length m", justify="right")
+    if timed:
+        made.add_column("done at s", justify="right")
+    made.add_column("stops")
+    for trip in result["trips"]:
+        row = [str(trip["robot"]), *([str(trip["trip"])] if several else []), f"{trip['length_m']:.3f}"]
+        times = [f"@{begin:.2f}" if timed else "" for begin in trip["begin_s"]]
+        stops = " ".join(stop + time for stop, time in zip(trip["stops"], times, strict=True))
+        made.add_row(*row, *([f"{trip['end_s']:.2f}"] if timed else []), Text(stops))
+    return made

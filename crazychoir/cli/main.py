@@ -1,0 +1,219 @@
+"""crazychoir: run missions, solve instances, look into a running swarm."""
+
+from contextlib import nullcontext
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crazychoir.cli.compute import simulate, solve
+from crazychoir.cli.fly import virtual
+from crazychoir.cli.operate import dashboard, orders, param, task
+from crazychoir.cli.operate import go_to as steer
+from crazychoir.cli.operate import inspect as look
+from crazychoir.cli.recordings import convert, plot, record, render, replay, rerun, ros
+from crazychoir.cli.setup import doctor, identify, keys, push, radio, rigid_bodies, router
+from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import (
+    STDOUT,
+    Outputs,
+    Progress,
+    fail,
+    interrupted,
+    prints_aside,
+    require_drawable,
+    set_up_logging,
+    status_table,
+    summary_table,
+    write_json,
+)
+from crazychoir.launch.process import ending
+from crazychoir.numerics.compiling import LATER
+
+if TYPE_CHECKING:
+    from crazychoir.config.swarm_config import SwarmConfig
+    from crazychoir.guidance.mission import Mission
+
+app = typer.Typer(add_completion=False, no_args_is_help=True)
+app.command()(solve.solve)
+app.command()(simulate.simulate)
+app.command()(plot.plot)
+app.command()(render.render)
+app.command()(rerun.rerun)
+app.command()(convert.convert)
+app.command()(ros.ros)
+app.command()(record.record)
+app.command()(replay.replay)
+app.command()(identify.identify)
+app.command()(dashboard.dashboard)
+app.command()(doctor.doctor)
+app.command()(router.router)
+app.command()(push.push)
+for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
+    app.command()(command)
+for verb in orders.TEXTS:
+    app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
+
+app.command(name="go-to")(steer.go_to)
+app.command()(steer.fly)
+app.add_typer(keys.app, name="keys")
+app.add_typer(param.app, name="param")
+app.add_typer(radio.app, name="radio")
+app.add_typer(task.app, name="task")
+app.add_typer(virtual.app, name="virtual")
+app.add_typer(rigid_bodies.app, name="mocap")
+
+
+def _told(wanted: bool) -> None:
+    if wanted:
+        STDOUT.print(f"crazychoir {version('crazychoir')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def crazychoir(
+    tell: Annotated[bool, typer.Option("--version", is_eager=True, callback=_told, help="Tell it and end.")] = False,
+) -> None:
+    """Swarms that optimise and fly together."""
+
+
+@app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def bench(context: typer.Context) -> None:
+    """Measure, against peers of the same run."""
+    from crazychoir.cli.compute.bench import (
+        app as benches,  # its commands, options and help; 1 s that others need not wait
+    )
+
+    benches(context.args, prog_name=context.command_path)
+
+
+@app.command()
+def run(
+    what: Annotated[str, typer.Argument(help="Mission in agents/, mission file (.py) or swarm file (.toml).")],
+    drones: Annotated[int | None, options.size("So many drones, if the mission can.")] = None,
+    only: Annotated[
+        str | None, typer.Option(help="Start only these drones of a swarm file here, as 3,4; others start the rest.")
+    ] = None,
+    processes: Annotated[int | None, options.size("So many processes (else one a drone).")] = None,
+    fast: Annotated[bool, typer.Option(help="Virtual time: one process, as fast as it goes, repeatable.")] = False,
+    loss: Annotated[float | None, options.share("Share of messages between drones that is lost.")] = None,
+    seed: Annotated[int | None, options.seed("Seed, instead of the swarm file's.")] = None,
+    swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
+    force: Annotated[bool, typer.Option(help="Fly what the mission warns of: slow formations, crowds.")] = False,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Wait for an operator: `crazychoir take-off`, then `start`.")
+    ] = False,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the picture (PNG).")] = None,
+    record: Annotated[Path | None, typer.Option(help="New file to record the flight into (.mcap).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Fly a mission on this machine; Ctrl-C lands the drones."""
+    set_up_logging()
+    with LATER.checks_first():
+        from crazychoir.cli.shared.chosen_swarm import (  # kernels and network: 1 s that --help does not need
+            check_options,
+            named_file,
+            to_run,
+            to_start,
+            with_operator,
+        )
+        from crazychoir.guidance.mission import look_before
+        from crazychoir.launch.extras import require_extras
+        from crazychoir.launch.flight import dongles, fly_fast, fly_real, owners
+        from crazychoir.launch.network import set_apart, swarm_file
+        from crazychoir.launch.recording import recording_file
+        from crazychoir.launch.run_registry import Run, recorded
+        from crazychoir.radio.link.ownership import require_free
+
+    outputs = Outputs()
+    given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
+    try:
+        check_options(what, swarm, only, given)
+        with prints_aside(), without_exit("the mission"):
+            with LATER.checks_first():
+                config, mission = to_run(what, drones, swarm, loss, seed)
+                config = with_operator(config, wait, fast)
+                require_drawable(picture)
+                started, source = to_start(only, config), named_file(what, swarm)
+                require_extras(config, [] if fast else owners(config, started), fast)
+                if not fast:
+                    require_free(config, dongles(config, started))
+                named = {} if source is None else {"swarm": config.name}
+                warned = look_before(mission, config, force)
+            LATER.compile()
+            with Progress(status_table, enabled=not as_json) as progress:
+                for text in warned:
+                    progress.say(text)
+                as_it_is = fast or only is not None
+                own = nullcontext(config) if as_it_is else set_apart(config, processes, keeps_port=True)
+                with own as config, recording_file(record, config, mission, virtual=fast) as file:
+                    if fast:
+                        result = fly_fast(config, mission, progress, file)
+                    else:
+                        with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
+                            progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
+                            flags = ["--force"] if force else []
+                            result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
+            result["picture"] = None
+            with outputs.writing("--picture"):
+                result["picture"] = _drawn(mission, config, result, picture)
+                if picture is not None and result["picture"] is None:
+                    do = "The mission's own picture() draws it: see what it said above."
+                    raise ConfigError("--picture", f"{picture}, which was not drawn", "a picture by the mission", do)
+            del result["tracks"]
+            result = named | result | outputs.told
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
+    _show(result, as_json)
+    outputs.say()
+    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
+
+
+def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
+    """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked,
+    and where the mission's own picture has not been drawn.
+    """
+    if path is None:
+        return None
+    from crazychoir.guidance.mission import has
+    from crazychoir.recording.analysis.tracks import draw_tracks
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tracks = result["tracks"]
+    flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
+    if has(mission, "picture"):
+        before = _version(path)
+        mission.picture(config, flown, str(path))
+        if _version(path) == before:
+            return None
+    else:
+        draw_tracks(flown, path, leaders=[drone.id for drone in config.drones if drone.leader])
+    return str(path)
+
+
+def _version(path: Path) -> tuple[int, ...] | None:
+    """What changes when a file is written; None without one."""
+    if not path.exists():
+        return None
+    about = path.stat()
+    return about.st_ino, about.st_size, about.st_mtime_ns
+
+
+def _show(result: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        write_json(result)
+    else:
+        STDOUT.print(summary_table(result))
+
+
+def main() -> None:
+    """Entry point."""
+    ending.run(app)
+
+
+if __name__ == "__main__":
+    main()

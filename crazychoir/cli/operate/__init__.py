@@ -1,0 +1,1 @@
+"""Commands that look into a running swarm or steer it."""

@@ -1,0 +1,105 @@
+"""Command the drones of a running swarm: take-off, start, hold, go, land, home, stop; some of them or all."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.config.number_lists import parse_spans
+from crazychoir.errors import ConfigError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import STDOUT, fail, write_json
+
+if TYPE_CHECKING:
+    from crazychoir.cli.shared.observer import Answers, Window
+
+DronesOption = Annotated[str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")]
+DONE, ABSENT, SILENT = "done", "absent", "silent"
+LONGEST = {"arm": 5.0, "take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0}
+"""s to wait until each is done."""
+Rows = dict[int, dict[str, str]]
+TEXTS = {
+    "arm": "Ask drones on the ground whether they could take off; motors that wait for it are armed.",
+    "take-off": "Rise and hover: drones of a run that waits for its operator (`crazychoir run --wait`).",
+    "start": "Let the missions of a run that waits begin, of drones that hover.",
+    "hold": "Freeze drones where they are; their missions wait, up to 300 s.",
+    "go": "Let drones that are held go on.",
+    "land": "Land drones where they are; their missions are over.",
+    "home": "Fly to where each took off, above the others, and land; the missions are over.",
+}
+
+
+def order(verb: str, seconds: float) -> Callable[..., None]:
+    """The command line of a verb that is done after at most about so many s."""
+
+    def command(
+        drones: DronesOption = None,
+        swarm: SwarmOption = None,
+        wait: Annotated[float, options.seconds("s to wait until it is done.")] = seconds,
+        as_json: JsonOption = False,
+    ) -> None:
+        chosen = numbers(drones)
+
+        async def work(window: "Window") -> "Answers":
+            window.check("--drones", chosen or ())
+            return await window.order(verb, chosen, wait)
+
+        conclude(looking(swarm, work, as_json), as_json)
+
+    command.__doc__ = f"{TEXTS[verb]} Exit code 0 only if all have done it."
+    return command
+
+
+def stop(
+    drones: DronesOption = None,
+    swarm: SwarmOption = None,
+    clear: Annotated[bool, typer.Option(help="Clear an emergency stop.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Emergency stop: motors off; that of all drones stays in force until cleared. Exit code 0 if all have obeyed."""
+    chosen = numbers(drones)
+
+    async def work(window: "Window") -> "Answers":
+        window.check("--drones", chosen or ())
+        return await window.emergency_stop(clear, chosen)
+
+    answers: Answers = looking(swarm, work, as_json)
+    words = "cleared" if clear else "motors off"
+    rows = {i: {"answer": DONE, "says": words} if obeyed else _row(said) for i, (obeyed, said) in answers.items()}
+    _conclude(rows, as_json)
+
+
+def conclude(answers: "Answers", as_json: bool) -> None:
+    """What each drone answers to a command that it was to do; exit code 0 only if all have done it."""
+    _conclude({i: _row(said) for i, (_, said) in answers.items()}, as_json)
+
+
+def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:
+    if not isinstance(said, str):
+        return {"answer": said[0], "says": said[1]}
+    absent = said.startswith(ABSENT)
+    return {"answer": ABSENT if absent else SILENT, "says": said.removeprefix(ABSENT).lstrip("; ")}
+
+
+def _conclude(rows: Rows, as_json: bool) -> None:
+    """What each drone answers; ends with exit code 1 unless all, and there are some, have done it."""
+    if as_json:
+        write_json(rows)
+    else:
+        table = Table("drone", "answer", "says")
+        for i, row in rows.items():
+            table.add_row(str(i), row["answer"], row["says"])
+        STDOUT.print(table)
+    raise typer.Exit(0 if rows and all(row["answer"] == DONE for row in rows.values()) else 1)
+
+
+def numbers(text: str | None) -> list[int] | None:
+    """The drones of "3,5-7"; None: all."""
+    if text is None:
+        return None
+    try:
+        return parse_spans(text, "--drones", "drones with commas between, as 3,5-7")
+    except ConfigError as error:
+        fail(error, as_json=False)

@@ -1,0 +1,96 @@
+"""crazychoir param: read and change the parameters of drones that fly."""
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.errors import ConfigError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+
+if TYPE_CHECKING:
+    from crazychoir.cli.shared.observer import Answers, Window
+
+app = typer.Typer(no_args_is_help=True, help="Read and change the parameters of drones that fly.")
+DroneOption = Annotated[int | None, options.drone("Only this drone.")]
+
+
+@app.command(name="get")
+def read(
+    name: Annotated[str | None, typer.Argument(help="Parameter, as control.kp; without: all.")] = None,
+    drone: DroneOption = None,
+    swarm: SwarmOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print parameters, drone by drone."""
+    _conclude(_asked(swarm, drone, "param_get", as_json, **({} if name is None else {"name": name})), as_json)
+
+
+@app.command(name="set")
+def change(
+    name: Annotated[str, typer.Argument(help="Parameter, as control.kr.")],
+    value: Annotated[str, typer.Argument(help="A number, or three as 8,8,4.")],
+    drone: DroneOption = None,
+    swarm: SwarmOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Change a parameter while the drones fly, within its stable range; exit code 0 only if all have done so."""
+    _conclude(_asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)), as_json)
+
+
+def _asked(swarm: str | None, drone: int | None, verb: str, as_json: bool, **arguments: Any) -> "Answers":
+    async def work(window: "Window") -> "Answers":
+        window.check("--drone", () if drone is None else (drone,))
+        return await window.request(verb, None if drone is None else (drone,), **arguments)
+
+    answers: Answers = looking(swarm, work, as_json)
+    return answers
+
+
+def _value(text: str) -> Any:
+    """A number, or a list of numbers."""
+    try:
+        found = options.finite_numbers(text, "VALUE", "a number, or three as 8,8,4")
+    except ConfigError as error:
+        fail(error, as_json=False)
+    return found if len(found) > 1 else found[0]
+
+
+def _conclude(answers: "Answers", as_json: bool) -> None:
+    """What each drone says; exit code 1 unless all have answered well."""
+    if as_json:
+        write_json({i: said for i, (_, said) in answers.items()})
+    else:
+        STDOUT.print(_table(answers))
+    raise typer.Exit(0 if all(done for done, _ in answers.values()) else 1)
+
+
+def _table(answers: "Answers") -> Table:
+    """A row a parameter, a column a drone; a cell is empty where a drone has no such parameter.
+
+    A drone that refuses says why, below.
+    """
+    good = {i: said if isinstance(said, dict) else {"value": said} for i, (done, said) in answers.items() if done}
+    table = Table("parameter", *(f"drone {i}" for i in good))
+    for name in _names(good.values()):
+        table.add_row(Text(name), *(Text(_shown(said[name]) if name in said else "") for said in good.values()))
+    for i, (done, said) in answers.items():
+        if not done:
+            STDERR.print(f"drone {i}: {said}", markup=False)
+    return table
+
+
+def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
+    """The parameters that any of the drones has: first those of the drone that has most, in its order."""
+    most_first = sorted(answers, key=len, reverse=True)
+    return list(dict.fromkeys(name for said in most_first for name in said))
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_shown, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,120 @@
+"""crazychoir task: give a swarm that works in flight another task, or cancel one."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.config.number_lists import parse_spans
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+
+if TYPE_CHECKING:
+    from crazychoir.cli.shared.observer import Answers, Window
+
+REFUSED = "refused"
+UNSURE = "It may have done it all the same: look at the report of the mission before you ask another with --drone."
+START = "crazychoir run online_delivery"
+app = typer.Typer(no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight.")
+DroneOption = Annotated[int | None, options.drone("Tell this drone; else the first that answers. All hear of it.")]
+
+
+@app.command()
+def add(
+    pickup: Annotated[str, typer.Option(help="Where the goods are, as 1.5,2 (m).")],
+    delivery: Annotated[
+        str | None, typer.Option(help="Where they are to be, as 3,0.5 (m); of a task that is done at a place: nothing.")
+    ] = None,
+    load: Annotated[float, options.real("In the unit of the capacities.", least=0.0)] = 1.0,
+    robots: Annotated[str | None, typer.Option(help="Who alone may serve it, as 0,3; else all.")] = None,
+    drone: DroneOption = None,
+    swarm: SwarmOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Another task; prints its id, as `cancel` wants it."""
+    arguments = {
+        "pickup": _place("--pickup", pickup),
+        "delivery": None if delivery is None else _place("--delivery", delivery),
+        "load": load,
+        "robots": [] if robots is None else _robots(robots),
+    }
+    _ask(swarm, drone, "task_add", as_json, arguments)
+
+
+@app.command()
+def cancel(
+    task: Annotated[int, typer.Argument(help="Its id.")],
+    drone: DroneOption = None,
+    swarm: SwarmOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Cancel a task; goods that are aboard by then are delivered all the same."""
+    _ask(swarm, drone, "task_cancel", as_json, {"id": task})
+
+
+def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, arguments: dict[str, Any]) -> None:
+    """Ask one drone, or one after the other until one has done it; exit code 1 if none has.
+
+    Who does not answer may have done it all the same: nobody else is asked then, or a task might be there twice.
+    """
+
+    async def work(window: "Window") -> "Answers":
+        window.check("--drone", () if drone is None else (drone,))
+        there = await _found(window)
+        if drone is not None and drone not in there:
+            raise Refused(f"drone {drone}", f"absent; there are {', '.join(map(str, there))}")
+        answers: Answers = {}
+        for i in there if drone is None else [drone]:
+            answers |= await window.request(verb, (i,), **arguments)
+            done, said = answers[i]
+            if done or not str(said).startswith(REFUSED):
+                break
+        return answers
+
+    answers: Answers = looking(swarm, work, as_json)
+    done = [said for good, said in answers.values() if good]
+    if as_json:
+        write_json(done[0] if done else {str(i): said for i, (_, said) in answers.items()})
+    else:
+        for line in _lines(answers):
+            (STDOUT if done else STDERR).print(line, markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(0 if done else 1)
+
+
+async def _found(window: "Window") -> list[int]:
+    """The drones that are there; raises Refused, with what to start, if nobody flies."""
+    try:
+        return await window.find()
+    except Refused as refused:
+        do = f"Only a swarm that flies takes tasks: start one in real time, as with `{START}`, and name it by --swarm."
+        raise Refused(refused.by, f"{refused.reason} {do}") from None
+
+
+def _lines(answers: "Answers") -> list[str]:
+    """What each has answered, and once what several have."""
+    if done := [f"drone {i}: {_in_words(said)}" for i, (good, said) in answers.items() if good]:
+        return done
+    by_word: dict[str, list[str]] = {}
+    for i, (_, said) in answers.items():
+        text = str(said).removeprefix(f"drone {i}: ")
+        by_word.setdefault(text if text.startswith(REFUSED) else f"{text} {UNSURE}", []).append(str(i))
+    return [f"drone {', '.join(who)}: {said}" for said, who in by_word.items()]
+
+
+def _in_words(said: dict[str, Any]) -> str:
+    return f"task {said['id']}" + (f": {said['note']}" if "note" in said else "")
+
+
+def _place(option: str, text: str) -> list[float]:
+    try:
+        return options.finite_numbers(text, option, "2 numbers, as 1.5,2", 2)
+    except ConfigError as error:
+        fail(error, as_json=False)
+
+
+def _robots(text: str) -> list[int]:
+    try:
+        return parse_spans(text.strip().strip("[]()"), "--robots", "whole numbers, as 0,3")
+    except ConfigError as error:
+        fail(error, as_json=False)

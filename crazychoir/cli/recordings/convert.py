@@ -1,0 +1,40 @@
+"""crazychoir convert: a recording for the tools of ROS 2."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from crazychoir.errors import CrazyChoirError
+from crazychoir.launch.console import STDOUT, fail, set_up_logging, warn_of, write_json
+
+
+def convert(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record` or `crazychoir record`.")],
+    rosbag2: Annotated[Path, typer.Option(help="New folder for the bag.")],
+    partial: Annotated[bool, typer.Option("--partial", help="To have a part of it is no failure.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Make a bag of ROS 2 of standard messages, which needs none of our packages to be played.
+
+    Of a recording that was cut off or is spoilt the bag has what lies before; the exit code is 1 then.
+    """
+    set_up_logging()
+    from crazychoir.recording.mcap.reading import header
+    from crazychoir.recording.ros import rosbag2 as bags  # numerics: 1 s that --help does not need
+
+    try:
+        recording = header(file)
+        warn_of(recording, "the bag has what lies before")
+        bag = bags.convert(file, rosbag2)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    success = recording.complete or partial
+    if as_json:
+        topics = {topic: {"type": channel.type, "messages": channel.count} for topic, channel in bag.channels.items()}
+        told = {**recording.lacks, "folder": rosbag2, "messages": bag.count}
+        write_json({"success": success, **told, "topics": topics})
+    else:
+        text = f"{rosbag2}: {bag.count} messages of {len(bag.channels)} topics"
+        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(0 if success else 1)

@@ -1,0 +1,130 @@
+"""crazychoir plot: a recording as pictures, tables and figures."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.files.output_files import require_writable_folder, written_file
+from crazychoir.launch.console import STDOUT, Outputs, fail, set_up_logging, warn_of, write_json
+
+if TYPE_CHECKING:
+    from crazychoir.recording.analysis.activity import Work
+    from crazychoir.recording.analysis.communication import Talk
+    from crazychoir.recording.analysis.figures import Flight
+    from crazychoir.recording.analysis.plots import Pictures, Reasons
+    from crazychoir.recording.mcap.reading import Recording
+
+HEADS = {
+    "source": "place by",
+    "flown_m": "flown m", "highest_m": "highest m", "fastest_m_s": "fastest m/s", "compared_s": "compared s",
+    "tracking_rmse_m": "RMSE m", "tracking_max_m": "worst m", "estimation_rmse_m": "state RMSE m",
+}  # fmt: skip
+COMPARED = (
+    "RMSE, worst: its place against the reference position, for so many seconds as there was one (a law that commands "
+    "accelerations has none). State RMSE: truth against what the drone took for its position."
+)
+BY_STATE = "By state: where the drone took itself to be, as its truth was not recorded, or nobody saw it from outside."
+
+
+def plot(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; else FILE without .mcap.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages, convergence; with tables (CSV)."""
+    set_up_logging()
+    from crazychoir.bus.topics import RESULT, STATUS  # numerics: 1 s that --help does not need
+    from crazychoir.recording.analysis.activity import work_of
+    from crazychoir.recording.analysis.communication import talk_of
+    from crazychoir.recording.analysis.figures import TOPICS, flight_of
+    from crazychoir.recording.mcap.reading import read
+
+    outputs = Outputs()
+    folder = out or file.with_suffix("")
+    files: list[Path] = []
+    try:
+        recording = read(file, (*TOPICS, STATUS.name, RESULT.name))
+        flight = flight_of(recording)
+        began, ended = recording.seconds
+        work = work_of(file, began)
+        talk = talk_of(file, began)
+        pictures, missing = _pictures(file, flight, work, talk)
+        require_writable_folder(folder, "--out")
+        with outputs.writing("--out"):
+            _write(flight, work, talk, pictures, folder, files)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    figures = {"seconds": ended - began, **flight.figures()}
+    warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
+    if as_json:
+        told = {"file": file, **recording.lacks, "about": recording.about}
+        success = not outputs.failed
+        write_json({"success": success, **told, "files": files, "not_drawn": missing, **outputs.told, **figures})
+    else:
+        _show(recording, figures)
+        if missing:
+            text = "; ".join(f"{name}: {why}" for name, why in missing.items())
+            STDOUT.print(f"Not drawn: {text}", markup=False, highlight=False, soft_wrap=True)
+        names = ", ".join(path.stem for path in files if path.suffix == ".png")
+        text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
+        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+    outputs.say()
+    if outputs.failed:
+        raise typer.Exit(1)
+
+
+def _pictures(file: Path, flight: "Flight", work: "Work", talk: "Talk") -> "tuple[Pictures, Reasons]":
+    """What can be drawn, and why the rest cannot; raises ConfigError where nothing can."""
+    from crazychoir.recording.analysis.plots import of_flight
+    from crazychoir.recording.analysis.team_plots import of_team
+    from crazychoir.recording.mcap.reading import FLIGHT
+    from crazychoir.recording.mcap.records import DO
+
+    (pictures, missing), (more, without) = of_flight(flight), of_team(flight, work, talk)
+    pictures, missing = pictures | more, missing | without
+    if not pictures:
+        raise ConfigError(str(file), "; ".join(dict.fromkeys(missing.values())), FLIGHT, DO)
+    return pictures, missing
+
+
+def _write(
+    flight: "Flight", work: "Work", talk: "Talk", pictures: "Pictures", folder: Path, files: list[Path]
+) -> None:  # fmt: skip
+    """Draw and write into the folder; `files` grows with each that is there."""
+    from crazychoir.recording.analysis.plots import draw
+
+    tables = {f"drone{track.drone}": track.write for track in flight.tracks}
+    tables |= {"tasks": work.write, "messages": talk.write, "rounds": talk.write_rounds,
+               "convergence": talk.write_history}  # fmt: skip
+    for name, picture in pictures.items():
+        files += draw({name: picture}, folder)
+    for name, write in tables.items():
+        path = folder / f"{name}.csv"
+        with written_file(path, "--out") as place:
+            write(place)
+        files.append(path)
+
+
+def _show(recording: "Recording", figures: dict[str, Any]) -> None:
+    about, least = recording.about, figures["min_separation_m"]
+    title = f"{about['mission']}, seed {about['seed']}, {figures['seconds']:.2f} s of {about['time']} time"
+    table = Table("drone", *HEADS.values(), title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for i, own in figures["drones"].items():
+        table.add_row(str(i), *(_cell(own[key]) for key in HEADS))
+    if not figures["drones"]:
+        STDOUT.print(title, markup=False, highlight=False, soft_wrap=True)
+        return
+    STDOUT.print(table)
+    STDOUT.print(COMPARED)
+    if any(own["source"] == "state" for own in figures["drones"].values()):
+        STDOUT.print(BY_STATE)
+    if least is not None:
+        STDOUT.print(f"Least distance of two drones: {least:.3f} m", highlight=False)
+
+
+def _cell(figure: float | str | None) -> str:
+    return "" if figure is None else figure if isinstance(figure, str) else f"{figure:.3f}"

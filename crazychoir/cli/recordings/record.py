@@ -1,0 +1,115 @@
+"""crazychoir record: what a swarm that flies says, into a file, by who looks on."""
+
+import contextlib
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crazychoir.cli.operate.inspect import SwarmOption, looking
+from crazychoir.errors import ConfigError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+
+if TYPE_CHECKING:
+    from crazychoir.cli.shared.observer import Window
+    from crazychoir.recording.recorder import Recorder
+
+LOOK = 0.25
+"""s between two looks at who is still there."""
+
+
+def record(
+    file: Annotated[Path, typer.Argument(help="New file (.mcap).")],
+    topics: Annotated[str | None, typer.Option(help="Only these, as state,status; else all.")] = None,
+    swarm: SwarmOption = None,
+    seconds: Annotated[float | None, options.seconds("s; else until its drones have gone.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Record a running swarm, until its drones have gone, or Ctrl-C."""
+    recorders: list[Recorder] = []
+    try:
+        chosen = _topics(topics)
+    except ConfigError as error:
+        fail(error, as_json)
+
+    async def work(window: "Window") -> None:
+        import asyncio
+
+        from crazychoir.launch.recording import new_recording
+        from crazychoir.recording.recorder import Recorder
+        from crazychoir.runtime.supervisor import Supervisor
+
+        with contextlib.closing(new_recording(file, window.config, None, virtual=False)) as opened:
+            await window.find()
+            config, bus = window.config, window.link.bus
+            recorder = Recorder(bus, config.ids, opened, window.address, config.source, topics=chosen)
+            recorder.ended = "Ctrl-C"
+            recorders.append(recorder)
+            STDERR.print(f"recording {file}; Ctrl-C ends it", markup=False, highlight=False, soft_wrap=True)
+            running = asyncio.create_task(Supervisor(window.clock, "record").run([recorder]))
+            try:
+                recorder.ended = await _until_gone(window, recorder, math.inf if seconds is None else seconds)
+            finally:
+                running.cancel()
+                await asyncio.wait([running])
+
+    try:
+        looking(swarm, work, as_json)
+    except KeyboardInterrupt:
+        if not recorders:
+            raise
+    told, ended = recorders[0].result(), recorders[0].ended
+    if not (told["messages"] or told["error"]):
+        told["error"] = _nothing(topics)
+    success = not (told["error"] or told["lost"])
+    if as_json:
+        write_json({"success": success, **told, "ended": ended})
+    else:
+        figures = ", ".join(f"{told[name]} {name}" for name in ("messages", "lost", "missed"))
+        text = f"{told['file']}: {figures}; it ended: {ended}"
+        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        if not told["messages"]:
+            STDERR.print(f"There is no file: {told['error']}", markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(0 if success else 1)
+
+
+def _nothing(named: str | None) -> str:
+    """Why there is no message, and what to do."""
+    of = f" of {named}" if named else ""
+    do = "Record for longer, or more topics; a result is said only at the end of a mission."
+    return f"no message{of} came while it was recorded. {do}"
+
+
+async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> str:
+    """Until the file has failed, so many s are over, or no drone was there for longer than a network may be gone.
+
+    Returns which it was.
+    """
+    from crazychoir.cli.shared.running_swarm import DISCOVERY  # the network: 1 s that --help does not need
+
+    clock, patience = window.clock, window.config.lost_after + DISCOVERY
+    ends, seen, waiting = clock.now() + seconds, clock.now(), False
+    while clock.now() < ends and not recorder.file.error:
+        if window.drones:
+            seen, waiting = clock.now(), False
+        elif clock.now() - seen >= patience:
+            return f"no drone was there for {patience:g} s"
+        elif not waiting:
+            STDERR.print(f"no drone is there: it ends in {patience:g} s, unless one comes back", soft_wrap=True)
+            waiting = True
+        await clock.sleep(min(LOOK, ends - clock.now()))
+    return recorder.file.error or f"after {seconds:g} s"
+
+
+def _topics(named: str | None) -> tuple[str, ...]:
+    from crazychoir.bus.topics import OBSERVABLE
+
+    if named is None:
+        return OBSERVABLE
+    chosen = tuple(named.split(","))
+    for name in chosen:
+        if name not in OBSERVABLE:
+            raise ConfigError("--topics", name, ", ".join(OBSERVABLE), "Name some of them, with commas between.")
+    return chosen

@@ -1,0 +1,156 @@
+"""crazychoir replay: a recorded flight said again, as a swarm of its own that others look at."""
+
+import contextlib
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
+
+if TYPE_CHECKING:
+    from crazychoir.config.swarm_config import SwarmConfig
+    from crazychoir.recording.replayer import Step
+    from crazychoir.runtime.clock import Clock
+
+LOOK, SETTLE = 0.1, 1.0
+"""s between two looks at who is there, and for who has come to say what it wants."""
+LINGER = 1.0
+"""s for which the swarm stays after the last message."""
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record` or `crazychoir record`.")],
+    speed: Annotated[float, options.real("How many times faster than it was.", least=0.01, most=1000.0)] = 1.0,
+    step: Annotated[
+        float | None, options.seconds("Go on by so many s at each Enter; a number and Enter: by that.", least=0.001)
+    ] = None,
+    wait: Annotated[float, options.seconds("Begins when somebody looks, or after so many s.")] = 2.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
+    set_up_logging()
+    from crazychoir.config.swarm_config import SwarmConfig
+    from crazychoir.launch.network import set_apart, swarm_file  # kernels and network: 1 s that --help does not need
+    from crazychoir.launch.run_registry import Run, recorded
+    from crazychoir.recording.mcap.reading import header
+    from crazychoir.runtime.clock import run_wall
+
+    try:
+        recording = header(file)
+        warn_of(recording, "what lies before is said")
+        recorded_swarm = _here(SwarmConfig.loads(recording.swarm, f"{file}: swarm.json"))
+        with (
+            set_apart(recorded_swarm, 1) as config,
+            swarm_file(config) as path,
+            recorded(Run(config.name, str(file), None, str(path))),
+        ):
+            STDERR.print(f"Look at it (or echo, hz, record): crazychoir status --swarm {path}", soft_wrap=True)
+            told = run_wall(lambda clock: _replay(clock, config, file, speed, step, wait))
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        raise typer.Exit(130) from None
+    if as_json:
+        of_file = {"file": file, **recording.lacks}
+        write_json({"success": told["messages"] > 0, **of_file, **told})
+    else:
+        STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)
+    raise typer.Exit(0 if told["messages"] else 1)
+
+
+def _here(config: "SwarmConfig") -> "SwarmConfig":
+    """The same swarm on this machine alone."""
+    import msgspec
+
+    if not config.hosts:
+        return config
+    raw = msgspec.to_builtins(config)
+    drones = [{**drone, "host": None} for drone in raw["drones"]]
+    world, mocap = ({**raw[name], "host": None} for name in ("world", "mocap"))
+    return config.replace(hosts={}, security={}, drones=drones, world=world, mocap=mocap)
+
+
+async def _replay(
+    clock: "Clock", config: "SwarmConfig", file: Path, speed: float, step: float | None, wait: float
+) -> dict[str, Any]:
+    """As one process that has all drones."""
+    import random
+
+    from crazychoir.bus.network.hello import VERSION
+    from crazychoir.bus.network.zenoh_link import ZenohLink
+    from crazychoir.bus.port import Bus
+    from crazychoir.bus.topics import BY_NAME, OBSERVABLE
+    from crazychoir.launch.network import REPLAY, attached
+    from crazychoir.recording.replayer import Replayer
+
+    incarnation = random.SystemRandom().getrandbits(62)
+    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY)
+    for i in config.ids:
+        for address in sorted({i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}):
+            bus.port(address, incarnation)
+    link = ZenohLink(
+        bus, config.name, listen=list(config.endpoints().values()), connect=[], incarnation=incarnation,
+        version=VERSION, lease=config.lease,
+    )  # fmt: skip
+    replayer = Replayer(bus, file, speed, None if step is None else _asked(step), config.source)
+    async with attached(link):
+        latest = clock.now() + wait
+        while not link.peers and clock.now() < latest:
+            await clock.sleep(LOOK)
+        await clock.sleep(min(wait, SETTLE))
+        await replayer.run()
+        await clock.sleep(LINGER)
+    return {"messages": replayer.said, "seconds": replayer.at}
+
+
+def _asked(step: float) -> "Step":
+    """Steps at the lines of standard input; its end lets the flight go on to its end."""
+    at = 0.0
+
+    async def next_step() -> float:
+        nonlocal at
+        seconds = await asked()
+        at += seconds
+        return seconds
+
+    async def asked() -> float:
+        STDERR.print(f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
+                     highlight=False, soft_wrap=True)  # fmt: skip
+        while line := await _line():
+            if not line.strip():
+                return step
+            with contextlib.suppress(ValueError):
+                if (seconds := float(line)) > 0.0:
+                    return seconds
+            found = line.decode(errors="replace").strip()
+            error = ConfigError("--step", found, "Enter, or a number of seconds above 0 and Enter")
+            STDERR.print(error, markup=False, highlight=False, soft_wrap=True)
+        return math.inf
+
+    return next_step
+
+
+async def _line() -> bytes:
+    """The next line of standard input, empty at its end. Who waits may be cancelled, and the program may end."""
+    import asyncio
+    import threading
+
+    loop = asyncio.get_running_loop()
+    line: asyncio.Future[bytes] = loop.create_future()
+
+    def hand_over(found: bytes) -> None:
+        if not line.done():
+            line.set_result(found)
+
+    def read() -> None:
+        found = sys.stdin.buffer.readline()
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+            loop.call_soon_threadsafe(hand_over, found)
+
+    threading.Thread(target=read, name="standard input", daemon=True).start()
+    return await line

@@ -1,0 +1,121 @@
+"""crazychoir rerun: a recorded flight in virtual time once more, and whether it was the same."""
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    Progress,
+    fail,
+    prints_aside,
+    set_up_logging,
+    status_table,
+    warn_of,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from crazychoir.recording.mcap.reading import Recording
+
+UNSEEN = "in no recorded message: in truth between two of them, or in messages that are not recorded"
+
+
+def rerun(
+    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --fast --record`.")],
+    record: Annotated[Path | None, typer.Option(help="New file to record the repetition into (.mcap).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+) -> None:
+    """Fly a recorded flight in virtual time again, and say whether it is the same, or where it first differs."""
+    set_up_logging()
+    from crazychoir.config.swarm_config import SwarmConfig
+    from crazychoir.guidance.mission import load  # kernels: 1 s that --help does not need
+    from crazychoir.launch.flight import fly_fast
+    from crazychoir.launch.recording import FILES, other_files, recording_file, text_of
+    from crazychoir.recording.analysis.comparison import first_difference
+    from crazychoir.recording.mcap.reading import header
+
+    try:
+        recording = header(file)
+        _check(recording)
+        with prints_aside(), _into(record) as path:
+            config = SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
+            mission = load(str(config.mission))
+            others = _other_versions(recording)
+            if text_of(mission) != recording.mission:
+                others["mission"] = f"the text of {config.mission} is another now"
+            others |= other_files(json.loads(recording.about.get(FILES, "{}")), config, mission)
+            with Progress(status_table, enabled=not as_json) as progress:
+                for what, text in others.items():
+                    progress.say(f"{what}: {text}")
+                with recording_file(path, config, mission, virtual=True) as repeated:
+                    result = fly_fast(config, mission, progress, repeated)
+            broken = "" if repeated is None else repeated.error
+            difference = None if broken else first_difference(file, path)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    digest = recording.outcome.get("digest")
+    same = difference is None and digest in (None, result["digest"])
+    where = UNSEEN if difference is None else str(difference)
+    whole = recording.lacks["complete"]
+    told = {
+        "success": same and whole and not broken, "same": same, "mission": config.mission, "seed": config.seed,
+        **recording.lacks,
+        "recorded_digest": digest, "digest": result["digest"], "first_difference": None if same else where,
+        "others": others, "simulated_s": result["simulated_s"], "wall_s": result["wall_s"],
+        "recording": record,
+    } | ({"not_written": {"--record": broken}} if broken else {})  # fmt: skip
+    if as_json:
+        write_json(told)
+    else:
+        _show(told)
+    if broken:
+        text = f"Not written as a whole: --record: {broken}; only the digests are compared"
+        STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(0 if told["success"] else 1)
+
+
+def _check(recording: "Recording") -> None:
+    """Raise ConfigError for a flight that cannot be repeated."""
+    if recording.about.get("time") != "virtual":
+        do = "Record one with `crazychoir run ... --fast --record FILE`; `crazychoir replay` shows this one again."
+        raise ConfigError(str(recording.path), "a flight in real time", "one in virtual time, which repeats itself", do)
+    warn_of(recording, "it is compared as far as it goes")
+
+
+@contextlib.contextmanager
+def _into(record: Path | None) -> Iterator[Path]:
+    """The file for the repetition: that one, or one that nobody keeps."""
+    from crazychoir.files.private_folder import scratch_folder
+
+    with scratch_folder("crazychoir-rerun-") as folder:
+        yield record or folder / "again.mcap"
+
+
+def _other_versions(recording: "Recording") -> dict[str, str]:
+    """What is another than when it was recorded, and may round otherwise."""
+    from crazychoir.launch.recording import versions
+
+    pairs = {name: (recording.about.get(name, "unknown"), now) for name, now in versions().items()}
+    return {name: f"{then} then, {now} now" for name, (then, now) in pairs.items() if then != now}
+
+
+def _show(told: dict[str, Any]) -> None:
+    verdict = "the same" if told["success"] else "the same, so far" if told["same"] else "not the same"
+    title = f"{Path(told['mission']).name}, seed {told['seed']}: {verdict}"
+    table = Table("figure", "value", title=title)
+    table.add_row("recorded digest", told["recorded_digest"] or "none: the recording was cut off")
+    table.add_row("digest", told["digest"])
+    table.add_row("simulated_s", f"{told['simulated_s']:.2f} s")
+    table.add_row("wall_s", f"{told['wall_s']:.2f} s")
+    if told["first_difference"]:
+        table.add_row("they differ first", Text(told["first_difference"], "red"))
+    STDOUT.print(table)

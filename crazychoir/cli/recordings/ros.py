@@ -1,0 +1,108 @@
+"""crazychoir ros: a swarm that flies, for RViz and other programs of ROS 2 that use rmw_zenoh. Experimental."""
+
+from collections import deque
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crazychoir.cli.operate.inspect import SwarmOption, looking
+from crazychoir.launch import number_options as options
+
+if TYPE_CHECKING:
+    from crazychoir.bus.network.zenoh_link import Outside
+    from crazychoir.cli.shared.observer import Window
+    from crazychoir.recording.ros.rviz import Places
+    from crazychoir.types import State, Vec
+
+ROUTER = "tcp/127.0.0.1:7447"
+NODE = "crazychoir"
+PATH_POINTS, PATH_EVERY = 600, 10
+"""Places of a path, and messages between two paths."""
+READ = 2.0
+"""Places of a drone that are asked for, at least, within the time after which one is too old to be said."""
+
+
+def ros(
+    swarm: SwarmOption = None,
+    connect: Annotated[str, typer.Option(help="Endpoint of `rmw_zenohd`, or of another Zenoh router.")] = ROUTER,
+    domain: Annotated[int, options.whole("ROS_DOMAIN_ID.", least=0, most=232)] = 0,
+    rate: Annotated[float, options.real("Messages of each topic a second.", least=0.1, most=100.0)] = 10.0,
+    seconds: Annotated[float, options.seconds("How long, in s.")] = 3600.0,
+) -> None:
+    """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
+
+    async def work(window: "Window") -> None:
+        from crazychoir.bus.network.zenoh_link import Outside
+
+        ids = await window.find()
+        with Outside(connect) as outside:
+            await serve(window, Bridge(outside, domain, ids), ids, rate, seconds)
+
+    looking(swarm, work)
+
+
+async def serve(window: "Window", bridge: "Bridge", ids: list[int], rate: float, seconds: float) -> None:
+    """Say where these drones are, until all have gone, or so many s are over."""
+    from crazychoir.bus.topics import STATE
+    from crazychoir.runtime.clock import SECOND
+
+    clock, places = window.clock, dict[int, tuple["State", int]]()
+
+    def hear(i: int, state: "State", age: float) -> None:
+        places[i] = state, clock.now_ns() + clock.epoch_ns - round(age * SECOND)
+
+    for i in ids:
+        window.read(STATE, i, partial(hear, i), max(rate, READ / STATE.max_age))
+    ends = clock.now() + seconds
+    async for _ in clock.ticks(rate):
+        bridge.publish(places, clock.now_ns() + clock.epoch_ns)
+        if clock.now() >= ends or not window.drones:
+            return
+
+
+class Bridge:
+    """The node: its publishers, and what they have said; outside: the session with ROS."""
+
+    def __init__(self, outside: "Outside", domain: int, ids: list[int]) -> None:
+        from crazychoir.recording.ros.rmw_zenoh import Publisher, node_token
+
+        topics = {f"/drone{i}/pose": "geometry_msgs/PoseStamped" for i in ids}
+        topics |= {f"/drone{i}/path": "nav_msgs/Path" for i in ids}
+        topics |= {"/tf": "tf2_msgs/TFMessage", "/drones": "visualization_msgs/MarkerArray"}
+        self._outside, session = outside, outside.id
+        outside.token(node_token(domain, session, NODE))
+        self._publishers: dict[str, Publisher] = {}
+        for number, (topic, kind) in enumerate(topics.items(), 1):
+            self._publishers[topic] = Publisher(domain, session, NODE, number, topic, kind)
+            outside.token(self._publishers[topic].token)
+        self._said = dict.fromkeys(topics, 0)
+        self._ways: dict[int, deque[Vec]] = {i: deque(maxlen=PATH_POINTS) for i in ids}
+        self._shown: set[int] = set()
+        self._count = 0
+
+    def publish(self, places: "Places", now_ns: int) -> None:
+        """What is known now, ns after 1970; a drone whose place is too old is taken out of the picture."""
+        from crazychoir.bus.topics import STATE
+        from crazychoir.recording.ros import rviz
+        from crazychoir.runtime.clock import SECOND
+
+        since_ns = now_ns - STATE.max_age * SECOND
+        fresh = {i: (state, born_ns) for i, (state, born_ns) in places.items() if born_ns >= since_ns}
+        gone = sorted(self._shown - fresh.keys())
+        self._shown = set(fresh)
+        for i, (state, born_ns) in fresh.items():
+            self._ways[i].append(state.p)
+            self._put(f"/drone{i}/pose", rviz.pose(state, born_ns), now_ns)
+            if self._count % PATH_EVERY == 0:
+                self._put(f"/drone{i}/path", rviz.path(self._ways[i], born_ns), now_ns)
+        if fresh:
+            self._put("/tf", rviz.transforms(fresh), now_ns)
+            self._count += 1
+        if fresh or gone:
+            self._put("/drones", rviz.markers(fresh, gone), now_ns)
+
+    def _put(self, topic: str, data: bytes, now_ns: int) -> None:
+        self._said[topic] += 1
+        publisher = self._publishers[topic]
+        self._outside.put(publisher.key, data, publisher.attachment(self._said[topic], now_ns))

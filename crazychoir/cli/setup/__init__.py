@@ -1,0 +1,1 @@
+"""Commands that prepare hosts, keys, radios and motion capture."""

@@ -1,0 +1,59 @@
+"""crazychoir identify: which of the drones on the bench is it?"""
+
+from functools import partial
+from typing import Annotated
+
+import typer
+
+from crazychoir.cli.operate.inspect import JsonOption
+from crazychoir.errors import CrazyChoirError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import (
+    STDERR,
+    fail,
+    interrupted,
+    prints_aside,
+    require_reached,
+    set_up_logging,
+    write_json,
+)
+
+
+def identify(
+    drone: Annotated[int, typer.Argument(help="Its id.")],
+    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
+    seconds: Annotated[float, options.seconds("How long, in s.", least=0.1, most=600.0)] = 5.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio has its dongle."""
+    set_up_logging()
+    from crazychoir.config.swarm_config import find_swarm
+    from crazychoir.radio import identify as leds  # cflib: --help does not need it
+    from crazychoir.radio.link.ownership import owned
+    from crazychoir.radio.link.toc_cache import TableOfContents, folder
+    from crazychoir.runtime.clock import Clock, run_wall
+
+    try:
+        config, which = find_swarm(swarm)
+        require_reached(config, which, drone)
+        uri = config.drone(drone).uri
+        dongle = next(dongle for dongle, ids in config.dongles.items() if drone in ids)
+
+        def say(text: str) -> None:
+            STDERR.print(f"drone {drone} ({uri}): {text}", highlight=False)
+
+        async def light(clock: Clock) -> dict[str, float]:
+            contents, deadline = TableOfContents(folder()), config.radio.connect_deadline
+            lit_now = partial(say, f"its LEDs are lit for {seconds:g} s")
+            return await leds.identify(clock, uri, contents, seconds, deadline, lit_now)
+
+        with owned(config, dongle), prints_aside():
+            say(f"is being connected, within {config.radio.connect_deadline:g} s")
+            lit = run_wall(light)
+            say("its LEDs are as they were")
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
+    if as_json:
+        write_json({"success": True, "drone": drone, "uri": uri, "seconds": seconds, "parameters": lit})

@@ -1,0 +1,95 @@
+"""crazychoir keys: the authority of a lab, and a certificate for each of its hosts."""
+
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.table import Table
+
+from crazychoir.errors import ConfigError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import STDOUT, fail, write_json
+from crazychoir.security import DAYS
+
+app = typer.Typer(help="Certificates: who may take part in a swarm of several hosts.", no_args_is_help=True)
+Folder = Annotated[Path, typer.Option("--folder", help="Where they are; in swarm files: security.keys.")]
+Days = Annotated[int, options.whole("For which they are good.", most=36_500)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+HERE = Path("keys")
+NEXT = "It counts for a process from its next start: copy each folder to its host, then start all anew."
+
+
+@app.command()
+def init(folder: Folder = HERE, days: Days = DAYS, as_json: Json = False) -> None:
+    """Make an authority, once for a lab; its key stays on this machine."""
+    from crazychoir.bus.network import authority
+
+    try:
+        certificate = authority.init(folder, days)
+    except (ConfigError, OSError) as error:
+        _fail(error, folder, as_json)
+    _say({"success": True, "authority": certificate}, f"{certificate}: keep {certificate.parent} to yourself", as_json)
+
+
+@app.command()
+def add(
+    host: Annotated[str, typer.Argument(help="Its name, as in the table hosts or security.operators.")],
+    folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
+) -> None:  # fmt: skip
+    """Give a host, or an operator, a certificate."""
+    from crazychoir.bus.network import authority
+
+    try:
+        own = authority.add(folder, host, days)
+    except (ConfigError, OSError) as error:
+        _fail(error, folder, as_json)
+    do = f"{own}: copy it to {host}, to where the swarm file there has its {folder.name}/"
+    _say({"success": True, "folder": own}, do, as_json)
+
+
+@app.command()
+def revoke(
+    host: Annotated[str, typer.Argument(help="Who is to be kept out.")],
+    folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
+) -> None:  # fmt: skip
+    """Take a host out: all others get a new authority and new certificates, which count from their next start."""
+    from crazychoir.bus.network import authority
+
+    try:
+        others = authority.revoke(folder, host, days)
+    except (ConfigError, OSError) as error:
+        _fail(error, folder, as_json)
+    text = f"{host} is out; new: {', '.join(others) or 'nobody is left'}. {NEXT}"
+    _say({"success": True, "revoked": host, "new": others, "effective": "next start"}, text, as_json)
+
+
+@app.command(name="list")
+def held(folder: Folder = HERE, as_json: Json = False) -> None:
+    """Who has a certificate, and until when."""
+    from crazychoir.bus.network import authority
+    from crazychoir.runtime.clock import today
+
+    try:
+        found = authority.holders(folder)
+    except (ConfigError, OSError) as error:
+        _fail(error, folder, as_json)
+    if as_json:
+        write_json({"success": True, "holders": {one.name: one.until.isoformat() for one in found}})
+        return
+    table, now = Table("host", "good until", "days left"), today()
+    for one in found:
+        table.add_row(one.name, f"{one.until:%Y-%m-%d}", str((one.until - now).days))
+    STDOUT.print(table)
+
+
+def _fail(error: Exception, folder: Path, as_json: bool) -> NoReturn:
+    if not isinstance(error, ConfigError):
+        error = ConfigError("--folder", str(folder), "a folder to write to", problem=str(error))
+    fail(error, as_json)
+
+
+def _say(told: dict[str, Any], text: str, as_json: bool) -> None:
+    if as_json:
+        write_json(told)
+    else:
+        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)

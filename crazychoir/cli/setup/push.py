@@ -1,0 +1,165 @@
+"""crazychoir push: a swarm onto its hosts, by ssh: program, swarm file, what that names, keys, systemd units."""
+
+import shlex
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from crazychoir.errors import ConfigError, CrazyChoirError, ProcessFailed
+from crazychoir.launch.console import STDOUT, fail
+
+if TYPE_CHECKING:
+    from crazychoir.config.swarm_config import SwarmConfig
+
+FOLDER = "choir"
+"""In the home of the user there."""
+DEADLINE = 60.0
+"""s a step; INSTALL: s of that which installs packages."""
+INSTALL = 900.0
+SSH = ("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10")
+SCP = ("scp", "-q", "-p", "-r", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10")
+UNITS = ".config/systemd/user"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One command of this machine; what it is for; deadline: s."""
+
+    what: str
+    command: tuple[str, ...]
+    deadline: float = DEADLINE
+
+
+def push(
+    swarm: Annotated[Path, typer.Option(help="Swarm file.")],
+    host: Annotated[list[str] | None, typer.Option(help="Only this host; several times.")] = None,
+    user: Annotated[str | None, typer.Option(help="User there, instead of that of ssh.")] = None,
+    package: Annotated[Path | None, typer.Option(help="Wheel or folder to install, else the release.")] = None,
+    units: Annotated[Path | None, typer.Option(help="Folder of systemd units, as deploy/systemd; else none.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the commands, do nothing.")] = False,
+) -> None:
+    """Put a swarm onto its hosts, into ~/choir: by ssh and scp, with your ssh keys."""
+    from crazychoir.config.swarm_config import SwarmConfig
+
+    try:
+        if swarm.suffix != ".toml":
+            raise ConfigError("--swarm", str(swarm), "a TOML file", f"The units there read ~/{FOLDER}/swarm.toml.")
+        config = SwarmConfig.load(swarm)
+        plans = {name: list(steps(config, swarm, name, user, package, units)) for name in chosen(config, swarm, host)}
+        for name, step in [(name, step) for name, plan in plans.items() for step in plan]:
+            STDOUT.print(shlex.join(step.command) if dry_run else f"{name}: {step.what}", markup=False,
+                         highlight=False, soft_wrap=True)  # fmt: skip
+            if not dry_run:
+                run(name, step)
+    except CrazyChoirError as error:
+        fail(error, as_json=False)
+
+
+def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[str]:
+    """The hosts to push to; raises ConfigError for one that there is not."""
+    names = ", ".join(config.hosts) or "none"
+    if not config.hosts:
+        raise ConfigError(f"{swarm}: hosts", "nothing", "[hosts] with names and addresses", "Add them.")
+    for name in only or ():
+        if name not in config.hosts:
+            raise ConfigError("--host", name, f"[hosts] has {names}")
+    return only or list(config.hosts)
+
+
+def steps(
+    config: "SwarmConfig", swarm: Path, host: str, user: str | None, package: Path | None, units: Path | None
+) -> Iterator[Step]:
+    """What is done for one host, in order. Raises ConfigError for files that are not here, or would lie elsewhere.
+
+    The swarm file is ~/choir/swarm.toml there, and what it names lies beside it as it does here.
+    """
+    from importlib.metadata import version
+
+    at, into = reached(config.hosts[host], user)
+    files = {path: within(swarm, path) for path in named(config)}
+    folders = sorted({FOLDER: None} | {str(Path(FOLDER, path).parent): None for path in files.values()})
+    own = Path(config.security.keys) / host
+    if config.secured:
+        keys = str(Path(FOLDER, within(swarm, own)).parent)
+        if not own.is_dir():
+            raise ConfigError("security.keys", str(own), "the keys of this host", f"crazychoir keys add {host}")
+        folders.append(keys)
+    yield Step("folders", (*SSH, at, f"mkdir -p -m 700 {shlex.join(folders)} {UNITS}"))
+    yield Step("swarm file", (*SCP, str(swarm.resolve()), f"{into}:{FOLDER}/swarm.toml"))
+    for path, place in files.items():
+        yield Step(f"{place}", (*SCP, str(path), f"{into}:{FOLDER}/{place}"))
+    if config.secured:
+        yield Step("its keys", (*SCP, str(own), f"{into}:{keys}/"))
+    for unit in services(units) if units is not None else ():
+        yield Step(f"unit {unit.name}", (*SCP, str(unit), f"{into}:{UNITS}/"))
+    if units is not None:
+        yield Step("units known", (*SSH, at, "systemctl --user daemon-reload"))
+    yield Step("environment", (*SSH, at, f"test -x {FOLDER}/venv/bin/pip || python3 -m venv {FOLDER}/venv"), INSTALL)
+    what = f"crazychoir=={version('crazychoir')}"
+    if package is not None:
+        if not package.exists():
+            raise ConfigError("--package", str(package), "a wheel or a folder", "python -m build --wheel")
+        package = package.resolve()
+        yield Step("package", (*SCP, str(package), f"{into}:{FOLDER}/"), INSTALL)
+        what = f"{FOLDER}/{package.name}"
+    install = f"{FOLDER}/venv/bin/pip install --quiet"
+    yield Step("installed", (*SSH, at, f"{install} {shlex.quote(what)}"), INSTALL)
+    if package is not None:  # pip leaves what is there of the same version
+        again = f"{install} --force-reinstall --no-deps {shlex.quote(what)}"
+        yield Step("installed anew", (*SSH, at, again), INSTALL)
+    laws = f"{FOLDER}/venv/bin/python -c 'import crazychoir.launch.process.process'"  # else its agents, who start at once, wait
+    yield Step("laws compiled", (*SSH, at, laws), INSTALL)
+
+
+def reached(address: str, user: str | None) -> tuple[str, str]:
+    """A host as ssh wants it, and as scp does, which takes what is before the first colon for it, but for brackets."""
+    before = f"{user}@" if user else ""
+    return f"{before}{address}", f"{before}[{address}]" if ":" in address else f"{before}{address}"
+
+
+def services(folder: Path) -> list[Path]:
+    """The systemd units of a folder; raises ConfigError where there is none."""
+    found = sorted(folder.resolve().glob("*.service"))
+    if not found:
+        raise ConfigError("--units", str(folder), "a folder of *.service, as deploy/systemd", "Is it that?")
+    return found
+
+
+def named(config: "SwarmConfig") -> list[Path]:
+    """The files beside the swarm file that a flight needs."""
+    files = list(config.files.values())
+    if config.mission is not None and config.mission.endswith(".py"):
+        files.append(Path(config.mission))
+    if config.mocap.file:
+        files.append(Path(config.mocap.file))
+    return list(dict.fromkeys(files))
+
+
+def within(swarm: Path, path: Path) -> Path:
+    """Where it lies, from the folder of the swarm file; raises ConfigError if that is outside of it."""
+    folder, place = swarm.resolve().parent, path.resolve()
+    if not place.is_relative_to(folder):
+        do = f"Move it below {folder}, and name it so in the swarm file."
+        raise ConfigError(str(swarm), str(path), "files below the folder of the swarm file", do)
+    return place.relative_to(folder)
+
+
+def run(host: str, step: Step) -> None:
+    """Do it; raises ProcessFailed with what it says."""
+    try:
+        done = subprocess.run(
+            step.command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+            timeout=step.deadline, check=False,
+        )
+    except FileNotFoundError as error:
+        raise ProcessFailed(step.command[0], "it is not on this machine. Install openssh-client.") from error
+    except subprocess.TimeoutExpired as error:
+        raise ProcessFailed(f"{host}: {step.what}", f"not done within {step.deadline:g} s. Is the host on?") from error
+    if done.returncode:
+        said = (done.stderr.strip() or done.stdout.strip() or "it says nothing").splitlines()[-1]
+        do = "Try it by hand: " + shlex.join(step.command)
+        raise ProcessFailed(f"{host}: {step.what}", f"exit code {done.returncode}: {said}. {do}")

@@ -1,0 +1,240 @@
+"""crazychoir radio: which channels are quiet, and how long the way to a drone takes."""
+
+import contextlib
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.cli.operate.inspect import JsonOption
+from crazychoir.cli.setup.radio_tables import progress_table, row_of, survey_table
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.launch import number_options as options
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    Outputs,
+    Progress,
+    fail,
+    interrupted,
+    prints_aside,
+    require_drawable,
+    set_up_logging,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from crazychoir.radio.survey.ping import Echoes
+    from crazychoir.radio.survey.simulated_radio import Room
+    from crazychoir.radio.survey.survey import Probe, Survey
+
+app = typer.Typer(no_args_is_help=True, help="Which channels are quiet, and how long the way to a drone takes.")
+DRONE = "radio://0/80/2M/E7E7E7E7E7"
+"""A Crazyflie as it comes from the shop."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the command line asks for. dongles: {name: drones' uris} of the swarm file."""
+
+    channels: tuple[int, ...]
+    count: int
+    spacing: int
+    dongles: Mapping[str, Sequence[str]]
+    drone: str
+    simulated: int | None
+
+
+@app.command()
+def survey(
+    dongles: Annotated[
+        int | None, options.whole("Pick so many channels; else as many as the swarm file has dongles, or 1.", most=126)
+    ] = None,
+    spacing: Annotated[int, options.whole("MHz between two of them; 2M links need 2 at least.", most=126)] = 5,
+    passes: Annotated[int, options.whole("Visits of each channel, each time in another order.")] = 20,
+    packets: Annotated[int, options.whole("Packets a visit, without retries, and with them.")] = 50,
+    channels: Annotated[str, typer.Option(help="Candidates, as 2-82:2 (each second) or 4,20-30,76.")] = "2-82:2",
+    drone: Annotated[
+        str | None, typer.Option(help=f"Who answers: its uri; else the first of the swarm file, or {DRONE}.")
+    ] = None,
+    swarm: Annotated[Path | None, typer.Option(help="Swarm file whose radio:// drones the channels are for.")] = None,
+    write: Annotated[bool, typer.Option("--write", help="Write the channels into that file.")] = False,
+    picture: Annotated[Path | None, typer.Option(help="Where to draw the survey (PNG).")] = None,
+    simulated: Annotated[
+        int | None, options.seed("No hardware: a simulated radio among interference of this seed.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find quiet channels: one drone, on the ground where it will fly, answers on each.
+
+    Passes are interleaved, so that a burst of WiFi hits all channels alike, and a channel is as good as its worst pass.
+    It takes some minutes, by default on channels 2 to 82: what reaches below 2400 MHz, or lies above channel 83, is
+    outside the licence-free band of many countries.
+
+    Then the k channels are picked whose worst is best, with so much spacing. With --write each radio:// drone of the
+    swarm file gets the channel of its dongle, and nothing else in the file is changed. The drones themselves keep
+    theirs until you change it there too, as with Bitcraze's client.
+    """
+    set_up_logging()
+    outputs = Outputs()
+    try:
+        require_drawable(picture)
+        if write and swarm is None:
+            raise ConfigError("--write", "no --swarm", "a swarm file to write into")
+        if write and simulated is not None:
+            do = "Leave --write out to look at an invented room; measure with a dongle what drones are to fly on."
+            raise ConfigError("--write", "--simulated beside it", "what a dongle has measured", do)
+        wanted = _wanted(dongles, spacing, channels, drone, swarm, write, simulated)
+        with prints_aside():
+            found, expected = _surveyed(wanted, passes, packets, as_json)
+            result = _result(wanted, found, expected)
+            if picture is not None:
+                from crazychoir.radio.survey.survey_picture import draw_survey
+
+                with outputs.writing("--picture"):
+                    draw_survey(found.measured(), result["chosen"], picture, expected)
+                    result["picture"] = picture
+            if write and swarm is not None and result["success"]:
+                from crazychoir.radio.protocol.addresses import write_channels
+
+                with outputs.writing("--write"):
+                    write_channels(swarm, result["dongles"])
+                    result["written"] = swarm
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
+    if as_json:
+        write_json(result | outputs.told)
+    else:
+        STDOUT.print(survey_table(found.measured(), result))
+    outputs.say()
+    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
+
+
+def _wanted(
+    count: int | None, spacing: int, channels: str, drone: str | None, swarm: Path | None, write: bool,
+    simulated: int | None,
+) -> Wanted:  # fmt: skip
+    """The options, checked against each other before anything is measured."""
+    from crazychoir.radio.protocol.channels import LEAST_SPACING, LICENSED, parse_channels, pick
+
+    those = {} if swarm is None else _dongles(swarm, write)
+    count = count or len(those) or 1
+    if write and count != len(those):
+        found = f"{count} for the dongles {', '.join(those)} of {swarm}"
+        raise ConfigError("--dongles", found, f"{len(those)}, or leave it out: that is how many the file has")
+    candidates = parse_channels(channels)
+    pick(dict.fromkeys(candidates, (0.0, 0.0)), count, spacing)  # whether there is room for so many
+    if simulated is not None and drone is not None:
+        raise ConfigError("--drone", "--simulated beside it", "one of them: no real drone hears a simulated radio")
+    if candidates[-1] > LICENSED:
+        STDERR.print(f"Channels above {LICENSED} lie outside the licence-free band of many countries.")
+    if count > 1 and spacing < LEAST_SPACING:
+        STDERR.print(f"Links of 2 Mbit/s disturb each other with less than {LEAST_SPACING} MHz between them.")
+    first = next((uris[0] for uris in those.values()), DRONE)
+    return Wanted(candidates, count, spacing, those, drone or first, simulated)
+
+
+def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
+    """Of a swarm file that is as it must be, and that can be written if it is to be."""
+    from crazychoir.config.swarm_config import SwarmConfig
+    from crazychoir.radio.protocol.addresses import dongles, read_text, require_writable
+
+    SwarmConfig.load(swarm)
+    if write:
+        require_writable(swarm)
+    return dongles(read_text(swarm), str(swarm))
+
+
+def _surveyed(wanted: Wanted, passes: int, packets: int, as_json: bool) -> "tuple[Survey, dict[int, float]]":
+    """Measure, and show how it gets on; with the true share of each channel, if the radio is a simulated one."""
+    from crazychoir.radio.survey.survey import Survey
+    from crazychoir.radio.survey.survey import survey as measure
+
+    found = Survey(wanted.channels, passes, packets, seed=wanted.simulated or 0)
+    shown = Progress(progress_table, enabled=STDERR.is_terminal and not as_json)
+    with _probe(wanted) as (probe, room), shown as progress:
+        measure(found, probe, lambda found, visit: progress((found, visit)))
+    return found, {} if room is None else {channel: room.expected(channel) for channel in wanted.channels}
+
+
+def _result(wanted: Wanted, found: "Survey", expected: dict[int, float]) -> dict[str, Any]:
+    """The JSON object; a success if something came through in each pass on each channel that is picked."""
+    chosen = found.pick(wanted.count, wanted.spacing)
+    rows = found.measured()
+    worst = min(row.worst for row in rows if row.channel in chosen)
+    return {
+        "success": worst > 0.0, "chosen": list(chosen), "worst_ack_rate": worst, "spacing_mhz": wanted.spacing,
+        "dongles": dict(zip(wanted.dongles, chosen, strict=False)),
+        "channels": [row_of(row, chosen, expected) for row in rows],
+        "simulated": wanted.simulated, "picture": None, "written": None,
+    }  # fmt: skip
+
+
+@contextlib.contextmanager
+def _probe(wanted: Wanted) -> "Iterator[tuple[Probe, Room | None]]":
+    if wanted.simulated is not None:
+        from crazychoir.radio.survey.simulated_radio import SimulatedRadio, random_room
+
+        room = random_room(wanted.simulated, wanted.channels)
+        yield SimulatedRadio(room, wanted.simulated), room
+        return
+    from crazychoir.radio.survey.survey_radio import open_probe
+
+    with open_probe(wanted.drone, time.perf_counter) as probe:
+        yield probe, None
+
+
+@app.command()
+def ping(
+    uris: Annotated[list[str], typer.Argument(help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701.")],
+    count: Annotated[int, options.whole("Echoes to each.")] = 100,
+    deadline: Annotated[float, options.seconds("s after which it ends.", least=0.1)] = 20.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how long the way to drones and back takes, all at once, by echoes; exit code 0 only if none is lost.
+
+    It opens links of its own: not to a drone that flies.
+    """
+    set_up_logging()
+    from crazychoir.radio.survey import ping as echo
+
+    try:
+        wanted = [echo.require_uri(uri) for uri in uris]
+        with prints_aside():
+            found = echo.ping(list(dict.fromkeys(wanted)), time.perf_counter, count, deadline)
+    except CrazyChoirError as error:
+        fail(error, as_json)
+    except KeyboardInterrupt:
+        interrupted(as_json)
+    success = all(not one.error and one.lost == 0 for one in found)
+    if as_json:
+        write_json({"success": success, "links": [_link(one) for one in found]})
+    else:
+        STDOUT.print(_ping_table(found))
+    raise typer.Exit(0 if success else 1)
+
+
+def _link(one: "Echoes") -> dict[str, Any]:
+    times = {f"p{share}_s": one.percentile(share) for share in (50, 95, 99)}
+    return {"uri": one.uri, "sent": one.sent, "lost": one.lost, **times, "error": one.error}
+
+
+def _ping_table(found: "Sequence[Echoes]") -> Group:
+    """A row a drone, and what was wrong."""
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table.add_column("drone")
+    for name in ("sent", "lost", "50 %", "95 %", "99 %"):
+        table.add_column(name, justify="right")
+    for one in found:
+        times = [one.percentile(share) for share in (50, 95, 99)]
+        table.add_row(one.uri, str(one.sent), str(one.lost), *("" if s is None else f"{1e3 * s:.2f} ms" for s in times))
+    return Group(table, *(Text(f"{one.uri}: {one.error}", "red") for one in found if one.error))

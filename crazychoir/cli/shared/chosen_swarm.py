@@ -1,0 +1,126 @@
+"""The swarm and the mission that a command line means."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from crazychoir.config.number_lists import parse_spans
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm, find_swarm
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission import Mission, has, load
+from crazychoir.team.graph import span
+
+FEW = 4
+"""Drones of a mission that brings no swarm of its own."""
+SWARM_FILES = (".toml", ".json")
+
+
+def configured(swarm: str | None, mission: str | None, loss: float | None, seed: int | None) -> tuple[SwarmConfig, str]:
+    """The swarm file with what the command line says instead; without a file, the mission's own swarm."""
+    config, which = chosen_swarm(swarm, mission)
+    if mission is None and config.mission is None:
+        raise ConfigError(which, "no mission", 'mission = "name" in the swarm file, or --mission')
+    return changed(config, loss, seed, mission), which
+
+
+def chosen_swarm(swarm: str | None, mission: str | None = None) -> tuple[SwarmConfig, str]:
+    """The swarm file; without one, the swarm of the mission, or of the demo's mission."""
+    config, which = find_swarm(swarm)
+    if which.startswith("the built-in demo"):
+        found = load(str(mission or config.mission))
+        config = found.swarm(None) if has(found, "swarm") else config
+    return config, which
+
+
+def named_file(what: str, swarm: str | None) -> str | None:
+    """The swarm file that `crazychoir run` was given, resolved; None without one."""
+    file = what if what.endswith(SWARM_FILES) else swarm
+    return None if file is None else str(Path(file).resolve())
+
+
+def changed(config: SwarmConfig, loss: float | None, seed: int | None, mission: str | None) -> SwarmConfig:
+    """The same swarm with other values where they are given."""
+    changes: dict[str, Any] = {}
+    if loss is not None:
+        network = json.loads(config.dumps())["network"]
+        changes["network"] = {key: value for key, value in network.items() if value is not None} | {"loss": loss}
+    if seed is not None:
+        changes["seed"] = seed
+    if mission is not None:
+        changes["mission"] = mission
+    return config.replace(**changes) if changes else config
+
+
+def to_run(
+    what: str, drones: int | None, swarm: str | None, loss: float | None, seed: int | None
+) -> tuple[SwarmConfig, Mission]:
+    """The swarm and the mission of `crazychoir run`."""
+    if what.endswith(SWARM_FILES):
+        config = SwarmConfig.load(what)
+        if config.mission is None:
+            raise ConfigError(what, "no mission", 'mission = "name"')
+        return changed(config, loss, seed, None), load(config.mission)
+    mission = load(what)
+    if swarm is not None:
+        return changed(SwarmConfig.load(swarm), loss, seed, what), mission
+    own = mission.swarm(drones) if has(mission, "swarm") else default_swarm(drones or FEW)
+    config = changed(own, loss, seed, what)
+    if drones not in (None, len(config.ids)):
+        raise ConfigError("--drones", drones, f"{len(config.ids)}: mission {what} flies no other number")
+    scatter = getattr(mission, "scatter", None)
+    return (scatter(config) if scatter else config), mission
+
+
+def check_options(what: str, swarm: str | None, only: str | None, given: dict[str, Any]) -> None:
+    """Refuse options of `crazychoir run` that would say nothing beside the others.
+
+    given: options of a whole swarm on this machine, and their values.
+    """
+    own_file = swarm is not None or what.endswith(SWARM_FILES)
+    if swarm is not None and what.endswith(SWARM_FILES):
+        raise ConfigError("--swarm", f"{swarm} beside {what}", "one swarm file")
+    if own_file and given["--drones"]:
+        do = "Change the [[drones]] of the file."
+        raise ConfigError("--drones", f"{given['--drones']} beside a swarm file", "the drones of that file", do)
+    if given["--fast"] and given["--processes"]:
+        raise ConfigError("--processes", "--fast beside it", "no --fast: virtual time is one process")
+    if only is not None:
+        _check_only(only, what, own_file, given)
+
+
+def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> None:
+    """Who starts some drones meets those that start the rest by the name and the ports of one swarm file."""
+    if not own_file:
+        allowed = "a swarm file that all share who start its drones"
+        do = f"For example `crazychoir run swarm.toml --only {only}`, or `crazychoir run {what} --swarm ...`."
+        raise ConfigError("--only", f"{only} without a swarm file", allowed, do)
+    for option, value in given.items():
+        if value:
+            raise ConfigError("--only", f"{option} beside it", f"no {option}: it is for a whole swarm on this machine")
+
+
+def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
+    """The swarm whose drones wait for an operator, if `--wait` or its file says so; nobody commands virtual time."""
+    waits = wait or config.flight.operator
+    if waits and fast:
+        found = "--wait" if wait else "[flight] operator = true"
+        raise ConfigError("--fast", found, "virtual time, which no operator can command", "Leave one of them out.")
+    return config.replace(flight={**msgspec.to_builtins(config.flight), "operator": True}) if waits else config
+
+
+def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
+    """The drones that `--only` names, all without it; whole processes of the swarm file, for each has one endpoint."""
+    if only is None:
+        return config.ids
+    allowed = f"drones {span(config.ids)}, with commas between, as 3,5-7"
+    here = sorted(parse_spans(only, "--only", allowed))
+    for i in here:
+        if i not in config.ids:
+            raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
+    for group in config.groups():
+        if not (set(group) <= set(here) or set(group).isdisjoint(here)):
+            do = "Name all of them or none, or mend `processes` in the swarm file."
+            raise ConfigError("--only", only, f"drones {', '.join(map(str, group))} share a process", do)
+    return tuple(here)

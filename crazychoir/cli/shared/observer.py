@@ -1,0 +1,201 @@
+"""A look into a running swarm: the place of an observer and operator on its network."""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import OBSERVER
+from crazychoir.bus.topics import Topic
+from crazychoir.cli.shared.emergency import ABSENT, EmergencyStop
+from crazychoir.cli.shared.running_swarm import (
+    DISCOVERY,
+    LOOK,
+    SOON,
+    STARTS,
+    nobody,
+    patience,
+    running_swarm,
+    runs_here,
+    starting,
+)
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.launch.network import REPLAY, attached, observer
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.runtime.mailbox import Call
+from crazychoir.team.graph import span
+
+READY, RETRY = 15.0, 0.3
+"""s for which drones that are not ready yet are asked again, and between two times."""
+SILENT = "silent"
+log = logging.getLogger(__name__)
+
+if TYPE_CHECKING:
+    from crazychoir.launch.flight_observer import Score
+
+Work = Callable[["Window"], Awaitable[Any]]
+Answers = dict[int, tuple[bool, Any]]
+"""By drone: whether it has done what it was asked, and what it says, or why not."""
+
+
+class Window:
+    """An observer's place in a running swarm.
+
+    option: the swarm file that was named, None without one;  patience: s until the first process must be found.
+    """
+
+    def __init__(
+        self, clock: Clock, config: SwarmConfig, link: ZenohLink, option: str | None = None,
+        patience: float = DISCOVERY,
+    ) -> None:  # fmt: skip
+        self.clock, self.config, self.link, self.option, self.patience = clock, config, link, option, patience
+        self.address, port = next(iter(link.bus.ports.items()))
+        self.commander = Commander(port)
+
+    @property
+    def drones(self) -> list[int]:
+        """Drones that were found, in order."""
+        return sorted(j for j in self.link.directory if j < OBSERVER)
+
+    def is_there(self, i: int) -> bool:
+        """Whether anybody answers for drone i."""
+        return i in self.link.directory
+
+    @property
+    def replays(self) -> bool:
+        """Whether what is heard is a recording."""
+        return any(peer.host == REPLAY for peer in self.link.peers.values())
+
+    async def find(self) -> list[int]:
+        """Wait until all drones are found, at most DISCOVERY s after the last one; raises Refused if none comes."""
+        await self.somebody()
+        seen, ends = 0, 0.0
+        while len(self.drones) < len(self.config.ids):
+            if len(self.drones) > seen:
+                seen, ends = len(self.drones), self.clock.now() + DISCOVERY
+            if self.clock.now() >= ends:
+                break
+            await self.clock.sleep(LOOK)
+        return self.drones
+
+    async def somebody(self) -> None:
+        """Wait until the first drone is found; raises Refused if none is, and soon after its run has ended."""
+        began, looked, said = self.clock.now(), self.clock.now(), False
+        while not self.drones:
+            now = self.clock.now()
+            ended = self.patience == STARTS and now - looked > DISCOVERY and not runs_here(self.config)
+            looked = now if now - looked > DISCOVERY else looked
+            if ended or now - began >= self.patience:
+                raise nobody(self.config, self.option)
+            if now - began > SOON and not said and self.patience > DISCOVERY:
+                log.warning("%s", starting(self.config, self.patience))
+                said = True
+            await self.clock.sleep(LOOK)
+
+    def check(self, option: str, ids: Iterable[int]) -> None:
+        """Raise ConfigError for a drone that the swarm does not have."""
+        for i in ids:
+            if i not in self.config.ids:
+                raise ConfigError(option, f"drone {i}", span(self.config.ids))
+
+    def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call[Any]:
+        """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
+        box = Call(self.clock, function)
+        self.link.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
+        return box
+
+    def score(self) -> "Score":
+        """The whole swarm, from now on."""
+        from crazychoir.launch.flight_observer import Score  # laws and numerics: 1 s that an order does not wait
+
+        return Score(self.link.bus, self.config.ids, address=self.address, source=self.config.source)
+
+    async def request(self, verb: str, drones: Iterable[int] | None = None, **arguments: Any) -> Answers:
+        """Ask these drones; None: every drone of the swarm."""
+        return await self._ask(lambda i: self._request(i, verb, arguments), drones)
+
+    async def order(self, verb: str, drones: Iterable[int] | None, seconds: float) -> Answers:
+        """Command these drones in flight, None: all; a command that takes longer than so many s is left ACCEPTED.
+
+        Who is not ready yet is asked again, for at most READY s. Says of each its answer and its words, as "refused"
+        and the reason.
+        """
+        return await self._ask(lambda i: self._order(i, verb, seconds, {}), drones)
+
+    async def command(self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float) -> Answers:
+        """`order` with arguments, by drone."""
+        return await self._ask(lambda i: self._order(i, verb, seconds, told[i]), told)
+
+    async def _order(self, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
+        began, asks = self.clock.now(), self.clock.now() + min(seconds, READY)
+        while True:
+            try:
+                answer = await self.commander.request(i, verb, began + seconds - self.clock.now(), **arguments)
+            except TimeoutError:
+                return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
+            if answer.kind == ACCEPTED:  # what was left for the last time that it was asked says nothing to who waited
+                return False, (ACCEPTED, f"not done within {seconds:g} s")
+            waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
+            if not waits or self.clock.now() + RETRY >= asks:
+                return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
+            await self.clock.sleep(RETRY)
+
+    async def emergency_stop(self, clear: bool, drones: Iterable[int] | None = None) -> Answers:
+        """Stop these drones, None: the swarm; or clear the stop. Every body that a world's owner has is stopped too.
+
+        So a drone falls whose agent is gone, or hangs: it has not obeyed, and it is said that its body has.
+        A stop of some drones is theirs alone; one of the swarm keeps all on the ground until it is cleared.
+        Raises Refused if nobody is there, no agent and no body.
+        """
+        self._require_operator()
+        meant = tuple(self.config.ids if drones is None else drones)
+        return await EmergencyStop(self, meant, clear, alone=drones is not None and not clear).run()
+
+    def _require_operator(self) -> None:
+        """Raise Refused where the keys are not those of an operator, whom alone drones and bodies answer."""
+        host, operators = self.link.bus.host, self.config.security.operators
+        if self.config.secured and host not in operators:
+            alone = f"drones obey and answer {', '.join(operators)} alone (security.operators of the swarm file)"
+            text = f"the keys here, in {self.config.security.keys}, are those of {host}: {alone}. Command from there."
+            raise Refused(f"swarm {self.config.name}", text)
+
+    async def _request(self, i: int, verb: str, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
+        try:
+            answer: Answer = await self.commander.request(i, verb, **arguments)
+        except TimeoutError as error:
+            return False, str(error)
+        if answer.kind == ACCEPTED:
+            return False, f"accepted, {answer.detail}"
+        if answer.kind == REFUSED:
+            return False, f"refused: {answer.detail}"
+        return True, "acknowledged" if answer.detail is None else answer.detail
+
+    async def _ask(
+        self, ask: Callable[[int], Awaitable[tuple[bool, Any]]], drones: Iterable[int] | None = None
+    ) -> Answers:
+        """All at once, and each as soon as it is found: who is absent delays nobody."""
+        self._require_operator()
+        await self.somebody()
+        asked = {i: asyncio.ensure_future(ask(i)) for i in (self.config.ids if drones is None else drones)}
+        try:
+            there = await self.find()
+            await asyncio.gather(*(asked[i] for i in there if i in asked))
+            return {i: task.result() if task.done() else (False, ABSENT) for i, task in asked.items()}
+        finally:
+            for task in asked.values():
+                task.cancel()
+
+
+def look(swarm: str | None, work: Work) -> Any:
+    """Join the swarm as an observer, do the work, leave."""
+
+    async def main(clock: Clock) -> Any:
+        config = running_swarm(swarm)
+        link = observer(clock, config)
+        async with attached(link):
+            return await work(Window(clock, config, link, swarm, patience(config)))
+
+    return run_wall(main)

@@ -1,0 +1,1 @@
+"""The swarm file: its tables, reader, checks and what follows from them."""

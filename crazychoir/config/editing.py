@@ -1,0 +1,100 @@
+"""Keys of a drone, written into the text of a swarm file: all else stays as it is, to the byte."""
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from crazychoir.config.reader import show
+from crazychoir.errors import ConfigError
+from crazychoir.files.output_files import written_file
+from crazychoir.files.text_files import BYTE_ORDER_MARK, read_text
+
+HEADER = re.compile(r"\s*\[")
+DRONES = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
+
+
+def lines_of(i: int, keys: Mapping[str, object]) -> str:
+    """What belongs into the [[drones]] with id i."""
+    return "\n".join(["[[drones]]", f"id = {i}", *(f"{key} = {show(value)}" for key, value in keys.items())])
+
+
+def with_keys(text: str, changes: Mapping[int, Mapping[str, object]], where: str = "swarm") -> str:
+    """The TOML text with other values of some keys of [[drones]], by id; a key that is not there comes last.
+
+    Raises ConfigError, with the lines to write, where it is laid out in another way than one table a drone and one
+    line a key: nothing but these keys may change.
+    """
+    before = _parsed(text)
+    lines = text.splitlines(keepends=True)
+    for i, keys in changes.items():
+        for key, value in keys.items():
+            lines = _with_key(lines, i, key, show(value))
+    after, expected = "".join(lines), _changed(before, changes)
+    if expected is None or _parsed(after) != expected:
+        do = "\n".join(["Write them yourself:", *(lines_of(i, keys) for i, keys in changes.items())])
+        raise ConfigError(where, "tables that are laid out otherwise", "[[drones]], and one line a key", do)
+    return after
+
+
+def write_keys(path: Path, changes: Mapping[int, Mapping[str, object]]) -> None:
+    """The same in a file."""
+    text = read_text(path, "a swarm file that can be written", exact=True)
+    mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
+    changed = with_keys(text.removeprefix(mark), changes, str(path))
+    with written_file(path, "swarm file") as place:
+        place.write_bytes((mark + changed).encode())
+
+
+def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
+    """The lines with this key of drone i."""
+    for begin, end in _tables(lines):
+        if _parsed_id(lines[begin:end]) != i:
+            continue
+        line = next((n for n in range(begin + 1, end) if re.match(rf"\s*{key}\s*=", lines[n])), None)
+        if line is not None:
+            return [*lines[:line], _replaced(lines[line], key, value), *lines[line + 1 :]]
+        last = max(n for n in range(begin, end) if lines[n].split("#")[0].strip())
+        ending = "\r\n" if lines[begin].endswith("\r\n") else "\n"
+        previous = lines[last] if lines[last].endswith("\n") else lines[last] + ending
+        return [*lines[:last], previous, f"{key} = {value}{ending}", *lines[last + 1 :]]
+    return lines
+
+
+def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
+    """First line of each [[drones]], and the line of the next table."""
+    headers = [n for n, line in enumerate(lines) if HEADER.match(line)]
+    for n, end in pairwise([*headers, len(lines)]):
+        if DRONES.fullmatch(lines[n].rstrip("\r\n")):
+            yield n, end
+
+
+def _replaced(line: str, key: str, value: str) -> str:
+    """The line with another value; what follows it as a comment stays."""
+    found = re.match(rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|[^#\s]*)(.*)", line, re.DOTALL)
+    return line if found is None else f"{found[1]}{value}{found[3]}"
+
+
+def _parsed_id(lines: list[str]) -> object:
+    try:
+        found: Any = tomllib.loads("".join(lines))["drones"][0]
+        return found.get("id")
+    except (tomllib.TOMLDecodeError, LookupError):
+        return None
+
+
+def _parsed(text: str) -> dict[str, Any] | None:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None
+
+
+def _changed(raw: dict[str, Any] | None, changes: Mapping[int, Mapping[str, object]]) -> dict[str, Any] | None:
+    """What should be read afterwards."""
+    if raw is None or not all(any(drone.get("id") == i for drone in raw.get("drones", ())) for i in changes):
+        return None
+    drones = [{**drone, **changes.get(drone.get("id"), {})} for drone in raw["drones"]]
+    return {**raw, "drones": drones}

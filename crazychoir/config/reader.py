@@ -1,0 +1,154 @@
+"""From the text of a swarm file to its tables, with errors that name file, key, value and what is allowed."""
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+import msgspec
+from msgspec.structs import FieldInfo
+
+from crazychoir.config.misplaced_keys import keys_of_the_file, names, not_a_table, place_of_missing, remedy
+from crazychoir.errors import ConfigError
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+DEPTH = 16
+SHOWN = 80
+
+
+def parse(text: str, where: str) -> dict[str, Any]:
+    """The plain values of a TOML text, or of a JSON text: it begins with a brace.
+
+    Raises ConfigError, also for what not every host could read back: dates, infinities, NaN, huge numbers, deep nests.
+    """
+    language, decode = ("JSON", _decode_json) if text.lstrip().startswith("{") else ("TOML", tomllib.loads)
+    try:
+        raw: dict[str, Any] = decode(text)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(where, str(error), f"{language} text", "Mend the line.") from error
+    require_plain(raw, where)
+    return raw
+
+
+def _decode_json(text: str) -> Any:
+    """The values of a JSON text; only the standard library reads a path with bytes that are not UTF-8."""
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.DecodeError:
+        if "\\ud" not in text:
+            raise
+        return json.loads(text)
+
+
+def require_plain(raw: dict[str, Any], where: str) -> None:
+    """Refuse values that are not numbers, texts, true, false, lists or tables of them."""
+    pending = [(key, value, 1) for key, value in raw.items()]
+    while pending:
+        key, value, depth = pending.pop()
+        if depth > DEPTH:
+            raise ConfigError(f"{where}: {key}", "a deeper nest", f"{DEPTH} levels of lists and tables")
+        if isinstance(value, Mapping):
+            pending += [(f"{key}.{name}", item, depth + 1) for name, item in value.items()]
+        elif isinstance(value, list | tuple):
+            pending += [(f"{key}[{n}]", item, depth + 1) for n, item in enumerate(value)]
+        elif not _is_plain(value):
+            raise ConfigError(f"{where}: {key}", show(value), "finite numbers below 2^63, texts, true, false")
+
+
+def _is_plain(value: object) -> bool:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) < 2**63
+    return math.isfinite(value) if isinstance(value, float) else isinstance(value, str | bool | None)
+
+
+def read(raw: object, kind: type[T], where: str, key: str = "", file: type[msgspec.Struct] | None = None) -> T:
+    """The table `kind` with the values of `raw`; `where` is the file, `key` the path to this table in it.
+
+    file: the whole file, whose tables are told where a key belongs to another one; else the table without a path.
+    """
+    file = kind if file is None and not key else file
+    if not isinstance(raw, Mapping):
+        raise ConfigError(_at(where, key), show(raw), f"a table with {_names(kind)}", not_a_table(raw, key))
+    fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
+    for name, value in raw.items():
+        if name not in fields:
+            raise _unknown(name, value, kind, where, key, file)
+    for name, entry in fields.items():
+        if entry.required and name not in raw:
+            description, example = _allowed(entry)
+            elsewhere = "" if key else place_of_missing(name, raw, kind)
+            do = elsewhere or f"Add for example {name} = {example}."
+            raise ConfigError(_at(where, key, name), "nothing", description, do)
+    return kind(
+        **{fields[name].name: _value(value, fields[name], where, _path(key, name), file) for name, value in raw.items()}
+    )
+
+
+def show(value: object) -> str:
+    """A value as a swarm file writes it, shortened."""
+    text = _toml(value)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, Mapping):
+        inner = ", ".join(f"{key} = {_toml(item)}" for key, item in value.items())
+        return f"{{ {inner} }}" if inner else "{}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    return json.dumps(value, ensure_ascii=False, default=str)
+
+
+def _value(
+    raw: object, entry: FieldInfo, where: str, key: str, file: type[msgspec.Struct] | None
+) -> object:
+    kind = _bare(entry.type)
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return read(raw, kind, where, key, file)
+    if isinstance(raw, list | tuple) and (table := _row(kind)):
+        return tuple(read(item, table, where, f"{key}[{n}]", file) for n, item in enumerate(raw))
+    try:
+        return msgspec.convert(raw, entry.type, str_keys=True)
+    except msgspec.ValidationError:
+        description, example = _allowed(entry)
+        do = f"For example {entry.encode_name} = {example}.{keys_of_the_file(raw, key, file)}"
+        raise ConfigError(f"{where}: {key}", show(raw), description, do) from None
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _row(kind: Any) -> type[msgspec.Struct] | None:
+    """The table that a list of tables repeats."""
+    inner = get_args(kind)[0] if get_origin(kind) is tuple else None
+    return inner if isinstance(inner, type) and issubclass(inner, msgspec.Struct) else None
+
+
+def _allowed(entry: FieldInfo) -> tuple[str, str]:
+    """What a key allows, and an example."""
+    kinds = (entry.type, *get_args(entry.type))
+    meta = next(kind.__metadata__[0] for kind in kinds if get_origin(kind) is Annotated)
+    return meta.description, show(meta.examples[0])
+
+
+def _unknown(
+    name: str, value: object, kind: type[msgspec.Struct], where: str, key: str, file: type[msgspec.Struct] | None
+) -> ConfigError:
+    do = remedy(name, value, kind, key, file)
+    allowed = f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"
+    return ConfigError(_at(where, key, name), show(value), allowed, do, problem="there is no such key")
+
+
+def _names(kind: type[msgspec.Struct]) -> str:
+    return ", ".join(names(kind))
+
+
+def _path(*keys: str) -> str:
+    return ".".join(filter(None, keys))
+
+
+def _at(where: str, *keys: str) -> str:
+    return ": ".join(filter(None, (where, _path(*keys))))

@@ -1,0 +1,380 @@
+"""The swarm file: who flies, who talks to whom, where each process runs, and in which world."""
+
+import hashlib
+import ipaddress
+import json
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Self
+
+import msgspec
+
+from crazychoir.bus.network import authority
+from crazychoir.bus.network.access import Access
+from crazychoir.bus.network.endpoints import are_local
+from crazychoir.bus.port import BODIES, EYES
+from crazychoir.bus.topics import POSE, TRUTH, Topic
+from crazychoir.config.checks import REPLAY, ROUTER_BELOW, check, graph_of, owned, secured
+from crazychoir.config.radio_checks import body_name, dongles, is_reached, reached, seen
+from crazychoir.config.reader import parse, read, require_plain
+from crazychoir.config.tables import AGREED, OF_BODIES, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
+from crazychoir.config.uris import canonical
+from crazychoir.errors import ConfigError
+from crazychoir.files.path_texts import as_path, json_bytes
+from crazychoir.files.text_files import read_text
+from crazychoir.team.graph import Graph, span
+
+LOCAL = "127.0.0.1"
+WORLD = -1
+"""The process of the world's owner, among processes that are known by their lowest drone."""
+MOCAP = -2
+"""That of motion capture."""
+DONGLES = -3
+"""That of the owner of dongle 0; of dongle K: DONGLES - K."""
+ROUTER = -ROUTER_BELOW
+"""That of the router."""
+SPACING = 0.6
+MARGIN = 4.0
+FILES = ("instance", "drawing")
+"""Options of missions that name a file."""
+SHAPES = ("model", "scene")
+"""Keys of [mujoco] that name a file; only the host of the world's owner needs them."""
+
+
+class SwarmConfig(Swarm, frozen=True, kw_only=True):
+    """A checked swarm file: `load`, `loads`, `of` and `replace` check it and raise ConfigError.
+
+    The fields are those of tables.Swarm. The key `graph` of the file is the field `topology`; `graph()` builds it.
+    """
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a .toml or .json file. A mission that is a path, and FILES, are relative to the file's folder."""
+        do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
+        text = read_text(path, "a swarm file, TOML or JSON", do=do)
+        config = cls.loads(text, str(path))
+        folder = Path(path).parent
+        return config._with_mission_from(folder)._with_files_from(folder)._with_shapes_from(folder)._with_keys(folder)
+
+    @classmethod
+    def loads(cls, text: str, where: str = "swarm") -> Self:
+        """Read TOML or JSON text; `where` names it in error texts."""
+        return cls.of(parse(text, where), where)
+
+    @classmethod
+    def of(cls, raw: dict[str, Any], where: str = "swarm") -> Self:
+        """The swarm of plain values, as `loads` finds them in a text."""
+        require_plain(raw, where)
+        config = read(raw, cls, where)
+        check(config, where)
+        drones = tuple(msgspec.structs.replace(drone, uri=canonical(drone.uri)) for drone in config.drones)
+        return msgspec.structs.replace(config, drones=drones)
+
+    def dumps(self) -> str:
+        """JSON text for `loads`, defaults and all: hands a swarm to another process."""
+        try:
+            return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+        except UnicodeEncodeError:  # a path with bytes that are not UTF-8: they are escaped
+            return json.dumps(msgspec.to_builtins(self), indent=2)
+
+    def replace(self, **changes: Any) -> Self:
+        """This swarm with other values of some keys, named as in the file; a mission's path is relative to here."""
+        raw = {**msgspec.to_builtins(self), **msgspec.to_builtins(changes)}
+        config = self.of(raw, f"swarm {self.name}")
+        return config._with_mission_from(Path()) if "mission" in changes else config
+
+    def _with_mission_from(self, folder: Path) -> Self:
+        if self.mission is None or not self.mission.endswith(".py"):
+            return self
+        return msgspec.structs.replace(self, mission=_resolved(folder, self.mission, "mission"))
+
+    def _with_files_from(self, folder: Path) -> Self:
+        named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
+        found = {key: _resolved(folder, value, f"mission_options.{key}") for key, value in named.items()}
+        drones = tuple(_replaying(drone, folder) for drone in self.drones)
+        mocap = self.mocap
+        if mocap.file:
+            mocap = msgspec.structs.replace(mocap, file=_resolved(folder, mocap.file, "mocap.file"))
+        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
+
+    def _with_shapes_from(self, folder: Path) -> Self:
+        named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
+        found = {key: _resolved(folder, value, f"mujoco.{key}") for key, value in named.items()}
+        mujoco = msgspec.structs.replace(self.mujoco, **found)
+        return msgspec.structs.replace(self, mujoco=mujoco) if found else self
+
+    def _with_keys(self, folder: Path) -> Self:
+        if not self.secured:
+            return self
+        keys = _resolved(folder, self.security.keys, "security.keys")
+        return msgspec.structs.replace(self, security=msgspec.structs.replace(self.security, keys=keys))
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """The files that a flight needs beside its mission, by the keys that name them."""
+        options, mujoco = self.mission_options, self.mujoco
+        named = {f"mission_options.{key}": options[key] for key in FILES if isinstance(options.get(key), str)}
+        named |= {f"mujoco.{key}": name for key in SHAPES if (name := getattr(mujoco, key))}
+        for drone in self.drones:
+            if drone.uri.startswith(REPLAY):
+                named[f"drone {drone.id}: uri"] = drone.uri.removeprefix(REPLAY).partition("?")[0]
+        return {key: Path(name) for key, name in named.items()}
+
+    def digest(self) -> str:
+        """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
+
+        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
+        file that the mission's options name counts by what is in it, wherever it lies.
+        """
+        return hashlib.blake2b(json_bytes(self._agreed(), order="sorted"), digest_size=8).hexdigest()
+
+    def digests(self) -> str:
+        """Of each of the keys AGREED alone two hex digits, so that two files that differ are told in what."""
+        agreed = self._agreed()
+        said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
+        return "".join(hashlib.blake2b(value, digest_size=1).hexdigest() for value in said)
+
+    def of_bodies(self) -> dict[str, str]:
+        """Of each of the keys OF_BODIES some hex digits, the same where what stands there is; no file is read."""
+        agreed: dict[str, Any] = msgspec.to_builtins(self)
+        agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        for drone in agreed["drones"]:
+            drone["uri"] = drone["uri"].rpartition("/")[2] if drone["uri"].startswith(REPLAY) else drone["uri"]
+        said = {key: json_bytes(agreed[key], order="sorted") for key in OF_BODIES}
+        return {key: hashlib.blake2b(value, digest_size=4).hexdigest() for key, value in said.items()}
+
+    def _agreed(self) -> dict[str, Any]:
+        agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
+        agreed["mission"] = Path(self.mission or "").name
+        agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        agreed["mocap"]["file"] = Path(self.mocap.file).name
+        agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
+        for drone in agreed["drones"]:
+            name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
+            drone["uri"] = drone["uri"] if name == drone["uri"] else f"{REPLAY}{_content(name)}{mark}{number}"
+        return agreed
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """The drones, increasing."""
+        return tuple(sorted(drone.id for drone in self.drones))
+
+    def drone(self, i: int) -> Drone:
+        """The [[drones]] with id i."""
+        for drone in self.drones:
+            if drone.id == i:
+                return drone
+        raise ConfigError(f"swarm {self.name}", f"drone {i}", span(self.ids))
+
+    def control_of(self, i: int) -> Control:
+        """The [[roles]] of drone i, else [control], with what it is sent: level, one whose link fails flies on."""
+        drone = self.drone(i)
+        row = next((row for row in self.roles if row.name == drone.role), self.control)
+        streamed: Sender = "frpy" if is_reached(drone) else "fpqr"
+        return msgspec.structs.replace(row, sender=row.sender or streamed)
+
+    def graph(self) -> Graph:
+        """The communication graph."""
+        return graph_of(self, f"swarm {self.name}")
+
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The drones of each process, increasing; a process is known by its lowest drone."""
+        return tuple(sorted(tuple(sorted(group)) for group in self.processes or ((i,) for i in self.ids)))
+
+    def process(self, i: int) -> int:
+        """The process of drone i: its lowest drone."""
+        member = self.drone(i).id
+        return next(group[0] for group in self.groups() if member in group)
+
+    def endpoint(self, i: int) -> str:
+        """Where the process of drone i listens: tcp/<address of its host>:<base port + the process>."""
+        return self._listens(self.drone(i).host, self.process(i))
+
+    def endpoints(self) -> dict[int, str]:
+        """The endpoint of each process, by its lowest drone; those of the router and of owners first."""
+        listens = {process: self._listens(host, process) for process, host in self._owners().items()}
+        return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
+
+    def host_of(self, process: int) -> str | None:
+        """Where a process of `endpoints` runs; None without [hosts]."""
+        return self.drone(process).host if process >= 0 else self._owners()[process]
+
+    @property
+    def routers(self) -> list[str]:
+        """The endpoint of the router, if there is one: every process connects to it alone."""
+        return [self._listens(self.router, ROUTER)] if self.router is not None else []
+
+    def _owners(self) -> dict[int, str | None]:
+        """The hosts of the processes that are no agents."""
+        owners: dict[int, str | None] = {ROUTER: self.router} if self.router is not None else {}
+        owners |= {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
+        owners |= {MOCAP: self.mocap.host} if self.seen else {}
+        return owners | ({WORLD: self.world.host} if self.owned else {})
+
+    def _listens(self, host: str | None, process: int) -> str:
+        address = LOCAL if host is None else self.hosts[host]
+        return f"{self.scheme}/{_bracketed(address)}:{self.base_port + process}"
+
+    @property
+    def scheme(self) -> str:
+        """Of the endpoints."""
+        return "tls" if self.secured else "tcp"
+
+    @property
+    def secured(self) -> bool:
+        """Whether its network is encrypted, and open to those alone who have a certificate."""
+        return secured(self)
+
+    def access(self, host: str, *endpoints: str) -> Access | None:
+        """Who may say what, as a host sees it; None where the network is open to everybody.
+
+        endpoints: instead of those of the file. Raises ConfigError for keys that are not there, or not good, and for an
+        endpoint beyond this machine where the file has neither keys nor insecure = true.
+        """
+        if not self.secured:
+            self._require_local(endpoints)
+            return None
+        owners = [(self.dongle_host(k), f"dongle{k}") for k in self.dongles]
+        owners += [(self.mocap.host, "mocap")] if self.seen else []
+        owners += [(self.world.host, "world")] if self.owned else []
+        agents = [(drone.host, str(drone.id)) for drone in self.drones]
+        processes: dict[str, tuple[str, ...]] = {name: () for name in (*self.hosts, *self.security.operators)}
+        for of, name in (*owners, *agents):
+            processes[str(of)] += (name,)
+        holders = {drone.id: str(drone.host) for drone in self.drones}
+        holders |= {BODIES + i: str(self.world.host) for i in self.owned}
+        holders |= {BODIES + i: str(self.dongle_host(k)) for k, ids in self.dongles.items() for i in ids}
+        holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
+        folder = authority.checked(Path(self.security.keys), host)
+        return Access(self.name, host, folder, processes, holders, self.security.operators, self.router)
+
+    def _require_local(self, endpoints: Iterable[str]) -> None:
+        far = [endpoint for endpoint in endpoints if "/" in endpoint and not are_local([endpoint])]  # else none at all
+        if far and not self.security.insecure:
+            allowed = "one of this machine's own, as tcp/127.0.0.1:7460"
+            do = "Give the swarm file [hosts] and keys (deploy/README.md), or write insecure = true in [security]."
+            raise ConfigError("endpoint", far[0], allowed, do, "neither encrypted nor closed")
+
+    @property
+    def owned(self) -> tuple[int, ...]:
+        """The drones whose bodies are, in real time, in the process of the world's owner; increasing."""
+        return owned(self)
+
+    @property
+    def reached(self) -> tuple[int, ...]:
+        """The drones that a radio reaches, udp:// or radio://; increasing."""
+        return reached(self)
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """The drones whose poses come from the process of motion capture; increasing."""
+        return seen(self)
+
+    @property
+    def unseen(self) -> tuple[int, ...]:
+        """The drones that alone say where they are: their truth is their own estimate; increasing."""
+        return tuple(i for i in self.reached if i not in self.seen)
+
+    @property
+    def elsewhere(self) -> tuple[int, ...]:
+        """The drones whose bodies, in real time, are reached by another process than their agent's; increasing."""
+        return tuple(sorted((*self.owned, *self.reached)))
+
+    @property
+    def dongles(self) -> dict[int, tuple[int, ...]]:
+        """The drones of each dongle, by its number; both increasing."""
+        return dongles(self)
+
+    def dongle_host(self, number: int) -> str | None:
+        """The host of a dongle's owner."""
+        return next((row.host for row in self.radio.dongles if row.dongle == number), None)
+
+    def body_name(self, i: int) -> str:
+        """What motion capture calls drone i."""
+        return body_name(self.drone(i))
+
+    def source(self, topic: Topic, i: int) -> int:
+        """The address that says a topic of drone i in real time: the drone's, its body's, or that of the cameras."""
+        if not topic.of_body or i not in self.elsewhere:
+            return i
+        return EYES + i if topic in (POSE, TRUTH) and i in self.seen else BODIES + i
+
+    def impairment(self) -> dict[str, Any]:
+        """[network] as plain values, only what is written; the groups of a partition name every drone."""
+        network = self.network
+        rules = _written(network)
+        if network.edges:
+            rules["edges"] = [_written(edge) for edge in network.edges]
+        if network.partitions:
+            rules["partitions"] = [_written(cut) | {"groups": self._complete(cut.groups)} for cut in network.partitions]
+        return rules
+
+    def _complete(self, groups: tuple[tuple[int, ...], ...]) -> list[list[int]]:
+        """The groups, and one more of the drones that they do not name."""
+        rest = [i for i in self.ids if not any(i in group for group in groups)]
+        return [list(group) for group in groups] + ([rest] if rest else [])
+
+
+def _replaying(drone: Drone, folder: Path) -> Drone:
+    """The drone, with the recording that it replays, if it does, found from a folder."""
+    name = drone.uri.removeprefix(REPLAY)
+    if name == drone.uri:
+        return drone
+    return msgspec.structs.replace(drone, uri=f"{REPLAY}{_resolved(folder, name, f'drone {drone.id}: uri')}")
+
+
+def _resolved(folder: Path, name: str, key: str) -> str:
+    """Return the whole path of a file. Errors: ConfigError with `key` for a name that no file here can have."""
+    try:
+        return str((folder / as_path(name)).resolve())
+    except (ValueError, OSError, RuntimeError) as error:
+        do = "Rename the file; or, for letters that this system does not know, set PYTHONUTF8=1 or LC_ALL=C.UTF-8."
+        raise ConfigError(key, ascii(name), f"the name of a file ({error})", do) from error
+
+
+def _content(value: Any) -> Any:
+    """A path becomes the hash of its file; anything else stays."""
+    if not isinstance(value, str) or len(value) > 1000 or not Path(value).is_file():
+        return value
+    return hashlib.blake2b(Path(value).read_bytes(), digest_size=8).hexdigest()
+
+
+def default_swarm(n: int) -> SwarmConfig:
+    """n simulated drones on a square grid on the floor, in a ring graph, without a mission."""
+    return _on_a_grid("default", n, columns=max(1, math.ceil(math.sqrt(n))))
+
+
+def demo_swarm() -> SwarmConfig:
+    """Six simulated drones that share pickups and deliveries."""
+    return _on_a_grid("demo", 6, columns=3).replace(mission="pickup_delivery")
+
+
+def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
+    """The swarm to fly, and a text that says which: the file given, else ./swarm.toml, else the demo swarm."""
+    if option is not None:
+        return SwarmConfig.load(option), option
+    if Path("swarm.toml").is_file():
+        return SwarmConfig.load("swarm.toml"), "swarm.toml of this folder"
+    return demo_swarm(), "the built-in demo swarm: six drones, pickup_delivery"
+
+
+def _on_a_grid(name: str, n: int, columns: int) -> SwarmConfig:
+    homes = [[round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0] for k in range(n)]
+    far = [max((home[axis] for home in homes), default=0.0) + MARGIN for axis in (0, 1)]
+    drones = [{"id": k, "home": home} for k, home in enumerate(homes)]
+    fence = {"min": [-MARGIN, -MARGIN, 0.0], "max": [*far, 3.0]}
+    return SwarmConfig.of({"name": name, "drones": drones, "graph": "ring", "fence": fence}, f"swarm {name}")
+
+
+def _bracketed(address: str) -> str:
+    try:
+        return f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
+    except ValueError:
+        return address
+
+
+def _written(table: Table) -> dict[str, Any]:
+    """The values of a table that are written in the file, without its lists."""
+    values: dict[str, Any] = msgspec.to_builtins(table)
+    return {key: value for key, value in values.items() if not (value is None or isinstance(value, tuple))}

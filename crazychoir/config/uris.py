@@ -1,0 +1,203 @@
+"""The uris of drones that a radio reaches: what they may say, and the one form in which they are compared.
+
+A radio:// uri is cflib's, with a dongle by its number. What cflib or crazyflie-link-cpp know beside that is refused
+with the reason. What is left out has cflib's default.
+"""
+
+import re
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from urllib.parse import parse_qsl
+
+from crazychoir.bus.network.endpoints import address_fault
+from crazychoir.config.reader import show
+from crazychoir.errors import ConfigError
+
+UDP = "udp://"
+"""Begin of the uris of virtual Crazyflies."""
+RADIO = "radio://"
+"""Begin of the uris of real ones."""
+LAST_CHANNEL = 125
+LAST_DONGLE = 15
+LAST_PORT = 65535
+RATES = ("250K", "1M", "2M")
+DEFAULT_RATE = "2M"
+DEFAULT_ADDRESS = "E7E7E7E7E7"
+"""That of a Crazyflie as it comes from the shop."""
+UDP_FORM = "udp://HOST:PORT, as udp://127.0.0.1:19850"
+RADIO_FORM = (
+    "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E703: a dongle of 0 to 15, a channel of 0 to 125, "
+    f"250K, 1M or 2M, an address of 10 hexadecimal digits; without them {DEFAULT_RATE} and {DEFAULT_ADDRESS}"
+)
+UNLIMITED = 10**9
+"""Larger than whatever number a uri may have."""
+LINK_OPTIONS = ("safelink", "autoping", "ackfilter")
+"""Of crazyflie-link-cpp."""
+_ADDRESS = re.compile(r"[0-9A-Fa-f]{10}")
+_THIS_MACHINE = "127.0.0.1"
+_NAMES_OF_THIS_MACHINE = ("localhost", "localhost.localdomain", "0.0.0.0")  # noqa: S104 - nothing listens by it here
+
+
+@dataclass(frozen=True)
+class UdpUri:
+    """A virtual Crazyflie."""
+
+    host: str
+    """An IPv4 address in four numbers, or a name in small letters."""
+    port: int
+
+    def __str__(self) -> str:
+        return f"{UDP}{self.host}:{self.port}"
+
+    @property
+    def drone(self) -> tuple[object, ...]:
+        """What two uris of one drone have in common."""
+        host = _THIS_MACHINE if self.host in _NAMES_OF_THIS_MACHINE else self.host
+        return UDP, host, self.port
+
+
+@dataclass(frozen=True)
+class RadioUri:
+    """A Crazyflie behind a dongle."""
+
+    dongle: str
+    """Its number, or, where that is allowed, its serial number."""
+    channel: int
+    rate: str
+    address: str
+    """10 hexadecimal digits, capitals."""
+    rate_limit: int | None = None
+    """Packets a second; None: no limit."""
+
+    def __str__(self) -> str:
+        limit = "" if self.rate_limit is None else f"?rate_limit={self.rate_limit}"
+        return f"{RADIO}{self.dongle}/{self.channel}/{self.rate}/{self.address}{limit}"
+
+    @property
+    def drone(self) -> tuple[object, ...]:
+        """What two uris of one drone have in common: every dongle reaches it."""
+        return RADIO, self.channel, self.rate, self.address
+
+
+Uri = UdpUri | RadioUri
+
+
+def parse_uri(uri: str, key: str, serials: bool = False) -> Uri:
+    """Return what a udp:// or radio:// uri says; raise ConfigError for a uri that no driver here opens.
+
+    key: names it in errors;  serials: whether a dongle may be named by its serial number.
+    """
+    if uri.startswith(UDP):
+        return _parse_udp(uri, key)
+    return _parse_radio(uri, key, serials)
+
+
+def udp_uri(uri: str) -> UdpUri | None:
+    """Return what a uri that was checked says, if it is a udp:// one."""
+    return _parse_udp(uri, "uri") if uri.startswith(UDP) else None
+
+
+def radio_uri(uri: str) -> RadioUri | None:
+    """Return what a uri that was checked says, if it is a radio:// one."""
+    return _parse_radio(uri, "uri", serials=False) if uri.startswith(RADIO) else None
+
+
+def canonical(uri: str) -> str:
+    """Return the one form of a uri that was checked; of a world that no radio reaches, the uri as it is."""
+    return str(parse_uri(uri, "uri")) if uri.startswith((UDP, RADIO)) else uri
+
+
+def _parse_udp(uri: str, key: str) -> UdpUri:
+    place, mark, _ = uri.removeprefix(UDP).partition("?")
+    place = place.removesuffix("/")
+    if mark:
+        raise ConfigError(key, show(uri), UDP_FORM, "A udp:// uri has no options: leave out what follows the ?.")
+    if place.startswith("[") or place.count(":") > 1:
+        raise ConfigError(key, show(uri), UDP_FORM, "The udp:// link of cflib has IPv4 alone: write such an address.")
+    host, colon, port = place.partition(":")
+    if not colon:
+        raise ConfigError(key, show(uri), UDP_FORM, f"Write its port, as {UDP}{host or _THIS_MACHINE}:19850.")
+    if not (port.isascii() and port.isdecimal() and 1 <= _number(port) <= LAST_PORT):
+        raise ConfigError(key, show(uri), UDP_FORM, f"A port is a number of 1 to {LAST_PORT}.")
+    host = _host(host)
+    if host not in _NAMES_OF_THIS_MACHINE and (fault := address_fault(host)):
+        raise ConfigError(key, show(uri), UDP_FORM, fault)
+    return UdpUri(_THIS_MACHINE if host.startswith("localhost") else host, _number(port))
+
+
+def _host(text: str) -> str:
+    """Return the host as it is compared: in small letters, an IPv4 address in four numbers, however it was written."""
+    host = text.lower().removesuffix(".")
+    try:
+        return socket.inet_ntoa(socket.inet_aton(host)) if host[:1].isdigit() and " " not in host else host
+    except OSError:
+        return host
+
+
+def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
+    place, _, query = uri.removeprefix(RADIO).partition("?")
+    parts = place.removesuffix("/").split("/")
+
+    def refused(do: str) -> ConfigError:
+        return ConfigError(key, show(uri), RADIO_FORM, do)
+
+    if not uri.startswith(RADIO):
+        raise refused("")
+    if len(parts) < 2:
+        raise refused("Write its channel, as radio://0/80.")
+    if len(parts) > 4:
+        raise refused("Leave out what follows the address.")
+    dongle, channel = parts[:2]
+    rate = parts[2] if len(parts) > 2 else DEFAULT_RATE
+    address = parts[3] if len(parts) > 3 else DEFAULT_ADDRESS
+    if fault := _dongle_fault(dongle, serials):
+        raise refused(fault)
+    if not (channel.isascii() and channel.isdecimal() and _number(channel) <= LAST_CHANNEL):
+        raise refused(f"A channel is a number of 0 to {LAST_CHANNEL}.")
+    if rate not in RATES:
+        raise refused(f"Write {rate.upper()}." if rate.upper() in RATES else "")
+    if not _ADDRESS.fullmatch(address):
+        raise refused(_address_hint(address))
+    number = str(_number(dongle)) if dongle.isdecimal() and len(dongle) < 10 else dongle.upper()
+    return RadioUri(number, _number(channel), rate, address.upper(), _rate_limit(query, refused))
+
+
+def _dongle_fault(dongle: str, serials: bool) -> str:
+    """Return what to do about a dongle that is none; empty for a good one."""
+    if dongle == "*":
+        return "* is any dongle to crazyflie-link-cpp; here each dongle has an owner: write its number, as radio://0."
+    if _ADDRESS.fullmatch(dongle):
+        number = "cflib finds a dongle by its serial number; here its owner, `crazychoir-radio --dongle`, goes by its"
+        return "" if serials else f"{number} number on the host: write that, 0 for the first. See `crazychoir doctor`."
+    if dongle.isascii() and dongle.isdecimal() and _number(dongle) <= LAST_DONGLE:
+        return ""
+    return f"A dongle is a number of 0 to {LAST_DONGLE}."
+
+
+def _address_hint(address: str) -> str:
+    if re.fullmatch(r"[0-9A-Fa-f]{1,9}", address):
+        return f"Write all 10 digits: cflib would take it for {address.upper():0>10}."
+    return ""
+
+
+def _rate_limit(query: str, refused: Callable[[str], ConfigError]) -> int | None:
+    """Return the packets a second of ?rate_limit=, None without; raise what `refused` makes for any other option."""
+    limit = None
+    for name, value in parse_qsl(query, keep_blank_values=True):
+        if name in LINK_OPTIONS:
+            raise refused(f"{name} is an option of crazyflie-link-cpp: leave it out; here safelink is always on.")
+        if name != "rate_limit":
+            raise refused(f"There is no option {name}: leave it out. There is rate_limit, in packets a second.")
+        if limit is not None:
+            raise refused("Write rate_limit once.")
+        if not (value.isascii() and value.isdecimal() and 1 <= _number(value) < UNLIMITED):
+            raise refused("rate_limit is a whole number of packets a second, 1 or more.")
+        limit = _number(value)
+    return limit
+
+
+def _number(digits: str) -> int:
+    """Return a number of at most nine digits; a longer one is larger than whatever is allowed."""
+    stripped = digits.lstrip("0") or "0"
+    return int(stripped) if len(stripped) < 10 else UNLIMITED

@@ -1,0 +1,147 @@
+"""What no topic says, asked for now and then while somebody looks on: tasks, routes, and what is simulated."""
+
+import asyncio
+import math
+from typing import Any
+
+from crazychoir.bus.commands import DONE, REFUSED
+from crazychoir.config.network import in_words
+from crazychoir.dashboard.commands import Desk, Receipt
+from crazychoir.dashboard.model import SwarmModel
+from crazychoir.dashboard.recent_loss import Lately, share
+from crazychoir.runtime.actor import Actor
+from crazychoir.team.graph import span
+
+OVERVIEWS, TASKS = 8.0, 1.0
+"""Hz, of questions to one drone, in turn, after its overview; and after the tasks, to one drone."""
+LATER = 10.0
+"""s for which a swarm is not asked again that has no tasks."""
+PATIENCE = 0.8
+"""s for an answer to such a question."""
+WINDOW = 4.0
+"""s over which a share of lost messages is taken, at least; and as long as a whole turn takes."""
+MOST_ASKED = 3
+"""Drones that are asked to do what one must, one after the other, until one has not refused."""
+
+
+class Overview(Actor):
+    """What all drones say of themselves, one after the other.
+
+    lost: share of messages that the simulated network has lost lately, by edge (i, j), i < j, both ways together;
+    routes: by drone, the places that it is to fly to, m;  networks: by drone, what it simulates, see Impairment.
+    """
+
+    name = "overview"
+
+    def __init__(self, desk: Desk) -> None:
+        self.desk, self.ids = desk, desk.place.config.ids
+        self.watched = False
+        self.lost: dict[tuple[int, int], float] = {}
+        self.routes: dict[int, list[list[float]]] = {}
+        self.networks: dict[int, dict[str, Any]] = {}
+        self._of: dict[tuple[int, int], Lately] = {}
+
+    async def run(self) -> None:
+        """One drone after the other; of one that does not answer no route or network is known."""
+        k, window = 0, max(WINDOW, 2.0 * len(self.ids) / OVERVIEWS)
+        async for _ in self.desk.place.clock.ticks(OVERVIEWS):
+            if not self.watched:
+                continue
+            i = self.ids[k % len(self.ids)]
+            k += 1
+            answer = await _answer(self.desk, i, "overview")
+            self.routes.pop(i, None)
+            self.networks.pop(i, None)
+            if answer is None:
+                continue
+            self.networks[i] = answer["network"]
+            if answer["route"]:
+                self.routes[i] = [[round(x, 2) for x in p] for p in answer["route"]]
+            for j, (sent, lost) in answer["links"].items():
+                self._note(i, j, sent, lost, window)
+
+    def news(self) -> dict[str, Any]:
+        """What pages are told of it."""
+        links = {f"{i}-{j}": round(lost, 3) for (i, j), lost in self.lost.items()}
+        return {"links": links, "routes": self.routes, "network": self._network()}
+
+    def _network(self) -> dict[str, Any] | None:
+        """What is simulated: the rules of the first drone, and in words, by drone where these differ."""
+        same: dict[str, list[int]] = {}
+        for i in sorted(self.networks):
+            same.setdefault("; ".join(in_words(self.networks[i])), []).append(i)
+        if not same:
+            return None
+        words = [text if len(same) == 1 else f"drones {span(ids)}: {text}" for text, ids in same.items()]
+        return {"rules": self.networks[min(self.networks)]["rules"], "words": " | ".join(words)}
+
+    def _note(self, i: int, j: int, sent: int, lost: int, window: float) -> None:
+        self._of.setdefault((i, j), Lately(window)).note(self.desk.place.clock.now(), sent, lost)
+        both = [self._of[pair] for pair in ((i, j), (j, i)) if pair in self._of]
+        self.lost[min(i, j), max(i, j)] = share(*both)
+
+
+class TaskBoard(Actor):
+    """The tasks of a mission that has some, and the way to add and cancel them."""
+
+    name = "tasks"
+
+    def __init__(self, desk: Desk, model: SwarmModel) -> None:
+        self.desk, self.ids, self.model = desk, desk.place.config.ids, model
+        self.watched = False
+        self.tasks: list[dict[str, Any]] | None = None
+        """As TaskSource lists them; None for a mission without."""
+        self._k, self._again = 0, -math.inf
+        self._asking: dict[asyncio.Task[Receipt], None] = {}
+
+    async def run(self) -> None:
+        """Ask one drone, the next one if it does not answer."""
+        async for _ in self.desk.place.clock.ticks(TASKS):
+            if self.watched and self.desk.place.clock.now() >= self._again:
+                await self.look()
+
+    async def look(self) -> None:
+        """Ask for the list: the drone that was asked last, unless it hears no more than half of the swarm.
+
+        Then its list is that of who is cut off, and the next one is asked that hears more, if any does.
+        """
+        n = len(self.ids)
+        steps = (k for k in range(n) if 2 * self.model.heard_by(self.ids[(self._k + k) % n]) > n)
+        self._k += next(steps, 0)
+        answer = await _answer(self.desk, self.ids[self._k % len(self.ids)], "task_list")
+        if answer is None:
+            self._k += 1
+            if self._k % len(self.ids) == 0:
+                self._again = self.desk.place.clock.now() + LATER
+        else:
+            self.tasks = answer["tasks"]
+
+    def begin(self, verb: str, words: str, **arguments: Any) -> None:
+        """`ask`, and wait for nothing: whoever wants it may be gone before it is done."""
+        task = asyncio.get_running_loop().create_task(self.ask(verb, words, **arguments))
+        self._asking[task] = None
+        task.add_done_callback(lambda done: self._asking.pop(done, None))
+
+    async def ask(self, verb: str, words: str, **arguments: Any) -> Receipt:
+        """Ask one drone, then others if it refuses.
+
+        Who has accepted it, and who does not answer, may have done it, or may yet do it: nobody else is asked then.
+        """
+        first = self._k % len(self.ids)
+        for i in [*self.ids[first:], *self.ids[:first]][:MOST_ASKED]:
+            receipt = self.desk.order(verb, [i], words=words, each=lambda i: arguments)
+            await self.desk.settled(receipt)
+            if receipt.answers[i][0] != REFUSED:
+                break
+        self._again = -math.inf
+        await self.look()
+        return receipt
+
+
+async def _answer(desk: Desk, i: int, verb: str) -> Any:
+    """What drone i says; None if it refuses, or says nothing."""
+    try:
+        answer = await desk.place.commander.request(i, verb, PATIENCE)
+    except TimeoutError:
+        return None
+    return answer.detail if answer.kind == DONE else None

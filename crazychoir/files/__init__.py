@@ -1,0 +1,1 @@
+"""Files of the user: folders, texts to read, results to write, and names that are not text."""

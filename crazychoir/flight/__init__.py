@@ -1,0 +1,1 @@
+"""The flight of one drone: modes, references, limits and landing."""

@@ -1,0 +1,92 @@
+"""Goals and paths that a pilot is asked to fly: refused, with the reason, before anything moves."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.flight.array_like import as_floats, described
+from crazychoir.safety.rules.guard import Guard
+from crazychoir.types import FullState, Mat, Vec
+
+SLACK = 1e-6  # m by which a place may be outside the room: rounding
+PLACE = "three finite numbers, m"
+
+
+def require_goal(where: str, p: object, yaw: object, duration: object, guard: Guard, planar: bool) -> Vec:
+    """Return the place p as (3,) m, world; raise ConfigError for a goal that must not be flown to.
+
+    where: what errors call it, such as "drone 0: go_to()".
+    yaw: rad, None to keep it.
+    duration: s.
+    guard: of the drone; the goal must lie in its room.
+    planar: whether the drone does not choose its height, which is then not looked at.
+    """
+    place = as_floats(p, (3,))
+    if place is None or not np.isfinite(place).all():
+        raise ConfigError(where, described(p), PLACE, "Give it as [x, y, z].")
+    for name, value in (("yaw", yaw), ("duration", duration)):
+        number = as_floats(0.0 if value is None else value, ())
+        if number is None or not math.isfinite(float(number)):
+            raise ConfigError(f"{where}: {name}", described(value), "a finite number")
+    rest = np.zeros((1, 14))
+    rest[0, 0:3] = place
+    if _leaves(rest, guard, planar)[0]:
+        raise _outside(where, place.tolist(), guard)
+    return place
+
+
+def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> None:
+    """Raise ConfigError for a path that leaves the room of the guard, at its first set-point that does.
+
+    t: (n,) s.
+    path: (n, 14), rows as FullState.flat.
+    """
+    is_outside = _leaves(path, guard, planar)
+    if is_outside.any():
+        k = int(np.argmax(is_outside))
+        raise _outside(f"{where}: set-point at {t[k]:.2f} s", path[k, 0:3].round(3).tolist(), guard)
+
+
+def require_trajectory(where: str, trajectory: object) -> None:
+    """Raise ConfigError for what is no trajectory, or has no finite duration."""
+    missing = [name for name in ("duration", "sample", "done") if not hasattr(trajectory, name)]
+    do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
+    if missing:
+        raise ConfigError(where, type(trajectory).__name__, "a trajectory: duration, sample(t), done(t)", do)
+    found = trajectory.duration  # type: ignore[attr-defined]
+    duration = as_floats(found, ())
+    if duration is None or not (math.isfinite(float(duration)) and float(duration) > 0.0):
+        raise ConfigError(f"{where}: duration", described(found), "a positive number of seconds", do)
+    for t in (0.0, 0.5 * float(duration), float(duration)):
+        require_setpoint(trajectory.sample(t), t)  # type: ignore[attr-defined]
+
+
+def require_setpoint(found: object, t: float) -> FullState:
+    """Return what a trajectory's sample(t) has returned, with the float64 array that kernels take.
+
+    Raises ConfigError for what is no FullState of 14 numbers.
+    """
+    flat = as_floats(getattr(found, "flat", None), (14,))
+    if flat is None or not isinstance(found, FullState):
+        raise ConfigError(f"trajectory: sample({t:.2f})", described(found), "a FullState of 14 numbers")
+    return found if flat is found.flat else FullState(flat)
+
+
+def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
+    """Return (n,) whether each set-point of a path (n, 14) is outside the room; one that is no number is."""
+    rows = path
+    if planar:
+        rows = path.copy()
+        rows[:, 2] = 0.5 * (guard.room.low[2] + guard.room.high[2])
+    return np.asarray(~(guard.leaves_room(rows) <= SLACK))
+
+
+def _outside(where: str, place: Iterable[float], guard: Guard) -> ConfigError:
+    low = [round(x, 4) for x in guard.room.low]
+    high = [round(x, 4) for x in guard.room.high]
+    allowed = f"{low} to {high} m, inside [fence] by the margins of the guard"
+    do = "Choose a place further inside, or widen [fence]."
+    return ConfigError(where, str(place), allowed, do, "outside the fence, at its edge, or on the floor")

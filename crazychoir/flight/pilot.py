@@ -1,0 +1,971 @@
+"""The pilot of one drone: pose -> filter -> reference -> controller -> guard -> command, in the stages of one tick.
+
+It always has the last word: whatever guidance asks, or fails to ask, each tick ends in a command that the safety
+table allows. A pose triggers the tick; if none comes in time, the clock does.
+"""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from crazychoir.bus.port import Port
+from crazychoir.bus.topics import COMMAND, LOG, POSE, REFERENCE, STATE
+from crazychoir.config.tables import Flight
+from crazychoir.control.choice import Controls, controls
+from crazychoir.control.controller import CrazyflieController
+from crazychoir.control.parameters import Parameters
+from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
+from crazychoir.control.senders import FPQRSender
+from crazychoir.errors import ConfigError
+from crazychoir.filters.state_filter import StateFilter
+from crazychoir.flight.clearance import Clearance
+from crazychoir.flight.estimate import SEEN, believed, filter_of
+from crazychoir.flight.goals import require_goal, require_setpoint
+from crazychoir.flight.homecoming import Homecoming
+from crazychoir.flight.point_flights import Flights, braking
+from crazychoir.flight.references import ahead, taken, unflyable
+from crazychoir.numerics.math3d import yaw_of
+from crazychoir.planning.landing import Landing
+from crazychoir.planning.trajectory import Trajectory
+from crazychoir.runtime.actor import Actor, Restart
+from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.collision.agreed.planned import PlannedFlights
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.identity.pose_gate import PoseGate
+from crazychoir.safety.rules.guard import (
+    BELOW_GROUND,
+    EDGE,
+    PLANS_ON_BOARD,
+    REACHED,
+    TABLE,
+    Action,
+    Fence,
+    Guard,
+    Throttle,
+    Verdict,
+)
+from crazychoir.safety.rules.limits import ReferenceLimits
+from crazychoir.safety.rules.modes import (
+    DOWN,
+    FOLLOW,
+    GROUND,
+    GUIDED,
+    HELD,
+    HOVER,
+    LAND,
+    RETURN,
+    TAKEOFF,
+    Event,
+    Mode,
+    after,
+    refusal,
+)
+from crazychoir.types import (
+    STILL,
+    XYZ,
+    Acceleration,
+    Command,
+    FullState,
+    Goto,
+    Point,
+    Pose,
+    Reference,
+    State,
+    Vec,
+    Velocity,
+)
+
+log = logging.getLogger(__name__)
+ON_THE_FLOOR = 0.04
+"""m above the ground at which a landing drone stops its motors."""
+TOUCHDOWN_LATE = 2.0
+"""s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
+TOUCHDOWN_UNSEEN = 0.5
+"""The same for one that is not seen."""
+AT_REST = 0.05
+GIVE_UP_HOVER = 2.0
+"""s of hovering after guidance has failed, before the landing."""
+GIVE_UP_TICKS = 0.5
+"""s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
+
+DEAF = "hears no more than half of the drones that fly: landing"
+LIFTED = 0.03
+"""m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
+
+
+BLIND = 0.5
+"""s without a pose after which one that lands, for whatever reason, is landed by its firmware."""
+BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
+"""m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
+STILL_TURNING = 10.0
+"""s beyond its time that a drone gets which its firmware lands, before its motors are stopped."""
+UNREACHED, LEFT_BEHIND = 1.0, 0.05
+"""s without its radio, from which on nobody can be sure that it obeys; and m from its place to its landing plan at
+which that begins anew: whatever gets through asks for no more than this."""
+IN_THE_AIR = 0.2
+"""m above the ground where a drone is seen that has not landed, whatever its plan says."""
+TELL_OWNER = 0.2
+"""s, after which the owner of a dongle is told again to land a drone by its firmware."""
+Reached = Literal["no", "seen", "own"]
+THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
+"""Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
+RISING, STANDS, STANDS_ON_BOARD = 0.2, 0.4, 0.8
+"""m above the floor where a drone that takes off should be; and s after which one that is still there is none: flown by
+thrust from here, or by its firmware, which is later."""
+OUTSIDE, ON_FLOOR = 0.2, 1.0
+"""s for which a body is seen outside the limit area, where none should be; and for which a drone that should fly is
+seen on the floor."""
+SILENT = 0.5
+"""s without its radio, which is then why it has come down."""
+FALLS = 0.4
+"""m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
+One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
+LANDS_ASTRAY = 1.0
+"""What the guard is told of one whose pose is not its own, and that may land by its firmware."""
+
+NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
+LOW = (TAKEOFF, LAND)
+"""Modes in which it leaves the fence downwards."""
+
+
+class Link(Protocol):
+    """The way to the drone: a simulated world, or later a radio."""
+
+    def send(self, command: Command) -> None:
+        """Let the drone obey this until the next one."""
+        ...
+
+    def cut(self) -> None:
+        """Stop the motors for good."""
+        ...
+
+
+class Pilot(Actor):
+    """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
+
+    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
+    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
+    radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
+    when there are none.
+    """
+
+    name = "pilot"
+
+    def __init__(
+        self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
+        chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
+        collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
+        reached: Reached = "no",
+    ) -> None:  # fmt: skip
+        self.port, self.link, self.limits = port, link, limits
+        self.controls = controls() if chosen is None else chosen
+        self.parameters = Parameters(self.controls)
+        platform = self.controls.platform
+        a_max = braking(limits, platform, HEIGHT_SHARE * HEADROOM)
+        self._takes_off, self._planar = self.controls.takes_off, self.controls.planar
+        ground = max(fence.low[2], limits.ground)
+        self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
+        self.flights = Flights(limits, self.fence, a_max)
+        self.clearance = Clearance(collision, self.flights, 1.0 / rate)
+        table = TABLE if reached == "no" else REACHED if self.controls.sender.kind != "xyz" else PLANS_ON_BOARD
+        self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
+        self._reached = reached != "no"
+        self._gate = PoseGate() if reached == "seen" else None
+        self._down_at = math.inf  # s, when its firmware has landed it, to which it was handed over
+        self._to_firmware: XYZ | None = None  # the command for that
+        self._tell_owner_at = 0.0
+        self.reference_limits = ReferenceLimits(limits, self.controls.gains)
+        self.clock, self._stages = port.bus.clock, port.bus.stages
+        self.drone = port.address
+        self.mode: Mode = GROUND
+        self.state: State | None = None
+        self.note = self._evades = ""  # the latter: what the collision filter has said last
+        self.grave = False
+        """Whether somebody should act upon the note: its motors were cut, or it lands for its safety."""
+        self.brought_down = ""
+        """Why the safety table has first ended a flight by landing it; empty if it never did."""
+        self.held = False
+        self.commanded = False
+        """Whether the flight that is planned, or is to begin, is one of its operator's: guidance does not end it."""
+        self.unguided = ""
+        """Why its guidance is gone, in flight; empty while it is there."""
+        self.turning: Callable[[], bool] = lambda: False
+        """Whether its motors turn, or its body flies, as its firmware or its world's owner says that lands it."""
+        self.unheard: Callable[[], bool] = lambda: False
+        """Whether the owner of its body is silent: no command arrives there, and it is landed without."""
+        self.unfit: Callable[[], list[str]] = list
+        """Says why its drone may not take off, beside what is known here."""
+        self.astray: Callable[[], str] = str
+        """How what the cameras take for it has moved otherwise than the drone; empty if it has not."""
+        self.awaits_start = limits.operator
+        """Whether its mission waits for an operator's start: until then guidance moves nothing."""
+        self.started_at: Point | None = None
+        """(3,) m, where it stood when it took off first."""
+        self._way: Homecoming | None = None
+        self._models = isinstance(self.controls.sender, FPQRSender)
+        self.filter = filter_of("kalman", self.controls, limits.ground, rate) if state_filter is None else state_filter
+        self._reference: Reference | None = None
+        self._reference_ns = 0
+        seen = Call(self.clock, self._posed, f"drone {self.drone} pose")
+        port.bus.subscribe(POSE, self.drone if body is None else body, self.drone, seen)
+        self.period_ns = round(SECOND / rate)
+        self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
+        self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
+        self._goto_plan: Trajectory | None = None
+        self._a = STILL  # m/s2, what the last command asks of the drone
+        self._flown: FullState | None = None  # in the last tick, if it was a FullState
+        self._stops: Trajectory | None = None  # the plan that last brought it to rest
+        self._lift_off = 0.0  # m, the height above which a drone that takes off flies
+        self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
+        self._outside_at = math.inf  # s, since when its body is seen outside
+        self._outside_seen = -math.inf  # s, when a pose was judged last
+        self._up_at = math.inf  # s, when it was not seen on the floor
+        self._obeyed = Action.NOMINAL  # the last verdict
+        self._ticked_ns = 0
+        self.cut_for = ""
+        """Why its motors were cut for good; empty if they were not."""
+        self._said = Throttle()
+        self.braked = 0
+        """How often the safety table has braked it in this flight."""
+        self.at_fence = 0
+        """Ticks in which it was held at the fence, for what guidance wanted is beyond it."""
+        self._beyond = False  # whether it flies to the fence only, as the place that was wanted is beyond it
+        self._takes_over = False
+        self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
+        self._run: asyncio.Future[None] | None = None
+
+    async def run(self) -> None:
+        """Poses and the clock tick it; a tick that fails ends the run."""
+        self._run = asyncio.get_running_loop().create_future()
+        try:
+            await self._run
+        finally:
+            self._run = None
+
+    def _posed(self, pose: Pose | None, age: float) -> None:
+        if pose is not None and not pose.age >= age:  # it was on its way; or its age is no number
+            pose = Pose(pose.flat, age)
+        if pose is not None and self._gate is not None:
+            pose = self._believed(pose, self._gate)
+        run = self._run
+        if run is not None and not run.done():
+            self.tick(pose)
+
+    def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
+        """The pose, unless it cannot be its."""
+        now = self.clock.now()
+        believed, beyond = gate.believes(pose, now, self.airborne), self.guard.beyond(pose.p)
+        if believed or not beyond > 0.0:
+            self._outside_at = math.inf
+        elif self._outside_at == math.inf or now - self._outside_seen > SEEN:
+            self._outside_at = now
+        self._outside_seen = now
+        if believed:
+            return pose
+        if now - self._outside_at > OUTSIDE:
+            self.guard.tell("gone", beyond)
+        self._say("jump", "the pose has jumped: another body, or a mistake of the cameras: not believed")
+        return None
+
+    def _fail(self, error: BaseException) -> None:
+        """A tick has failed: its supervisor decides; who brought the pose, and the other drones, go on."""
+        run = self._run
+        if run is None or isinstance(error, KeyboardInterrupt | SystemExit):
+            raise error
+        if not run.done():
+            bare = not isinstance(error, Exception) or isinstance(error, StopIteration)  # no future takes these
+            run.set_exception(RuntimeError(f"{type(error).__name__} in a tick: {error}") if bare else error)
+        self._steady()
+
+    def _steady(self) -> None:
+        """A tick has failed: the thrust of hovering and no rates, instead of whatever was sent last."""
+        if not self.airborne:
+            return
+        try:
+            self._send(self._level)
+        except Exception as error:  # noqa: BLE001 - it may be the link that has failed
+            self._say("link", f"no command reaches the drone: {type(error).__name__}: {error}")
+
+    def on_restart(self) -> None:
+        """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
+        self._reference = self._flown = None
+        self.flights.clear()
+        if self.mode is LAND:
+            self._descend()
+        elif self.mode in GUIDED:
+            self._change(Event.HOLD)
+
+    def set_parameter(self, name: str, value: Any) -> Any:
+        """Change a parameter, from the next tick on, and return it; ConfigError if it may not be."""
+        found = self.parameters.set(name, value)
+        self.reference_limits = ReferenceLimits(self.limits, self.controls.gains)
+        return found
+
+    def nudge(self, now_ns: int) -> None:
+        """The clock's turn: when no pose has come for one and a half periods, tick without."""
+        if now_ns - self._ticked_ns > 1.5 * self.period_ns:
+            self._posed(None, 0.0)
+
+    def tick(self, pose: Pose | None) -> None:
+        """See, with the cameras or by prediction; the rest of the chain follows in the stages of this tick."""
+        try:
+            now_ns = self._ticked_ns = self.clock.now_ns()
+            now = now_ns / SECOND
+            state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+            if state is not None:
+                known = self._models or state.age <= SEEN
+                flat = state.flat if known else believed(state, self.flights.sample(now) or self._flown)
+                state = State(flat, state.age, self._a)
+            self.state = state
+        except BaseException as error:  # noqa: BLE001 - see _fail
+            self._fail(error)
+        else:
+            if self.state is not None:
+                stages = self._stages
+                stages.say.append(self._say_state)
+                stages.act.append(self._act)
+                stages.due()
+
+    def _say_state(self) -> None:
+        """Guidance decides when all have said theirs."""
+        state = self.state
+        try:
+            assert state is not None  # noqa: S101 - else there is no such stage
+            self.port.publish(STATE, state, state.age)
+        except BaseException as error:  # noqa: BLE001 - see _fail
+            self._fail(error)
+
+    def _act(self) -> None:
+        """Send the command for the state of this tick, unless the tick has failed before."""
+        state, run = self.state, self._run
+        if state is None or (run is not None and run.done()):
+            return
+        try:
+            self._a = STILL
+            self._send(self._command(state, self._ticked_ns / SECOND))
+            if self._flown is not None:
+                self.port.publish(REFERENCE, self._flown)
+        except BaseException as error:  # noqa: BLE001 - see _fail
+            self._fail(error)
+
+    def _send(self, command: Command | None) -> None:
+        """Let the drone obey it; None: it goes on as it does."""
+        if command is None:
+            return
+        self.link.send(command)
+        if self._models:
+            self.filter.commanded = command.flat
+        self.port.publish(COMMAND, command)
+
+    # What guidance asks ---------------------------------------------------------------------------------------
+
+    def take_off(self, height: float | None = None) -> float:
+        """Rise to `height` m above the ground, inside the fence; returns the time it will take. Only from the ground.
+
+        It stays there while it is held and while an emergency stop is in force; and for good, that is until its agent
+        is started again, when its motors were cut or a latched rule of the safety table has acted.
+        """
+        rule, why = self.unready()
+        if height is not None and not math.isfinite(height):
+            rule, why = "rise", f"a take-off to {height} m: not flown"
+        if why:
+            self._say(rule, why)
+            return 0.0
+        if refusal(self.mode, Event.TAKE_OFF) or self.state is None:
+            return 0.0
+        if not self._takes_off:
+            self.mode = HOVER
+            return 0.0
+        goal = self.above(height)
+        start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
+        duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
+        self._flown, self._beyond = start, False
+        self._lift_off, self._rises_at = self.state.p[2] + LIFTED, self.clock.now()
+        if self.started_at is None:
+            self.started_at = start.p
+        self.guard.forget()
+        self._change(Event.TAKE_OFF)
+        return duration
+
+    def unready(self) -> tuple[str, str]:
+        """The rule that keeps it from taking off now, and the words; both empty if none does."""
+        if self.port.bus.stopped:
+            return "stop", "emergency stop in force: no take-off until `crazychoir stop --clear`"
+        if why := self.cut_for or self.guard.latched:
+            return "again", f"{why}: no take-off until its agent is started again"
+        if problems := self.unfit():
+            return "unfit", f"{'; '.join(problems)}: no take-off"
+        return ("held", f"{HELD}: no take-off until it is let go") if self.held else ("", "")
+
+    def above(self, height: float | None) -> Vec:
+        """(3,) m, where a take-off from here to a height m above the ground ends; here, for who does not take off."""
+        assert self.state is not None  # noqa: S101 - callers have looked
+        goal = self.state.p.copy()
+        if self._takes_off:
+            goal[2] = self.limits.ground + (self.limits.takeoff_height if height is None else height)
+            goal[2] = self.fence.nearest(goal)[2]
+        return goal
+
+    def gap(self, p: Point) -> float:
+        """m from p (3,), as far as it can choose where it is."""
+        assert self.state is not None  # noqa: S101 - callers have looked
+        away = self.state.p - np.asarray(p)
+        return float(np.linalg.norm(away[0:2] if self._planar else away))
+
+    def go_to(
+        self, p: Point, yaw: float | None = None, duration: float = 0.0, commanded: bool = False
+    ) -> float:  # fmt: skip
+        """Fly to p (3,) m, world, inside the fence; returns the time it will take.
+
+        0: it may not, as it is not in the air, is held, waits for its operator's start, or brakes because the safety
+        table says so. Missing references are no hindrance: this flight needs none.
+        commanded: it is its operator who wants it, which he may while guidance may not, see `steerable`.
+        """
+        if not self._may_fly(commanded):
+            return 0.0
+        start, now = self._departure(), self.clock.now()
+        wanted = np.asarray(p, dtype=float)
+        goal = self.guard.room.nearest(wanted, inset=0.0)
+        if self._planar:
+            wanted, goal = np.array([*wanted[0:2], start.p[2]]), np.array([*goal[0:2], start.p[2]])
+            seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
+        else:
+            seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
+        self._flown, self._reference, self._obeyed = start, None, NOMINAL
+        self._change(Event.FLY)
+        self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
+        if self._beyond:
+            self._say("goal", f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}")
+        return seconds
+
+    def fly(self, trajectory: Trajectory, commanded: bool = False) -> float:
+        """Fly a trajectory from its beginning, now, and hover at its end; returns the time it takes, 0 as `go_to`.
+
+        Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
+        """
+        if not self._may_fly(commanded):
+            return 0.0
+        self._flown = require_setpoint(trajectory.sample(0.0), 0.0)
+        self._reference, self._obeyed = None, NOMINAL
+        self._beyond = False
+        self._change(Event.FLY)
+        return self.flights.fly(trajectory, self.clock.now())
+
+    def require_goal(self, where: str, p: object, yaw: object = None, duration: object = 0.0) -> Vec:
+        """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
+        return require_goal(where, p, yaw, duration, self.guard, self._planar)
+
+    def _may_fly(self, commanded: bool) -> bool:
+        """Whether a flight may begin now. One that its operator wants, and that must wait, is his until he holds it."""
+        if not (self.steerable if commanded else self.obeys):
+            return False
+        self.commanded = commanded
+        self.guard.excuse("reference")
+        return not self.guard.acts
+
+    def follow(self, reference: Reference) -> bool:
+        """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
+
+        Its numbers are converted here, once, see references.taken. One that is not a reference, has another shape or is
+        not finite counts as none, and so does a Goto to where no goal may be; one that asks for more than [flight]
+        allows is cut to that, see ReferenceLimits. The same Goto again lets its flight go on. A held drone follows
+        nothing.
+        """
+        state = self.state
+        if state is None or not self.obeys:
+            return True
+        wanted = taken(reference)
+        if wanted is None:
+            self._say("reference", f"{unflyable(reference)}: not flown")
+            return False
+        if why := self._forbids(wanted):
+            self._say("sender", why)
+            return False
+        if isinstance(wanted, Acceleration):
+            wanted = self.reference_limits.acceleration(wanted, state, self.filter.speed) or wanted
+        if isinstance(wanted, Goto):
+            self._fly_goto(wanted)
+        else:
+            self._reference, self._reference_ns, self._beyond = wanted, self.clock.now_ns(), False
+            if self.mode is not FOLLOW:
+                self._change(Event.FLY)
+        return True
+
+    def unflown(self, reference: object) -> str:
+        """Why a reference can never be flown: its numbers, its place, or its kind; empty if it can."""
+        wanted = taken(reference)
+        return unflyable(reference) if wanted is None else self._forbids(wanted)
+
+    def _forbids(self, reference: Reference) -> str:
+        """Why this drone never flies a reference that is one: its place, or its kind; empty if it does."""
+        if isinstance(reference, Goto):
+            try:
+                self.require_goal("Goto", reference.p)
+            except ConfigError as error:
+                return str(error)
+        if isinstance(reference, Acceleration) and self.controls.follower is None:
+            do = "Send fpqr or frpy" if self._takes_off else "Return a Velocity"
+            return f"an Acceleration cannot be sent as {self.controls.sender.kind}: not flown. {do}"
+        return ""
+
+    def _fly_goto(self, wanted: Goto) -> None:
+        """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
+        asked = (*np.asarray(wanted.p, dtype=float).tolist(), wanted.yaw, wanted.duration)
+        plan = self.flights.plan
+        begun = self._reference is None and plan is self._goto_plan and plan is not None
+        if begun and asked == self._goto:
+            return
+        if self.go_to(wanted.p, wanted.yaw, wanted.duration):
+            self._goto, self._goto_plan = asked, self.flights.plan
+
+    def hover(self) -> None:
+        """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is.
+
+        A flight that its operator has commanded goes on.
+        """
+        if self.mode in GUIDED and not self.commanded:
+            self._rest()
+
+    def _rest(self) -> None:
+        stops = self.flights.plan is self._stops  # who says so in each step would begin anew, and never get there
+        if self._reference is not None or (self.remaining() > 0.0 and not stops):
+            self._brake()
+        self._reference = None
+        self._change(Event.HOLD)
+
+    def land(self, reason: str = "", grave: bool = False) -> float:
+        """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take.
+
+        Without a reason it is guidance that wants it: one that is held or returns goes on so, and 0 is returned.
+        """
+        if self.mode in (*DOWN, LAND) or self.state is None or (not reason and (self.held or self.mode is RETURN)):
+            return 0.0
+        if reason:
+            self._say("land", reason, grave)
+        return self._descend()
+
+    def misjudged(self) -> str:
+        """What is wrong with the thrust that one behind a radio has learnt to need in hover; empty if it is right."""
+        factor = self.controls.trim.thrust
+        if not self._reached or self.controls.sender.kind not in THRUST or abs(factor - 1.0) <= MISJUDGED:
+            return ""
+        low, high = 1.0 - MISJUDGED, 1.0 + MISJUDGED
+        return (
+            f"hovers with {factor:.2f} times the thrust that its platform and firmware are known for, {low:g} to "
+            f"{high:g} are allowed: look at platform, thrust_map, propellers and battery"
+        )
+
+    def take_over(self) -> None:
+        """The drone is in the air, and others fly it: land it from where it is first seen, and until then leave it."""
+        self._takes_over = True
+
+    def _found(self) -> None:
+        """It is seen where others have flown it."""
+        self._takes_over = False
+        if self.mode is GROUND:
+            self._change(Event.FOUND)
+            self.land("found in the air, where others have flown it: landing")
+        elif self.mode is LAND:
+            self.flights.clear()
+            self._descend()
+
+    def cut(self, reason: str) -> None:
+        """Stop the motors, for good."""
+        self._change(Event.STOP)
+        self.cut_for = self.cut_for or reason
+        self.link.cut()
+        self._say("cut", reason, grave=True)
+
+    def guidance_failed(self, reason: str) -> None:
+        """Guidance is gone: hover, then land, whoever has commanded its flight; on the ground, stay there."""
+        if not self.airborne:
+            self._say("guidance", f"guidance failed ({reason}): stays on the ground", grave=True)
+            return
+        self._say("guidance", f"guidance failed ({reason}): hovering, then landing", grave=True)
+        self.unguided, self.commanded = reason, False
+        self.hover()
+        due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
+        self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
+
+    def remaining(self) -> float:
+        """s until the flight that is planned is over; 0 for a landing that may begin anew for ever."""
+        if self.mode is LAND and self.unreached:
+            return 0.0
+        return self.flights.remaining(self.clock.now())
+
+    @property
+    def airborne(self) -> bool:
+        """Whether its motors may be running."""
+        return self.mode not in DOWN
+
+    @property
+    def obeys(self) -> bool:
+        """Whether it flies where guidance wants: it is in the air, and neither held nor waits for its operator."""
+        return self.mode in GUIDED and not (self.held or self.awaits_start)
+
+    @property
+    def steerable(self) -> bool:
+        """Whether it flies where its operator wants: it is in the air, and guidance is there and waits for him."""
+        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start) and not self.unguided
+
+    # What its operator commands ---------------------------------------------------------------------------------
+
+    def refuses(self, command: Event) -> str:
+        """Why it cannot do what its operator commands, in this mode; empty if it can."""
+        return refusal(self.mode, command)
+
+    def start(self) -> None:
+        """Its mission may fly it."""
+        self.awaits_start = self.commanded = False
+
+    def hold(self, on: bool = True) -> None:
+        """Stay where it is, whatever guidance wants, or go on. One that lands cannot be held."""
+        if self.refuses(Event.HOLD if on else Event.GO):
+            return
+        self.held, self.commanded = on, False
+        if on and self.airborne:
+            self._rest()
+        elif not on and self.mode is HOVER and self._way is not None:
+            self._change(Event.HOME)
+
+    def go_home(self, home: Point, level: float) -> None:
+        """Rise to `level` m, fly to above where it took off, else home (3,) m, and land there."""
+        if self.refuses(Event.HOME) or self.state is None:
+            return
+        inside = self.guard.room.nearest(np.array([*self.state.p[:2], level]), inset=0.0)
+        self._way = Homecoming(inside, home if self.started_at is None else self.started_at, inside[2])
+        self.held, self.commanded, self._reference = False, False, None
+        self._brake()
+        self._change(Event.HOME)
+
+    def _go_on_home(self, state: State, now: float) -> None:
+        """The next leg of the way home; at its end, or where it does not get on, it lands."""
+        way = self._way
+        leg = None if way is None else way.leg(state.p)
+        if leg is None:
+            self.land("does not get home: lands where it is" if way is not None and way.stuck else "home: landing")
+            return
+        start = self._departure()
+        self._flown = start
+        self.flights.go_to(start, self.guard.room.nearest(leg, inset=0.0), start.yaw, 0.0, now)
+
+    def _change(self, event: Event) -> None:
+        self.mode = after(self.mode, event)
+
+    # The chain ------------------------------------------------------------------------------------------------
+
+    def _command(self, state: State, now: float) -> Command | None:
+        if self._takes_over and state.age <= SEEN:
+            self._found()
+        mode = self.mode
+        if mode in DOWN:
+            self.clearance.rest(now)
+            return None if self._takes_over and mode is GROUND else self._idle
+        if self.unheard():
+            self.guard.bear_unseen(state.age + TOUCHDOWN_LATE)
+        if self._reference is not None:
+            verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
+        else:
+            verdict = self.guard.check(now, state, state.age, None, mode in LOW)
+        if verdict.action is not NOMINAL or self._obeyed is not NOMINAL:
+            self._obey(verdict)
+            if not self.airborne:
+                return self._idle
+        if self.mode is TAKEOFF and self._reached:
+            self.guard.tell("body", float(self._stays_down(state, now)))
+        if self._reached and self._down_at == math.inf and (why := self.astray()):
+            falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
+            self.guard.tell("astray", 2.0 if falls else LANDS_ASTRAY, why)
+        if self._reached and self.mode is LAND and (state.age > BLIND or self.guard.told("astray") == LANDS_ASTRAY):
+            self._hand_over()
+        if self._reached and self._fallen(state, now):
+            silent = self.guard.told("link")
+            why = f"its radio is silent for {silent:.2f} s, and it is " if silent > SILENT else ""
+            self._give_up(f"{why}seen on the floor, where it should fly: landing")
+        if self._held_at_fence(verdict, now):
+            self.at_fence += 1
+        if self.mode is not LAND and self.clearance.deaf(now):
+            self._give_up(DEAF)
+        if self.mode is not LAND and self.clearance.gives_up:
+            self._give_up(f"{self.clearance.silent}: landing")
+        if self.mode is RETURN and self._obeyed is NOMINAL and self.flights.done(now):
+            self._go_on_home(state, now)
+        if self.mode is LAND and self._is_down(state, now):
+            self._landed()
+            return self._idle
+        if self._down_at < math.inf:
+            self._tell_owner(now)
+            return None
+        if self._takes_over:
+            return None
+        if self.unreached and self.mode is LAND:
+            return self._land_unheard(state, now)
+        return self._follow(state, now)
+
+    def _stays_down(self, state: State, now: float) -> bool:
+        """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
+        plan, flown, floor = self.flights.sample(now), self._flown, self._lift_off - LIFTED
+        kept_down = self.clearance.aside and flown is not None and flown.a[2] <= 0.0  # by others, in the last tick
+        low = plan is None or plan.p[2] - floor <= RISING
+        if low or kept_down or state.flat[2] >= self._lift_off or not self.turning():
+            self._rises_at = now
+        return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
+
+    def _fallen(self, state: State, now: float) -> bool:
+        """Whether it has come down by itself, and its motors push the floor."""
+        up = state.age > SEEN or state.flat[2] > self.limits.ground + ON_THE_FLOOR
+        if up or self.mode not in GUIDED or self.mode is TAKEOFF:
+            self._up_at = now
+        return now - self._up_at > ON_FLOOR
+
+    def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
+        """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
+        if self.mode not in GUIDED or self.held:
+            return False
+        return verdict.measure == "stop" or (self._beyond and self.flights.done(now))
+
+    def _give_up(self, reason: str) -> None:
+        """Land, whatever its mission wants."""
+        if self.land(reason, grave=True) > 0.0:
+            self.brought_down = self.brought_down or reason
+
+    @property
+    def unreached(self) -> bool:
+        """Whether it may not obey, and flies nevertheless: its planner is on board, and its radio is silent."""
+        return self._reached and self.controls.sender.kind == "xyz" and self.guard.told("link") > UNREACHED
+
+    def _land_unheard(self, state: State, now: float) -> Command | None:
+        """Of one that may not hear: its landing begins anew where it is seen, as soon as that leaves it behind."""
+        planned = self.flights.sample(now)
+        if planned is None or np.linalg.norm(planned.p - state.p) > LEFT_BEHIND:
+            start = FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+            self.flights.descend(start, now, self.limits.ground + ON_THE_FLOOR)
+            planned = self.flights.sample(now)
+        self._flown = planned
+        return self._commanded(self.controls.tracker, state, planned, now)
+
+    def _is_down(self, state: State, now: float) -> bool:
+        """Low enough; or the descent is over and it moves no more, whatever height cameras and floor say.
+
+        A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
+        """
+        seen = state.age <= SEEN
+        if self.unreached and seen and state.flat[2] > self.limits.ground + IN_THE_AIR:
+            return False
+        if now > self._down_at:
+            return not self.turning() or now > self._down_at + STILL_TURNING
+        if not self._takes_off:
+            return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
+        low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
+        landing = isinstance(self.flights.plan, Landing)
+        if not seen and (self.turning() or self.unheard()):
+            return not self.turning()  # its owner has seen it land, or does not come back
+        late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
+        over = landing and self.flights.done(now, late) and now > self.clearance.gave_way + late
+        planned = self.clearance.planned
+        over = over and not (planned is not None and planned.delayed)  # it waits until it may go down
+        return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
+
+    def _follow(self, state: State, now: float) -> Command | None:
+        chosen, flights = self.controls, self.flights
+        if self.mode is FOLLOW and self._obeyed is NOMINAL:
+            reference = self._reference
+            if isinstance(reference, Acceleration) and chosen.follower is not None:
+                self._flown, flights.plan = None, None
+                if (safe := self._kept_clear(state, reference, now)) is not None:
+                    return self._evade(state, safe, reference.yaw, now)
+                return self._commanded(chosen.follower, state, reference, now)
+            if isinstance(reference, Velocity):
+                reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
+            if isinstance(reference, FullState):
+                wanted, flights.plan = self.reference_limits.full_state(reference, state), None
+                self._flown = self.clearance.agreed(state, wanted, partial(ahead, reference), 0.0, now)
+                self._say_delayed()
+                if (safe := self._kept_clear(state, self._flown, now)) is not None:
+                    return self._evade(state, safe, self._flown.yaw, now)
+                chosen.trim.frozen = self._flown is not reference or state.age > SEEN
+                return self._commanded(chosen.tracker, state, self._flown, now)
+        if flights.plan is None:
+            self._brake()
+        planned = flights.sample(now)
+        assert planned is not None  # noqa: S101 - there is a plan
+        self._flown = flown = self._flown_of(state, planned, now)
+        if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
+            self._change(Event.ARRIVED)
+        if (safe := self._kept_clear(state, flown, now)) is not None:
+            self.clearance.aside = True
+            return self._evade(state, safe, flown.yaw, now)
+        low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
+        chosen.trim.frozen = low or state.age > SEEN or flown is not planned
+        return self._commanded(chosen.tracker, state, self._flown, now)
+
+    def _flown_of(self, state: State, planned: FullState, now: float) -> FullState:
+        """What of its plan it flies, among others; one that was pushed aside comes back as the limits allow."""
+        clearance = self.clearance
+        if clearance.planned is not None:
+            lands = self.mode is LAND
+            if lands:
+                planned = self._down_elsewhere(clearance.planned, planned, now)
+            flown = clearance.planned_flight(
+                clearance.planned, state, planned, now, lands, self._obeyed is Action.LAND
+            )  # fmt: skip
+            self._say_delayed()
+            return flown
+        if not clearance.aside or self._obeyed is Action.BRAKE:  # at the fence, say: it may not drift
+            return planned
+        if clearance.astray(state, planned, now):
+            planned = self._come_back(state, planned, now)
+        return self.reference_limits.full_state(planned, state)
+
+    def _down_elsewhere(self, planner: PlannedFlights, planned: FullState, now: float) -> FullState:
+        """The reference of one that lands: beside others that keep it up; or where it is, if nobody answers."""
+        beside = self.clearance.lands_beside(planned.p, now)
+        if beside is not None:
+            self._say("beside", f"cannot come down for drone {self.clearance.delayed_by}: lands beside")
+        elif not self.clearance.begins_landing_anew(planner, planned, now):
+            return planned
+        self._descend(beside)
+        return self.flights.sample(now) or planned
+
+    def _come_back(self, state: State, planned: FullState, now: float) -> FullState:
+        """The reference for one that was pushed far off its plan; one that lands does so where it is."""
+        flights = self.flights
+        if self.mode is LAND:
+            flights.clear()
+            self._descend()
+            return flights.sample(now) or planned
+        same = flights.plan is self._goto_plan
+        wanted = self.clearance.awaited(state, planned, now)
+        if same:
+            self._goto_plan = flights.plan
+        return wanted
+
+    def _say_delayed(self) -> None:
+        other = self.clearance.delayed_by
+        if silent := self.clearance.silent:
+            self._say("silent", silent)
+        elif other is not None:
+            self._say("collision", f"keeps clear of drone {other}")
+
+    def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
+        safe = self.clearance.evasion(state, reference, self.reference_limits.gains, now, lands=self.mode is LAND)
+        if safe is None and self.note == self._evades:
+            self.note, self.grave = "", False
+        return safe
+
+    def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
+        """Fly the acceleration (3,) that the collision filter wants."""
+        assert self.clearance.filter is not None  # noqa: S101 - it has spoken
+        if self._obeyed is NOMINAL:  # else the safety table has said why
+            self._say_evades(self.clearance.filter.gives_way_to)
+        self.controls.trim.frozen = True
+        self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
+        return self._commanded(self.controls.tracker, state, self._flown, now)
+
+    def _say_evades(self, other: int | None) -> None:
+        if other is None:
+            self._say("collision", "braking: who is near is not heard")
+        else:
+            self.note, self.grave = f"keeps clear of drone {other}", False
+            if self.clearance.ticks == 1:
+                log.info("drone %d: %s", self.drone, self.note)
+        self._evades = self.note
+
+    def _commanded(
+        self, controller: CrazyflieController, state: State, reference: Reference | None, now: float
+    ) -> Command | None:
+        """The controller's command; the acceleration that it asks for is told in the next state."""
+        command = controller.command(state, reference, now)
+        self._a = controller.acceleration
+        return command
+
+    def _obey(self, verdict: Verdict) -> None:
+        """Do what the safety table says, on its edges."""
+        if verdict.action is not Action.NOMINAL:
+            self._say(f"{verdict.action.name} {verdict.measure}", verdict.reason, verdict.action >= Action.LAND)
+        if verdict.action is self._obeyed:
+            return
+        self._obeyed = verdict.action
+        self.braked += verdict.action is Action.BRAKE
+        if verdict.action is Action.CUT:
+            self.cut(verdict.reason)
+        elif verdict.action is Action.LAND:
+            self._give_up(verdict.reason)
+        elif verdict.action is Action.BRAKE and self.mode is not LAND:
+            self._brake()
+
+    def _hand_over(self) -> None:
+        """Its firmware has sensors of its own: it lands by these, soon, for they drift, a little below the floor."""
+        if self._down_at < math.inf or self.state is None:
+            return
+        depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH
+        seconds = max(depth / BLIND_SPEED, 1.0)
+        self._down_at = self.clock.now() + seconds
+        self.guard.bear_unseen(self.state.age + seconds + TOUCHDOWN_LATE)
+        floor = self.limits.ground - BLIND_DEPTH
+        self._to_firmware = XYZ("land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds]))
+        self._tell_owner(self.clock.now())
+
+    def _tell_owner(self, now: float) -> None:
+        """It is landed by its firmware: said again and again, as an owner takes who is silent for gone."""
+        if self._to_firmware is not None and now >= self._tell_owner_at:
+            self._tell_owner_at = now + TELL_OWNER
+            self.link.send(self._to_firmware)
+
+    def _brake(self) -> None:
+        self._flown = start = self._departure()
+        self.flights.brake(start, self.clock.now())
+        self._stops = self.flights.plan
+
+    def _descend(self, beside: Vec | None = None) -> float:
+        """Land from where it is, or over `beside`, (3,) m; s until its motors stop.
+
+        What it learns meanwhile may be of a floor that it pushes.
+        """
+        if self.mode is not LAND:
+            self.controls.trim.keep()
+        self._flown = start = self._departure()
+        self._reference, self._way, self.commanded = None, None, False
+        self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
+        if not self._takes_off:
+            return self.flights.brake(start, self.clock.now())
+        return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside)
+
+    def _departure(self) -> FullState:
+        """Where a new plan begins."""
+        assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
+        if self._planar or self.clearance.aside:  # its plan says where to, not where it is
+            return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
+        planned = self.clearance.planned
+        if planned is not None and self._flown is not None:
+            elsewhere = planned.departure(self._flown.yaw, self.clock.now())
+            if elsewhere is not None:
+                return elsewhere
+        return self.flights.departure(self.state, self.clock.now())
+
+    def _landed(self) -> None:
+        self._change(Event.DOWN)
+        self._down_at, self._to_firmware, self._tell_owner_at = math.inf, None, 0.0
+        self._flown = None
+        self.flights.clear()
+        self.controls.trim.frozen = True
+        self.controls.trim.restore()
+        self._obeyed = Action.NOMINAL
+        self.guard.forget()
+        if self.braked > 1:
+            text = f"the safety table has braked it {self.braked} times in this flight"
+            self._say("braked", text)
+            self.port.publish(LOG, f"drone {self.drone}: {text}")
+        self.braked = 0
+
+    def _say(self, topic: str, text: str, grave: bool = False) -> None:
+        text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
+        self.note, self.grave = text, grave
+        if self._said.due(self.clock.now(), topic) and self._said.due(self.clock.now(), text):
+            log.warning("drone %d: %s", self.drone, text)

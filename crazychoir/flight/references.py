@@ -1,0 +1,88 @@
+"""References that a pilot is asked to follow: which of them it can fly, and where they will be."""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar, get_args
+
+import numpy as np
+
+from crazychoir.flight.array_like import as_floats, described
+from crazychoir.types import Acceleration, FullState, Goto, Reference, Vec, Velocity
+
+Directed = TypeVar("Directed", Acceleration, Velocity)
+
+
+def taken(reference: object) -> Reference | None:
+    """Return a reference with float64 arrays that kernels take and plain numbers; None if it is none, or not finite.
+
+    One that is so already is returned itself.
+    """
+    match reference:
+        case Acceleration():
+            return _taken(reference, reference.a, Acceleration)
+        case Velocity():
+            return _taken(reference, reference.v, Velocity)
+        case FullState():
+            flat = as_floats(reference.flat, (14,))
+            if flat is None or not math.isfinite(sum(flat.tolist())):
+                return None
+            return reference if flat is reference.flat else FullState(flat)
+        case Goto():
+            p = as_floats(reference.p, (3,))
+            yaw = _number(reference.yaw)
+            duration = _number(reference.duration)
+            if p is None or not math.isfinite(sum(p.tolist()) + yaw + duration):
+                return None
+            return Goto(p, yaw, duration)
+        case _:
+            return None
+
+
+def _taken(
+    reference: Directed, direction: object, kind: Callable[[Vec, float], Directed]
+) -> Directed | None:
+    """Return an Acceleration or a Velocity as `taken` does; direction: its (3,)."""
+    vector = as_floats(direction, (3,))
+    if vector is None:
+        return None
+    yaw = _number(reference.yaw)
+    x, y, z = vector.tolist()
+    if not math.isfinite(x + y + z + yaw):
+        return None
+    return reference if vector is direction and yaw is reference.yaw else kind(vector, yaw)
+
+
+def _number(value: object) -> float:
+    """Return the number as a float, NaN for what is none."""
+    if type(value) is float:
+        return value
+    found = as_floats(value, ())
+    return math.nan if found is None else float(found)
+
+
+def ahead(reference: FullState, later: float) -> FullState:
+    """Where a reference will be `later` s from now if it goes on as it does."""
+    p, v, a = reference.p, reference.v, reference.a
+    return FullState.at(p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw)
+
+
+def unflyable(reference: object) -> str:
+    """Say in words why `taken` returns None: what was found, and what is allowed."""
+    match reference:
+        case Acceleration():
+            parts = {"a": (reference.a, (3,)), "yaw": (reference.yaw, ())}
+        case Velocity():
+            parts = {"v": (reference.v, (3,)), "yaw": (reference.yaw, ())}
+        case FullState():
+            parts = {"flat": (reference.flat, (14,))}
+        case Goto():
+            parts = {"p": (reference.p, (3,)), "yaw": (reference.yaw, ()), "duration": (reference.duration, ())}
+        case _:
+            kinds = ", ".join(f"{kind.__name__}(...)" for kind in get_args(Reference))
+            return f"found {described(reference)}; allowed: {kinds} or None"
+    for name, (value, shape) in parts.items():
+        found = as_floats(value, shape)
+        if found is None or not np.isfinite(found).all():
+            wanted = f"{shape[0]} finite numbers of shape {shape}" if shape else "a finite number"
+            return f"{type(reference).__name__}.{name}: found {described(value)}; allowed: {wanted}"
+    return ""

@@ -1,0 +1,1 @@
+"""Pickup and delivery in flight, planned before or while flying."""

@@ -1,0 +1,97 @@
+"""What one robot has promised its team and done: its route, to what it is bound, what is aboard. No flight."""
+
+from collections.abc import Sequence
+
+from crazychoir.guidance.delivery.replanning import Share
+from crazychoir.guidance.tasks.task_book import Deed, Fate
+from crazychoir.guidance.tasks.team_news import TeamNews
+from crazychoir.routing.instance.plan import Stop
+
+
+class Commitments:
+    """The commitments of the robot of these news, and what they allow.
+
+    route: stops, in order;  planning: whether it takes part in a planning whose plan it has not adopted;
+    bound: tasks that it has named in its first message of that planning: nobody else gets them.
+    """
+
+    def __init__(self, news: TeamNews) -> None:
+        self.news = news
+        self.route: list[Stop] = []
+        self.planning = False
+        self.bound: dict[int, None] = {}
+        self._head: list[Stop] = []
+
+    def aboard(self) -> dict[int, None]:
+        """Tasks whose goods it carries, in the order of their pickups."""
+        found: dict[int, None] = {}
+        for deed in self.news.record.deeds:
+            if deed.kind == "pickup":
+                found[deed.task] = None
+            else:
+                found.pop(deed.task, None)
+        return found
+
+    def next(self) -> Stop | None:
+        """The next stop; one whose goods are not there to be picked up is left out.
+
+        Who has said that it flies no more serves nothing more: others may be under way to what it has aboard.
+        """
+        while self.route and not self.news.record.out:
+            stop = self.route[0]
+            if stop.kind == "delivery" or self.news.standings()[stop.task].fate is Fate.OPEN:
+                return stop
+            self._forget(stop.task)
+        return None
+
+    def allow(self, stop: Stop) -> bool:
+        """Whether it may begin a stop now: goods that may be given to somebody else stay where they are."""
+        free = self.news.quorate and (not self.planning or stop.task in self.bound)
+        return stop.kind == "delivery" or free
+
+    # A planning -----------------------------------------------------------------------------------------------
+
+    def begin(self, head: Sequence[Stop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Take part in a planning, bound to the stops `head`: the tasks of these, and what is aboard after them."""
+        aboard = self.aboard()
+        for stop in head:
+            if stop.kind == "pickup":
+                aboard[stop.task] = None
+            else:
+                aboard.pop(stop.task, None)
+        self.planning, self.bound, self._head = True, dict.fromkeys(stop.task for stop in head), list(head)
+        return tuple(j for j in self.bound if j not in aboard), tuple(aboard)
+
+    def adopt(self, share: Share) -> None:
+        """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
+        self.news.book.merge(share.book)
+        for i, error in share.dropped.items():
+            self.news.drop(i, error)
+        done = {(deed.task, deed.kind): None for deed in self.news.record.deeds}
+        self.route = [stop for stop in [*self._head, *share.stops] if (stop.task, stop.kind) not in done]
+        self.planning = False
+        if share.ended:
+            self.news.say(ended=True)
+        elif self.route and self.news.record.idle:
+            self.news.say(idle=False)
+
+    def keep_aboard(self) -> None:
+        """No plan holds any more: only what is aboard is delivered."""
+        self.route = [Stop(j, "delivery") for j in self.aboard()]
+
+    # A stop ---------------------------------------------------------------------------------------------------
+
+    def announce(self, stop: Stop) -> int:
+        """It stands at a stop, and serves it; returns the edition of the record that says so."""
+        self.route.remove(stop)
+        standing = self.news.standings()[stop.task]
+        deed = Deed(stop.task, stop.kind, standing.generation + (stop.kind == "pickup"))
+        return self.news.say(deeds=(*self.news.record.deeds, deed), place=self.news.here())
+
+    def take_back(self, task: int) -> None:
+        """A pickup that has not happened: the goods stay, and there is nothing to deliver."""
+        self.news.say(deeds=tuple(deed for deed in self.news.record.deeds if deed.task != task))
+        self._forget(task)
+
+    def _forget(self, task: int) -> None:
+        self.route = [stop for stop in self.route if stop.task != task]

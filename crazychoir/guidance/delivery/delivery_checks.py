@@ -1,0 +1,93 @@
+"""What must hold between the options, the instance and the swarm of the online mission, before anybody flies."""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.delivery.delivery_options import Appearance, DeliveryOptions
+from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.tasks.task_book import Task
+from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.vehicle import TOTAL
+from crazychoir.team.graph import span
+
+IDLE = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
+"""Keys that say nothing beside others."""
+STRAIGHT_HOME = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
+
+
+def require_used(written: Mapping[str, Any], where: str) -> None:
+    """Raise ConfigError for a key that says nothing beside another one."""
+    for key, other in IDLE:
+        if key in written and other in written:
+            allowed, do = "no tasks are drawn then", "Remove one of the two."
+            raise ConfigError(f"{where}.{key}", written[key], allowed, do, f"beside {other}")
+
+
+def require_flown(
+    problem: Instance, key: str, flown: Collection[str] = (), allowed: str = STRAIGHT_HOME
+) -> None:
+    """Raise ConfigError for what no robot minds in flight, and silence would hide.
+
+    flown: what the robots of a mission do mind;  allowed: what they do, in words.
+    """
+    tasks = problem.tasks
+    there = {
+        "end": problem.end is not None,
+        "open_tours": problem.open_tours,
+        "distance": problem.distance is not None,
+        "service_time": tasks.service.any(),
+        "time_windows or release": tasks.earliest.any() or np.isfinite(tasks.latest).any(),
+        "time_windows of homes": problem.window[:, 0].any() or np.isfinite(problem.window[:, 1]).any(),
+        "penalty": np.isfinite(tasks.penalty).any(),
+        "recharge": problem.recharge != 1,
+        "objective": problem.objective != (TOTAL,),
+    }
+    if found := [name for name, is_there in there.items() if is_there and name not in flown]:
+        times = "" if "service_time" in flown else "; service_time of [mission_options] holds for all stops"
+        do = f"Leave it out of the instance{times}."
+        raise ConfigError(key, problem.name, allowed, do, f"it has {', '.join(found)}")
+
+
+def require_servable(
+    site: Site, known: Sequence[Task], appearing: Sequence[Appearance], chosen: DeliveryOptions, where: str
+) -> None:
+    """Raise ConfigError unless drones can stand where each task lies, and one can carry it; and all who are named are.
+
+    known: at the start;  appearing: as the options say, or as they are drawn.
+    """
+    if len(known) + len(appearing) > ADDED:
+        raise ConfigError(where, f"{len(known) + len(appearing)} tasks", f"at most {ADDED}")
+    for task in known:
+        if found := site.lies_badly(task, task.pickup) or site.never(task):
+            raise _refused(f"{where}.{'tasks' if chosen.instance is None else 'instance'}", task.id, found)
+    for n, row in enumerate(appearing):
+        task = Task(len(known) + n, 0, False, row.pickup, row.delivery, row.load, row.robots)
+        if not chosen.appear:
+            if found := site.lies_badly(task, task.pickup):
+                raise _refused(f"{where}.later", task.id, found)
+            continue
+        key = f"{where}.appear[{n}]"
+        for name, place in (("pickup", row.pickup), ("delivery", row.delivery)):
+            if found := site.objection(place):
+                raise _refused(f"{key}.{name}", list(place), found)
+        _require_there(site, row.robots, f"{key}.robots")
+        _require_there(site, row.heard_by, f"{key}.heard_by")
+        if found := site.never(task):
+            raise _refused(f"{key}.load", row.load, found)
+    for n, cancel in enumerate(chosen.cancel):
+        _require_there(site, cancel.heard_by, f"{where}.cancel[{n}].heard_by")
+
+
+def _refused(key: str, found: object, problem: str) -> ConfigError:
+    allowed = "places inside the fence, `clearance` away from homes, and loads that somebody can carry"
+    return ConfigError(key, found, allowed, "Move or change the task, widen [fence], or take another seed.", problem)
+
+
+def _require_there(site: Site, ids: tuple[int, ...], key: str) -> None:
+    if strangers := [i for i in ids if i not in site.config.ids]:
+        allowed, problem = f"this swarm has {span(site.config.ids)}", f"there is no drone {span(strangers)}"
+        raise ConfigError(key, list(ids), allowed, "Mend the list; without it, all are meant.", problem)

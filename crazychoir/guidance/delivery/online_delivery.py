@@ -1,0 +1,454 @@
+"""OnlinePDVRPGuidance: pickup and delivery while tasks come and go, and robots too. No drone stops to think.
+
+Four things at once, at each robot: it flies its route; it gossips its task book; it hears of new tasks; and it plans
+again with the team, in rounds, whenever tasks or team are others than those that its route was made for.
+
+Who may serve what. A plan gives each free task to one robot. From the first message of a planning until its own
+adoption of the new plan, a robot begins no pickup but those that it has named in that message (`bound`): so any two who
+could both think that a task is theirs have adopted the same plan. A stop counts from when the robot that stands there
+announces it, and the robot leaves only when more than half of the team are known to have heard so. A robot that is
+lost in between lies at that very place, and so do the goods: a pickup that nobody has heard of has not happened, a
+delivery that anybody has heard of has. A part of the team that is cut off, not more than half of those before, picks
+nothing up.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import CrazyChoirError, RosterChanged
+from crazychoir.guidance.delivery.commitments import Commitments
+from crazychoir.guidance.delivery.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
+from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.guidance import ARRIVED, TOUCHDOWN, CFGuidance
+from crazychoir.guidance.member import Interrupted, Member, touch_down
+from crazychoir.guidance.tasks.task_book import LARGEST, Place, Task
+from crazychoir.guidance.tasks.task_source import Event, TaskSource
+from crazychoir.guidance.tasks.team_news import PERIOD, UNREACHED, Key, TeamNews
+from crazychoir.guidance.tasks.together import given_up, run_together, unless
+from crazychoir.numerics.math3d import Vec
+from crazychoir.planning.point_to_point import duration_for
+from crazychoir.routing.instance.instance import LocalProblem
+from crazychoir.routing.instance.plan import Stop
+from crazychoir.types import FullState
+
+log = logging.getLogger(__name__)
+POLL = 0.05
+"""s between two looks at what may have changed."""
+HORIZON = 3.0
+"""s of its flight to which a robot is bound when a planning begins: as long as one takes in which somebody is lost."""
+LATE = 5.0
+"""s by which a robot is later than its plan said when the team plans again."""
+REUNION = 30.0
+"""s after which who neither flies nor serves ends its mission, when it is cut off, or nobody else flies."""
+NO_PLAN = "no plan, only what is aboard is delivered"
+TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What all robots of a mission have in common.
+
+    site: where goods may lie, and who may serve which;  service_time: s at each stop;
+    recover: goods of a robot that is gone are fetched from where it was last;
+    until: s after GO before which nobody thinks that the mission is over;
+    method: how tasks are shared out, see Replanning.
+    """
+
+    site: Site
+    service_time: float = 1.0
+    recover: bool = False
+    until: float = 0.0
+    method: str = AUCTION
+
+
+class OnlinePDVRPGuidance(CFGuidance):
+    """Robot i: its own home, capacity, limit and capability; the tasks that are known at the start; what it will hear.
+
+    own: this robot's part of the instance; its capability counts for the first `len(own.tasks)` tasks, all later ones
+    say themselves who may serve them.
+    """
+
+    def __init__(self, own: LocalProblem, tasks: Sequence[Task], events: Sequence[Event], options: Options) -> None:
+        self.own, self.options = own, options
+        self.events = tuple(sorted(events, key=lambda event: event.t))
+        self.tasks = tuple(tasks)
+        self.served: list[dict[str, Any]] = []
+        self.way: list[Place] = [_flat(own.home)]
+        self.unserved: dict[int, str] = {}
+        self.plannings: list[float] = []
+        self.fallbacks: list[dict[str, Any]] = []
+        self.longest_wait = self.flown = 0.0
+        self.up = False
+        self.reason = ""
+        self._mark: Mark | None = None
+        self._promised = np.inf
+        self._serving_until = 0.0
+
+    def bind(self, member: Member) -> None:
+        """Meet the drone."""
+        super().bind(member)
+        self._seen = _flat(self.own.home)
+        self.news = TeamNews(member.communicator, self.tasks, self._here, self.options.recover)
+        self.commitments = Commitments(self.news)
+        self.source = TaskSource(self.news, self.options.site, self.events, self._may_end)
+        self._redirected = asyncio.Event()
+        member.report = lambda: {"task": self._task()}
+
+    async def mission(self) -> dict[str, Any]:
+        """Fly, gossip, hear and plan, until the team agrees that nothing is left to do."""
+        await self.wait_for_start()
+        try:
+            async with asyncio.TaskGroup() as group:
+                work = self.news.gossip(), self.source.hear(), self._fly(), self._left_alone()
+                jobs = [group.create_task(job) for job in work]
+                await self._plan()
+                await self.news.farewell()
+                for job in jobs:
+                    job.cancel()
+        except BaseException as error:
+            cause = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            await self._come_down("" if isinstance(cause, asyncio.CancelledError) else f"mission failed: {cause}")
+            await self.news.last_words()
+            if cause is error:
+                raise
+            raise cause from error
+        return self.outcome()
+
+    async def _come_down(self, reason: str) -> None:
+        """Be on the ground before the others hear that it is out: they come to where it is, for its goods."""
+        self.member.pilot.land(reason)
+        await touch_down(self.member.pilot, TOUCHDOWN)
+
+    def outcome(self) -> dict[str, Any]:
+        """This drone's part of the report."""
+        return {
+            "served": self.served,
+            "way": self.way,
+            "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
+            "unserved": {str(j): why for j, why in self.unserved.items()},
+            "plannings_s": self.plannings,
+            "fallbacks": self.fallbacks,
+            "longest_wait_s": self.longest_wait,
+            "dropped": self.news.dropped,
+            **({"success": False, "reason": self.reason} if self.reason else {}),
+        }
+
+    def _task(self) -> str:
+        aboard, left = len(self.commitments.aboard()), len(self.commitments.route)
+        doing = "planning again, " if self.commitments.planning else ""
+        return f"{doing}{len(self.served)} stops done, {left} to do, {aboard} aboard"
+
+    @property
+    def _now(self) -> float:
+        return self.member.clock.now()
+
+    def _here(self) -> Place:
+        """Where it is; or was last, when its estimate is no place: that would be news that nobody can read."""
+        place = _flat(self.state.p)
+        if all(abs(x) <= LARGEST for x in place):
+            self._seen = place
+        return self._seen
+
+    async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
+        """An operator adds a task, cancels one, or wants the list; see TaskSource."""
+        return await self.source.asked(verb, arguments)
+
+    def route(self) -> list[Vec]:
+        """Over the stops that it is to serve, home."""
+        stops = [] if self.news.record.out else self.commitments.route
+        places = [*map(self._place, stops), self.own.home[:2]] if self.up or stops else []
+        return [self._above(p) for p in places]
+
+    def _may_end(self) -> bool:
+        """Whether a planning runs after which the mission may be over: it does not know of what is heard now."""
+        return self.commitments.planning and self.news.record.idle
+
+    # Planning -------------------------------------------------------------------------------------------------
+
+    async def _plan(self) -> None:
+        """Plan at the start, when the team has changed, and whenever it is wanted; until the team has ended."""
+        while not self.news.ended:
+            key = self.news.key()
+            self.news.changed.clear()
+            if not self.news.count():
+                await self._cut_off(key)
+            elif self.id in key[1]:
+                await self.sleep(PERIOD)  # out: the others go on without
+            else:
+                try:
+                    await self._plannings(key)
+                except RosterChanged:
+                    continue
+
+    async def _plannings(self, key: Key) -> None:
+        """The plannings of one team, one after the other; all its robots begin each as soon as one has begun it."""
+        n = 0
+        while self.news.key() == key and not self.news.ended:
+            if n and not self._wanted(key, n):
+                await self.sleep(POLL)
+                continue
+            n += 1
+            began = self._now
+            self.news.say(run=(key[0], len(key[1]), n))
+            share = await self._planned(key)
+            if share is None:
+                return
+            self.plannings.append(self._now - began)
+            self._adopt(share)
+
+    def _wanted(self, key: Key, n: int) -> bool:
+        """Whether somebody plans already, or there is reason to."""
+        alive = self.news.book.alive(self.graph.ids).values()
+        begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
+        return begun or mark(self.news.book) != self._mark or self._late() or all(r.idle for r in alive)
+
+    def _late(self) -> bool:
+        route = self.commitments.route
+        return bool(route) and self._now + self._seconds(route) > self._promised + LATE
+
+    async def _planned(self, key: Key) -> Share | None:
+        """One planning, together; None if the team has changed meanwhile."""
+        links = self.news.links(without=key[1])
+        head, start, ready = self._head()
+        bound, aboard = self.commitments.begin(head)
+        left = max(0.0, self.own.limit - self.flown - float(np.linalg.norm(start - self._here())))
+        problem = partial(self._problem, start=start, ready=ready, left=left)
+        program = Replanning(
+            self.id, links, self.news.book, bound, aboard, problem, self.options.recover, self.options.method
+        )
+        return program.result if await run_together(self.news, program, links, key) else None
+
+    def _head(self) -> tuple[list[Stop], Vec, float]:
+        """The stops to which this robot is bound, where it will be after them, and in how many s.
+
+        That is where it flies now, and what follows within the HORIZON. While a planning has not led to a plan, others
+        may have one: it is bound to nothing new.
+        """
+        head: list[Stop] = []
+        p, seconds = np.array(self._here()), max(0.0, self._serving_until - self._now)
+        for stop in self.commitments.route:
+            if not self.commitments.allow(stop) or (head and seconds > HORIZON):
+                break
+            goal = self._place(stop)
+            seconds += self._leg(p, goal) + self.options.service_time
+            p = goal
+            head.append(stop)
+        return head, p, seconds
+
+    def _problem(self, goods: Goods, start: Vec, ready: float, left: float) -> LocalProblem:
+        """This robot's own problem: from where it will be, with what is aboard then, and m that are left.
+
+        No robot is capable of what lies where none can stand: so all leave it alone.
+        """
+        own, site = self.own, self.options.site
+        lie = zip(goods.tasks, goods.pickup, goods.left_by, strict=True)
+        well = np.array([not site.lies_badly(*where) for where in lie], dtype=bool)
+        may = np.array([site.may(self.id, task) for task in goods.tasks], dtype=bool)
+        free, mine = np.array(goods.free, dtype=bool), np.array(goods.mine, dtype=bool)
+        return replace(
+            own, tasks=goods.public(self.options.service_time), capable=may & (free & well | mine),
+            home=own.home[:2], start=start, start_time=ready, aboard=mine, left=left,
+            speed=self.member.config.flight.speed_limit,
+        )  # fmt: skip
+
+    def _adopt(self, share: Share) -> None:
+        """Fly by this plan from now on."""
+        self.commitments.adopt(share)
+        self._mark = mark(share.book)
+        self._promised = self._now + self._seconds(self.commitments.route)
+        self._say_trouble(share.trouble)
+        unplanned = f"{NO_PLAN}: {share.trouble[AUCTION]}" if AUCTION in share.trouble else ""
+        self._say_unserved({j: unplanned or self._why(j) for j in share.unserved})
+        self._redirected.set()
+
+    def _why(self, j: int) -> str:
+        """Why nobody serves a task that is free."""
+        task, standing, site = self.news.book.tasks[j], self.news.standings()[j], self.options.site
+        flying = self.news.book.alive(self.news.members)
+        badly = site.lies_badly(task, standing.pickup, standing.robot)
+        return badly or site.never(task) or site.waits(task, flying) or TOO_FAR
+
+    @property
+    def _speaks(self) -> bool:
+        """Whether it is the robot that says for all what all know: the lowest that flies."""
+        return self.id == min(self.news.book.alive(self.news.members), default=self.id)
+
+    def _say_trouble(self, trouble: dict[str, str]) -> None:
+        """Which methods have found no plan, and why: in the log once, and in the result."""
+        n = len(self.plannings)
+        for method, why in trouble.items():
+            instead = NO_PLAN if method == AUCTION else f"planned by {AUCTION}"
+            self.fallbacks.append({"planning": n, "method": method, "why": why, "instead": instead})
+            if self._speaks:
+                log.warning("drone %d: planning %d: %s: %s; %s", self.id, n, method, why, instead)
+
+    def _say_unserved(self, unserved: dict[int, str]) -> None:
+        """What is new of that, in the log once."""
+        for j, why in unserved.items():
+            if self._speaks and self.unserved.get(j) != why:
+                log.warning("drone %d: task %d is left alone: %s", self.id, j, why)
+        self.unserved = unserved
+
+    async def _cut_off(self, key: Key) -> None:
+        """Too few to decide: deliver what is aboard, go home; or, where others may fetch it, stay where one is."""
+        log.warning("drone %d: %s", self.id, UNREACHED)
+        if self.options.recover and self.up:
+            self.reason = UNREACHED
+            self.news.say(out=True)
+        self.commitments.keep_aboard()
+        self._redirected.set()
+        while self.news.key() == key and not self.news.ended:
+            await self.sleep(PERIOD)
+
+    async def _left_alone(self) -> None:
+        """End the mission of who waits for others that are gone, wherever it waits."""
+        why = await self.news.left_alone(REUNION, self._busy)
+        raise Interrupted(f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}")
+
+    def _busy(self) -> bool:
+        return self.member.pilot.remaining() > 0.0 or self._now < self._serving_until
+
+    # The route ------------------------------------------------------------------------------------------------
+
+    def _place(self, stop: Stop) -> Vec:
+        """(2,) m, where a stop is."""
+        if stop.kind == "delivery":
+            return np.array(self.news.book.tasks[stop.task].delivery)
+        return np.array(self.news.standings()[stop.task].pickup)
+
+    def _above(self, p: Vec) -> Vec:
+        """(3,) m, over a place of the plane."""
+        flight = self.member.config.flight
+        return np.array([*p, flight.ground + flight.takeoff_height])
+
+    def _leg(self, a: Vec, b: Vec) -> float:
+        flight = self.member.config.flight
+        start, goal = FullState.at(np.array([*a, 0.0])), np.array([*b, 0.0])
+        return duration_for(start, goal, 0.0, flight.speed_limit, flight.acceleration_limit)
+
+    def _seconds(self, route: Sequence[Stop]) -> float:
+        """s that a route takes from here."""
+        p, total = np.array(self._here()), max(0.0, self._serving_until - self._now)
+        for stop in route:
+            goal = self._place(stop)
+            total, p = total + self._leg(p, goal) + self.options.service_time, goal
+        return total
+
+    # Flying ---------------------------------------------------------------------------------------------------
+
+    async def _fly(self) -> None:
+        """Stop by stop; without stops go home and wait on the ground. Who cannot fly on says so, and stays a talker."""
+        try:
+            while not self.news.record.out:
+                stop = self.commitments.next()
+                if stop is None:
+                    await self._rest()
+                elif await self._reach(stop):
+                    await self._serve(stop)
+            await self.land()
+        except CrazyChoirError as error:
+            log.warning("drone %d: %s", self.id, error)
+            self.reason = str(error)
+            await self._come_down("")
+        self.up = False
+        self.news.say(out=True)
+
+    async def _reach(self, stop: Stop) -> bool:
+        """Fly to a stop; False if it is not the next one any more, or is elsewhere by what is known now."""
+        if not self.up:
+            self.up = True
+            self.news.say(landed=False, idle=False)
+            await self.take_off()
+        return await self._to(goal := self._place(stop), lambda: self._leads_to(stop, goal))
+
+    def _leads_to(self, stop: Stop, goal: Vec) -> bool:
+        """Whether a stop is the next one, and still there: of a robot that is gone something newer may be heard."""
+        return self.commitments.next() == stop and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
+
+    async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
+        """Fly straight to a place, as long as it is where to fly."""
+        await self._come_to_rest()
+        leg = asyncio.ensure_future(self.go_to(self._above(goal)))
+        began = np.array(self._here())
+        try:
+            while not leg.done():
+                self._redirected.clear()
+                await unless(leg, self._redirected)
+                if not valid():
+                    return False
+            leg.result()
+        finally:
+            await given_up(leg)
+            self.flown += float(np.linalg.norm(self._here() - began))
+            self.way.append(self._here())
+        return valid()
+
+    async def _come_to_rest(self) -> None:
+        """A flight that turns round under way swings far out: who flies elsewhere now stops first, for a moment."""
+        pilot = self.member.pilot
+        if pilot.remaining() > 0.0:
+            pilot.hover()
+            await self.sleep(pilot.remaining())
+
+    async def _serve(self, stop: Stop) -> None:
+        """Announce the stop, serve it, and leave when the team knows."""
+        if not await self._permitted(stop):
+            return
+        self._serving_until = self._now + self.options.service_time
+        number = self.commitments.announce(stop)
+        await self.sleep(self.options.service_time)
+        if await self._known(number, stop):
+            self.served.append({"task": stop.task, "kind": stop.kind, "place": self._here()})
+
+    async def _permitted(self, stop: Stop) -> bool:
+        """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""
+        since = self._now
+        while self.commitments.next() == stop:
+            if self.commitments.allow(stop):
+                return True
+            await self.sleep(POLL)
+            self._waited(since)
+        return False
+
+    async def _known(self, number: int, stop: Stop) -> bool:
+        """Wait until more than half of the team have heard of a stop; False for one that does not count.
+
+        Cut off, it takes a pickup back; and where others may fetch what it carries, they decide about a delivery.
+        """
+        since = self._now
+        while True:
+            if self.news.known(number):
+                return True
+            if not self.news.quorate:
+                if stop.kind == "pickup":
+                    self.commitments.take_back(stop.task)
+                return stop.kind == "delivery" and not self.options.recover
+            await self.sleep(POLL)
+            self._waited(since)
+
+    def _waited(self, since: float) -> None:
+        self.longest_wait = max(self.longest_wait, self._now - since)
+
+    async def _rest(self) -> None:
+        """Go home, land, wait for something to do."""
+        if self.up:
+            if not await self._to(self.own.home[:2], lambda: self.commitments.next() is None):
+                return
+            await self.land()
+            self.up = False
+            self.news.say(landed=True)
+        idle = self.source.age >= self.options.until and self.source.heard_all and not self.commitments.route
+        if idle != self.news.record.idle:
+            self.news.say(idle=idle)
+        await self.sleep(POLL)
+
+
+def _flat(p: Vec) -> Place:
+    """A place in the plane."""
+    return float(p[0]), float(p[1])

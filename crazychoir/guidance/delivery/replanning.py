@@ -1,0 +1,208 @@
+"""One planning of a team in flight, as rounds: agree on what is known, share out what is free, from where all are."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import CodecError
+from crazychoir.guidance.tasks.attempt import attempt
+from crazychoir.guidance.tasks.task_book import Fate, Place, Task, TaskBook
+from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.program import Exchange, Program
+from crazychoir.routing.distributed.pickup_delivery import METHODS, PickupDelivery
+from crazychoir.routing.instance.instance import LocalProblem, Tasks
+from crazychoir.routing.instance.plan import Stop
+from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.team.graph import Graph
+
+AUCTION = "parallel-auction"
+KINDS = (AUCTION, *METHODS)
+"""How tasks may be shared out in flight: by the auction alone, or by a method of PickupDelivery after it."""
+Mark = tuple[tuple[int, int, bool], ...]
+"""The tasks that a plan was made for: (id, version, cancelled) of each."""
+Dropped = dict[int, CodecError]
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one robot has of a plan.
+
+    stops: after those that it was bound to;  unserved: tasks that nobody can serve;  book: what the plan was made with,
+    the same at all robots;  ended: nothing is left to do, and all have landed;  dropped: why, by robot, what it said
+    counts for nothing;  trouble: why, by method, it has found no plan, the same at all robots.
+    """
+
+    stops: tuple[Stop, ...]
+    unserved: tuple[int, ...]
+    book: TaskBook
+    ended: bool
+    dropped: Dropped
+    trouble: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Goods:
+    """The tasks of one planning, in the order of their ids: free ones, and those aboard a robot that goes on with them.
+
+    pickup: (2,) m of each, where it lies;  mine: whether it is aboard this robot at its start;  free: to be shared out;
+    left_by: the robot that is gone with which it lies there, None if it lies where it always did.
+    """
+
+    tasks: tuple[Task, ...]
+    pickup: tuple[Place, ...]
+    mine: tuple[bool, ...]
+    free: tuple[bool, ...]
+    left_by: tuple[int | None, ...]
+
+    def public(self, service: float) -> Tasks:
+        """As the solvers have them."""
+        return Tasks(
+            np.array(self.pickup, dtype=float).reshape(-1, 2),
+            np.array([task.delivery for task in self.tasks], dtype=float).reshape(-1, 2),
+            np.array([task.load for task in self.tasks], dtype=float),
+            np.full(2 * len(self.tasks), service),
+        )
+
+
+class Replanning(Program[Share]):
+    """A Round: all robots of `members` end it in the same round, each with its share of one plan.
+
+        flood of books and bonds  ->  auction of the free tasks  ->  a better plan of those that were sold
+
+    A method that raises, at one robot or at all, leaves the plan of the auction; an auction that does, no plan: what is
+    aboard is delivered, and the free tasks are left.
+
+    graph: of the members, connected and undirected;  book: what this robot knows;  bound: tasks that it is about to
+    serve, or to deliver, before its start; nobody else gets them;  carried: tasks that are aboard at its start;
+    problem: this robot's problem of these goods;  recover: see TaskBook.standings;  method: of KINDS; the auction alone
+    takes some tens of rounds and milliseconds, the others find shorter plans and compute for seconds.
+    What robots know is theirs as of the first round: what they hear later is for the next planning.
+    What somebody says that is no book is dropped, by all alike, as everybody hears the same of it.
+    """
+
+    def __init__(
+        self, robot: int, graph: Graph, book: TaskBook, bound: tuple[int, ...], carried: tuple[int, ...],
+        problem: Callable[[Goods], LocalProblem], recover: bool = False, method: str = AUCTION,
+    ) -> None:  # fmt: skip
+        self.robot, self.graph, self.members, self.recover, self.method = robot, graph, graph.ids, recover, method
+        self.diameter = graph.diameter() if len(graph.ids) > 1 else 0
+        self._mine = [book.wire(), list(bound), list(carried)]
+        self._problem = problem
+        super().__init__()
+
+    def run(self) -> Exchange[Share]:
+        """Agree, then share out."""
+        said = yield from flood(self.robot, self._mine, self.diameter)
+        book, bound, carried, dropped = _merged(said)
+        goods = self._goods(book, bound, carried)
+        stops, left, trouble = yield from self._shared_out(goods)
+        idle = all(record.idle for record in book.alive(self.members).values())
+        return Share(
+            stops,
+            unserved=tuple(goods.tasks[n].id for n in left),
+            book=book,
+            ended=idle and len(left) == sum(goods.free) and not (bound or carried),
+            dropped=dropped,
+            trouble=trouble,
+        )
+
+    def _shared_out(self, goods: Goods) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
+        """This robot's stops, the tasks that are left, as indices, and the methods that have found no plan."""
+        m, trouble = len(goods.tasks), dict[str, str]()
+        found, why = yield from attempt(self.robot, self._auction(goods), self.diameter)
+        if found is None:
+            aboard = [task.id for task, mine in zip(goods.tasks, goods.mine, strict=True) if mine]
+            left = tuple(n for n, free in enumerate(goods.free) if free)
+            return tuple(Stop(j, "delivery") for j in aboard), left, {AUCTION: why}
+        local, route, left = found
+        sold = [n for n in range(m) if n not in left]
+        if self.method != AUCTION and sold and self.diameter:
+            better, why = yield from attempt(self.robot, self._better(local, route, sold), self.diameter)
+            if better is None:
+                trouble[self.method] = why
+            else:
+                route = better
+        return tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route), left, trouble
+
+    def _auction(self, goods: Goods) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
+        """This robot's problem, its route, as nodes, and the tasks that are left, as indices."""
+        local, free = self._problem(goods), [n for n, is_free in enumerate(goods.free) if is_free]
+        route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
+        return local, route, left
+
+    def _better(self, local: LocalProblem, route: tuple[int, ...], sold: list[int]) -> Exchange[tuple[int, ...]]:
+        """This robot's route, as nodes, in a plan of PickupDelivery, for which robots and tasks count from 0.
+
+        Goods aboard are delivered whatever the way, so a plan as long as this route must be allowed.
+        """
+        index = {i: n for n, i in enumerate(self.members)}
+        chosen, m = np.array(sold), len(local.tasks)
+        both = np.concatenate([chosen, m + chosen])
+        tasks = Tasks(
+            local.tasks.pickup[chosen], local.tasks.delivery[chosen], local.tasks.load[chosen],
+            local.tasks.service[both],
+        )  # fmt: skip
+        aboard = None if local.aboard is None else local.aboard[chosen]
+        neighbors = self.graph.neighbors(self.robot)
+        solver = PickupDelivery(
+            replace(
+                local, robot=index[self.robot], robots=len(index), tasks=tasks, capable=local.capable[chosen],
+                aboard=aboard, left=max(local.vehicle.limit, local.vehicle.length(route)),
+            ),
+            neighbors=[index[j] for j in neighbors],
+            n=len(index),
+            diameter=self.diameter,
+            degree_of={index[j]: len(self.graph.neighbors(j)) for j in neighbors},
+            method=self.method,
+        )  # fmt: skip
+        while not solver.done:
+            heard = yield solver.message()
+            solver.step({index[j]: message for j, message in heard.items()})
+        stops = [stop for route in solver.solution.routes for stop in route.stops if route.robot == index[self.robot]]
+        return tuple(sold[stop.task] + (0 if stop.kind == "pickup" else m) for stop in stops)
+
+    def _goods(self, book: TaskBook, bound: dict[int, None], carried: dict[int, int]) -> Goods:
+        standings = book.standings(self.members, self.recover)
+        free = [j for j, s in standings.items() if s.fate is Fate.OPEN and j not in bound and j not in carried]
+        ids = sorted([*free, *carried])
+        return Goods(
+            tuple(book.tasks[j] for j in ids),
+            tuple(standings[j].pickup for j in ids),
+            mine=tuple(carried.get(j) == self.robot for j in ids),
+            free=tuple(j not in carried for j in ids),
+            left_by=tuple(standings[j].robot for j in ids),
+        )
+
+
+def mark(book: TaskBook) -> Mark:
+    """What a plan made with this book was made for."""
+    return tuple((task.id, task.version, task.cancelled) for _, task in sorted(book.tasks.items()))
+
+
+def _merged(said: dict[int, Any]) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
+    """What all know together: the book, the bound tasks, who carries which, and what was no book or no bonds.
+
+    Bonds hold though the book that came with them is none: else two would serve what one is bound to.
+    """
+    book, bound, carried, dropped = TaskBook(), dict[int, None](), dict[int, int](), Dropped()
+    for i, value in said.items():
+        try:
+            wire, bonds, aboard = _read(value)
+            bound.update(dict.fromkeys(bonds))
+            for j in aboard:
+                carried.setdefault(j, i)
+            book.merge(TaskBook.of(wire))
+        except CodecError as error:
+            dropped[i] = error
+    return book, bound, {j: i for j, i in carried.items() if j in book.tasks}, dropped
+
+
+def _read(value: Any) -> tuple[Any, list[int], list[int]]:
+    """Book as a message, bonds and goods as one robot says them; raises CodecError."""
+    try:
+        wire, bonds, aboard = value
+        return wire, list(map(int, bonds)), list(map(int, aboard))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise CodecError(f"planning: no book and no bonds: {error}") from error

@@ -1,0 +1,94 @@
+"""Where goods may lie, and who may serve which: what all robots of a mission know alike before anybody flies."""
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.guidance.tasks.task_book import Place, Task
+from crazychoir.numerics.math3d import Vec
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.safety.rules.guard import EDGE
+from crazychoir.team.graph import span
+
+
+@dataclass(frozen=True)
+class Site:
+    """The fence and the homes, over which drones rise and come down; and what each robot may carry.
+
+    clearance: m that goods keep from the homes, in the plane;  crew: capacity, and capability for the first tasks,
+    those of the instance.
+    """
+
+    config: SwarmConfig
+    clearance: float
+    crew: Instance
+    low: Vec = field(init=False)
+    high: Vec = field(init=False)
+
+    def __post_init__(self) -> None:
+        """low, high: (2,) m, corners of where drones fly to."""
+        object.__setattr__(self, "low", np.array(self.config.fence.min[:2]) + EDGE)
+        object.__setattr__(self, "high", np.array(self.config.fence.max[:2]) - EDGE)
+
+    # Where ----------------------------------------------------------------------------------------------------
+
+    def objection(self, place: Place, besides: int | None = None) -> str:
+        """Why no drone may stand above a place; empty if it may. besides: a robot that lies there, with its goods."""
+        if not all(a <= x <= b for a, x, b in zip(self.low, place, self.high, strict=True)):
+            low, high = self.config.fence.min[:2], self.config.fence.max[:2]
+            return f"outside the fence, {_shown(low)} to {_shown(high)} m"
+        for drone in self.config.drones:
+            gap = math.dist(place, drone.home[:2])
+            if drone.id != besides and gap < self.clearance:
+                home = f"the home of drone {drone.id}, where it rises and lands"
+                return f"{gap:.2f} m from {home}; the clearance is {self.clearance:g} m"
+        return ""
+
+    def lies_badly(self, task: Task, pickup: Place, besides: int | None = None) -> str:
+        """Why its goods cannot be fetched from `pickup`, or not delivered; empty if they can."""
+        for name, place, whose in (("pickup", pickup, besides), ("delivery", task.delivery, None)):
+            if found := self.objection(place, whose):
+                return f"its {name} {_shown(place)} is {found}"
+        return ""
+
+    # Who ------------------------------------------------------------------------------------------------------
+
+    def may(self, i: int, task: Task) -> bool:
+        """Whether a task is for robot i; its load does not count."""
+        if task.id < len(self.crew.tasks):
+            return bool(self.crew.capability[i, task.id])
+        return not task.robots or i in task.robots
+
+    def able(self, task: Task) -> list[int]:
+        """Robots of the swarm that may serve a task and can carry it."""
+        return [i for i in self.config.ids if self.may(i, task) and task.load <= self._room(i)]
+
+    def never(self, task: Task) -> str:
+        """Why no robot of this swarm can serve a task, wherever its goods are; empty if one can."""
+        if strangers := [i for i in task.robots if i not in self.config.ids]:
+            return f"there is no drone {span(strangers)}; this swarm has {span(self.config.ids)}"
+        if self.able(task):
+            return ""
+        chosen = [i for i in self.config.ids if self.may(i, task)]
+        who = "any drone" if len(chosen) == len(self.config.ids) else f"drone {span(chosen)}, who alone may serve it,"
+        return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
+
+    def waits(self, task: Task, flying: Collection[int]) -> str:
+        """Why none of those who fly can serve a task that somebody of the swarm could; empty if one can."""
+        able = self.able(task)
+        if any(i in flying for i in able):
+            return ""
+        return f"drone {span(able)}, who alone can serve it, does not fly"
+
+    def _room(self, i: int) -> float:
+        return float(self.crew.capacity[i] - self.crew.initial_load[i])
+
+    def _most(self, ids: Collection[int]) -> float:
+        return max((self._room(i) for i in ids), default=0.0)
+
+
+def _shown(place: Collection[float]) -> str:
+    return f"[{', '.join(f'{x:g}' for x in place)}]"

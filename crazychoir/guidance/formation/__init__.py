@@ -1,0 +1,1 @@
+"""Formation laws and the shapes that they hold."""

@@ -1,0 +1,184 @@
+"""Bearing formations before they fly: is the formation rigid, how slow is it, do the drones bear it?"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from crazychoir.control.gains import AGILE, FORMATION
+from crazychoir.control.margin import REQUIRED
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.guidance.formation.modes import LEVEL, Chain, age_margin, mode_margin, slowest_mode, slowest_normalised
+from crazychoir.guidance.formation.shapes import Shape
+from crazychoir.numerics.math3d import Mat, Vec, projector
+from crazychoir.types import Point
+
+Neighbors = Mapping[int, Collection[int]]
+Law = Literal["paper", "normalised"]
+KP, KV = 1.6, 4.6
+"""1/s2, 1/s: of the paper's law for its example, four drones, edges 01 03 12 13 23, leaders 0 and 1, whose body rates
+may be as late as RATE_LAG."""
+KP_ON_MOTORS, KV_ON_MOTORS = 4.0, 6.0
+"""The same behind rate loops on board."""
+IN_HEIGHT = 0.5
+"""Share of the paper's gains with which height is held: thrust follows later than attitude, and where all drones fly
+at one height it is held by all their edges, so its modes are faster."""
+KP_NORMALISED, KV_NORMALISED = 8.0, 4.5
+"""1/s2, 1/s: of the normalised law, for any graph."""
+SLOWEST = 0.02  # 1/s, a formation slower than this needs minutes and is flown only if that is wanted
+FLEXIBLE = 1e-9  # of the largest eigenvalue: below this an eigenvalue is taken for zero
+
+
+def bearing_laplacian(shape: Shape, neighbors: Neighbors, leaders: Collection[int]) -> tuple[Mat, Mat, list[int]]:
+    """Rows of the bearing Laplacian that belong to the followers.
+
+        [B]_ij = - P_ij,  [B]_ii = sum_j P_ij,  j in N_i,  P_ij = I - g_ij g_ij^T,  g_ij along shape_j - shape_i
+
+    shape: {id: (3,) m};  neighbors: {id: those that id hears}.
+    Returns B_ff (3 F, 3 F), B_fl (3 F, 3 L), both in ascending ids, and the followers.
+    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3).
+    """
+    ids = sorted(shape)
+    at = {i: np.asarray(shape[i], dtype=float) for i in ids}
+    row = {i: slice(3 * n, 3 * n + 3) for n, i in enumerate(ids)}
+    b = np.zeros((3 * len(ids), 3 * len(ids)))
+    for i in ids:
+        for j in sorted(neighbors.get(i, ())):
+            if j not in at or np.allclose(at[i], at[j]):
+                raise ConfigError(f"neighbors of drone {i}", j, f"a drone of the shape at another place; it has {ids}")
+            p = projector(at[j] - at[i])
+            b[row[i], row[i]] += p
+            b[row[i], row[j]] -= p
+    followers = [i for i in ids if i not in leaders]
+    f = _indices(row, followers)
+    return b[np.ix_(f, f)], b[np.ix_(f, _indices(row, [i for i in ids if i in leaders]))], followers
+
+
+def _indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
+    """Rows of the coordinates of these drones."""
+    return [n for i in ids for n in range(row[i].start, row[i].stop)]
+
+
+def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
+    """K^-1 B_ff (3 F, 3 F) with K the blocks K_i = sum_j P_ij on the diagonal of B_ff.
+
+    Its eigenvalues l say how much a mode depends on leaders: 1 - l of it comes from other followers.
+    Refused, naming drones, where K_i has no inverse: all bearings of i are parallel, and nothing holds it along them.
+    """
+    blocks = [b_ff[k : k + 3, k : k + 3] for k in range(0, len(b_ff), 3)]
+    alone = [i for i, k in zip(followers, blocks, strict=True) if np.linalg.eigvalsh(k)[0] < FLEXIBLE]
+    if alone:
+        raise Refused("bearing formation", _parallel(alone))
+    return np.vstack([np.linalg.solve(k, b_ff[3 * n : 3 * n + 3]) for n, k in enumerate(blocks)])
+
+
+def equilibrium(shape: Shape, neighbors: Neighbors, leaders: Mapping[int, Point]) -> dict[int, Vec]:
+    """Where everybody is when the followers are at rest and the leaders at these places.
+
+        p_f = - B_ff^-1 B_fl p_l
+
+    The shape itself, moved and scaled as its leaders are; distorted where the leaders' bearings are not those of the
+    shape.  leaders: {id: (3,) m}.
+    """
+    b_ff, b_fl, followers = bearing_laplacian(shape, neighbors, leaders)
+    led = {i: np.array(leaders[i], dtype=float) for i in sorted(leaders)}
+    p = -np.linalg.solve(b_ff, b_fl @ np.concatenate([*led.values()])).reshape(-1, 3)
+    return led | dict(zip(followers, p, strict=True))
+
+
+@dataclass(frozen=True)
+class FormationReport:
+    """What a bearing formation will do.
+
+    lambda_min, lambda_max: of B_ff, or of K^-1 B_ff for the normalised law;  slowest: 1/s, the rate of the slowest
+    mode;  margin: s, the delay that the most delicate mode bears;  warnings: what to look at.
+    """
+
+    lambda_min: float
+    lambda_max: float
+    slowest: float
+    margin: float
+    warnings: tuple[str, ...] = ()
+
+
+def check_formation(
+    shape: Shape,
+    neighbors: Neighbors,
+    leaders: Collection[int],
+    kp: float,
+    kv: float,
+    *,
+    law: Law = "paper",
+    in_height: float = 1.0,
+    moving: bool = False,
+    chain: Chain | None = None,
+    force: bool = False,
+) -> FormationReport:
+    """What the bearing law with these gains will do on this graph; Refused if it cannot work.
+
+    kp: 1/s2;  kv: 1/s;  in_height: share of them, of the paper's law;  moving: whether leaders move, see age_margin;
+    chain: of the drones, None: the slowest body rates behind the gains of the law;  force: fly it though very slow.
+    Refused: all bearings of a follower parallel; not bearing-rigid; slower than 0.02 1/s without force; unstable.
+    """
+    b_ff, _, followers = bearing_laplacian(shape, neighbors, leaders)
+    if not followers:
+        raise Refused("bearing formation", "every drone is a leader. Name only those that are to stand still.")
+    scaled = normalised(b_ff, followers)
+    matrix = scaled if law == "normalised" else np.tile([1.0, 1.0, in_height], len(followers))[:, None] * b_ff
+    values, vectors = np.linalg.eig(matrix)
+    size = np.abs(values)
+    if size.min() <= FLEXIBLE * max(size.max(), 1.0):
+        raise Refused("bearing formation", _flexible(vectors[:, size.argmin()], followers, sorted(leaders)))
+    least = float(size.min())
+    slowest = (slowest_normalised if law == "normalised" else slowest_mode)(values.tolist(), kp, kv)
+    if slowest < SLOWEST and not force:
+        raise Refused("bearing formation", _slow(least, slowest))
+    if law == "normalised":
+        chain = chain or Chain(AGILE)
+        alike = mode_margin([1.0, 1.0], [True, False], kp, kv, chain)
+        margin = min(alike, age_margin(values.tolist(), kp, kv, chain, moving))
+        what = f"kp = {kp:g} 1/s2, kv = {kv:g} 1/s with a smallest eigenvalue of {least:.4f}"
+    else:
+        chain = chain or Chain(FORMATION)
+        horizontal = np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
+        margin = mode_margin(size.tolist(), horizontal.tolist(), kp, kv, chain)
+        what = f"kv * lambda_max = {kv * float(size.max()):.1f} 1/s"
+    if margin <= 0.0:
+        raise Refused("bearing formation", _fast(what, "unstable", chain))
+    warnings = [_slow(least, slowest)] if slowest < SLOWEST else []
+    if margin < REQUIRED:
+        warnings.append(_fast(what, f"left with {1e3 * margin:.0f} ms of delay margin", chain))
+    return FormationReport(least, float(size.max()), slowest, margin, tuple(warnings))
+
+
+def _flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
+    """Why a graph that is not bearing-rigid is refused, naming the drones that nothing holds."""
+    loose = [i for i, part in zip(followers, np.abs(mode).reshape(-1, 3).max(axis=1), strict=True) if part > 1e-3]
+    return (
+        f"the graph is not bearing-rigid with leaders {leaders}: drones {loose} can move without changing a bearing "
+        "(the smallest eigenvalue of B_ff is 0). Add a diagonal neighbour, or take other or more leaders."
+    )
+
+
+def _slow(lambda_min: float, slowest: float) -> str:
+    return (
+        f"its slowest mode decays at {slowest:.4f} 1/s (time constant {1.0 / slowest:.0f} s; smallest eigenvalue "
+        f"{lambda_min:.4f}), below {SLOWEST} 1/s. Add diagonals, take leaders at opposite corners, or force it."
+    )
+
+
+def _parallel(alone: Sequence[int]) -> str:
+    drones = f"drone {alone[0]}" if len(alone) == 1 else f"each of the drones {list(alone)}"
+    return (
+        f"all bearings of {drones} are parallel: nothing holds it along them, and sum_j P_ij has no inverse. "
+        "Add a neighbour in another direction, or make it a leader."
+    )
+
+
+def _fast(what: str, found: str, chain: Chain) -> str:
+    behind = f"{1e3 * chain.lag:.0f} ms of lag" if chain.rates is None else "the rate loop of its motors"
+    return (
+        f"{what} is {found} behind an attitude loop of KR = {chain.gains.kr[0]:g} 1/s and {behind}; "
+        f"{1e3 * REQUIRED:.0f} ms are required. Lower kv, or remove neighbours."
+    )

@@ -1,0 +1,187 @@
+"""Leaders of a formation: they stand, or fly one path side by side, while their followers fly accelerations."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import Table, Text
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.guidance import require_feasible
+from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Length, Period, Ramp, own
+from crazychoir.guidance.path_checks import inside
+from crazychoir.numerics.math3d import Mat, Vec
+from crazychoir.planning import feasibility
+from crazychoir.planning.drawing.drawing import Pen, drawing
+from crazychoir.planning.drawing.drawing_file import read_drawing
+from crazychoir.planning.feasibility import Limits
+from crazychoir.planning.figure import circle
+from crazychoir.planning.trajectory import Trajectory
+from crazychoir.types import FullState, Heard, Point, State
+
+SETTLING = 20.0
+"""s of the law, to form up where leaders stand."""
+Kind = Annotated[
+    Literal["still", "circle", "drawn"],
+    Meta(description='what leaders do: "still", "circle" or "drawn"', examples=["circle"]),
+]
+
+
+class LeaderOptions(Table, frozen=True, kw_only=True):
+    """[mission_options] of every mission whose leaders may move.
+
+    leaders: what they do;  radius m, period s, laps, ramp s: of the circle;  drawing: a CSV file of rows stroke, t, x,
+    y, or an SVG picture;  begin: s of the law after which they begin;  duration: s of the law, without it SETTLING, or
+    as long as their path and 5 s more.
+    """
+
+    leaders: Kind = "still"
+    radius: Length = 0.4
+    period: Period = 40.0
+    laps: Laps = 1.0
+    ramp: Ramp = 5.0
+    drawing: Text = ""
+    begin: Ramp = 4.0
+    duration: Duration | None = None
+
+
+class Leader(CFDistributedFeedback):
+    """Stands at its place, or flies a path that begins there: its references are places, its followers' accelerations.
+
+    place: (3,) m, where it hovers when the law begins;  path: None to stand;  begin: s of the law before it starts.
+    """
+
+    def __init__(self, place: Point, path: Trajectory | None = None, begin: float = 0.0) -> None:
+        self.place, self.path, self.begin = np.asarray(place, dtype=float), path, begin
+        self._started: float | None = None
+
+    def led(self, path: Trajectory) -> str:
+        """From where it is to be now, the path that its operator has drawn: leaders that get it fly side by side."""
+        if self.path is not None and self._started is not None:
+            self.place = shifted(self.path, self.place, self._since()).p
+        require_feasible(Moved(path, self.place), self.member.pilot)
+        self.path, self.begin, self._started = path, 0.0, None
+        return f"leads along it from {np.round(self.place, 2).tolist()}"
+
+    def height(self) -> float:
+        """Of its place."""
+        return float(self.place[2]) - self.member.config.flight.ground
+
+    def step(self, me: State, heard: Heard) -> FullState | None:
+        """Where it is to be now."""
+        if self.path is None:
+            return None
+        now = self.member.clock.now()
+        self._started = now if self._started is None else self._started
+        return shifted(self.path, self.place, self._since())
+
+    def _since(self) -> float:
+        """s of its path, negative before."""
+        assert self._started is not None  # noqa: S101 - callers have looked
+        return self.member.clock.now() - self._started - self.begin
+
+
+class Moved:
+    """A path, moved so that it begins at `place`."""
+
+    def __init__(self, path: Trajectory, place: Vec) -> None:
+        self.path, self.place, self.duration = path, place, path.duration
+
+    def sample(self, t: float) -> FullState:
+        """The reference t seconds after the start."""
+        return shifted(self.path, self.place, t)
+
+    def done(self, t: float) -> bool:
+        """Is the end reached at t?"""
+        return self.path.done(t)
+
+
+def shifted(path: Trajectory, place: Vec, t: float) -> FullState:
+    """The path at t, moved so that it begins at `place`; at rest before and after it."""
+    flat = path.sample(min(max(t, 0.0), path.duration)).flat.copy()
+    flat[0:3] += place - path.sample(0.0).p
+    return FullState(flat)
+
+
+def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
+    """What the leaders fly; None if they stand. Raises ConfigError."""
+    match options.leaders:
+        case "still":
+            return None
+        case "circle":
+            return circle((0.0, 0.0, 0.0), options.radius, options.period, laps=options.laps, ramp=options.ramp)
+    if not options.drawing:
+        where = f"swarm {config.name}: mission_options.drawing"
+        raise ConfigError(where, "nothing", "a CSV file of rows stroke, t, x, y, or an SVG picture")
+    limits = Limits(v_max=0.5 * config.flight.speed_limit, a_max=0.25 * config.flight.acceleration_limit)
+    drawn = read_drawing(options.drawing)
+    return drawing(drawn.strokes, Pen(timing="drawn" if drawn.is_timed else "even"), limits).path
+
+
+def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
+    """Raise ConfigError for drones that hover outside the fence, and leaders whose path leaves it or [flight]."""
+    flight, fence = config.flight, config.fence
+    room = Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=fence.min, high=fence.max)
+    for i, place in places(config).items():
+        room.check_places(place[None], f"swarm {config.name}: drone {i}: hovers")
+    if path := path_of(config, options):
+        t, x = feasibility.references(path)
+        for i, place in leaders_of(config).items():
+            moved = x.copy()
+            moved[:, 0:3] += place - x[0, 0:3]
+            _require_within(config, i, t, moved, room)
+            inside(config).check_places(moved[:, 0:3], f"swarm {config.name}: drone {i}: leads")
+
+
+def _require_within(config: SwarmConfig, i: int, t: Vec, x: Mat, room: Limits) -> None:
+    try:
+        feasibility.check_references(t, x, room)
+    except ConfigError as error:
+        where = f"swarm {config.name}: mission_options.leaders: drone {i}: {error.where}"
+        raise ConfigError(where, error.found, error.allowed, error.do) from error
+
+
+def height_of(config: SwarmConfig, i: int) -> float | None:
+    """m above the ground, of the take-off of drone i; None for that of the swarm file."""
+    return own(config, config.drone(i), HeightOption).height
+
+
+def places(config: SwarmConfig) -> dict[int, Vec]:
+    """Where every drone hovers when the law begins: over its home, at its own `options.height` if it has one."""
+    ground, rise = config.flight.ground, config.flight.takeoff_height
+    return {
+        drone.id: np.array([*drone.home[:2], ground + (own(config, drone, HeightOption).height or rise)])
+        for drone in config.drones
+    }
+
+
+def leaders_of(config: SwarmConfig) -> dict[int, Vec]:
+    """The leaders' places when the law begins."""
+    at = places(config)
+    return {drone.id: at[drone.id] for drone in config.drones if drone.leader}
+
+
+def leaders_at_last(config: SwarmConfig, options: LeaderOptions) -> dict[int, Vec]:
+    """The leaders' places when the law ends."""
+    path, leaders = path_of(config, options), leaders_of(config)
+    if path is None:
+        return leaders
+    t = duration_of(config, options) - options.begin
+    return {i: shifted(path, place, t).p for i, place in leaders.items()}
+
+
+def leader_of(i: int, config: SwarmConfig, options: LeaderOptions) -> Leader:
+    """The law of leader i."""
+    leader = Leader(leaders_of(config)[i], path_of(config, options), options.begin)
+    leader.duration = duration_of(config, options)
+    return leader
+
+
+def duration_of(config: SwarmConfig, options: LeaderOptions) -> float:
+    """s of the law."""
+    if options.duration is not None:
+        return options.duration
+    path = path_of(config, options)
+    return SETTLING if path is None else options.begin + path.duration + 5.0

@@ -1,0 +1,58 @@
+"""Starts drawn at random, clear of each other: a formation that begins in its places shows nothing."""
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import Refused
+from crazychoir.guidance.formation.leader import places
+from crazychoir.numerics.math3d import Vec
+
+CLEAR = 0.35
+"""m between two starts, seen from above: more than the collision filter keeps."""
+LOWEST = 0.3
+"""m above the ground, of a start: below, the air is rough."""
+ATTEMPTS = 10_000
+"""Draws of a place before it is clear there is none."""
+
+
+class Scatter(NamedTuple):
+    """m, at most, along each axis."""
+
+    x: float
+    y: float
+    z: float
+
+
+def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
+    """The same swarm with its followers' homes and heights moved by up to `by`, drawn from its seed.
+
+    Each drone takes off straight up: two starts are CLEAR apart seen from above. Raises Refused if there is no room.
+    """
+    draw = np.random.default_rng(config.seed)
+    at = places(config)
+    taken = [at[drone.id] for drone in config.drones if drone.leader]
+    moved = {}
+    for drone in config.drones:
+        if not drone.leader:
+            moved[drone.id] = _clear_place(draw, drone.id, at[drone.id], by, taken)
+            taken.append(moved[drone.id])
+    drones = []
+    for drone in config.drones:
+        row = {key: value for key, value in msgspec.to_builtins(drone).items() if value is not None}
+        if drone.id in moved:
+            x, y, z = moved[drone.id].tolist()
+            height = max(z - config.flight.ground, LOWEST)
+            row |= {"home": [x, y, drone.home[2]], "options": {**drone.options, "height": height}}
+        drones.append(row)
+    return config.replace(drones=drones)
+
+
+def _clear_place(draw: np.random.Generator, i: int, center: Vec, by: Scatter, taken: list[Vec]) -> Vec:
+    for _ in range(ATTEMPTS):
+        place: Vec = center + draw.uniform(-1.0, 1.0, 3) * by
+        if all(np.hypot(*(place - other)[:2]) > CLEAR for other in taken):
+            return place
+    raise Refused(f"drone {i}", f"no start within {by[0]:g} m that is {CLEAR} m from the others. Scatter less.")

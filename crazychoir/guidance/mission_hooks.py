@@ -1,0 +1,133 @@
+"""The hooks of a mission file as the runtime calls them: checked when the file is loaded, and whenever they return.
+
+Whatever is wrong is said with the user's file and line, the hook, what was found and what is allowed. A hook that runs
+after the flight never costs its result.
+"""
+
+import inspect
+import logging
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from functools import partial
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.guidance import CFGuidance
+from crazychoir.guidance.user_hook import README, Hook, require_signature, shown
+from crazychoir.team.graph import span
+
+log = logging.getLogger(__name__)
+class MissionFile:
+    """A mission file with its hooks guarded; its other names are those of the module."""
+
+    def __init__(self, module: ModuleType) -> None:
+        """Raises ConfigError for a hook that cannot be called as it will be."""
+        self._module, self.__file__ = module, str(module.__file__)
+        self._guarded: dict[str, Callable[..., Any]] = {}
+        for name, (arguments, returns, guard) in HOOKS.items():
+            function = getattr(module, name, None)
+            if function is not None:
+                hook = Hook(self.__file__, name, function, arguments, returns)
+                hook.check()
+                self._guarded[name] = partial(guard, hook)
+
+    def __getattr__(self, name: str) -> Any:
+        return self._guarded.get(name) or getattr(self._module, name)
+
+
+def require_complete(guidance: CFGuidance, where: str) -> None:
+    """Raise ConfigError for a law without a `step`, a CFGuidance without a `mission`, or with others than are called.
+
+    where: what errors call the place, such as the mission file.
+    """
+    kind = f"{where}: class {type(guidance).__name__}"
+    if isinstance(guidance, CFDistributedFeedback):
+        _require_own(guidance, CFDistributedFeedback.step, "def step(self, me, heard)", kind)
+        require_signature(guidance.step, ("me", "heard"), kind, "step")
+    _require_own(guidance, CFGuidance.mission, "async def mission(self)", kind)
+    if not inspect.iscoroutinefunction(guidance.mission):
+        raise ConfigError(f"{kind}: mission", "def mission", "async def mission(self)", "Write `async` before it.")
+
+
+def _require_own(guidance: CFGuidance, inherited: Callable[..., Any], wanted: str, kind: str) -> None:
+    name = inherited.__name__
+    if getattr(getattr(guidance, name), "__func__", None) is not inherited:
+        return
+    near = get_close_matches(name, [own for own in vars(type(guidance)) if not hasattr(CFDistributedFeedback, own)], 1)
+    do = f"Is {near[0]!r} meant to be {name!r}?" if near else README
+    raise ConfigError(kind, f"no {name} of its own", wanted, do)
+
+
+# What each hook may return ------------------------------------------------------------------------------------------
+
+
+def _guidance(hook: Hook, i: int, config: SwarmConfig) -> CFGuidance:
+    found = hook(i, config)
+    if not isinstance(found, CFGuidance):
+        raise hook.wrong(f"{shown(found)} for drone {i}")
+    require_complete(found, f"mission {hook.file}")
+    return found
+
+
+def _swarm(hook: Hook, *values: Any) -> SwarmConfig:
+    found = hook(*values)
+    if not isinstance(found, SwarmConfig):
+        raise hook.wrong(shown(found))
+    return found
+
+
+def _check(hook: Hook, config: SwarmConfig, force: bool = False) -> list[str]:
+    found = hook(config, force)
+    if found is not None and not (isinstance(found, list | tuple) and all(isinstance(text, str) for text in found)):
+        raise hook.wrong(shown(found))
+    return list(found or [])
+
+
+def _goal(hook: Hook, config: SwarmConfig) -> dict[int, Any]:
+    found = hook(config)
+    if not isinstance(found, Mapping) or any(i not in config.ids for i in found):
+        raise hook.wrong(f"{shown(found)}, with drones {span(config.ids)} in the swarm")
+    for i, place in found.items():
+        if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
+            raise hook.wrong(f"{shown(place)} for drone {i}")
+    return dict(found)
+
+
+def _report(hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]]) -> dict[str, Any]:
+    """What it reports; where it fails, that, and not the loss of what was flown."""
+    try:
+        found = hook(config, results)
+        if found is not None and not isinstance(found, Mapping):
+            raise hook.wrong(shown(found))
+        figures = dict(found or {})
+        if not isinstance(figures.get("reasons", {}), Mapping):
+            raise hook.wrong(f"reasons = {shown(figures['reasons'])}")
+    except CrazyChoirError as error:
+        log.error("%s", error)
+        return {"success": False, "reasons": {min(config.ids): str(error)}}
+    return figures
+
+
+def _picture(hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:
+    """Draw it, or say why there is no picture."""
+    try:
+        hook(config, results, path)
+    except CrazyChoirError as error:
+        log.error("no picture: %s", error)
+
+
+HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
+    "guidance": (("i", "config"), "a CFGuidance or a CFDistributedFeedback, one for each drone", _guidance),
+    "swarm": (("drones",), "a SwarmConfig", _swarm),
+    "scatter": (("config",), "a SwarmConfig", _swarm),
+    "check": (("config", "force"), "a list of warnings, each a text", _check),
+    "goal": (("config",), "{i: (3,) m}, a place for each drone that is to be somewhere", _goal),
+    "report": (("config", "results"), 'a dictionary of figures, with "success" and "reasons" {i: text}', _report),
+    "picture": (("config", "results", "path"), "nothing: a PNG written to path", _picture),
+}
+"""Arguments, result in words, and guard of each hook."""

@@ -1,0 +1,1 @@
+"""Tasks that a team shares: the task book, its gossip and its assignment."""

@@ -1,0 +1,35 @@
+"""The room in which robots visit places, each at a height of its own: where tasks may be, and for whom."""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.guidance.tasks.task_book import Place, Task
+from crazychoir.safety.rules.guard import EDGE
+from crazychoir.team.graph import span
+
+
+class Room:
+    """Where tasks of operators may be, and for whom."""
+
+    def __init__(self, config: SwarmConfig) -> None:
+        self.ids = config.ids
+        self.low, self.high = np.array(config.fence.min[:2]) + EDGE, np.array(config.fence.max[:2]) - EDGE
+
+    def lies_badly(self, task: Task, pickup: Place) -> str:
+        """Why nobody can stand there; empty if somebody can."""
+        if np.all(self.low <= pickup) and np.all(pickup <= self.high):
+            return ""
+        return f"it is at {list(pickup)}, outside the fence, {self.low.tolist()} to {self.high.tolist()} m"
+
+    def never(self, task: Task) -> str:
+        """Why no robot of this swarm can serve it; empty if one can."""
+        strangers = [i for i in task.robots if i not in self.ids]
+        return f"there is no drone {span(strangers)}; this swarm has {span(self.ids)}" if strangers else ""
+
+    def waits(self, task: Task, flying: Collection[int]) -> str:
+        """Why none of those who fly can serve it; empty if one can."""
+        if not task.robots or any(i in flying for i in task.robots):
+            return ""
+        return f"drone {span(task.robots)}, who alone may serve it, does not fly"

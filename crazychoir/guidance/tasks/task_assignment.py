@@ -1,0 +1,307 @@
+"""TaskAssignmentGuidance: a table of tasks that fills up as it is worked off, shared out again and again in flight."""
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import CrazyChoirError, RosterChanged
+from crazychoir.guidance.guidance import TOUCHDOWN, CFGuidance
+from crazychoir.guidance.member import Interrupted, Member, standing, touch_down
+from crazychoir.guidance.tasks.generation import Draw, Generation, NextGeneration, open_tasks
+from crazychoir.guidance.tasks.room import Room
+from crazychoir.guidance.tasks.task_book import Deed, Place, Task
+from crazychoir.guidance.tasks.task_source import TaskSource
+from crazychoir.guidance.tasks.team_news import UNREACHED, Key, TeamNews
+from crazychoir.guidance.tasks.together import run_together
+from crazychoir.guidance.turns import Turns
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import Goto, State, Vec
+
+log = logging.getLogger(__name__)
+POLL = 0.05
+"""s between two looks, and two tellings of the news."""
+REACHED = 0.05
+"""m from a task, in the plane, at which it is done."""
+NOTED = 0.2
+"""s between two places of a way that is written down."""
+REUNION = 20.0
+"""s that a robot over its home waits for the others, and one that is cut off, or out like all, for some who fly."""
+FLIES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
+
+CostFunction = Callable[[State, Task], float]
+"""What a task costs a robot in this state; inf if it cannot do it."""
+
+
+def distance(state: State, task: Task) -> float:
+    """|task - p| in the plane, m."""
+    return math.dist(state.p[:2].tolist(), task.pickup)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What all robots of a mission have in common.
+
+    draw: the tasks, in their order;  generations: how often the table is filled up to as many open tasks as robots;
+    cost: CostFunction.
+    """
+
+    draw: Draw
+    generations: int
+    cost: CostFunction = distance
+
+
+class TaskAssignmentGuidance(CFGuidance):
+    """Robot i: flies to its task, and shares out the open tasks with the team whenever there are others.
+
+    Every robot makes the table of what all have told each other, so nobody keeps it, and no robot's loss costs more
+    than its own task, which another gets in the next generation. It flies on while the team plans.
+    No task is done twice: from its first message of a planning until it has the next generation a robot completes no
+    task, so that any two who may complete one have the same generation. A part of the team that is cut off, with not
+    more than half of it, waits for the others, and goes home after REUNION s. But what a robot has done and
+    told nobody before it was lost, or cut off, is done again.
+    """
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+        self.generation: Generation | None = None
+        self.tables: list[dict[str, Any]] = []
+        self.way: list[tuple[Any, ...]] = []  # t s since the start, x, y m, m from its task, None without one
+        self.done: list[tuple[int, int]] = []
+        self.reason = ""
+        self._shares = True  # a planning runs: nothing is completed
+        self._alone, self._said = False, ""
+
+    def bind(self, member: Member) -> None:
+        """Meet the drone."""
+        super().bind(member)
+        self._born = self._now
+        self.news = TeamNews(member.communicator, (), self._here, recover=True, period=POLL)
+        self.source = TaskSource(self.news, Room(member.config), may_end=self._may_end)
+        self._turns = Turns(member.pilot)
+        member.report = lambda: {"task": self._doing(), "cost": self.tables[-1]["cost"] if self.tables else None}
+
+    async def mission(self) -> dict[str, Any]:
+        """Fly, gossip and plan until nothing is left to do; then home, and down."""
+        try:
+            async with asyncio.TaskGroup() as group:
+                jobs = [group.create_task(job) for job in (self.news.gossip(), self._fly(), self._left_alone())]
+                await self._plan()
+                jobs[2].cancel()
+                if not self._alone:
+                    await self.news.farewell()
+                await asyncio.wait(jobs[1:])
+                jobs[0].cancel()
+        except BaseException as error:
+            cause = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            self.member.pilot.land("" if isinstance(cause, asyncio.CancelledError) else f"mission failed: {cause}")
+            await touch_down(self.member.pilot, TOUCHDOWN)
+            await self.news.last_words()
+            if cause is error:
+                raise
+            raise cause from error
+        return self.outcome()
+
+    def outcome(self) -> dict[str, Any]:
+        """This drone's part of the report."""
+        failed = {"success": False, "reason": self.reason} if self.reason else {}
+        left = [task.id for task in open_tasks(self.news.book, self.news.members)]
+        return {"done": self.done, "tables": self.tables, "open": left, "way": self.way} | failed
+
+    async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
+        """An operator adds a task, at its pickup, cancels one, or wants the list; see TaskSource."""
+        place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
+        said: dict[str, Any] = await self.source.asked(verb, {**arguments, **place})
+        if verb == "task_list":
+            return {"tasks": [task | {"delivery": None} for task in said["tasks"]]}
+        return said
+
+    def route(self) -> list[Vec]:
+        """To its task, or home when all are done."""
+        if self.member.pilot.mode not in FLIES:
+            return []
+        if self.news.ended or self._alone:
+            return [self._home]
+        return [] if (mine := self._mine) is None else [self._above(self.news.book.tasks[mine].pickup)]
+
+    def _may_end(self) -> bool:
+        return self._shares
+
+    def _doing(self) -> str:
+        mine = None if self.generation is None else self.generation.mine
+        return f"{len(self.done)} done, {'waits' if mine is None else f'task {mine}'}"
+
+    @property
+    def _now(self) -> float:
+        return self.member.clock.now()
+
+    def _here(self) -> Place:
+        return float(self.state.p[0]), float(self.state.p[1])
+
+    # Planning -------------------------------------------------------------------------------------------------
+
+    async def _plan(self) -> None:
+        """One generation after the other, of one team after the other; until the team has ended."""
+        while not (self.news.ended or self._alone):
+            key = self.news.key()
+            self.news.changed.clear()
+            try:
+                if not self.news.count():
+                    await self._cut_off(key)
+                elif self.id in key[1]:
+                    await self.sleep(POLL)  # out: the others go on without
+                else:
+                    await self._generations(key)
+            except RosterChanged:
+                continue
+
+    async def _generations(self, key: Key) -> None:
+        """The generations of one team; all its robots begin each as soon as one has begun it."""
+        n = 0
+        while self.news.key() == key and not (self.news.ended or self._alone):
+            if n and not self._wanted(key, n):
+                await self.sleep(POLL)
+                continue
+            n, self._shares = n + 1, True
+            self.news.say(run=(key[0], len(key[1]), n))
+            began, generation = self._now, await self._next(key)
+            if generation is None:
+                return
+            self._adopt(generation, self._now - began)
+
+    def _wanted(self, key: Key, n: int) -> bool:
+        """Whether somebody plans already, or other tasks are open."""
+        alive = self.news.book.alive(self.graph.ids).values()
+        begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
+        return begun or self.generation is None or self._open() != _ids(self.generation.tasks)
+
+    def _open(self) -> list[int]:
+        return _ids(open_tasks(self.news.book, self.news.members))
+
+    async def _next(self, key: Key) -> Generation | None:
+        """The next generation, together; None if the team has changed meanwhile."""
+        links, last, work = self.news.links(without=key[1]), self.generation, self.work
+        number, filled = (0, 0) if last is None else (last.number, last.filled)
+        state = self.state
+        program = NextGeneration(
+            self.id, links, self.news.book, number, filled, work.draw, work.generations,
+            lambda task: work.cost(state, task),
+        )  # fmt: skip
+        return program.result if await run_together(self.news, program, links, key) else None
+
+    def _adopt(self, generation: Generation, seconds: float) -> None:
+        """Fly by this generation from now on."""
+        outcome = generation.outcome
+        self.generation, self._shares = generation, False
+        self.news.book.merge(generation.book)
+        for j, error in generation.dropped.items():
+            self.news.drop(j, error)
+        costs = [None if cost == inf else cost for cost in generation.costs]
+        self.tables.append(
+            {"number": generation.number, "filled": generation.filled, "team": list(self.news.alive_ids()),
+             "tasks": _ids(generation.tasks), "places": [task.pickup for task in generation.tasks], "costs": costs,
+             "mine": generation.mine, "cost": outcome.cost, "infeasible": outcome.infeasible,
+             "unserved": list(outcome.unserved), "rounds": outcome.rounds, "seconds": seconds}
+        )  # fmt: skip
+        speaks = self.id == min(self.news.alive_ids(), default=self.id)
+        if outcome.infeasible not in ("", self._said) and speaks:
+            log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible)
+        self._said = outcome.infeasible
+        if generation.idle:
+            self.news.say(ended=True)
+
+    async def _cut_off(self, key: Key) -> None:
+        """Too few to decide: wait in the air for the others, then go home."""
+        log.warning("drone %d: %s", self.id, UNREACHED)
+        self._shares, self.generation = True, None
+        while self.news.key() == key and not (self.news.ended or self._alone):
+            await self.sleep(POLL)
+
+    async def _left_alone(self) -> None:
+        """End the mission of who waits for others that are gone, wherever it waits."""
+        why = await self.news.left_alone(REUNION)
+        self._alone, self.reason = True, f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
+        self.news.say(out=True)
+        self.news.changed.set()  # also for a round that waits for them
+
+    # Flying ---------------------------------------------------------------------------------------------------
+
+    async def _fly(self) -> None:
+        """Up, from task to task, home, and down with the others. Who cannot fly on says so, and stays a talker."""
+        try:
+            await self.take_off()
+            while not (self.news.ended or self._alone):
+                self._pursue()
+                self._note()
+                await self.sleep(POLL)
+            await self._go_home()
+            self._note()
+            await self.land()
+        except CrazyChoirError as error:
+            log.warning("drone %d: %s", self.id, error)
+            self.reason = str(error)
+            self.member.pilot.land()
+            await touch_down(self.member.pilot, TOUCHDOWN)
+            self.news.say(out=True)
+
+    def _above(self, place: Sequence[float]) -> Vec:
+        flight = self.member.config.flight
+        return np.array([*place[0:2], flight.ground + flight.takeoff_height])
+
+    @property
+    def _home(self) -> Vec:
+        """(3,) m, over where it stood."""
+        return self._above(self.member.config.drone(self.id).home)
+
+    def _pursue(self) -> None:
+        """Fly to the own task, and have done it there; without one, wait in the air, where nobody else wants to be."""
+        pilot = self.member.pilot
+        if pilot.mode not in FLIES:
+            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
+        generation, mine = self.generation, self._mine
+        if generation is None or mine is None:
+            if (away := self._turns.away()) is None:
+                pilot.hover()
+            else:
+                self.follow(Goto(away))
+            return
+        place = self.news.book.tasks[mine].pickup
+        self.follow(Goto(self._turns.to(self._above(place))))
+        if not self._shares and math.dist(self._here(), place) < REACHED:
+            self.done.append((mine, generation.number))
+            self.news.say(deeds=(*self.news.record.deeds, Deed(mine, "delivery", 1)))
+
+    @property
+    def _mine(self) -> int | None:
+        """The task to fly to: one of this generation that is still open."""
+        mine = None if self.generation is None else self.generation.mine
+        return mine if mine is not None and mine in self._open() else None
+
+    def _note(self) -> None:
+        """Write the way down, every NOTED s."""
+        t = self._now - self._born
+        if self.way and t < float(self.way[-1][0]) + NOTED:
+            return
+        mine = self._mine
+        left = None if mine is None else round(math.dist(self._here(), self.news.book.tasks[mine].pickup), 3)
+        self.way.append((round(t, 2), *(round(x, 3) for x in self._here()), left))
+
+    async def _go_home(self) -> None:
+        """Over the own home; nobody comes down while somebody flies about above."""
+        await self.go_to(self._home)
+        self.news.say(idle=True)
+        ends = self._now + REUNION
+        while self._now < ends and not (self._alone or self._all_home()):
+            await self.sleep(POLL)
+
+    def _all_home(self) -> bool:
+        return all(record.idle for record in self.news.book.alive(self.news.members).values())
+
+
+def _ids(tasks: Collection[Task]) -> list[int]:
+    return [task.id for task in tasks]

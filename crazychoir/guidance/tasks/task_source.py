@@ -1,0 +1,177 @@
+"""Where tasks come from in flight: events of the mission, and operators. Who hears of one tells the others."""
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import msgspec
+
+from crazychoir.errors import Refused
+from crazychoir.guidance.tasks.task_book import Fate, Place, Task
+from crazychoir.guidance.tasks.team_news import TeamNews
+from crazychoir.team.graph import span
+
+ADDED = 10_000
+"""Tasks from this id on were added in flight by an operator, at the robot of the last digits."""
+LOOK = 0.05, 1.0
+"""s, at least and at most, between two looks at the clock."""
+PATIENCE = 2.0
+"""s that an operator's word waits for the team, twice: a request is given up after 5 s."""
+_FIELD = re.compile(r"`\$\[(\d+)\]")
+"""How a decoder's error names a field of a task: `$[3]`."""
+
+
+class Event(NamedTuple):
+    """A task appears, or is cancelled, t s after GO; robots: who hear of it, empty: all who are there."""
+
+    t: float
+    task: Task
+    robots: tuple[int, ...] = ()
+
+
+class Site(Protocol):
+    """Where tasks may be, and for whom."""
+
+    def lies_badly(self, task: Task, pickup: Place) -> str:
+        """Why nobody can stand there; empty if somebody can."""
+        ...
+
+    def never(self, task: Task) -> str:
+        """Why no robot of this swarm can serve it; empty if one can."""
+        ...
+
+    def waits(self, task: Task, flying: Collection[int]) -> str:
+        """Why none of those who fly can serve a task that somebody of the swarm could; empty if one can."""
+        ...
+
+
+class TaskSource:
+    """What one robot hears of tasks, into its news.
+
+    events: in the order of their times;  may_end: whether the team decides right now, without knowing of what comes
+    now, whether its mission is over.
+    """
+
+    def __init__(
+        self, news: TeamNews, site: Site, events: Sequence[Event] = (), may_end: Callable[[], bool] = lambda: False
+    ) -> None:
+        self.news, self.site, self.events, self.may_end = news, site, events, may_end
+        self._heard = 0
+
+    @property
+    def age(self) -> float:
+        """s since GO."""
+        return self.news.communicator.port.bus.impairment.age(self.news.clock.now())
+
+    @property
+    def heard_all(self) -> bool:
+        """Whether no event is to come."""
+        return self._heard == len(self.events)
+
+    async def hear(self) -> None:
+        """Learn of each event when it is time."""
+        least, most = LOOK
+        for event in self.events:
+            while self.age < event.t:
+                await self._pause(min(max(event.t - self.age, least), most))
+            if not event.robots or self.news.id in event.robots:
+                self.news.book.learn(event.task)
+            self._heard += 1
+
+    # Operators ------------------------------------------------------------------------------------------------
+
+    async def asked(self, verb: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """An operator's task_add {"pickup", "delivery", "load", "robots"}, task_cancel {"id"}, or task_list.
+
+        The list is that of `listed`. The others return {"id"}, and with "note" what the operator should know, when more
+        than half of the team know of it: so no single drone takes it along when it is lost. Raises Refused, and then
+        nothing has changed.
+        """
+        if verb == "task_list":
+            return {"tasks": self.listed()}
+        task = self._read(arguments) if verb == "task_add" else None
+        await self._ready()
+        j, note = self._cancel(arguments) if task is None else self._add(task)
+        notes = [note, await self._told(self.news.say())]
+        return {"id": j} | ({"note": "; ".join(filter(None, notes))} if any(notes) else {})
+
+    def listed(self) -> list[dict[str, Any]]:
+        """The tasks that are known here: id, pickup (where it lies now) and delivery m, load, fate, robot."""
+        standings, tasks = self.news.standings(), self.news.book.tasks
+        return [
+            {"id": j, "pickup": list(standing.pickup), "delivery": list(tasks[j].delivery), "load": tasks[j].load,
+             "fate": standing.fate.value, "robot": standing.robot}
+            for j, standing in standings.items()
+        ]  # fmt: skip
+
+    async def _ready(self) -> None:
+        """Wait until this robot knows what more than half of the team knew when it was started.
+
+        Before that it might number a task as one that it has added in an earlier life.
+        """
+        ends = self.news.clock.now() + PATIENCE
+        while True:
+            if self.news.ended:
+                raise self._refused("the mission is over")
+            if self.news.record.out:
+                raise self._refused("this drone flies no more; ask another one")
+            if self.news.known(1) and not self.may_end():
+                return
+            if self.news.clock.now() > ends:
+                raise self._refused(f"for {PATIENCE:g} s, it has heard of too few others; ask another one, or again")
+            await self._pause(LOOK[0])
+
+    async def _told(self, number: int) -> str:
+        """Wait until more than half of the team know an edition of the record; or say that they do not yet."""
+        ends = self.news.clock.now() + PATIENCE
+        while not self.news.known(number):
+            if self.news.clock.now() > ends:
+                return f"for {PATIENCE:g} s, less than half of the team has heard of it: is this drone cut off?"
+            await self._pause(LOOK[0])
+        return ""
+
+    def _read(self, arguments: dict[str, Any]) -> Task:
+        """The task that is to be added, but for its id."""
+        raw = {"load": 1.0, "robots": [], **arguments, "id": ADDED, "version": 0, "cancelled": False}
+        names = Task.__struct_fields__
+        try:
+            task = msgspec.convert([raw.pop(name, None) for name in names], Task)
+        except msgspec.ValidationError as error:
+            wrong = _FIELD.sub(lambda found: f"`{names[int(found[1])]}`", str(error))
+            raise self._refused(f"{wrong}; allowed: places [x, y] in m, a load of 0 to 1e6, drone ids") from error
+        if raw:
+            raise self._refused(f"unknown: {', '.join(sorted(raw))}; there are {', '.join(names[3:])}")
+        if why := self.site.lies_badly(task, task.pickup) or self.site.never(task):
+            raise self._refused(why)
+        return task
+
+    def _add(self, task: Task) -> tuple[int, str]:
+        """Ids differ by the robot that was asked: two operators may add tasks at the same time."""
+        tasks, me = self.news.book.tasks, self.news.id
+        count = max((j // ADDED for j in tasks if j >= ADDED and j % ADDED == me), default=0) + 1
+        task = msgspec.structs.replace(task, id=ADDED * count + me)
+        self.news.book.learn(task)
+        waits = self.site.waits(task, self.news.book.alive(self.news.members))
+        return task.id, waits and f"it waits: {waits}"
+
+    def _cancel(self, arguments: dict[str, Any]) -> tuple[int, str]:
+        j, book = arguments.get("id"), self.news.book
+        if not isinstance(j, int) or j not in book.tasks:
+            groups = [k for k in book.tasks if k < ADDED], [k for k in book.tasks if k >= ADDED]
+            raise self._refused(f"there is no {j}; there are {', '.join(map(span, filter(None, groups))) or 'none'}")
+        standing, was_cancelled = self.news.standings()[j], book.tasks[j].cancelled
+        match standing.fate:
+            case Fate.DELIVERED:
+                raise self._refused(f"drone {standing.robot} has delivered {j} already")
+            case Fate.LOST:
+                raise self._refused(f"{j} is lost, with drone {standing.robot} that had it aboard")
+        book.cancel(j)
+        if standing.fate is Fate.ABOARD:
+            return j, f"it is aboard drone {standing.robot}, which delivers it all the same"
+        return j, "it was cancelled already" if was_cancelled else ""
+
+    async def _pause(self, seconds: float) -> None:
+        await self.news.clock.sleep(seconds, drone=self.news.id)
+
+    def _refused(self, why: str) -> Refused:
+        return Refused(f"drone {self.news.id}", f"task: {why}")

@@ -1,0 +1,75 @@
+"""Rounds of a team in flight, whose members may be lost at any time: a program that all run, or that all give up."""
+
+import asyncio
+from typing import Any
+
+from crazychoir.errors import AgentFailed, PeerLost
+from crazychoir.guidance.tasks.team_news import Key, TeamNews
+from crazychoir.optimization.rounds.program import Program
+from crazychoir.team.graph import Graph
+
+DEADLINE = 30.0
+"""s for one round."""
+POLL = 0.05
+"""s between two looks at a team of which a neighbour is silent."""
+
+
+async def run_together(news: TeamNews, program: Program[Any], links: Graph, key: Key) -> bool:
+    """Run a program with the team of this key, over these links; False if the team has changed meanwhile.
+
+    Raises RosterChanged at the beginning of an epoch.
+    """
+    channel = "-".join(["plan", *map(str, key[1])])
+    while not program.done:
+        heard = await _exchange(news, program.message(), links.neighbors(news.id), channel, key)
+        if heard is None:
+            return False
+        await news.clock.compute(program.step, heard)
+    return True
+
+
+async def _exchange(
+    news: TeamNews, message: Any, neighbors: tuple[int, ...], channel: str, key: Key
+) -> dict[int, Any] | None:
+    """One round with the neighbours; None if the team has changed meanwhile.
+
+    A neighbour that is lost, or has failed, is waited for until the team goes on without it.
+    """
+    ends = news.clock.now() + DEADLINE
+    while True:
+        exchange = asyncio.ensure_future(
+            news.communicator.neighbors_exchange(message, neighbors, neighbors, channel=channel, deadline=DEADLINE)
+        )
+        try:
+            await unless(exchange, news.changed)
+            if exchange.done():
+                return exchange.result()
+            if news.key() != key:
+                return None
+            news.changed.clear()
+        except (PeerLost, AgentFailed):
+            if news.clock.now() > ends:
+                raise
+            await news.clock.sleep(POLL, drone=news.id)
+            if news.key() != key:
+                return None
+        finally:
+            await given_up(exchange)
+
+
+async def unless(task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
+    """Wait for a task, or for an event."""
+    waits = asyncio.ensure_future(event.wait())
+    try:
+        await asyncio.wait({task, waits}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        await given_up(waits)
+
+
+async def given_up(task: "asyncio.Future[Any]") -> None:
+    """Cancel what nobody waits for any more, and let it end."""
+    if not task.done():
+        task.cancel()
+        await asyncio.wait({task})
+    if not task.cancelled():
+        task.exception()

@@ -1,0 +1,370 @@
+"""What people see: tables, live progress, errors."""
+
+import contextlib
+import json
+import logging
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
+
+import typer
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.bus.json_view import plain
+from crazychoir.bus.network import handshakes
+from crazychoir.errors import ConfigError, CrazyChoirError, Refused
+from crazychoir.files.output_files import require_writable_file
+
+if TYPE_CHECKING:
+    from crazychoir.config.swarm_config import SwarmConfig
+    from crazychoir.launch.flight_observer import Score
+    from crazychoir.recording.mcap.reading import Recording
+    from crazychoir.types import Status
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+STDERR = Console(stderr=True, markup=False, emoji=False)
+"""For what goes on, and what goes wrong. A text is printed as it is: names may look like the markup of rich."""
+
+
+class Answers(Console):
+    """Standard output, for what a command answers. Where that cannot be written, it goes to standard error."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As rich prints."""
+        try:
+            super().print(*objects, **options)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            _give_up_on_output(error)
+            STDERR.print(*objects, **options)
+            raise typer.Exit(1) from error
+
+
+STDOUT = Answers(markup=False, emoji=False)
+"""For what a command answers."""
+REFRESH = 4
+"""Tables a second."""
+WIDE = 100
+"""Columns of a terminal from which tables show everything."""
+PICTURES = (".png", ".pdf", ".svg")
+"""Kinds of pictures that are drawn."""
+
+
+class TracesOnce(logging.Formatter):
+    """Thirty drones whose law fails in the same way say so each; how it came there is shown once."""
+
+    def __init__(self) -> None:
+        super().__init__("%(message)s")
+        self._shown: set[tuple[object, ...]] = set()
+
+    def formatException(self, ei: Any) -> str:
+        """The traceback, or nothing if one of the same lines was shown."""
+        places = traceback.extract_tb(ei[2])
+        key = (ei[0], *((place.filename, place.lineno) for place in places))
+        if key in self._shown:
+            return ""
+        self._shown.add(key)
+        return super().formatException(ei)
+
+
+def set_up_logging(level: int = logging.WARNING) -> None:
+    """Logs go to standard error, those of the network too."""
+    handshakes.overhear()
+    if sys.stderr.isatty():
+        from rich.logging import RichHandler
+
+        handler: logging.Handler = RichHandler(console=STDERR, show_path=False, rich_tracebacks=False)
+    else:
+        handler = logging.StreamHandler()
+    handler.setFormatter(TracesOnce())
+    logging.basicConfig(level=level, handlers=[handler], force=True)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it says where it keeps its list of fonts
+
+
+@contextlib.contextmanager
+def prints_aside() -> Iterator[None]:
+    """Standard output is for what a command answers: what missions, and programs that they start, print goes aside,
+    to standard error.
+    """
+    with contextlib.redirect_stdout(sys.stderr), contextlib.nullcontext() if handshakes.overhears() else _aside():
+        yield
+
+
+@contextlib.contextmanager
+def _aside() -> Iterator[None]:
+    output = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
+
+
+def write_json(value: Any) -> None:
+    """One line of JSON on standard output, at once."""
+    line = json.dumps(plain(value), default=str) + "\n"
+    try:
+        sys.stdout.write(line)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _give_up_on_output(error)
+        sys.stderr.write(line)
+        raise typer.Exit(1) from error
+
+
+def _give_up_on_output(error: OSError) -> None:
+    """Say that standard output takes nothing, as on a full disk, and forget what it still holds."""
+    text = f"standard output: {error.strerror}: the answer is printed here. Name another file, or make room."
+    STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+    with contextlib.suppress(OSError, ValueError):
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
+
+
+def require_drawable(path: Path | None) -> None:
+    """Raise ConfigError, before anything is computed, for a picture of a kind that there is not, or in no folder."""
+    if path is not None:
+        require_writable_file(path, "--picture", PICTURES)
+
+
+def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
+    """Raise ConfigError for a drone that no radio reaches; which: a text that says which swarm it is."""
+    if drone not in config.reached:
+        do = "" if config.reached else f"There are none in {which}: name another swarm file by --swarm."
+        raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}", do)
+
+
+class Outputs:
+    """Writes what a command was asked to write beside its answer: what fails is said, and the answer is printed still.
+
+    failed: by option, why it is not there.
+    """
+
+    def __init__(self) -> None:
+        self.failed: dict[str, str] = {}
+
+    @contextlib.contextmanager
+    def writing(self, option: str) -> Iterator[None]:
+        """Note whatever is raised in the block: a full disk, values that cannot be drawn, a mission's own code."""
+        try:
+            yield
+        except Exception as error:
+            text = str(error) if isinstance(error, CrazyChoirError) else f"{type(error).__name__}: {error}"
+            self.failed[option] = text
+            log.debug("%s", option, exc_info=error)
+
+    def say(self) -> None:
+        """One line on standard error for each that is not there."""
+        for option, why in self.failed.items():
+            text = why if why.startswith(option) else f"{option}: {why}"
+            STDERR.print(f"Not written: {text}", style="red", markup=False, highlight=False, soft_wrap=True)
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """What a JSON answer says of it: `not_written`, if something is not."""
+        return {"not_written": self.failed} if self.failed else {}
+
+
+def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
+    """Say what is wrong, and end with exit code 2."""
+    if as_json:
+        write_json({"success": False, "error": str(error), "kind": type(error).__name__})
+    STDERR.print(Text.assemble((type(error).__name__, "bold red"), ": "), end="")
+    text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)  # its name is said already
+    STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
+    raise typer.Exit(2)
+
+
+def interrupted(as_json: bool) -> NoReturn:
+    """Say that Ctrl-C has ended what flew nothing real, and end as the shell expects it."""
+    text = "Ctrl-C: the run ends here, without a result"
+    if as_json:
+        write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
+    STDERR.print(text)
+    raise typer.Exit(130)
+
+
+def warn_of(recording: "Recording", left: str) -> None:
+    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages lost or missed."""
+    said = [f"the recording was {recording.fault}: {left}"] if recording.fault else []
+    said += [f"messages lost while it was recorded: {recording.lost}"] if recording.lost else []
+    said += [f"messages that the network did not bring to its recorder: {recording.missed}"] if recording.missed else []
+    for text in said:
+        STDERR.print(f"{recording.path}: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+def result_table(results: dict[Any, dict[str, Any]]) -> Table:
+    """One row a drone."""
+    table = Table("drone", "success", "detail")
+    for i, result in results.items():
+        rest = ", ".join(f"{k} {_short(v)}" for k, v in result.items() if k != "success")
+        detail = _of(i, result["reason"]) if result.get("reason") else rest
+        table.add_row(str(i), "yes" if result.get("success") else Text("no", "red"), Text(detail))
+    return table
+
+
+def _of(i: Any, reason: Any) -> str:
+    """A reason beside the name of its drone, which it may begin with."""
+    return str(reason).removeprefix(f"drone {i}: ")
+
+
+def _short(value: Any) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def status_table(score: "Score") -> Group:
+    """The live view of a swarm: a line a drone, and below what troubles any. Narrow ones leave out two counters."""
+    counters = ("sent", "lost", "resent") if STDERR.width >= WIDE else ("lost",)
+    columns = ("drone", "phase", "task", "round", "cost", *counters, "silent")
+    table, below = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False), []
+    marked = False
+    for i in score.ids:
+        status = score.statuses.get(i)
+        if status is None:
+            table.add_row(str(i), "", Text("not heard yet", "dim"))
+            continue
+        silent = _silent(status, score.statuses)
+        marked = marked or bool(silent)
+        cost = "" if status.cost != status.cost else f"{status.cost:.3f}"
+        numbers = [str(status.round), cost, *(str(getattr(status, name)) for name in counters)]
+        table.add_row(str(i), *(_line(text) for text in (status.phase, status.task, *numbers, silent)))
+        if status.note:
+            below.append(_line(f"drone {i}: {status.note}"))
+    below += [_line(text) for text in _clocks(score.statuses.values())]
+    if marked:
+        below.append(_line("silent: those that it does not hear; ? for a second or more, ! given up"))
+    return Group(table, *below)
+
+
+def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
+    """Whom a drone misses, without those that are back on the ground: they have ended and owe nobody a word."""
+    from crazychoir.agent.drone import WAITING
+
+    ended = [j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING]
+    marks = [*((j, "?") for j in status.suspect), *((j, "!") for j in status.gone)]
+    return ", ".join(f"{j}{mark}" for j, mark in marks if j not in ended)
+
+
+def _clocks(statuses: Iterable["Status"]) -> list[str]:
+    """How far the clocks of hosts are apart, a line a pair."""
+    said: dict[frozenset[str], str] = {}
+    for status in statuses:
+        for host, offset, error in zip(status.hosts, status.offsets, status.offset_errors, strict=False):
+            how = f"{abs(offset):.6f} s {'ahead of' if offset > 0.0 else 'behind'} that of {status.host}"
+            said.setdefault(frozenset((host, status.host)), f"the clock of host {host} is {how}, within {error:.6f} s")
+    return list(said.values())
+
+
+def _line(text: str) -> Text:
+    """A text that stays on one line, cut where there is no room."""
+    return Text(text, no_wrap=True, overflow="ellipsis")
+
+
+class Progress(Generic[T]):
+    """A live table of what it is called with, REFRESH times a second, and lines above it."""
+
+    def __init__(self, table: Callable[[T], RenderableType], enabled: bool) -> None:
+        from rich.live import Live
+
+        self.table = table
+        self.live = Live(console=STDERR, refresh_per_second=REFRESH, transient=True) if enabled else None
+        self._due = 0.0
+
+    def __call__(self, seen: T) -> None:
+        """Show the newest state, when it is time."""
+        if self.live is None or time.perf_counter() < self._due:
+            return
+        self._due = time.perf_counter() + 1.0 / REFRESH
+        self.live.update(self.table(seen))
+
+    def say(self, line: str) -> None:
+        """A line above the table."""
+        STDERR.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    def __enter__(self) -> Self:
+        if self.live is not None:
+            self.live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.live is not None:
+            self.live.stop()
+
+
+def _verdict(run: dict[str, Any]) -> str:
+    if not run["success"]:
+        return "failed"
+    return "success, ended by its operator" if run.get("ended") else "success"
+
+
+def summary_table(run: dict[str, Any]) -> Table:
+    """The result of a run, one row a figure."""
+    table = Table("figure", "value", title=f"{_flown(run)}: {_verdict(run)}")
+    shown = [
+        ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
+        ("startup_s", "{:.2f} s"), ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"),
+        ("messages", "{}"), ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"), ("at_fence_s", "{}"),
+        ("apart", "{}"),
+        ("formation_error_m", "{:.4f} m"), ("settling_s", "{:.2f} s"),
+        ("planned_m", "{}"), ("flown_m", "{}"), ("digest", "{}"), ("picture", "{}"),
+    ]  # fmt: skip
+    if len(run["here"]) < run["drones"]:
+        table.add_row("started here", ", ".join(map(str, run["here"])))
+    same = () if run.get("digest") else ("simulated_s", "real_time_factor")  # on the wall clock they say nothing
+    for key, form in shown:
+        if run.get(key) is not None and key not in same:
+            table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
+    for key in run.get("report", ()):
+        if key not in dict(shown) and (text := _figures(run[key])):
+            table.add_row(key, Text(text))
+    if run.get("recording"):
+        table.add_row("recording", Text(_recording(run["recording"])))
+    if run.get("reason"):
+        table.add_row("reason", Text(run["reason"], "red"))
+    for i, words in run.get("ended", {}).items():
+        table.add_row(f"drone {i}", Text(_of(i, words)))
+    for i, reason in run["reasons"].items():
+        table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
+    return table
+
+
+def _flown(run: dict[str, Any]) -> str:
+    """The mission, without the folder of its file; and the swarm, where that has a file of its own."""
+    mission = Path(run["mission"]).name
+    return f"swarm {run['swarm']}, {mission}" if "swarm" in run else mission
+
+
+def _recording(recording: dict[str, Any]) -> str:
+    """Where it is, and what is not in it."""
+    text, error = f"{recording['file']}: {recording['messages']} messages", recording["error"]
+    text += "".join(f", {recording[name]} {name}" for name in ("lost", "missed") if recording[name])
+    return text + (f"; ended early: {error}" if error else "")
+
+
+def _figures(value: Any) -> str:
+    """What a mission reports, on one line: empty where it is a list of more than figures, which only JSON has."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, dict):
+        return _pairs(value)
+    if not isinstance(value, list | tuple):
+        return _short(value)
+    plain = all(isinstance(one, bool | int | float | str) for one in value)
+    return ", ".join(_short(one) for one in value) if plain else ""
+
+
+def _pairs(values: dict[Any, Any]) -> str:
+    return ", ".join(f"{key}: {_short(value)}" for key, value in values.items())

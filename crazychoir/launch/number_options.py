@@ -1,0 +1,193 @@
+"""Numbers on the command line: each option names its limits, and refuses what is not finite.
+
+An option that is refused says what was found, what is allowed, and what was probably meant.
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from crazychoir.config.number_lists import LAST_DRONE
+from crazychoir.errors import ConfigError
+
+if TYPE_CHECKING:
+    from crazychoir.team.graph import Graph
+
+YEAR = 31_536_000.0
+"""s: the longest time that an option takes."""
+LARGEST_SEED = 2**63 - 1
+LARGEST_COUNT = 1_000_000
+LARGEST_SWARM = 10_000
+"""Drones."""
+LARGEST_TEAM = 1_000_000
+"""Simulated agents."""
+FACTORS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+"""s, by the unit that users write."""
+_WITH_UNIT = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(ms|s|min|h)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Real:
+    """Reads a finite number within limits."""
+
+    least: float = -math.inf
+    most: float = math.inf
+    open_below: bool = False
+    """Whether `least` itself is not allowed."""
+    unit: str = ""
+    """"share" or "s", for a hint at what was meant; else empty."""
+
+    def __call__(self, text: str | float) -> float:
+        """Return the number; raise typer.BadParameter, which names the option, with what is allowed."""
+        try:
+            number = float(text)
+        except ValueError:
+            raise _refused(str(text), self.allowed, self._meant(str(text))) from None
+        above = self.least < number if self.open_below else self.least <= number
+        if not (math.isfinite(number) and above and number <= self.most):
+            raise _refused(str(text), self.allowed, self._hint(number))
+        return number
+
+    @property
+    def allowed(self) -> str:
+        """The limits in words."""
+        kind = {"s": "a finite number of s", "share": "a probability"}.get(self.unit, "a finite number")
+        above = "above " if self.open_below else ""
+        if self.least == -math.inf:
+            return kind if self.most == math.inf else f"{kind}, at most {_plain(self.most)}"
+        if self.most == math.inf:
+            return f"{kind}, {above}{_plain(self.least)}{'' if above else ' or more'}"
+        if self.open_below:
+            return f"{kind}, above {_plain(self.least)}, at most {_plain(self.most)}"
+        return f"{kind}, {_plain(self.least)} to {_plain(self.most)}"
+
+    def _hint(self, number: float) -> str:
+        """Return what was probably meant by a number that is not allowed."""
+        if self.unit == "share" and 1.0 < number <= 100.0:
+            return f"{number:g} % is {number / 100.0:g}."
+        return ""
+
+    def _meant(self, text: str) -> str:
+        """Return what was probably meant by a text that is no number."""
+        bare = text.strip()
+        if bare.endswith("%") and _is_number(bare[:-1]):
+            return f"{bare[:-1].strip()} % is {float(bare[:-1]) / 100.0:g}."
+        if _is_number(bare.replace(",", ".", 1)):
+            return f"Write {bare.replace(',', '.', 1)}."
+        match = _WITH_UNIT.fullmatch(bare)
+        if match and self.unit == "s" and _is_number(match[1]):
+            return f"Write {float(match[1]) * FACTORS[match[2].lower()]:g}."
+        return ""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """Reads a whole number within limits."""
+
+    least: int
+    most: int
+
+    def __call__(self, text: str | int) -> int:
+        """Return the number; raise typer.BadParameter, which names the option, with what is allowed."""
+        allowed = f"a whole number, {self.least} to {self.most}"
+        try:
+            number = int(text)
+        except ValueError:
+            raise _refused(str(text), allowed, _whole(str(text))) from None
+        if not self.least <= number <= self.most:
+            raise _refused(str(text), allowed, "")
+        return number
+
+
+def _refused(found: str, allowed: str, hint: str) -> typer.BadParameter:
+    return typer.BadParameter(f"found {_shown(found)}; allowed: {allowed}. {hint}".rstrip())
+
+
+def real(
+    text: str, *names: str, least: float = -math.inf, most: float = math.inf, open_below: bool = False
+) -> Any:  # fmt: skip
+    """Return an option that takes a finite number.
+
+    text: its help;  names: as "--speed", if not the parameter's.
+    """
+    return _option(text, names, Real(least, most, open_below))
+
+
+def share(text: str, *names: str) -> Any:
+    """Return an option that takes a share, 0 to 1."""
+    return _option(text, names, Real(0.0, 1.0, unit="share"))
+
+
+def seconds(text: str, *names: str, least: float = 0.0, most: float = YEAR, open_below: bool = False) -> Any:
+    """Return an option that takes a time in s."""
+    return _option(text, names, Real(least, most, open_below, unit="s"))
+
+
+def whole(text: str, *names: str, least: int = 1, most: int = LARGEST_COUNT) -> Any:
+    """Return an option that takes a whole number."""
+    return _option(text, names, Whole(least, most))
+
+
+def size(text: str, *names: str) -> Any:
+    """Return an option that takes a number of drones, or of what there is at most one of for each drone."""
+    return whole(text, *names, most=LARGEST_SWARM)
+
+
+def drone(text: str, *names: str) -> Any:
+    """Return an option that takes the id of a drone."""
+    return whole(text, *names, least=0, most=LAST_DRONE)
+
+
+def seed(text: str, *names: str) -> Any:
+    """Return an option that takes a seed."""
+    return whole(text, *names, least=0, most=LARGEST_SEED)
+
+
+def _option(text: str, names: tuple[str, ...], reader: Real | Whole) -> Any:
+    return typer.Option(*names, help=text, parser=reader, metavar="<int>" if isinstance(reader, Whole) else "<float>")
+
+
+def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph":
+    """Return the graph of --graph, of so many drones; raise ConfigError, which names the option."""
+    from crazychoir.team.graph import named  # numerics: --help does not need them
+
+    try:
+        return named(text, size, seed, directed)
+    except ConfigError as error:
+        raise ConfigError("--graph", error.found, error.allowed, error.do) from error
+
+
+def finite_numbers(text: str, where: str, allowed: str, count: int | None = None) -> list[float]:
+    """Return the numbers of a text such as "1,0.5,1.2"; raise ConfigError where they are not finite, or not `count`."""
+    try:
+        found = [float(word) for word in text.strip().strip("[]()").split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(math.isfinite, found)) or count not in (None, len(found)):
+        raise ConfigError(where, _shown(text), allowed)
+    return found
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+def _whole(text: str) -> str:
+    """Return how a whole number that is written otherwise is written here."""
+    if _is_number(text) and float(text).is_integer() and abs(float(text)) < 1e15:
+        return f"Write {float(text):.0f}."
+    return ""
+
+
+def _plain(limit: float) -> str:
+    return f"{limit:.0f}" if float(limit).is_integer() else f"{limit:g}"
+
+
+def _shown(text: str) -> str:
+    return text if len(text) <= 60 else f"{text[:60]}..."

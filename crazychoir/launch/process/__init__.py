@@ -1,0 +1,1 @@
+"""What the main functions of all processes share."""

@@ -1,0 +1,94 @@
+"""The process of motion capture: its place on the network, its signals, its live table."""
+
+import contextlib
+import math
+import random
+import socket
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.config.swarm_config import MOCAP, SwarmConfig
+from crazychoir.launch.process.signals import end_on_signals
+from crazychoir.mocap.process import MocapProcess, source_of
+from crazychoir.mocap.recording import Recorder
+from crazychoir.mocap.watch import MISSING, Sight
+from crazychoir.runtime.actor import Actor
+from crazychoir.runtime.clock import Clock, run_wall
+from crazychoir.runtime.watchdog import Watchdog
+
+SHOWS = 4.0
+"""Tables a second."""
+Show = Callable[[MocapProcess], None]
+
+
+class Showing(Actor):
+    """Shows how it goes."""
+
+    name = "table"
+
+    def __init__(self, process: MocapProcess, show: Show) -> None:
+        self._process, self._show = process, show
+
+    async def run(self) -> None:
+        """Some times a second."""
+        async for _ in self._process.clock.ticks(SHOWS):
+            self._show(self._process)
+
+
+def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show: Show | None) -> dict[str, Any]:
+    """Publish the poses of the drones that are seen, over Zenoh; returns what was seen."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        name, host = f"mocap-{incarnation & 0xFFFFFFFF:08x}", config.mocap.host or socket.gethostname().split(".")[0]
+        source, recorder = source_of(clock, config), None if record is None else stack.enter_context(Recorder(record))
+        mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
+        link = ZenohLink(
+            mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[],
+            routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
+            access=config.access(host, *filter(None, [listen])), on_refused=mocap.refuse, agreed=config.of_bodies(),
+        )  # fmt: skip
+        link.open()
+        watchdog = Watchdog(clock)
+        watchdog.start()
+        end_on_signals(clock, mocap)
+        try:
+            await mocap.serve(link, *([Showing(mocap, show)] if show else []))
+        finally:
+            watchdog.stop()
+            stack.close()
+        return mocap.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
+
+    with contextlib.ExitStack() as stack:
+        return run_wall(main)
+
+
+def mocap_table(process: MocapProcess) -> Table:
+    """Body by body: whose it is, how often it is seen, how long ago, where, and in how many frames it was not."""
+    watch, now = process.watch, process.clock.now()
+    title = f"{process.source.where}: {process.source.state}, {_hertz(watch.mean_rate)} Hz"
+    table = Table("body", "drone", "Hz", "age s", "x", "y", "z", "dropped", title=title, box=box.SIMPLE_HEAD)
+    owners = {name: str(i) for i, name in watch.names.items()}
+    for name in dict.fromkeys([*owners, *sorted(watch.sights)]):
+        sight = watch.sights.get(name)
+        cells = ["never seen"] if sight is None else _cells(sight, now - sight.last)
+        table.add_row(name, owners.get(name, "-"), *cells)
+    return table
+
+
+def _cells(sight: Sight, age: float) -> list[str | Text]:
+    shown = Text(f"{age:.1f}", "red") if age > MISSING else f"{age:.2f}"
+    return [_hertz(sight.rate), shown, *(f"{c:.3f}" for c in sight.flat[0:3]), str(sight.dropped)]
+
+
+def _hertz(rate: float) -> str:
+    """A mean rate; nothing before there is one."""
+    return "-" if math.isnan(rate) else f"{rate:.0f}"

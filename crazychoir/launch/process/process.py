@@ -1,0 +1,157 @@
+"""One process of a swarm in real time: its drones, its place on the network, its signals."""
+
+import logging
+import random
+import signal
+import socket
+from dataclasses import asdict
+from typing import Any
+
+from crazychoir.agent.agent import Agent
+from crazychoir.agent.worlds import WorldProcess
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.public_topics import PublicCopies
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.config.swarm_config import DONGLES, MOCAP, WORLD, SwarmConfig
+from crazychoir.errors import Refused
+from crazychoir.guidance.mission import Mission
+from crazychoir.launch.process.signals import AGAIN, NAMES, end_on_signals
+from crazychoir.radio.link.ownership import owned
+from crazychoir.radio.owner import RadioProcess
+from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.runtime.watchdog import Watchdog
+from crazychoir.runtime.worker_thread import add_signal_handler
+
+log = logging.getLogger(__name__)
+
+
+def run_agent(
+    config: SwarmConfig, mission: Mission, ids: tuple[int, ...], listen: str | None, connect: list[str] | None
+) -> dict[str, Any]:
+    """Fly these drones in real time, over Zenoh; returns results and counters."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
+        agent = Agent(clock, config, mission, ids, process=process, incarnation=incarnation, alone=False)
+        _obey_signals(clock, agent)  # before others may find us, and end us
+        link = _link(agent, config, ids, listen, connect)
+        link.open()
+        agent.alarm = link.alarm
+        others_hang_too = bool(agent.owned) or len(ids) > 1
+        agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=others_hang_too)
+        watchdog.start()
+        agent.services += [link, *(PublicCopies(link, i) for i in ids)]
+        try:
+            results = await agent.run()
+            await clock.sleep(0.3)  # the last statuses leave
+        finally:
+            watchdog.stop()
+        return {
+            "results": results,
+            "network": asdict(link.counters),
+            "worst_put_s": link.counters.worst_put_s,
+            "late_s": watchdog.worst,
+            "presence": {i: drone.barrier.history for i, drone in agent.drones.items()},
+        }
+
+    return run_wall(main)
+
+
+def _link(
+    agent: Agent, config: SwarmConfig, ids: tuple[int, ...], listen: str | None, connect: list[str] | None
+) -> ZenohLink:
+    """Listen on the endpoint of the lowest drone; connect to every lower one: so each pair has one link."""
+    host = config.endpoint(ids[0]).rsplit(":", 1)[0]
+    own = f"{host}:{config.base_port + ids[0]}"
+    lower = [endpoint for process, endpoint in config.endpoints().items() if process < ids[0]]
+
+    def on_token(drones: list[int], there: bool) -> None:
+        for drone in agent.drones.values():
+            for j in drones:
+                (drone.barrier.monitor.token_back if there else drone.barrier.monitor.token_gone)(j)
+
+    def on_refused(refused: Refused) -> None:
+        agent.refuse(refused)
+
+    return ZenohLink(
+        agent.bus, config.name, listen=[listen or own], connect=lower if connect is None else connect,
+        routers=[] if listen or connect else config.routers, incarnation=agent.incarnation, version=VERSION,
+        lease=config.lease, access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
+        on_token=on_token, on_refused=on_refused, agreed=config.of_bodies(),
+    )  # fmt: skip
+
+
+def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
+    """Own the simulated world of these drones in real time, over Zenoh; returns what it was like."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"world-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.world.host or socket.gethostname().split(".")[0]
+        world = WorldProcess(clock, config, process, host, incarnation)
+        link = ZenohLink(
+            world.bus, config.name, listen=[listen or config.endpoints()[WORLD]], connect=[],
+            routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
+            access=config.access(host, *filter(None, [listen])), on_refused=world.refuse, agreed=config.of_bodies(),
+        )  # fmt: skip
+        link.open()
+        watchdog = Watchdog(clock)
+        watchdog.start()
+        end_on_signals(clock, world)
+        try:
+            await world.serve(link)
+        finally:
+            watchdog.stop()
+        return world.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
+
+    return run_wall(main)
+
+
+def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str, Any]:
+    """Own a dongle and its links in real time, over Zenoh; returns how they were. Raises Refused if it is owned."""
+
+    async def main(clock: Clock) -> dict[str, Any]:
+        incarnation = random.SystemRandom().getrandbits(62)
+        process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.dongle_host(dongle) or socket.gethostname().split(".")[0]
+        radios = RadioProcess(clock, config, dongle, process, host, incarnation)
+        endpoints = config.endpoints()
+        link = ZenohLink(
+            radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
+            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], routers=config.routers,
+            incarnation=incarnation, version=VERSION, lease=config.lease,
+            access=config.access(host, *filter(None, [listen])), on_refused=radios.refuse, agreed=config.of_bodies(),
+        )  # fmt: skip
+        link.open()
+        end_on_signals(clock, radios)
+        await radios.serve(link)
+        return radios.report() | {"network": asdict(link.counters)}
+
+    with owned(config, dongle):
+        return run_wall(main)
+
+
+def _obey_signals(clock: Clock, agent: Agent) -> None:
+    """The first signal lands; a second within 2 s warns; a third cuts the motors.
+
+    SIGHUP only lands: it says that the terminal or the parent has gone, and a parent of many threads says so once a
+    thread, not that anybody insists.
+    """
+    times: list[int] = []
+
+    def on_signal(number: int) -> None:
+        if number == signal.SIGHUP:
+            agent.land_all("SIGHUP: landing")
+            return
+        times.append(clock.now_ns())
+        recent = [t for t in times if t > times[-1] - AGAIN * SECOND]
+        if len(recent) >= 3:
+            agent.cut_all("third signal")
+        elif len(recent) == 2:
+            log.warning("landing; once more within %g s cuts the motors", AGAIN)
+        else:
+            agent.land_all(f"{NAMES[number]}: landing")
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        add_signal_handler(number, on_signal, number)

@@ -1,0 +1,53 @@
+"""The process of virtual Crazyflies: their server, its signals, what is seen of it."""
+
+import asyncio
+import signal
+from typing import Any
+
+from crazychoir.errors import ConfigError
+from crazychoir.launch.console import Progress
+from crazychoir.radio.virtual.air import Dongle
+from crazychoir.radio.virtual.server import VirtualServer
+from crazychoir.radio.virtual.setup import Hall
+from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.runtime.worker_thread import add_signal_handler
+
+LOOKS = 4.0
+"""Hz, of the live table."""
+Shared = list[tuple[tuple[int, ...], float | None]]
+"""The drones of each dongle, and its capacity if somebody states one."""
+
+
+async def serve(
+    clock: Clock, hall: Hall, shared: Shared, seed: int, release: str, progress: Progress[dict[int, Any]]
+) -> dict[str, Any]:
+    """Until a signal; returns what became of the drones."""
+    radios = [Dongle(clock, group, capacity) for group, capacity in shared]
+    server = VirtualServer(clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed)
+    try:
+        server.listen()
+    except ConfigError as error:
+        raise ConfigError(error.where, error.found, error.allowed, hall.taken) from error
+    failures: list[str] = []
+    supervisor = Supervisor(clock, "virtual", lambda actor, error, again: failures.append(str(error)))
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        add_signal_handler(number, supervisor.stop)
+    progress.say(_where(hall))
+    shows = asyncio.create_task(_show(clock, server, progress))
+    try:
+        await supervisor.run([server])
+    finally:
+        shows.cancel()
+    return server.report() | ({"success": False, "error": failures[0]} if failures else {})
+
+
+def _where(hall: Hall) -> str:
+    uris = [f"udp://{seat.at[0]}:{seat.at[1]}" for seat in hall.seats]
+    shown = uris[0] if len(uris) == 1 else f"{uris[0]} to {uris[-1]}"
+    return f"virtual Crazyflies: {shown}; poses at udp://{hall.poses[0]}:{hall.poses[1]}; Ctrl-C ends"
+
+
+async def _show(clock: Clock, server: VirtualServer, progress: Progress[dict[int, Any]]) -> None:
+    async for _ in clock.ticks(LOOKS):
+        progress({i: server.state(i) for i in server.ports})

@@ -1,0 +1,1 @@
+"""Small mathematics, compiled kernels and their cache."""

@@ -1,0 +1,232 @@
+"""Projector, rotations and saturation shared by several rooms, and how a law is compiled.
+
+World ENU, z up; quaternions [x, y, z, w], body to world. Quaternions and vectors of the compiled functions are tuples
+or arrays of floats; they return tuples, so that a kernel makes no small arrays.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.numerics.compiling import LATER
+from crazychoir.numerics.kernel_cache import keep
+
+Vec = npt.NDArray[np.float64]
+Mat = npt.NDArray[np.float64]
+Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+Law = TypeVar("Law", bound=Callable[..., Any])
+
+GRAVITY = 9.80665  # m/s2, standard gravity
+E3 = np.array([0.0, 0.0, 1.0])
+
+# What a kernel reads (frozen arrays fit, writable ones too) and what it writes.
+real = numba.float64
+vector = numba.types.Array(numba.float64, 1, "C", readonly=True)
+matrix = numba.types.Array(numba.float64, 2, "C", readonly=True)
+memory = numba.float64[::1]
+table = numba.float64[:, ::1]
+
+
+def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
+    """Compile a law for these argument types when its module is imported; after the first time, from the disk.
+
+    A program that has something to check first lets them wait, see crazychoir.numerics.compiling.
+
+    Fixed types on purpose: another kind of array raises TypeError at once instead of compiling for a second in flight.
+    Without arguments: a piece of other kernels, compiled with them. options: of numba, as nogil and forceinline.
+    """
+
+    def compiled(law: Law) -> Law:
+        # Nobody calls a law by its address: a tenth of the time to compile goes into what would allow it.
+        njit: Any = numba.njit
+        dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(law)
+        if dispatcher is law:  # with NUMBA_DISABLE_JIT
+            return law
+        keep(dispatcher, law, arguments, sorted(dispatcher.targetoptions.items()))
+        if arguments:
+            LATER.compile_or_wait(dispatcher, arguments)
+        return cast(Law, dispatcher)
+
+    return compiled
+
+
+def projector(d: Vec) -> Mat:
+    """Orthogonal projector onto the plane normal to d.
+
+        P = I - d d^T / |d|^2
+
+    d: (3,) m, not zero.  Returns (3, 3), symmetric: P d = 0, P P = P.
+    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3).
+    """
+    return np.eye(3) - np.outer(d, d) / (d @ d)
+
+
+def skew(w: Vec) -> Mat:
+    """The matrix (3, 3) of the vector product with w (3,) from the left."""
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def saturate(v: Vec, limit: float) -> Vec:
+    """v shortened to the length `limit`, its direction kept."""
+    length = float(np.linalg.norm(v))
+    return v if length <= limit else v * (limit / length)
+
+
+@kernel()
+def clip(value: float, low: float, high: float) -> float:
+    """value, held between low and high."""
+    return min(max(value, low), high)
+
+
+@kernel()
+def finite(x: Vec) -> bool:
+    """Whether all of x (n,) are numbers."""
+    nothing = 0.0
+    for c in range(x.shape[0]):
+        nothing += 0.0 * x[c]
+    return nothing == 0.0
+
+
+@kernel()
+def wrap(angle: float) -> float:
+    """The same angle in [-pi, pi), rad."""
+    return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+
+
+@kernel()
+def product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Quaternion product a b: first the rotation b, then a."""
+    return (
+        a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
+        a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
+        a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3],
+        a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2],
+    )
+
+
+@kernel()
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse rotation of a unit quaternion."""
+    return (-q[0], -q[1], -q[2], q[3])
+
+
+@kernel()
+def unit(q: Quaternion) -> Quaternion:
+    """q of length 1."""
+    n = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
+
+
+@kernel()
+def exponential(x: float, y: float, z: float) -> Quaternion:
+    """Unit quaternion of the rotation vector (x, y, z) rad: (sin(a/2) r/a, cos(a/2)), a = |r|."""
+    a = math.sqrt(x * x + y * y + z * z)
+    s = 0.5 - a * a / 48.0 if a < 1e-4 else math.sin(0.5 * a) / a
+    return (s * x, s * y, s * z, math.cos(0.5 * a))
+
+
+@kernel()
+def logarithm(q: Quaternion) -> Triple:
+    """Rotation vector of a unit quaternion, rad, the short way: |r| <= pi."""
+    sign = 1.0 if q[3] >= 0.0 else -1.0
+    s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+    f = 2.0 * sign if s < 1e-9 else sign * 2.0 * math.atan2(s, abs(q[3])) / s
+    return (f * q[0], f * q[1], f * q[2])
+
+
+@kernel()
+def columns(q: Quaternion) -> tuple[Triple, Triple, Triple]:
+    """Body axes x_b, y_b, z_b in the world: the columns of R(q), q of length 1."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)),
+        (2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)),
+        (2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+@kernel()
+def dot(a: Triple, b: Triple) -> float:
+    """a . b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel()
+def flat_attitude(f: Triple, yaw: float) -> tuple[Triple, Triple, Triple]:
+    """Body axes that push along f and look towards yaw.
+
+        z_b = f / |f|,  y_b = (z_b x x_c) / |z_b x x_c|,  x_b = y_b x z_b,  x_c = (cos yaw, sin yaw, 0)
+
+    f: m/s2 or N, world.  f = 0 gives the level attitude; z_b along x_c takes y_b = (-sin yaw, cos yaw, 0).
+    Source: Mellinger & Kumar 2011, ICRA.
+    """
+    c, s = math.cos(yaw), math.sin(yaw)
+    n = math.sqrt(dot(f, f))
+    z = (f[0] / n, f[1] / n, f[2] / n) if n > 1e-9 else (0.0, 0.0, 1.0)
+    y = (-z[2] * s, z[2] * c, z[0] * s - z[1] * c)
+    m = math.sqrt(dot(y, y))
+    y = (y[0] / m, y[1] / m, y[2] / m) if m > 1e-6 else (-s, c, 0.0)
+    x = (y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0])
+    return x, y, z
+
+
+@kernel()
+def flat_rates(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: float, yaw_rate: float) -> Triple:
+    """Body rates of `flat_attitude` while f changes by j a second and yaw by yaw_rate.
+
+        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
+
+    The last from y_b . x_c = 0, differentiated.
+    """
+    x, y, z = axes
+    length = math.sqrt(dot(f, f))
+    p, q = -dot(j, y) / length, dot(j, x) / length
+    c, s = math.cos(yaw), math.sin(yaw)
+    return p, q, (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s)) / (x[0] * c + x[1] * s)
+
+
+def rotation(q: Vec) -> Mat:
+    """R (3, 3), body to world, of the unit quaternion q (4,)."""
+    return np.array(columns(tuple(q))).T
+
+
+def rotation_from_flat(f: Vec, yaw: float) -> Mat:
+    """R (3, 3) of `flat_attitude`: thrust along f (3,), heading yaw rad."""
+    return np.array(flat_attitude(tuple(f), yaw)).T
+
+
+def quaternion(r: Mat) -> Vec:
+    """Unit quaternion (4,), w >= 0, of the rotation matrix r (3, 3), body to world.
+
+    Source: Shepperd 1978: the largest of the four squares is the one that is divided by.
+    """
+    trace = float(np.trace(r))
+    squares = np.array([r[0, 0], r[1, 1], r[2, 2], trace])
+    i = int(np.argmax(squares))
+    if i == 3:
+        q = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1.0 + trace])
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q = np.empty(4)
+        q[i] = 1.0 + 2.0 * r[i, i] - trace
+        q[j] = r[j, i] + r[i, j]
+        q[k] = r[k, i] + r[i, k]
+        q[3] = r[k, j] - r[j, k]
+    q /= np.linalg.norm(q)
+    return q if q[3] >= 0.0 else -q
+
+
+def quaternion_of_yaw(yaw: float) -> Vec:
+    """Unit quaternion (4,) of the level attitude with heading yaw rad."""
+    return np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)])
+
+
+def yaw_of(q: Vec) -> float:
+    """Heading of the body's x axis in the world, rad in (-pi, pi]."""
+    x, y, z, w = (float(c) for c in q)
+    return math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,1 @@
+"""The catalogue of distributed algorithms, one file an algorithm."""

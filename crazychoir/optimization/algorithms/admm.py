@@ -1,0 +1,72 @@
+"""The alternating direction method of multipliers for a common variable."""
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.problems.problems import CostCoupled, require_problem
+from crazychoir.optimization.rounds.arrays import is_number
+from crazychoir.optimization.rounds.iteration import Iteration
+from crazychoir.optimization.rounds.messages import like, require_heard
+from crazychoir.types import Vec
+
+
+class ADMM(Iteration):
+    """Consensus ADMM for  min sum_i f_i(x_i)  s.t.  x_i in X_i,  x_i = z_j  for all j in M_i = N_i and i itself.
+
+        x_i = argmin_{x in X_i} f_i(x) + x'L_i + rho/2 sum_{j in M_i} |x - z_j|^2        (x_i travels)
+        z_i = mean_{j in M_i} x_j                                                       (z_i travels)
+        L_i <- L_i + rho sum_{j in M_i} (x_i - z_j),   L_i(0) = 0
+
+    L_i = sum_{j in M_i} l_ij, with l_ij the multiplier of x_i = z_j; those that z_i sees, sum_j l_ji, sum up to zero,
+    so that no multiplier travels. An iteration is two rounds.
+    A static undirected graph. No step size: it converges for each penalty rho > 0 and convex f_i; a large rho moves the
+    x_i together first, a small one each to its own minimum first.
+    penalty: rho, the same at all agents;  neighbors: N_i;  x, z: (n,), of the last iteration, 0 before the first.
+    Raises SolverError if the local problem is infeasible; ConfigError if others than N_i are heard.
+    Source: Boyd, Parikh, Chu, Peleato & Eckstein 2011, Foundations and Trends in Machine Learning 3(1), section 7.2.
+    """
+
+    connected = True
+    undirected = True
+    same = ("penalty",)
+
+    def __init__(
+        self, problem: CostCoupled, neighbors: Iterable[int], penalty: float, iterations: int | None = None
+    ) -> None:
+        require_problem(problem, CostCoupled, "ADMM")
+        super().__init__(problem.agent, None if iterations is None else 2 * iterations)
+        if not is_number(penalty) or not 0.0 < penalty < np.inf:
+            raise ConfigError(f"agent {self.i}: penalty", f"{penalty}", "a finite number above 0")
+        self.problem, self.neighbors, self.penalty = problem, tuple(sorted(neighbors)), penalty
+        self._members = 1 + len(self.neighbors)
+        self.heavy = not problem.is_fast(penalty * self._members)
+        self.x, self.z = np.zeros(problem.n), np.zeros(problem.n)
+        self._L = np.zeros(problem.n)
+
+    @property
+    def iterations(self) -> int:
+        """Done so far."""
+        return self.k // 2
+
+    def message(self) -> Vec:
+        """x_i in even rounds, z_i in odd ones."""
+        if self.k == 0:
+            self._minimise(self.z)
+        return self.z if self.k % 2 else self.x
+
+    def update(self, heard: Mapping[int, Vec]) -> None:
+        """In even rounds z, in odd ones L, and x for the next iteration."""
+        require_heard(self.i, self.neighbors, heard)
+        own = self.z if self.k % 2 else self.x
+        total = sum((like(self.i, j, x, own) for j, x in heard.items()), start=own)
+        if self.k % 2 == 0:
+            self.z = total / self._members
+            return
+        self._L += self.penalty * (self._members * self.x - total)
+        self._minimise(total / self._members)
+
+    def _minimise(self, centre: Vec) -> None:
+        """x; centre: the mean of the z_j, from which |x - z_j|^2 sum up to |M_i| |x - centre|^2 and a constant."""
+        self.x = self.problem.argmin(self._L, centre, self.penalty * self._members)

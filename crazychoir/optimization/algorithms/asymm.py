@@ -1,0 +1,214 @@
+"""ASYMM: the asynchronous method of multipliers, for problems that need not be convex."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems.smooth import Smooth, descended
+from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.optimization.rounds.messages import INTEGER, NUMBER, like, parts
+from crazychoir.optimization.rounds.stopping import Flags
+from crazychoir.types import PerNeighbor, Vec
+
+MOST_PENALTY: Final = 1e5
+CALM: Final = 5
+"""Times in a row that an agent must find its gradient small: time for the others' last steps to reach it."""
+GROWING: Final = 0.05
+"""Of |nu_ij|, relative to 1 + |nu_ij|: if it changes by more in the last epoch, it has not converged."""
+UNMET: Final = 1e-3
+"""Relative to 1 + |x_k|: with the largest penalty, a constraint that is missed by more is not met in the end."""
+MOST_STEPS: Final = 5_000
+"""Of an agent, in an epoch."""
+Heard = tuple[int, bytes, Vec, Vec, float]
+
+
+class ASYMM:
+    """Asynchronous method of multipliers for  min sum_i f_i(x)  s.t.  h_i(x) = 0, g_i(x) <= 0 for all i.
+
+    In an epoch, agent i descends on its part of the augmented Lagrangian, a step each time it wakes, with the latest
+    x_j it has heard:
+
+        L_i(x) = f_i(x) + sum_{j in N_i} [ (nu_ij - nu_ji)'x + (rho_ij + rho_ji)/2 |x - x_j|^2 ]
+                 + l_i'h_i(x) + s_i/2 |h_i(x)|^2 + 1/(2 s_i) sum_r [ max(0, m_ir + s_i g_ir(x))^2 - m_ir^2 ]
+
+    until |grad L_i| <= e. When all agents have been there (a distributed logical and), or a neighbour is in the next
+    epoch, it takes its multipliers there, and waits for the neighbours' own:
+
+        nu_ij <- nu_ij + rho_ij (x_i - x_j),   l_i <- l_i + s_i h_i(x_i),   m_i <- max(0, m_i + s_i g_i(x_i))
+
+    rho_ij and s_i grow, by `growth`, if what they punish has not shrunk to `shrink` of what it was, and is more than e
+    explains; e falls by `sharpen`.
+    After the last epoch nobody steps any more, and a second logical and says when all are there: so nobody is done
+    while another one may still fail.
+    A message says all that is new since the first: lost ones are made up for by any later one. No step size.
+    A static undirected graph. f_i, h_i, g_i: twice differentiable, not necessarily convex: x is a local minimum.
+    neighbors: N_i;  diameter: of the graph;  x: (n,) the start;  epochs: until done;  penalty: the first rho and s;
+    tolerance: the first e;  epoch: the present one;  nu, rho: by neighbour;  l, m: multipliers of h_i and g_i.
+    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite; and SolverError where nu_ij,
+    l_i or m_i changes by more than GROWING in the last epoch, as where no x meets the constraints of all, and where
+    |grad L_i| is not small after MOST_STEPS steps of an epoch, as where L_i has no minimum.
+    Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a Newton step.
+    """
+
+    asynchronous = True
+    waits = True
+    connected = True
+    undirected = True
+
+    def __init__(
+        self, i: int, neighbors: Iterable[int], diameter: int, x: ArrayLike, objective: Smooth, *,
+        equalities: Smooth | None = None, inequalities: Smooth | None = None, epochs: int = 25, penalty: float = 1.0,
+        tolerance: float = 0.1, growth: float = 2.0, shrink: float = 0.5, sharpen: float = 0.5,
+    ) -> None:  # fmt: skip
+        for name, value, most in (("penalty", penalty, MOST_PENALTY), ("tolerance", tolerance, np.inf)):
+            if not 0.0 < value <= most:
+                raise ConfigError(f"agent {i}: {name}", f"{value}", f"above 0, at most {most:g}")
+        for name, value in (("shrink", shrink), ("sharpen", sharpen), ("1 / growth", 1.0 / growth)):
+            if not 0.0 < value < 1.0:
+                raise ConfigError(f"agent {i}: {name}", f"{value:g}", "above 0, below 1")
+        if epochs < 1:
+            raise ConfigError(f"agent {i}: epochs", epochs, "1 or more, the same at all agents")
+        self.i, self.where, self.neighbors = i, f"agent {i}", tuple(sorted(neighbors))
+        self.x = vector(f"{self.where}: x", x)
+        self.epochs, self.tolerance = epochs, tolerance
+        self.growth, self.shrink, self.sharpen = growth, shrink, sharpen
+        self.epoch, self.k = 0, 0
+        self.nu = {j: np.zeros_like(self.x) for j in self.neighbors}
+        self.rho = dict.fromkeys(self.neighbors, penalty)
+        self._gap = dict.fromkeys(self.neighbors, np.inf)
+        self._own = _Own(self.where, len(self.x), objective, equalities, inequalities, penalty)
+        self.diameter, self._flags = diameter, Flags(diameter, False)
+        self._calm = self._steps = 0
+        self._heard: dict[int, Heard] = {}
+
+    @property
+    def done(self) -> bool:
+        """Whether the last epoch is over, at all agents."""
+        return self.epoch >= self.epochs and self._flags.agreed
+
+    def message(self) -> PerNeighbor:
+        """[epoch, bits of the logical and, x_i, nu_ij, rho_ij] for each neighbour."""
+        bits = self._flags.message()
+        return PerNeighbor({j: [self.epoch, bits, self.x, self.nu[j], self.rho[j]] for j in self.neighbors})
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Take what has come; descend, or take the multipliers to the next epoch, or wait."""
+        self.k += 1
+        said = parts(self.i, self.k, heard, INTEGER, bytes, object, object, NUMBER)
+        for j, (epoch, bits, x, nu, rho) in said.items():
+            self._heard[j] = epoch, bits, like(self.i, j, x, self.x), like(self.i, j, nu, self.x), rho
+        others = [self._heard[j] for j in self.neighbors if j in self._heard]
+        if len(others) < len(self.neighbors) or any(epoch < self.epoch for epoch, *_ in others):
+            return
+        if all(epoch == self.epoch for epoch, *_ in others):
+            ready = self.epoch >= self.epochs or self._is_calm()
+            self._flags.step(ready, {j: bits for j, (_, bits, *_) in self._heard.items()})
+            if self.epoch >= self.epochs or not self._flags.agreed:
+                return
+        self._ascend()
+
+    def _is_calm(self) -> bool:
+        """One step, unless the gradient is small; whether it has been for some time."""
+        self._calm = 0 if self._descend() else self._calm + 1
+        return self._calm >= CALM
+
+    def _descend(self) -> bool:
+        """One step, unless the gradient is small; whether x has changed."""
+        slope, pull, centre = np.zeros_like(self.x), 0.0, np.zeros_like(self.x)
+        for j, (_, _, x, nu, rho) in self._heard.items():
+            both = self.rho[j] + rho
+            slope += self.nu[j] - nu
+            pull += both
+            centre += both * x
+
+        def value(x: Vec) -> float:
+            return self._own.value(x) + float(slope @ x + x @ (0.5 * pull * x - centre))
+
+        def gradient(x: Vec) -> Vec:
+            return self._own.gradient(x) + slope + pull * x - centre
+
+        if (length := float(np.linalg.norm(gradient(self.x)))) <= self.tolerance:
+            return False
+        self._steps += 1
+        if self._steps > MOST_STEPS:
+            found = f"epoch {self.epoch}: |grad L| = {length:.3g} > {self.tolerance:.3g} after {MOST_STEPS} steps"
+            raise SolverError(f"{self.where}: {found}, at x = {self.x.tolist()}", "no minimum, or tolerance too sharp")
+        before, self.x = self.x, descended(value, gradient, self.x)
+        return self.x is not before
+
+    def _ascend(self) -> None:
+        """The multipliers of the next epoch."""
+        for j, (_, _, x, *_) in self._heard.items():
+            self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
+            gap = float(np.linalg.norm(self.x - x))
+            size = float(np.linalg.norm(self.nu[j]))
+            if self.epoch + 1 == self.epochs and self.rho[j] * gap > GROWING * (1.0 + size):
+                why = "constraints that exclude each other, or too few epochs"
+                found = f"x is {gap:.3g} from that of agent {j} after {self.epochs} epochs"
+                raise SolverError(f"{self.where}: {found}", why)
+            if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
+                self.rho[j] = min(self.growth * self.rho[j], MOST_PENALTY)
+            self._gap[j] = gap
+        if self.epoch + 1 == self.epochs:
+            self._own.require_met(self.x, self.epochs)
+        self._own.ascend(self.x, self.growth, self.shrink, self.tolerance)
+        self.epoch += 1
+        self.tolerance *= self.sharpen
+        self._flags = Flags(self.diameter, False)
+        self._calm = self._steps = 0
+
+
+class _Own:
+    """f_i with its constraints in an augmented Lagrangian of its own."""
+
+    def __init__(self, where: str, n: int, f: Smooth, h: Smooth | None, g: Smooth | None, penalty: float) -> None:
+        nothing = Smooth(lambda x: np.zeros(0), lambda x: np.zeros((0, n)))
+        self._f, self._h, self._g = f, h or nothing, g or nothing
+        self._where, self.s, self._missed = where, penalty, np.inf
+        self.l: Vec | float = 0.0
+        self.m: Vec | float = 0.0
+
+    def _parts(self, x: Vec) -> list[tuple[Vec, Any]]:
+        parts = (("objective", self._f), ("equalities", self._h), ("inequalities", self._g))
+        return [part.at(x, f"{self._where}: {name}") for name, part in parts]
+
+    def value(self, x: Vec) -> float:
+        """f + l'h + s/2 |h|^2 + 1/(2s) sum max(0, m + s g)^2, which differs from L_i by a constant."""
+        (f, _), (h, _), (g, _) = self._parts(x)
+        short = np.maximum(0.0, self.m + self.s * g)
+        return float(f[0] + np.sum(h * (self.l + 0.5 * self.s * h)) + short @ short / (2.0 * self.s))
+
+    def gradient(self, x: Vec) -> Vec:
+        """grad f + J_h'(l + s h) + J_g' max(0, m + s g)."""
+        (_, df), (h, dh), (g, dg) = self._parts(x)
+        total: Vec = df[0] + dh.T @ (self.l + self.s * h) + dg.T @ np.maximum(0.0, self.m + self.s * g)
+        return total
+
+    def require_met(self, x: Vec, epochs: int) -> None:
+        """Raise SolverError where the last epoch changes the multipliers by much, or leaves a constraint unmet."""
+        (_, _), (h, _), (g, _) = self._parts(x)
+        m = np.maximum(0.0, self.m + self.s * g)
+        for name, missed, multipliers in (("equalities", np.abs(h), self.l), ("inequalities", np.maximum(0.0, g), m)):
+            if not len(missed):
+                continue
+            row = int(np.argmax(missed))
+            size = float(np.linalg.norm(multipliers))
+            is_growing = self.s * missed[row] > GROWING * (1.0 + size)
+            is_stuck = self.s >= MOST_PENALTY and missed[row] > UNMET * (1.0 + float(np.abs(x).max()))
+            if is_growing or is_stuck:
+                found = f"{name}, row {row}: violated by {missed[row]:.3g} after {epochs} epochs"
+                why = "constraints that exclude each other, or too few epochs"
+                raise SolverError(f"{self._where}: {found}, at x = {x.tolist()}", why)
+
+    def ascend(self, x: Vec, growth: float, shrink: float, tolerance: float) -> None:
+        """l, m, and s if the constraints are missed by as much as before."""
+        (_, _), (h, _), (g, _) = self._parts(x)
+        m = np.maximum(0.0, self.m + self.s * g)
+        missed = float(np.linalg.norm(np.concatenate([h, (m - self.m) / self.s])))
+        self.l, self.m = self.l + self.s * h, m
+        if missed > shrink * self._missed and self.s * missed > tolerance:
+            self.s = min(growth * self.s, MOST_PENALTY)
+        self._missed = missed

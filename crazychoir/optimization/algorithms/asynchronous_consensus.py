@@ -1,0 +1,46 @@
+"""Consensus of agents that wake when they do, and lose messages."""
+
+from collections.abc import Mapping
+
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.rounds.iteration import Iteration, vector
+from crazychoir.optimization.rounds.mixing import Row, checked_rows, shape_of
+from crazychoir.types import Vec
+
+
+class AsynchronousConsensus(Iteration):
+    """Consensus with the latest that has been heard of each neighbour, however old.
+
+        x_i <- w_ii x_i + sum_{j heard} w_ij x_j(latest) + (sum_{j not heard yet} w_ij) x_i
+
+    x: any shape, the same at all agents;  weights: row i, of sum one, none negative, its own above 0. All agree, on a
+    value between those of the start; it is their mean only if all are in step. No step size.
+    Source: Bertsekas & Tsitsiklis 1989, Parallel and Distributed Computation, section 7.3 (agreement); Tsitsiklis 1984.
+    """
+
+    asynchronous = True
+    connected = True
+
+    def __init__(self, i: int, x: ArrayLike, weights: Row, rounds: int | None = None) -> None:
+        super().__init__(i, rounds)
+        self.x = vector(f"agent {i}: x", x)
+        self.weights = checked_rows(i, weights)
+        if min(weights.values()) < 0.0 or weights[i] <= 0.0:
+            raise ConfigError(f"agent {i}: weights", dict(weights), f"0 or more, that of agent {i} itself above 0")
+
+    def message(self) -> Vec:
+        """x_i."""
+        return self.x
+
+    def update(self, heard: Mapping[int, Vec]) -> None:
+        """Average with those heard."""
+        row, x = self.weights[0], self.x
+        moved = 0.0 * x
+        for j, other in heard.items():
+            if j not in row or getattr(other, "shape", None) != x.shape:
+                allowed = f"shape {x.shape}, of agents {[j for j in row if j != self.i]}"
+                raise ConfigError(f"agent {self.i}: message of agent {j}", shape_of(other), allowed)
+            moved += row[j] * (other - x)
+        self.x = x + moved

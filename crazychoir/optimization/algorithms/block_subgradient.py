@@ -1,0 +1,43 @@
+"""The distributed sub-gradient method on one block of coordinates at a time."""
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from crazychoir.optimization.algorithms.block_consensus import BlockConsensus
+from crazychoir.optimization.problems.gradient import Checked, Gradient, Project, anywhere
+from crazychoir.optimization.rounds.mixing import Row, Rows
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import Vec
+
+
+class BlockSubgradientMethod(BlockConsensus):
+    """Block-wise projected sub-gradient method: min sum_i f_i(x), x in X, where x is large.
+
+        v_i = sum_j w_ij x_j|i,   x_i[l] <- P_X(v_i - a_k g_i(v_i))[l],   l = the block that i draws, if it is awake
+
+    Blocks, what travels and x_j|i as in BlockConsensus; the weights are doubly stochastic.
+    gradient: g_i of the whole x, a sub-gradient of f_i or a stochastic one, see `Samples`;  project: P_X of a set that
+    is a product of sets of the blocks, such as a box;  step: a_k, the same at all agents; Diminishing(a, p) with
+    1/2 < p <= 1 converges to an optimum (in expectation), a constant one to a neighbourhood of it.
+    Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed stochastic big-data
+    optimization", IEEE Trans. Autom. Control.
+    """
+
+    doubly_stochastic = True
+    same = ("step_size",)
+
+    def __init__(
+        self, i: int, x: ArrayLike, weights: Rows, blocks: Sequence[int], gradient: Gradient, step: float | StepSize,
+        project: Project = anywhere, chances: Sequence[float] | None = None, awake: float = 1.0,
+        rounds: int | None = None, seed: int = 0,
+    ) -> None:  # fmt: skip
+        super().__init__(i, x, weights, blocks, chances, awake, rounds, seed)
+        self.gradient, self.project = Checked(i, "gradient", gradient), Checked(i, "project", project)
+        self.step_size = step_size(step)
+
+    def changed(self, row: Row, part: slice) -> Vec:
+        """The block, averaged and moved down."""
+        v = self.mixed(row, slice(None))
+        moved = v - self.step_size(self.k) * self.gradient(self.k, v)
+        return self.project(self.k, moved)[part]

@@ -1,0 +1,61 @@
+"""Gradient tracking on directed graphs."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from crazychoir.optimization.problems.gradient import Checked, Gradient
+from crazychoir.optimization.rounds.iteration import Iteration, vector
+from crazychoir.optimization.rounds.messages import like, parts
+from crazychoir.optimization.rounds.mixing import Rows, checked_rows, mix
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import PerNeighbor, Vec
+
+
+class DirectedGradientTracking(Iteration):
+    """Push-pull gradient tracking for a common variable on a directed graph: min sum_i f_i(x), f_i smooth.
+
+        x_i(k+1) = sum_j a_ij (x_j(k) - a_k d_j(k))
+        d_i(k+1) = sum_j b_ij d_j(k) + grad f_i(x_i(k+1)) - grad f_i(x_i(k)),   d_i(0) = grad f_i(x_i(0))
+
+    x: any shape, the same at all agents;  weights: row i of A, which is row-stochastic;  shares: column i of B, which
+    is column-stochastic, {j: b_ji}: what i gives of its d to those who hear it, and keeps. Both for one graph, or one
+    for each of a sequence: `rows(graph, row_stochastic)`, `columns(graph, column_stochastic)`. What travels from i to j
+    is [x_i - a_k d_i, b_ji d_i].
+    gradient: grad f_i;  step: a_k, best constant and the same at all agents; f_i strongly convex and smooth: linear
+    convergence if it is small enough.
+    Source: Pu, Shi, Xu & Nedic 2021, IEEE Trans. Autom. Control 66(1), 1-16 (push-pull); Xin & Khan 2018, IEEE Control
+    Syst. Lett. 2(3), 315-320 (AB).
+    """
+
+    connected = True
+
+    def __init__(
+        self, i: int, x: ArrayLike, weights: Rows, shares: Rows, gradient: Gradient, step: float | StepSize,
+        rounds: int | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(i, rounds)
+        self.x = vector(f"agent {i}: x", x)
+        self.weights, self.shares = checked_rows(i, weights), checked_rows(i, shares, "shares")
+        self.gradient, self.step_size = Checked(i, "gradient", gradient), step_size(step)
+        self.g = self.d = self.gradient(0, self.x)
+
+    def message(self) -> PerNeighbor:
+        """[x_i - a_k d_i, b_ji d_i] for each j."""
+        share, moved = self.shares[self.k % len(self.shares)], self._moved()
+        return PerNeighbor({j: [moved, b * self.d] for j, b in share.items() if j != self.i})
+
+    def _moved(self) -> Vec:
+        return self.x - self.step_size(self.k) * self.d
+
+    def update(self, heard: Mapping[int, Any]) -> None:
+        """Pull x, push d."""
+        row = self.weights[self.k % len(self.weights)]
+        parts(self.i, self.k, heard, object, object)
+        x = mix(self.i, row, self._moved(), {j: theirs[0] for j, theirs in heard.items()})
+        g = self.gradient(self.k, x)
+        d = self.shares[self.k % len(self.shares)][self.i] * self.d + g - self.g
+        for j, (_, theirs) in heard.items():
+            d = d + like(self.i, j, theirs, d)
+        self.x, self.d, self.g = x, d, g

@@ -1,0 +1,54 @@
+"""Dual decomposition of a problem with a common variable."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from crazychoir.optimization.problems.problems import CostCoupled, require_problem
+from crazychoir.optimization.rounds.iteration import Iteration
+from crazychoir.optimization.rounds.messages import like
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import Vec
+
+
+class DualDecomposition(Iteration):
+    """Sub-gradient ascent on the dual of  min sum_i f_i(x_i)  s.t.  x_i in X_i,  x_i = x_j  for each edge {i, j}.
+
+        x_i(k) = argmin_{x in X_i} f_i(x) + x'v_i(k)
+        v_i(k+1) = v_i(k) + 2 a_k sum_{j in N_i(k)} (x_i(k) - x_j(k)),   v_i(0) = 0
+
+    v_i = sum_j (l_ij - l_ji), with l_ij(k+1) = l_ij(k) + a_k (x_i(k) - x_j(k)) the multipliers of x_i = x_j: as their
+    sum is all that matters, x_i is all that travels, and sum_i v_i = 0 in each round.
+    Static or time-varying undirected graphs. step: a_k, the same at all agents; a constant one converges if f_i is
+    strongly convex (modulus s) and a < s / (2 max degree); Diminishing(a, p), 1/2 < p <= 1, whenever f_i is strictly
+    convex.
+    x: (n,), of the last round, 0 before the first;  v: (n,).
+    Raises SolverError if the local problem is infeasible or unbounded: X_i must bound what f_i does not.
+    Source: Terelius, Topcu & Murray 2011, IFAC World Congress, "Decentralized multi-agent optimization via dual
+    decomposition".
+    """
+
+    connected = True
+    undirected = True
+    same = ("step_size",)
+
+    def __init__(self, problem: CostCoupled, step: float | StepSize, rounds: int | None = None) -> None:
+        require_problem(problem, CostCoupled, "DualDecomposition")
+        super().__init__(problem.agent, rounds)
+        self.problem, self.step_size = problem, step_size(step)
+        self.heavy = not problem.is_fast()
+        self.x, self.v = np.zeros(problem.n), np.zeros(problem.n)
+
+    def message(self) -> Vec:
+        """x_i."""
+        if self.k == 0:
+            self.x = self.problem.argmin(self.v)
+        return self.x
+
+    def update(self, heard: Mapping[int, Vec]) -> None:
+        """Ascend, then minimise for the next round."""
+        apart = len(heard) * self.x
+        for j, x in heard.items():
+            apart -= like(self.i, j, x, self.x)
+        self.v += 2.0 * self.step_size(self.k) * apart
+        self.x = self.problem.argmin(self.v)

@@ -1,0 +1,56 @@
+"""The distributed dual sub-gradient method for coupling constraints."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from crazychoir.optimization.algorithms.average import RunningAverage
+from crazychoir.optimization.problems.problems import ConstraintCoupled, require_problem
+from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import Vec
+
+
+class DualSubgradient(Mixing):
+    """Dual sub-gradient method for  min sum_i f_i(x_i)  s.t.  sum_i g_i(x_i) <= sum_i b_i,  x_i in X_i.
+
+        v_i = sum_j w_ij l_j(k)
+        x_i(k+1) = argmin_{x in X_i} f_i(x) + v_i'g_i(x)
+        l_i(k+1) = max(0, v_i + a_k (g_i(x_i(k+1)) - b_i)),   l_i(0) = 0
+
+    weights: row i, doubly stochastic, or one for each graph of a sequence: static or time-varying undirected graphs,
+    jointly connected.  step: a_k, Diminishing(a, p) with 1/2 < p <= 1, the same at all agents.
+    x: (n,), of the last round;  average: its running average weighted by a_k, which converges to the optimum also where
+    x jumps between corners;  prices: l_i (S,) >= 0, which converge to the optimal multipliers.
+    Raises SolverError if the local problem is infeasible or unbounded: X_i must bound what f_i does not.
+    Source: Falsone, Margellos, Garatti & Prandini 2017, Automatica 84, 149-158.
+    """
+
+    common = False
+    same = ("step_size",)
+
+    def __init__(
+        self, problem: ConstraintCoupled, weights: Rows, step: float | StepSize, rounds: int | None = None
+    ) -> None:
+        require_problem(problem, ConstraintCoupled, "DualSubgradient")
+        super().__init__(problem.agent, weights, rounds)
+        self.problem, self.step_size = problem, step_size(step)
+        self.heavy = not problem.is_fast()
+        self.x, self.prices = np.zeros(problem.n), np.zeros(problem.S)
+        self._average = RunningAverage()
+
+    @property
+    def average(self) -> Vec:
+        """(n,) weighted mean of x_i since the first round; x_i before it."""
+        return self.x if self._average.value is None else self._average.value
+
+    def payload(self) -> Vec:
+        """l_i."""
+        return self.prices
+
+    def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
+        """Average the prices, answer them, raise those of what is short."""
+        v, a = mix(self.i, row, self.prices, heard), self.step_size(self.k)
+        self.x = self.problem.argmin(v)
+        self._average.add(self.x, a)
+        self.prices = np.maximum(0.0, v + a * self.problem.excess(self.x))

@@ -1,0 +1,49 @@
+"""Gradient tracking on undirected graphs."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from crazychoir.optimization.problems.gradient import Checked, Gradient
+from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.optimization.rounds.messages import parts
+from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import Vec
+
+
+class GradientTracking(Mixing):
+    """Gradient tracking for a common variable: min sum_i f_i(x), f_i smooth.
+
+        x_i(k+1) = sum_j w_ij x_j(k) - a_k d_i(k)
+        d_i(k+1) = sum_j w_ij d_j(k) + grad f_i(x_i(k+1)) - grad f_i(x_i(k)),   d_i(0) = grad f_i(x_i(0))
+
+    d_i tracks the mean of all gradients: sum_i d_i(k) = sum_i grad f_i(x_i(k)). One message of [x_i, d_i] a round.
+    x: any shape, the same at all agents;  weights: row i, doubly stochastic, or one for each graph of a sequence;
+    gradient: grad f_i;  step: a_k, best constant: with f_i strongly convex and L-smooth it converges linearly if small
+    enough, of the order of (1 - s)^2 / L with s the second largest singular value of W. Raises ConfigError where the
+    step is so large that x diverges to what is not finite.
+    Source: Qu & Li 2018, IEEE Trans. Control Netw. Syst. 5(3), 1245-1260; Nedic, Olshevsky & Shi 2017, SIAM J. Optim.
+    """
+
+    def __init__(
+        self, i: int, x: ArrayLike, weights: Rows, gradient: Gradient, step: float | StepSize,
+        rounds: int | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(i, weights, rounds)
+        self.x = vector(f"agent {i}: x", x)
+        self.gradient, self.step_size = Checked(i, "gradient", gradient), step_size(step)
+        self.g = self.d = self.gradient(0, self.x)
+
+    def payload(self) -> list[Vec]:
+        """[x_i, d_i]."""
+        return [self.x, self.d]
+
+    def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
+        """Average, move along the tracked gradient, track on."""
+        parts(self.i, self.k, heard, object, object)
+        x = mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()}) - self.step_size(self.k) * self.d
+        g = self.gradient(self.k, x)
+        self.d = mix(self.i, row, self.d, {j: theirs[1] for j, theirs in heard.items()}) + g - self.g
+        self.x, self.g = x, g

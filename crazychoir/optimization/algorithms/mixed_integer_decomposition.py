@@ -1,0 +1,220 @@
+"""Primal decomposition for mixed-integer linear programs: prices first, then a feasible solution in finite time."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.algorithms.convexified import Convexified
+from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
+from crazychoir.optimization.problems.mixed_integer import SLACK, MixedIntegerBlock, require_block
+from crazychoir.optimization.problems.options_lp import Options, Pool, column_sums, exceeded
+from crazychoir.optimization.rounds.agreement import best_offer, flood, greatest
+from crazychoir.optimization.rounds.mixing import Rows, checked_rows
+from crazychoir.optimization.rounds.program import Exchange, Program
+from crazychoir.optimization.rounds.step_size import StepSize
+from crazychoir.types import Vec
+
+PASSES = 20
+"""Of asking for options at new prices, and of varying what was chosen, at most."""
+VARIATIONS = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)
+"""More or less of the resources, in parts of an agent's equal share."""
+WORTH = 1e-9
+"""What an improvement must save, relative to 1 + |cost|."""
+
+
+@dataclass(frozen=True)
+class MixedIntegerSolution:
+    """What one agent knows of the team's solution.
+
+    x: (n_i,) own part;  cost: of all agents;  left: (S,) of the resources, negative by no more than a solver's
+    tolerance, SLACK (1 + |b|);  lower_bound: no solution costs less, sum_i min over X_i of (c_i + A_i'pi)'x - pi'b,
+    -inf if the agents' pi were not the same. It is at most cost - pi'left, but for rounding: where a resource is
+    exceeded within the tolerance, that may be above the cost by what the excess is worth;
+    restricted: whether the resources had to be tightened;
+    rounds: in all.
+    """
+
+    x: Vec
+    cost: float
+    left: Vec
+    lower_bound: float
+    restricted: bool
+    rounds: int
+
+
+class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
+    """Agent i's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i,  some x_i integer.
+
+    1. `rounds` rounds of PrimalDecomposition over conv(X_i): allocations y_i.
+    2. x_i = argmin c_i'x over X_i with A_i x <= y_i + v, the sum of v as small as can be: an option, for each of the
+       last `options` allocations; others are the corners of conv(X_i) that gave p_i, and those that are best at the
+       prices pi of the cheapest mixture of all options. All hear the cost and the use A_i x of all options, and agree
+       on the best choice of one an agent.
+    3. While somebody can gain from what is left of the resources, or can use less of what is exceeded, who gains the
+       most does so. Then each adds options with somewhat more and less of the resources than it uses, and all agree on
+       a choice again, until that gains nothing.
+    4. If a resource is exceeded still: again from 1, tightened by the paper's restriction, with which 2 is feasible
+       after finitely many rounds:
+
+           b_i <- b_i - sigma / N,   sigma = S max_i (MixedIntegerBlock.tightening of i)
+
+    block: own part;  weights: doubly stochastic, of a graph that does not change;  agents: N;  diameter: D, of the
+    graph;  step: a_k;  penalty: M of Convexified.
+    Raises, at every agent in the same round, SolverError where a resource is exceeded in the end, and names it.
+    Source: Camisa, Notarnicola & Notarstefano 2022, IEEE TAC 67(1), 413-420 (arXiv 2010.14446), which has stages 1 and
+    4, and 2 with one option an agent.
+    """
+
+    heavy = True
+    connected = True
+
+    def __init__(
+        self,
+        block: MixedIntegerBlock,
+        weights: Rows,
+        agents: int,
+        diameter: int,
+        step: float | StepSize,
+        *,
+        rounds: int = 200,
+        penalty: float = 1000.0,
+        options: int = 10,
+    ) -> None:
+        require_block(block, "PrimalDecompositionMILP")
+        self._where = f"agent {block.agent}: primal decomposition"
+        for name, value, least in (("agents", agents, 1), ("rounds", rounds, 1), ("options", options, 1)):
+            if value < least:
+                raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
+        self._block, self._i, self.weights = block, block.agent, checked_rows(block.agent, weights)
+        self._agents, self.diameter, self._step = agents, diameter, step
+        self._rounds, self._penalty, self._options = rounds, penalty, options
+        self._local = Convexified(block, penalty)
+        self._capacity, self._left = np.zeros(block.S), np.zeros(block.S)
+        self._x, self._cost = np.zeros(block.n), 0.0
+        super().__init__()
+
+    def run(self) -> Exchange[MixedIntegerSolution]:
+        """The stages, without and then with the restriction."""
+        yield from self._hello()
+        found = yield from self._attempt(np.zeros(self._block.S), restricted=False)
+        if found is None:
+            sigma = self._block.S * (yield from greatest(self._block.tightening(), self.diameter))
+            found = yield from self._attempt(sigma, restricted=True)
+        if found is None:
+            s = int(np.argmax(self._excess))
+            found_none = f"infeasible, as far as was found: resource {s} exceeded by {self._excess[s]:.6g}"
+            raise SolverError(self._where, f"{found_none}; more rounds or a larger penalty may help")
+        return found
+
+    def _hello(self) -> Exchange[None]:
+        """All shares: their sum is the common capacity, and all have as many resources."""
+        known = yield from flood(self._i, self._block.share.tolist(), self.diameter)
+        for j, share in known.items():
+            if len(share) != self._block.S:
+                raise ConfigError(f"{self._where}: share of agent {j}", f"{len(share)} resources", f"{self._block.S}")
+        if len(known) != self._agents:
+            allowed = f"{len(known)}, those within {self.diameter} hops"
+            raise ConfigError(f"{self._where}: agents", self._agents, allowed)
+        self._capacity = column_sums(known.values())
+        self._members = list(known)
+
+    def _attempt(self, sigma: Vec, restricted: bool) -> Exchange[MixedIntegerSolution | None]:
+        """Stages 1 to 3; None if a resource is exceeded."""
+        block = self._block
+        share = block.share - sigma / self._agents
+        prices = PrimalDecomposition(self._i, self.weights, self._local, share, self._step, self._rounds)
+        options = Options(block)
+        while not prices.done:
+            prices.step((yield prices.message()))
+            if prices.k > self._rounds - self._options:
+                options.add(block.within(prices.y)[0])
+                for corner in self._local.active:
+                    options.add(corner)
+        pool = Pool(self._capacity, self._members)
+        bound = yield from self._share(options, pool)
+        yield from self._choose(options, pool)
+        yield from self._improve()
+        for _ in range(PASSES):
+            before = self._x, self._cost, self._left
+            yield from self._vary(options, pool)
+            yield from self._choose(options, pool)
+            yield from self._improve()
+            less = exceeded(before[2]) - exceeded(self._left)
+            if less <= SLACK and (less < -SLACK or self._cost >= before[1] - WORTH * (1.0 + abs(before[1]))):
+                self._x, self._cost, self._left = before
+                break
+        self._excess = -self._left
+        if (self._excess > SLACK * (1.0 + np.abs(self._capacity))).any():
+            return None
+        self._require_dual(*bound)
+        return MixedIntegerSolution(self._x, self._cost, self._left, bound[0], restricted, self.k)
+
+    def _require_dual(self, bound: float, pi: Vec) -> None:
+        """Weak duality, sum_i min_x (c_i + A_i'pi)'x - pi'b <= cost - pi'left, holds for any x_i in X_i: all check."""
+        most = self._cost - float(pi @ self._left)
+        if bound > most + SLACK * (1.0 + abs(most) + float(pi @ np.abs(self._capacity))):
+            found = f"bound {bound:.9g} above cost - pi'left = {most:.9g}: a local problem was not solved to its end"
+            raise SolverError(self._where, found)
+
+    def _share(self, options: Options, pool: Pool) -> Exchange[tuple[float, Vec]]:
+        """Stage 2, first half: all hear the options of all, and those that the prices of their mixture ask for.
+
+        Returns the best bound that they found, and its pi.
+        """
+        block, fresh = self._block, 0
+        asked: list[Any] = [None, 0.0]
+        bound, at = -np.inf, np.zeros(block.S)
+        for _ in range(PASSES):
+            known = yield from flood(self._i, [options.table[fresh:], *asked], self.diameter)
+            fresh = len(options.table)
+            prices = asked[0]
+            if prices is not None and all(theirs == prices for _, theirs, _ in known.values()):
+                least = math.fsum([*(value for *_, value in known.values()), *(-np.array(prices) * self._capacity)])
+                if least > bound:
+                    bound, at = least, np.array(prices)
+            if not pool.add({j: rows for j, (rows, _, _) in known.items()}):
+                break
+            pi = pool.prices()
+            corner, proven = block.least(block.c + pi @ block.A)
+            options.add(corner)
+            asked = [pi.tolist(), proven]
+        return bound, at
+
+    def _vary(self, options: Options, pool: Pool) -> Exchange[None]:
+        """All hear what each would do with its present use, and with more or less than it."""
+        fresh = len(options.table)
+        for part in (0.0, *VARIATIONS):
+            options.add(self._block.within(self._block.A @ self._x + part * self._capacity / self._agents)[0])
+        known = yield from flood(self._i, options.table[fresh:], self.diameter)
+        pool.add(known)
+
+    def _choose(self, options: Options, pool: Pool) -> Exchange[None]:
+        """Stage 2, second half: one option an agent."""
+        offer = pool.best(self._i) if self._i == pool.agents[0] else None  # one answer is enough
+        agreed = yield from best_offer(offer, self.diameter)
+        if agreed is None:
+            raise SolverError(self._where, "no choice of options within the nodes of a search")
+        chosen = [int(o) for o in agreed[2]]
+        self._x = options.x[chosen[pool.agents.index(self._i)]]
+        self._cost, self._left = pool.value(chosen)
+
+    def _improve(self) -> Exchange[None]:
+        """Stage 3: who offers the most, first in what is exceeded, then in cost, takes it."""
+        block = self._block
+        for _ in range(10 * self._agents):
+            used = block.A @ self._x
+            x, _ = block.within(used + self._left)
+            left = self._left + used - block.A @ x
+            excess, saved = exceeded(self._left) - exceeded(left), float(block.c @ (self._x - x))
+            gains = excess > SLACK or (excess > -SLACK and saved > WORTH * (1.0 + abs(self._cost)))
+            offer = [[-excess if excess > SLACK else 0.0, -saved], self._i, left.tolist()] if gains else None
+            agreed = yield from best_offer(offer, self.diameter)
+            if agreed is None:
+                return
+            (_, change), winner, after = agreed
+            self._cost, self._left = self._cost + change, np.array(after)
+            if winner == self._i:
+                self._x = x

@@ -1,0 +1,80 @@
+"""Primal decomposition: agents own shares of common resources and trade them at the prices that each would pay."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.algorithms.average import RunningAverage
+from crazychoir.optimization.rounds.arrays import vector
+from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import Vec
+
+
+@dataclass(frozen=True)
+class Allocated:
+    """What an agent makes of its allocation y.
+
+    value: p_i(y);  x: (n,) that gives it;  mu: (S,) >= 0, the prices of the resources: -mu is a subgradient of p_i;
+    violation: rho, by how much x takes more of a resource than y, at most.
+    """
+
+    value: float
+    x: Vec
+    mu: Vec
+    violation: float
+
+
+@runtime_checkable
+class Local(Protocol):
+    """An agent's problem for a given allocation: Convexified, or Allocation of a convex problem."""
+
+    def allocate(self, y: Vec) -> Allocated:
+        """p_i(y) and its prices."""
+        ...
+
+
+class PrimalDecomposition(Mixing):
+    """Agent i's part of  min sum_i f_i(x_i)  s.t.  sum_i g_i(x_i) <= sum_i b_i,  x_i in X_i.
+
+        p_i(y) = min f_i(x) + M rho  s.t.  g_i(x) <= y + rho 1 : mu_i,   x in X_i,  rho >= 0
+        y_i(0) = b_i,    y_i(k+1) = y_i(k) + a_k (mu_i - sum_j w_ij mu_j)
+
+    mu_i: (S,) the prices at y_i(k), which is all that travels;  w: doubly stochastic (Metropolis), so that sum_i y_i
+    stays sum_i b_i, and that a dense graph needs no smaller step than a sparse one;  a_k: step, the same at all agents;
+    with sum a_k infinite and sum a_k^2 finite the least of sum_i p_i(y_i) is reached, which is that of the problem if M
+    exceeds the sum of its prices. x_i(k) are feasible together, from the first round on, but for rho.
+    local: as Convexified;  share: b_i (S,);  rounds: until done.
+    x: (n,) at y_i(k);  y: (S,);  mu: (S,);  cost: p_i(y_i);  violation: rho;  y_mean: (S,) average weighted by a_k.
+    Source: Silverman 1972; with neighbours' prices only Notarnicola & Notarstefano 2020, IEEE TCNS 7(1), 483-492.
+    """
+
+    heavy = True
+    common = False
+    same = ("step_size",)
+
+    def __init__(
+        self, i: int, weights: Rows, local: Local, share: Vec, step: float | StepSize, rounds: int | None = None
+    ) -> None:
+        super().__init__(i, weights, rounds)
+        if not isinstance(local, Local):
+            do = "Wrap it: Allocation(problem, penalty) of optimization/algorithms/allocation.py, or Convexified."
+            raise ConfigError(f"agent {i}: local", type(local).__name__, "one with allocate(y)", do)
+        self._local, self.step_size = local, step_size(step)
+        self._mean = RunningAverage()
+        self._set(vector(share, f"agent {i}", "share"))
+
+    def _set(self, y: Vec, weight: float = 1.0) -> None:
+        found = self._local.allocate(y)
+        self.y, self.x, self.mu, self.cost, self.violation = y, found.x, found.mu, found.value, found.violation
+        self.y_mean = self._mean.add(y, weight)
+
+    def payload(self) -> Vec:
+        """The prices."""
+        return self.mu
+
+    def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
+        """Trade, then solve for the new allocation."""
+        a = self.step_size(self.k)
+        self._set(self.y + a * (self.mu - mix(self.i, row, self.mu, heard)), a)

@@ -1,0 +1,51 @@
+"""The mean on a directed graph, where nobody knows who hears whom but itself."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.rounds.iteration import Iteration, vector
+from crazychoir.optimization.rounds.messages import NUMBER, like, parts
+from crazychoir.optimization.rounds.mixing import Rows, checked_rows
+from crazychoir.types import PerNeighbor
+
+
+class PushSum(Iteration):
+    """Ratio consensus: the mean of all x, on a static or time-varying directed graph.
+
+        s_i <- sum_j a_ij s_j,   y_i <- sum_j a_ij y_j,   x_i = s_i / y_i;   s_i(0) = x_i, y_i(0) = 1
+
+    shares: column i, {j: a_ji} of sum one: what i gives to those who hear it, and keeps; one for each graph of a
+    sequence; `columns(graph, column_stochastic)` are equal ones. It takes only the number of those who hear it.
+    No step size.  x: the estimate;  s, y: sums and weights.
+    Source: Kempe, Dobra & Gehrke 2003, FOCS, 482-491; Nedic & Olshevsky 2015, IEEE Trans. Autom. Control 60(3).
+    """
+
+    connected = True
+
+    def __init__(self, i: int, x: ArrayLike, shares: Rows, rounds: int | None = None) -> None:
+        super().__init__(i, rounds)
+        self.x = self.s = vector(f"agent {i}: x", x)
+        self.y = 1.0
+        self.shares = checked_rows(i, shares, "shares")
+        for share in self.shares:
+            if min(share.values()) < 0.0 or share[i] == 0.0:
+                raise ConfigError(f"agent {i}: shares", dict(share), f"0 or more, that of agent {i} itself above 0")
+
+    def message(self) -> PerNeighbor:
+        """[a_ji s_i, a_ji y_i] for each j."""
+        share = self.shares[self.k % len(self.shares)]
+        return PerNeighbor({j: [a * self.s, a * self.y] for j, a in share.items() if j != self.i})
+
+    def update(self, heard: Mapping[int, Any]) -> None:
+        """Sum up."""
+        a = self.shares[self.k % len(self.shares)][self.i]
+        s, y = a * self.s, a * self.y
+        for j, (theirs, weight) in parts(self.i, self.k, heard, object, NUMBER).items():
+            s = s + like(self.i, j, theirs, s)
+            y += weight
+        self.s, self.y = s, y
+        self.x = s / np.float64(y)

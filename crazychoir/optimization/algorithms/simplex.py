@@ -1,0 +1,424 @@
+"""Distributed simplex: agents exchange bases of a linear program until all hold the same optimal one."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems.lexicographic import Basis, Columns, optimal_basis, union
+from crazychoir.optimization.problems.tableau import CANCELLED
+from crazychoir.optimization.rounds.agreement import greatest, same_everywhere
+from crazychoir.optimization.rounds.arrays import matrix, vector
+from crazychoir.optimization.rounds.program import Exchange, Program
+from crazychoir.optimization.rounds.stillness import Stillness
+from crazychoir.types import Mat, Vec
+
+Status = Literal["optimal", "infeasible", "unbounded"]
+ROUNDS = 10_000
+CERTAIN_ZERO = 1e-13
+"""A sum smaller than this, relative to the sizes of its terms added up, is zero."""
+FEASIBLE = 1e-7
+"""What an artificial column may be worth at the end, relative to the terms of its row."""
+LARGEST = 1e60
+"""Numbers beyond this, or nearer to 0 than its inverse: their products leave the range of double precision."""
+UNCERTAIN = 1e-3
+"""Rounding error of a level, relative to it, from which on it says nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSolution:
+    """The team's optimum, as one agent knows it.
+
+    x: (n_i,) of the agent's own columns;  cost: of all agents;  prices: (m,), dual, of the rows;  ids: (m, 2) owner and
+    number of the basic columns, the owner -1 is a row that others imply;  level: (m,) their values;  rounds: so far.
+    """
+
+    x: Vec
+    cost: float
+    prices: Vec
+    ids: list[tuple[int, int]]
+    level: Vec
+    rounds: int
+
+
+class BasisExchange:
+    """One agent's part in finding the optimal basis of all columns; what DistributedSimplex and others are made of.
+
+        B_i <- the lexicographically optimal basis of (own columns, B_i, B_j of the neighbours j that it hears)
+
+    B_i starts as the identity, of artificial columns. The optimum only falls, and equal optima are the same basis, so
+    that after finitely many rounds all bases are the one of all columns. A column that may grow for ever while the
+    cost falls tells that there is no least cost; from then on c counts as 0 everywhere, and what is left to find out is
+    whether there is a feasible point.
+    entries: (m, n_i), c: (n_i,), b: (m,) the same at all;  first: (n_i,) >= 0, a cost that comes before c, or None.
+    common: columns that all agents know from the start, own ones among them, for a b >= 0.
+    Data travel as they are, and what an agent computes of a basis depends on the basis alone: the agents agree bit by
+    bit, in whatever units rows and columns are.
+    """
+
+    def __init__(
+        self,
+        agent: int,
+        c: Vec,
+        entries: Mat,
+        b: Vec,
+        diameter: int,
+        first: Vec | None = None,
+        common: Columns | None = None,
+    ) -> None:
+        sign = np.where(b < 0, -1.0, 1.0)
+        self._sign, self._b, self._agent = sign, b * sign, agent
+        own = Columns.own(agent, c, entries * sign[:, None], first)
+        self._n = len(own)
+        self._own = own if common is None else union([own, common])
+        self._stillness = Stillness(diameter)
+        self._ray: list[int] | None = None
+        self._weighed: set[tuple[int, int]] = set()
+        identity = Columns.artificial(len(b))
+        self.basis = self._best([identity, self._own], Basis.of(identity, self._b))
+
+    def message(self) -> list[Any]:
+        """Whether all are still, the ray, the basis with its columns packed."""
+        return [self._stillness.message(), self._ray, *_packed(self.basis.columns)]
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Take the neighbours' bases; None from who is not at this problem yet."""
+        received = [self._unpacked(j, message) for j, message in heard.items() if message is not None]
+        still = {j: b"" if message is None else message[0] for j, message in heard.items()}
+        heard = {j: message for j, message in heard.items() if message is not None}
+        before, ray = self.basis.columns.ids, self._ray
+        self._ray = min((r for r in [ray, *(m[1] for m in heard.values())] if r is not None), default=None)
+        news = {key for columns in received for key in columns.id_pairs()}
+        if self._ray != ray or not news <= self._weighed:
+            self.basis = self._best([self.basis.columns, self._own, *received], self.basis)
+        changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
+        # The basis is the best of these columns: of any part of them too, so that they need not be weighed again.
+        self._weighed = news if changed else self._weighed | news
+        self._stillness.step(changed, still)
+
+    def _unpacked(self, j: int, message: Any) -> Columns:
+        try:
+            still, ray, *packed = message
+            if not (isinstance(still, bytes) and isinstance(ray, list | None)):
+                raise TypeError(f"{type(still).__name__} and {type(ray).__name__} before it")
+            return _unpacked(packed, len(self._b))
+        except (TypeError, ValueError, LookupError) as error:
+            allowed = f"flags, a ray, and {len(self._b)} columns: ids, costs, entries"
+            where = f"agent {self._agent}: message of agent {j}"
+            raise ConfigError(where, "no basis", allowed, "", str(error)) from error
+
+    def _best(self, parts: list[Columns], start: Basis) -> Basis:
+        if self._ray is None:
+            basis = optimal_basis(union(parts), start, self._b)
+            if basis.ray is None:
+                return basis
+            self._ray = list(basis.ray)
+        return optimal_basis(union(parts).free(), start, self._b)
+
+    @property
+    def settled(self) -> bool:
+        """Whether all agents hold the same basis, and all know it: in the same round."""
+        return self._stillness.reached
+
+    @property
+    def status(self) -> Status:
+        """What the basis says, once settled; an infeasible program may be unbounded too."""
+        if self.unmet:
+            return "infeasible"
+        return "optimal" if self._ray is None else "unbounded"
+
+    @property
+    def ray(self) -> list[int] | None:
+        """Owner and number of a column that may grow for ever: once settled, the same at all."""
+        return self._ray
+
+    @property
+    def violation(self) -> Vec:
+        """(m,) what remains of each row: the artificial columns."""
+        ids = self.basis.columns.ids
+        left = np.zeros(len(self._b))
+        artificial = ids[:, 0] < 0
+        left[ids[artificial, 1]] = self.basis.level[artificial]
+        return left
+
+    @property
+    def unmet(self) -> list[int]:
+        """Return the rows of which something remains, beyond FEASIBLE of the terms of the row."""
+        basis = self.basis
+        remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
+        return [int(row) for row in basis.columns.ids[remains, 1]]
+
+    @property
+    def certificate(self) -> Vec:
+        """(m,) y, the prices of the first cost.
+
+        Where no other row holds an artificial column, y'A <= 0 for all columns of first cost 0, and y'b is the sum of
+        what remains: why the rest cannot be met.
+        """
+        return np.asarray(self.basis.prices[0] * self._sign)
+
+    @property
+    def x(self) -> Vec:
+        """(n_i,) of the own columns."""
+        ids = self.basis.columns.ids
+        mine = ids[:, 0] == self._agent
+        x = np.zeros(self._n)
+        x[ids[mine, 1]] = self.basis.level[mine]
+        return x
+
+    @property
+    def cost(self) -> float:
+        """c'x of all agents."""
+        return float(self.basis.columns.cost[1] @ self.basis.level)
+
+    def require_certain(self, where: str) -> None:
+        """Raise SolverError where rounding errors are as large as the levels: at all agents with this basis alike."""
+        basis = self.basis
+        wrong = (basis.level < 0.0) & (-basis.level > FEASIBLE * basis.terms)
+        wrong |= (basis.level != 0.0) & (basis.uncertainty > UNCERTAIN * np.abs(basis.level))
+        if wrong.any():
+            p = int(np.argmax(wrong))
+            owner, number = basis.columns.ids[p].tolist()
+            name = f"what remains of row {number}" if owner < 0 else f"column {number} of agent {owner}"
+            found = f"{name} is {basis.level[p]:.3g}, with a rounding error of up to {basis.uncertainty[p]:.3g}"
+            do = "double precision cannot tell; remove rows or columns that are nearly the same as sums of others"
+            raise SolverError(where, f"{found}: {do}")
+
+    def penalties(self, given: Vec | None = None) -> Vec:
+        """Return what M must be for the prices to be dual feasible for the own columns, at least.
+
+            c_j - (y + sum_k M_k y_k)'A_j >= 0,    y_k the row of B^-1 of the k-th artificial column in the basis
+
+        given: (K,) M so far, zeros if None. M_k may depend on those of later rows: after K agreements on the greatest
+        it holds for all columns of all agents.
+        """
+        M = np.zeros(self.left_over) if given is None else given.copy()
+        change = self.basis.expressed(self._own.entries)[self._artificial]
+        reduced = self.basis.price_out(self._own)[1]
+        for k in reversed(range(len(M))):
+            short = (change[k] < 0.0) & (change[:k] == 0.0).all(axis=0) & (reduced < M @ change)
+            rest = reduced - M @ change + M[k] * change[k]
+            M[k] = (rest[short] / change[k, short]).max(initial=M[k])
+        return M
+
+    def doubts(self) -> Vec:
+        """Return (K,) by how much, relative to its terms, the k-th row left over changes with an own column.
+
+        0 where that is a rounding error, or so much that it is none for certain.
+        """
+        inverse = self.basis.inverse[self._artificial]
+        change = np.abs(inverse @ self._own.entries)
+        terms = np.abs(inverse) @ np.abs(self._own.entries)
+        small = (change > CERTAIN_ZERO * terms) & (change < CANCELLED * terms)
+        share = np.where(small, change / np.where(terms > 0.0, terms, 1.0), 0.0)
+        return np.asarray(share.max(axis=1, initial=0.0))
+
+    def require_distinct(self, doubts: Vec, where: str) -> None:
+        """Raise SolverError for a row left over that may be implied by others, or not.  doubts: of all agents."""
+        if doubts.any():
+            k = int(np.argmax(doubts))
+            row = int(self.basis.columns.ids[self._artificial[k], 1])
+            found = f"row {row} differs from a sum of other rows by {doubts[k]:.1g} of its terms"
+            do = "double precision cannot tell whether they are the same; remove the row, or correct its last digits"
+            raise SolverError(where, f"{found}: {do}")
+
+    def prices(self, penalties: Vec | None = None) -> Vec:
+        """Return (m,) y + sum_k M_k y_k.  penalties: (K,) M, zeros if None."""
+        y = self.basis.prices[1]
+        if penalties is not None:
+            y = y + penalties @ self.basis.inverse[self._artificial]
+        return np.asarray(y * self._sign)
+
+    @property
+    def left_over(self) -> int:
+        """K, the number of artificial columns in the basis."""
+        return len(self._artificial)
+
+    @property
+    def _artificial(self) -> npt.NDArray[np.int64]:
+        """(K,) their places in the basis."""
+        return np.flatnonzero(self.basis.columns.ids[:, 0] < 0)
+
+
+def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
+    """Exchange bases until all agents hold the same; return the penalties that make its prices dual feasible."""
+    rounds = 0
+    while not bases.settled:
+        if rounds == ROUNDS:
+            raise SolverError(where, f"no common basis after {ROUNDS} rounds; is {diameter} the diameter of the graph?")
+        bases.step((yield bases.message()))
+        rounds += 1
+    bases.require_certain(where)
+    M = np.zeros(bases.left_over)
+    for _ in range(len(M)):
+        before = M
+        agreed = yield from greatest(np.concatenate([bases.penalties(before), bases.doubts()]), diameter)
+        M, doubts = np.split(agreed, 2)
+        bases.require_distinct(doubts, where)
+        if np.array_equal(M, before) or bases.status != "optimal":
+            break
+    return M
+
+
+class DistributedSimplex(Program[LinearSolution]):
+    """A standard-form linear program whose columns are split over the agents.
+
+        min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
+
+    Every round an agent sends its basis, m columns, to its neighbours, and keeps the lexicographically optimal basis
+    of what it has and hears; there is no step size. It ends, in the same round at all, when nobody has changed for
+    2 D + 1 rounds.
+    c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
+    message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.
+    Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
+    the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
+    Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
+    Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
+    """
+
+    heavy = True
+    connected = True
+    common = False
+
+    def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
+        where = f"agent {agent}: distributed simplex"
+        b = vector(b, where, "b")
+        if not len(b):
+            do = "Without rows each column is 0, or grows for ever, whatever the others do."
+            raise ConfigError(f"{where}: b", "no rows", "one row or more, the same at all agents", do)
+        self._where, self._b, self._agent, self.diameter = where, b, agent, diameter
+        c = vector(c, where, "c")
+        A = matrix(A, where, "A", (len(b), len(c)))
+        _require_range(where, c=c, A=A, b=b)
+        self._bases = BasisExchange(agent, c, A, b, diameter)
+        super().__init__()
+
+    @property
+    def cost(self) -> float:
+        """c'x at the agent's present basis; artificial columns cost nothing."""
+        return self._bases.cost
+
+    @property
+    def x(self) -> Vec:
+        """(n_i,) of the own columns at the present basis."""
+        return self._bases.x
+
+    def run(self) -> Exchange[LinearSolution]:
+        """Compare b, exchange bases, end together."""
+        yield from same_everywhere(self._b.tolist(), self._where, "b")
+        bases = self._bases
+        penalties = yield from _exchange(bases, self._where, self.diameter)
+        if bases.status == "infeasible":
+            raise SolverError(self._where, f"infeasible: {_remaining(bases)}")
+        if bases.ray is not None:
+            owner, column = bases.ray
+            raise SolverError(self._where, f"unbounded: column {column} of agent {owner} may grow for ever")
+        columns = bases.basis.columns
+        ids = [(int(owner), int(number)) for owner, number in columns.ids]
+        return LinearSolution(bases.x, bases.cost, bases.prices(penalties), ids, bases.basis.level, self.k)
+
+
+@dataclass(frozen=True, eq=False)
+class CommonSolution:
+    """The common optimum. x: (d,);  cost: c'x;  active: agent and row of constraints that hold it there;  rounds."""
+
+    x: Vec
+    cost: float
+    active: list[tuple[int, int]]
+    rounds: int
+
+
+class DualDistributedSimplex(Program[CommonSolution]):
+    """A linear program with common variables, whose constraints are split over the agents.
+
+        max  c'x   s.t.  A_i x <= b_i  for all i            by its dual, a DistributedSimplex:
+        min  sum_i b_i'l_i   s.t.  sum_i A_i'l_i = c,  l_i >= 0
+
+    x are the prices of the dual's rows at the common basis, the same at all agents.
+    c: (d,), the same at all;  A: (n_i, d), b: (n_i,), own constraints, n_i may be 0;  diameter: D, as there.
+    Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with a
+    constraint that contradicts others; unbounded, with the variables that no constraint holds; or what double precision
+    cannot tell. Constraints and variables may have any units.
+    Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304, section on duality.
+    """
+
+    heavy = True
+    connected = True
+
+    def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
+        where = f"agent {agent}: dual distributed simplex"
+        self._c, b = vector(c, where, "c"), vector(b, where, "b")
+        if not len(self._c):
+            raise ConfigError(f"{where}: c", "no variables", "one variable or more, the same at all agents")
+        rows = matrix(A, where, "A", (len(b), len(self._c)))
+        _require_range(where, c=self._c, A=rows, b=b)
+        self._where, self.diameter = where, diameter
+        self._bases = BasisExchange(agent, b, rows.T, self._c, diameter)
+        super().__init__()
+
+    @property
+    def x(self) -> Vec:
+        """(d,) the prices at the present basis."""
+        return self._bases.prices()
+
+    def run(self) -> Exchange[CommonSolution]:
+        """Compare c, exchange bases, end together."""
+        yield from same_everywhere(self._c.tolist(), self._where, "c")
+        bases = self._bases
+        penalties = yield from _exchange(bases, self._where, self.diameter)
+        if bases.ray is not None:
+            owner, row = bases.ray
+            raise SolverError(self._where, f"infeasible: constraint {row} of agent {owner} contradicts others")
+        if bases.status == "infeasible":
+            raise SolverError(self._where, f"unbounded: {_remaining(bases, 'variable')} without a limit")
+        x = bases.prices(penalties)
+        active = [(int(owner), int(row)) for owner, row in bases.basis.columns.ids if owner >= 0]
+        return CommonSolution(x, float(self._c @ x), active, self.k)
+
+
+def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
+    """Raise ConfigError for the first number whose products may overflow or vanish."""
+    for name, array in arrays.items():
+        size = np.abs(array)
+        beyond = np.argwhere((size > LARGEST) | ((size > 0.0) & (size < 1.0 / LARGEST)))
+        if len(beyond):
+            place = tuple(int(k) for k in beyond[0])
+            allowed = f"0, or a size from {1.0 / LARGEST:g} to {LARGEST:g}"
+            do = "Take other units."
+            raise ConfigError(f"{where}: {name}[{', '.join(map(str, place))}]", f"{array[place]:g}", allowed, do)
+
+
+def _remaining(bases: BasisExchange, what: str = "row") -> str:
+    """Return the rows that are not met, with by how much."""
+    violation = bases.violation
+    return ", ".join(f"{what} {r} ({violation[r]:.6g} left)" for r in bases.unmet[:10])
+
+
+def _packed(columns: Columns) -> list[Any]:
+    """Return ids, c, the entries that are not zero, and a if it is not zero.
+
+    Of the entries: how many a column, their rows, their values.
+    """
+    number, row = np.nonzero(columns.entries.T)
+    counts = np.bincount(number, minlength=len(columns))
+    ids = columns.ids.astype(np.int32).ravel()
+    first = np.where(columns.ids[:, 0] < 0, 0.0, columns.cost[0])
+    first = first if first.any() else first[:0]
+    entries = [counts.astype(np.int32), row.astype(np.int32), columns.entries[row, number]]
+    return [ids, columns.cost[1], *entries, first]
+
+
+def _unpacked(packed: list[Any], m: int) -> Columns:
+    """Return columns of m rows; raises ValueError, IndexError, TypeError for what is none."""
+    ids, c, counts, row, value, first = (np.asarray(part) for part in packed)
+    numbers = np.concatenate([c, value, first])
+    if len(c) != m or min(row, default=0) < 0 or not np.isfinite(numbers).all() or len(first) not in (0, m):
+        raise ValueError(f"{len(c)} columns for {m} rows, or not finite")
+    ids = ids.astype(np.int64).reshape(-1, 2)
+    entries = np.zeros((m, len(ids)))
+    entries[row, np.repeat(np.arange(len(ids)), counts)] = value
+    before = np.where(ids[:, 0] < 0, 1.0, first if len(first) else 0.0)
+    return Columns(ids, np.vstack([before, c]), entries)

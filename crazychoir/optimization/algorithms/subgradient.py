@@ -1,0 +1,54 @@
+"""The distributed sub-gradient method."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.optimization.algorithms.average import RunningAverage
+from crazychoir.optimization.problems.gradient import Checked, Gradient, Project, anywhere
+from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
+from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.types import Vec
+
+
+class SubgradientMethod(Mixing):
+    """Projected sub-gradient method for a common variable: min sum_i f_i(x), x in X, f_i and X convex.
+
+        v_i = sum_j w_ij x_j,   x_i <- P_X(v_i - a_k g_i(v_i)),   g_i(v) a sub-gradient of f_i at v
+
+    x: any shape, the same at all agents;  weights: row i, doubly stochastic, or one for each graph of a sequence;
+    gradient: g_i, also a stochastic one, see `Samples`;  project: P_X, the same set at all agents, see projection.py;
+    step: a_k, the same at all agents; with sum a_k infinite and sum a_k^2 finite it converges to an optimum:
+    Diminishing(a, p), 1/2 < p <= 1; a constant one to a neighbourhood that grows with it.  average: the a_k-weighted
+    running average of x_i, whose cost converges also where that of x_i jumps.
+    Source: Nedic, Ozdaglar & Parrilo 2010, IEEE Trans. Autom. Control 55(4), 922-938.
+    """
+
+    same = ("step_size",)
+
+    def __init__(
+        self, i: int, x: ArrayLike, weights: Rows, gradient: Gradient, step: float | StepSize,
+        project: Project = anywhere, rounds: int | None = None,
+    ) -> None:  # fmt: skip
+        super().__init__(i, weights, rounds)
+        self.x = vector(f"agent {i}: x", x)
+        self.gradient, self.project = Checked(i, "gradient", gradient), Checked(i, "project", project)
+        self.step_size = step_size(step)
+        self._average = RunningAverage()
+
+    @property
+    def average(self) -> Vec:
+        """(like x) weighted mean of x_i since the start; x_i itself before the first round."""
+        return self.x if self._average.value is None else self._average.value
+
+    def payload(self) -> Vec:
+        """x_i."""
+        return self.x
+
+    def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
+        """Average, go down, project."""
+        v, a = mix(self.i, row, self.x, heard), self.step_size(self.k)
+        self.x = np.array(self.project(self.k, v - a * self.gradient(self.k, v)))
+        self._average.add(self.x, a)

@@ -1,0 +1,1 @@
+"""Distributed assignment of tasks to robots."""

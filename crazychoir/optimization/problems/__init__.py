@@ -1,0 +1,1 @@
+"""What one agent solves: problems, expressions and their local solvers."""

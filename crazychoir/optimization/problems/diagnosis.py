@@ -1,0 +1,157 @@
+"""Why a local problem has no solution: which constraint stands in the way, or which entry has no bound."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cvxpy as cp
+import numpy as np
+
+from crazychoir.optimization.problems.active_set import INFEASIBLE
+from crazychoir.optimization.problems.expressions import EQUAL, LINEAR, NONNEGATIVE, polyhedral, rows
+from crazychoir.optimization.problems.linear import LinearProgram, Mask
+from crazychoir.optimization.problems.quadratic import DOUBTFUL, WORDS, AffineHull, scaled
+from crazychoir.types import Mat, Vec
+
+FAR = 1e6
+"""Where an entry that goes beyond it has no bound."""
+SEEN = 1e-7
+"""A violation below this is a solver's tolerance."""
+SHOWN = 3
+"""Rows that a text names, at most."""
+UNSEEN = "infeasible: by less than the solver sees, at best"
+
+
+def no_point(status: str, constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
+    """Return what a solver's word means, where it says that no point was found; else the word itself."""
+    if status not in (WORDS[INFEASIBLE], DOUBTFUL):
+        return status
+    why = infeasible(constraints, x)
+    return why if status == WORDS[INFEASIBLE] else f"{why}: {DOUBTFUL}"
+
+
+def infeasible(constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
+    """Return which rows exclude each other, and by how much they are violated where all are violated by the least.
+
+    constraints: of x, and perhaps of further variables.
+    """
+    return _Rows.of(constraints, x).conflict() if polyhedral(constraints, x) else _relaxation(constraints)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The rows of linear constraints of one variable, of length one, and where they are written.
+
+    A: (m, n);  b: (m,);  length: (m,), which they had;  is_equal: (m,), a'x = b, else a'x <= b;
+    places: m texts such as "constraints[0] (x <= 1.0), row 2".
+    """
+
+    A: Mat
+    b: Vec
+    length: Vec
+    is_equal: Mask
+    places: list[str]
+
+    @classmethod
+    def of(cls, constraints: Sequence[cp.Constraint], x: cp.Variable) -> "_Rows":
+        """Read them from the constraints."""
+        parts = [rows([c], x) for c in constraints]
+        A = np.vstack([part for upper, _, equal, _ in parts for part in (upper, equal)])
+        b = np.concatenate([part for _, upper, _, equal in parts for part in (upper, equal)])
+        is_equal = np.repeat([isinstance(c, EQUAL) for c in constraints], [c.size for c in constraints])
+        places = [f"constraints[{r}] ({c}), row {k}" for r, c in enumerate(constraints) for k in range(c.size)]
+        return cls(*scaled(A, b, np.ones(len(b), bool)), is_equal, places)
+
+    def conflict(self) -> str:
+        """Return the text: first of what the equalities alone exclude, which is exact for rows of all sizes."""
+        equal = np.flatnonzero(self.is_equal)
+        hull = AffineHull(self.A[equal])
+        x0 = hull.point(self.b[equal])
+        gaps = hull.gaps(x0, self.b[equal])
+        if gaps.any():
+            violation = np.zeros(len(self.b))
+            violation[equal[hull.others]] = np.abs(gaps)
+            is_part = np.zeros(len(self.b), bool)
+            is_part[equal[hull.basis]] = (np.abs(hull.shares[gaps != 0.0]) > SEEN).any(axis=0)
+            return self._text(violation, is_part)
+        near = self._elastic(np.zeros(len(x0)), 1.0)
+        if near is not None and not near[1].any():
+            # What the solver does not see of the violation it sees with that as the unit, seen from the point it found.
+            beyond = self.A @ near[0] - self.b
+            unit = max(beyond.max(), -beyond[self.is_equal].min(initial=0.0))
+            near = self._elastic(near[0], unit) if unit > 0.0 else None
+        return UNSEEN if near is None else self._text(*near[1:])
+
+    def _elastic(self, centre: Vec, unit: float) -> tuple[Vec, Vec, Mask] | None:
+        """Return the x (n,) that violates the rows by the least sum, by how much (m,), and which rows keep it there.
+
+        The program is that of (x - centre) / unit; None if even that has no solution.
+        """
+        m, n = len(self.b), self.A.shape[1]
+        b = np.minimum((self.b - self.A @ centre) / unit, FAR**2)
+        above = np.hstack([self.A, -np.eye(m), np.zeros((m, m))])
+        below = np.hstack([-self.A, np.zeros((m, m)), -np.eye(m)])[self.is_equal]
+        bounds = np.r_[np.full(n, -np.inf), np.zeros(2 * m)], np.full(n + 2 * m, np.inf)
+        elastic = np.vstack([above, below]), np.concatenate([b, -b[self.is_equal]])
+        program = LinearProgram(np.r_[np.zeros(n), np.ones(2 * m)], elastic, bounds=bounds)
+        found = program.solve(np.zeros(n + 2 * m))
+        if isinstance(found, str):
+            return None
+        violation = found[n : n + m] + found[n + m :]
+        keeps = np.abs(program.multipliers) > SEEN
+        is_part = keeps[:m].copy()
+        is_part[self.is_equal] |= keeps[m:]
+        return centre + unit * found[:n], np.where(violation > SEEN, violation * unit, 0.0), is_part
+
+    def _text(self, violation: Vec, is_part: Mask) -> str:
+        """Name the rows that are violated the most, and of those that are met the ones that stand against them."""
+        worst = np.argsort(-violation, kind="stable")[:SHOWN]
+        if not violation.any():
+            return UNSEEN
+        violated = [int(r) for r in sorted(worst) if violation[r] > 0.0]
+        found = [f"{self.places[r]}: violated by {violation[r] * self.length[r]:.4g}" for r in violated]
+        against = [self.places[r] for r in np.flatnonzero(is_part & (violation == 0.0))[:SHOWN]]
+        text = f"infeasible: {'; '.join(found)}, at best"
+        return f"{text}; against {' and '.join(against)}" if against else text
+
+
+def _relaxation(constraints: Sequence[cp.Constraint]) -> str:
+    """Return the rows of linear constraints whose violation must add up to the least that is possible."""
+    slack = [cp.Variable(c.expr.shape, nonneg=True) if isinstance(c, LINEAR) else None for c in constraints]
+    total = sum(cp.sum(s) for s in slack if s is not None)
+    elastic = [c if s is None else _relaxed(c, s) for c, s in zip(constraints, slack, strict=True)]
+    if not isinstance(total, cp.Expression) or not _solved(cp.Problem(cp.Minimize(total), elastic)):
+        return "infeasible: its constraints that are not linear exclude each other"
+    found = [
+        f"constraints[{r}] ({c}), row {k}: violated by {s.value.flat[k]:.4g}"
+        for r, (c, s) in enumerate(zip(constraints, slack, strict=True))
+        if s is not None
+        for k in np.flatnonzero(np.ravel(s.value) > SEEN)
+    ]
+    return f"infeasible: {'; '.join(found[:SHOWN])}, at best" if found else UNSEEN
+
+
+def unbounded(x: cp.Variable, objective: cp.Expression, constraints: Sequence[cp.Constraint]) -> str:
+    """The entry of x that goes farthest when all are held within FAR."""
+    if not _solved(cp.Problem(cp.Minimize(objective), [*constraints, x <= FAR, x >= -FAR])):
+        return "unbounded"
+    value = np.atleast_1d(x.value)
+    k = int(np.argmax(np.abs(value)))
+    end = "inf" if value[k] > 0 else "-inf"
+    return f"unbounded: x[{k}] goes to {end}; bound it by a constraint"
+
+
+def _relaxed(constraint: cp.Constraint, slack: cp.Variable) -> cp.Constraint:
+    if isinstance(constraint, EQUAL):
+        return cp.abs(constraint.expr) <= slack
+    return constraint.expr + slack >= 0 if isinstance(constraint, NONNEGATIVE) else constraint.expr <= slack
+
+
+def _solved(problem: cp.Problem) -> bool:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it may be inaccurate: so may be what it is asked for
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.SolverError:
+            return False
+    return problem.status in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE)

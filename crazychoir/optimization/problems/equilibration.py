@@ -1,0 +1,59 @@
+"""The inverse of a matrix whose rows and columns may have any units."""
+
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.problems.tableau import ROUNDING, solve_identity
+from crazychoir.types import Mat, Vec
+
+PASSES = 8
+"""Sweeps over rows and columns of the scaling."""
+EVEN = 12.0
+"""Binary digits between the largest and the smallest entry below which a matrix needs no scaling."""
+
+
+def without_rounding(value: Mat, terms: Mat) -> Mat:
+    """Return `value` with zeros where it is a rounding error.
+
+    value: sums;  terms: the sums of the absolute values of their terms, of the same shape.
+    """
+    return np.where(np.abs(value) <= ROUNDING * terms, 0.0, value)
+
+
+def scaled_inverse(B: Mat) -> Mat:
+    """Return the inverse of B, exact zeros where its entries are rounding errors.
+
+        B^-1 = S (R B S)^-1 R
+
+    R and S are diagonal, of powers of two, so that scaling is exact. The result depends on B alone, and rows or
+    columns of B in other units change it by these units only.
+    B: (m, m).  Raises SolverError where B is singular.
+    """
+    m = len(B)
+    rows, columns = scaling_exponents(B)
+    work = np.hstack([np.ldexp(B, rows[:, None] + columns), np.eye(m)])
+    if not solve_identity(work):
+        raise SolverError("lexicographic simplex", "a singular basis")
+    return np.asarray(np.ldexp(work[:, m:], columns[:, None] + rows))
+
+
+def scaling_exponents(B: Mat) -> tuple[Vec, Vec]:
+    """Return the exponents of R and S, whole numbers, for which the entries of R B S are as close to 1 as can be.
+
+        min over r, s of  sum over B_ij != 0 of (log2 |B_ij| + r_i + s_j)^2      by minimising over r and s in turns
+
+    B: (m, n).  Returns integers of shapes (m,) and (n,).
+    Source: Curtis & Reid 1972, IMA Journal of Applied Mathematics 10(1), 118-124.
+    """
+    m, n = B.shape
+    used = B != 0.0
+    digits = np.log2(np.abs(B), where=used, out=np.zeros_like(B))
+    r = np.zeros(m)
+    s = np.zeros(n)
+    if digits.max(initial=0.0) - digits.min(initial=0.0) > EVEN:
+        in_row = np.maximum(used.sum(axis=1), 1)
+        in_column = np.maximum(used.sum(axis=0), 1)
+        for _ in range(PASSES):
+            r = -(digits.sum(axis=1) + used @ s) / in_row
+            s = -(digits.sum(axis=0) + r @ used) / in_column
+    return np.rint(r).astype(np.int64), np.rint(s).astype(np.int64)

@@ -1,0 +1,309 @@
+"""What a cvxpy expression says: checked, and read into matrices where it is affine or quadratic."""
+
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.optimization.problems.quadratic import Polyhedron
+from crazychoir.types import Mat, Vec
+
+EXPRESSION = "a cvxpy expression, or numbers"
+
+
+def decision(x: Any, where: str) -> int:
+    """The dimension n of the decision variable x: a cvxpy variable, a scalar or a vector."""
+    if not isinstance(x, cp.Variable):
+        raise ConfigError(f"{where}: x", type(x).__name__, "a cvxpy.Variable")
+    if x.ndim > 1:
+        do = "Use a vector, and cvxpy.reshape."
+        raise ConfigError(f"{where}: {x.name()}", f"shape {x.shape}", "a scalar or a vector", do)
+    if x.size == 0:
+        raise ConfigError(f"{where}: {x.name()}", f"shape {x.shape}", "one entry or more")
+    return int(x.size)
+
+
+def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constraint]:
+    """What the attributes of x say, as constraints; others are refused, but for integers if x may be `whole`."""
+    said = {name for name, value in x.attributes.items() if value is not None and value is not False}
+    said -= {"integer", "boolean"} if whole else set()
+    if said - {"nonneg", "pos", "nonpos", "neg", "bounds"}:
+        do = "Integers are for MixedIntegerConstraintCoupled."
+        raise ConfigError(f"{where}: {x.name()}", f"attributes {sorted(said)}", "a real vector, perhaps bounded", do)
+    found: list[cp.Constraint] = [x >= 0] if said & {"nonneg", "pos"} else []
+    found += [x <= 0] if said & {"nonpos", "neg"} else []
+    for low in (True, False) if "bounds" in said else ():
+        bound = np.broadcast_to(x.attributes["bounds"][0 if low else 1], x.shape)
+        at = np.flatnonzero(np.isfinite(np.atleast_1d(bound)))
+        if len(at):
+            flat, limit = cp.vec(x, order="F")[at], np.atleast_1d(bound)[at]
+            found.append(flat >= limit if low else flat <= limit)
+    return found
+
+
+def require_continuous(expressions: Sequence[Any], where: str) -> None:
+    """Raise ConfigError that names a further variable which must be integer."""
+    for variable in [v for expression in expressions for v in expression.variables()]:
+        if any(variable.attributes[name] for name in ("integer", "boolean")):
+            do = "Integers are for MixedIntegerConstraintCoupled."
+            raise ConfigError(f"{where}: {variable.name()}", "an integer variable", "continuous variables", do)
+
+
+def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
+    """Which entries of x are integer, and which of them are 0 or 1."""
+    found = []
+    for name, places in (("integer", x.integer_idx), ("boolean", x.boolean_idx)):
+        everywhere = x.attributes[name] is True
+        found.append(list(range(x.size)) if everywhere else [int(k) for k in np.ravel(np.array(places, dtype=int))])
+    return sorted({*found[0], *found[1]}), found[1]
+
+
+def convex(expression: Any, where: str) -> cp.Expression:
+    """A scalar objective that is convex by the rules of DCP and DPP, with finite data; of cp.Minimize(f) it is f."""
+    if isinstance(expression, cp.Minimize):
+        expression = expression.args[0]
+    if isinstance(expression, cp.Maximize):
+        do = "Give the cost -f instead of the gain f."
+        raise ConfigError(where, str(expression), "a cost, which is minimised", do)
+    if isinstance(expression, (list, tuple)):
+        raise ConfigError(where, f"a {type(expression).__name__}", "one cvxpy expression", "Sum it up.")
+    found = _expression(expression, where)
+    if found.size != 1:
+        raise ConfigError(where, f"shape {found.shape}", "one number", "Sum it up.")
+    return _ruled(found, where)
+
+
+def coupling(expression: Any, where: str) -> cp.Expression:
+    """A vector g of expressions, each convex; from a list of expressions, or from one."""
+    listed = isinstance(expression, (list, tuple))
+    given = list(expression) if isinstance(expression, (list, tuple)) else [expression]
+    parts = [_expression(part, f"{where}[{s}]" if listed else where) for s, part in enumerate(given)]
+    if not sum(part.size for part in parts):
+        do = "Without a common resource each agent solves its problem alone."
+        raise ConfigError(where, "no rows", "one row or more, the same number at all agents", do)
+    ruled = [_ruled(part, f"{where}[{s}]" if listed else where) for s, part in enumerate(parts)]
+    return cp.hstack([cp.vec(part, order="F") for part in ruled])
+
+
+def _expression(given: Any, where: str) -> cp.Expression:
+    """Return the expression that was given, or a constant of the numbers that were."""
+    if isinstance(given, cp.Expression):
+        found = given
+    elif isinstance(given, cp.constraints.constraint.Constraint):
+        do = "A comparison belongs to the constraints; of g <= b, give g here and b as the share."
+        raise ConfigError(where, str(given), EXPRESSION, do)
+    elif isinstance(given, cp.Problem):
+        do = "Give its objective and its constraints apart."
+        raise ConfigError(where, "a cvxpy problem", EXPRESSION, do)
+    elif given is None or isinstance(given, (bool, np.bool_, str, bytes)):
+        raise ConfigError(where, repr(given), EXPRESSION)
+    else:
+        try:
+            found = cp.Expression.cast_to_const(given)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(where, type(given).__name__, EXPRESSION) from error
+    if found.is_complex():
+        raise ConfigError(where, str(found), "real numbers", "Take real and imaginary parts apart.")
+    return found
+
+
+def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
+    finite(expression, where)
+    if not expression.is_convex():
+        raise ConfigError(where, str(expression), "a convex expression, by the rules of cvxpy (dcp.stanford.edu)")
+    if not expression.is_dpp():
+        raise ConfigError(where, str(expression), "parameters by the rules of DPP", "Multiply no two parameters.")
+    return expression
+
+
+def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
+    """The constraints, each convex, with finite data. One that is not in a list counts as a list of one."""
+    if isinstance(constraints, cp.constraints.constraint.Constraint):
+        constraints = [constraints]
+    elif constraints is None:
+        constraints = []
+    elif isinstance(constraints, (str, bytes, Mapping, Set)) or not isinstance(constraints, Iterable):
+        do = _advice(constraints)
+        raise ConfigError(f"{where}: constraints", repr(constraints), "a list of cvxpy constraints", do)
+    listed = list(constraints)
+    for r, constraint in enumerate(listed):
+        at = f"{where}: constraints[{r}]"
+        if not isinstance(constraint, cp.constraints.constraint.Constraint):
+            raise ConfigError(at, repr(constraint), "a cvxpy constraint", _advice(constraint))
+        if any(part.is_complex() for part in constraint.args):
+            raise ConfigError(at, str(constraint), "real numbers", "Take real and imaginary parts apart.")
+        finite(constraint, at)
+        if not constraint.is_dcp():
+            raise ConfigError(at, str(constraint), "a convex set, by the rules of cvxpy (dcp.stanford.edu)")
+        if not constraint.is_dcp(dpp=True):
+            raise ConfigError(at, str(constraint), "parameters by the rules of DPP", "Multiply no two parameters.")
+    return listed
+
+
+def _advice(found: Any) -> str:
+    """What to do about an entry of a list of constraints that is none."""
+    if isinstance(found, (bool, np.bool_)):
+        return "Compare expressions of cvxpy variables."
+    if isinstance(found, (list, tuple)):
+        return "Give one list, without lists in it."
+    if callable(getattr(found, "constraints", None)):
+        return f"A {type(found).__name__} has them: constraints(x), a list."
+    return ""
+
+
+def finite(expression: Any, where: str) -> None:
+    """Raises ConfigError that names the first number which is not finite, and a parameter without a value."""
+    for data in [*expression.constants(), *expression.parameters()]:
+        with _sparse_read():
+            given = data.value
+        if given is None:
+            raise ConfigError(f"{where}: parameter {data.name()}", "no value", "a value", "Set its `value`.")
+        value = _dense(given)
+        bad = np.argwhere(~np.isfinite(value))
+        if len(bad):
+            at = tuple(int(k) for k in bad[0])
+            entry = ", ".join(str(k) for k in at)
+            raise ConfigError(f"{where}: data[{entry}]", f"{value[at]}", "finite numbers", f"It is in {expression}.")
+
+
+def only(expression: Any, x: cp.Variable) -> bool:
+    """Whether it depends on no variable but x."""
+    return all(variable.id == x.id for variable in expression.variables())
+
+
+@contextmanager
+def _sparse_read() -> Iterator[None]:
+    """Without cvxpy's warning that a sparse parameter is read as a whole: here it becomes a matrix in any case."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Reading from a sparse CVXPY expression")
+        yield
+
+
+@contextmanager
+def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
+    """With the variable's value at a point, and then where the user had it."""
+    before = x.value
+    x.save_value(point.reshape(x.shape))
+    try:
+        with _sparse_read():
+            yield
+    finally:
+        x.save_value(before)
+
+
+def at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
+    """Its values (S,) at x = point."""
+    with _placed(x, point), np.errstate(all="ignore"):
+        return _dense(expression.value).reshape(-1, order="F")
+
+
+def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
+    """A (sub)gradient (S, n) of each of its entries at x = point; nan outside of its domain."""
+    if not np.isfinite(at(expression, x, point)).all():  # of a sum, cvxpy fails to say so
+        return np.full((expression.size, x.size), np.nan)
+    with _placed(x, point):
+        found = expression.grad
+    if x not in found:
+        return np.zeros((expression.size, x.size))
+    if found[x] is None:
+        return np.full((expression.size, x.size), np.nan)
+    return _dense(found[x]).reshape(x.size, expression.size).T
+
+
+def affine(expression: cp.Expression, x: cp.Variable) -> tuple[Mat, Vec]:
+    """G (S, n) and h (S,) of an affine expression G x + h."""
+    zero = np.zeros(x.size)
+    return slope(expression, x, zero), at(expression, x, zero)
+
+
+def _dense(value: Any) -> Vec:
+    """cvxpy's numbers are floats, arrays or sparse matrices."""
+    return np.atleast_1d(np.asarray(value.toarray() if hasattr(value, "toarray") else value, float))
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """1/2 x'Px + q'x + r;  P: (n, n), symmetric;  q: (n,)."""
+
+    P: Mat
+    q: Vec
+    r: float
+
+    @classmethod
+    def zero(cls, n: int) -> "Quadratic":
+        """That is 0 everywhere."""
+        return cls(np.zeros((n, n)), np.zeros(n), 0.0)
+
+    def value(self, x: Vec) -> float:
+        """At x (n,)."""
+        return float(x @ (0.5 * (self.P @ x) + self.q) + self.r)
+
+    def gradient(self, x: Vec) -> Vec:
+        """P x + q."""
+        return self.P @ x + self.q
+
+    def __add__(self, other: "Quadratic") -> "Quadratic":
+        return Quadratic(self.P + other.P, self.q + other.q, self.r + other.r)
+
+    def times(self, factor: float) -> "Quadratic":
+        """This function, scaled."""
+        return Quadratic(factor * self.P, factor * self.q, factor * self.r)
+
+
+def linear(expression: cp.Expression, x: cp.Variable, where: str) -> tuple[Mat, Vec]:
+    """As `affine`; raises ConfigError unless it is affine in x alone."""
+    if not (expression.is_affine() and only(expression, x)):
+        raise ConfigError(where, str(expression), f"a linear function of {x.name()}")
+    return affine(expression, x)
+
+
+def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | None:
+    """Its entries, if all are quadratic functions of x alone: by their gradients, which are linear then."""
+    if not only(expression, x) or not expression.is_quadratic():
+        return None
+    zero = np.zeros(x.size)
+    r, q = at(expression, x, zero), slope(expression, x, zero)
+    hessians = np.array([slope(expression, x, e) - q for e in np.eye(x.size)]).transpose(1, 0, 2)
+    return [Quadratic((P + P.T) / 2, *rest) for P, *rest in zip(hessians, q, r.tolist(), strict=True)]
+
+
+def require_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable, where: str) -> None:
+    """Raise ConfigError that names the first which is not a linear (in)equality of x alone."""
+    for r, c in enumerate(constraints):
+        if not polyhedral([c], x):
+            raise ConfigError(f"{where}: constraints[{r}]", str(c), f"linear (in)equalities of {x.name()}")
+
+
+def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
+    """Whether all are linear (in)equalities of x alone."""
+    return all(isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints)
+
+
+def polyhedron(constraints: Sequence[cp.Constraint], x: cp.Variable) -> Polyhedron | None:
+    """The set of all; None if it is no polyhedron, or one in more variables than x."""
+    return Polyhedron.of(*rows(constraints, x)) if polyhedral(constraints, x) else None
+
+
+def rows(constraints: Sequence[cp.Constraint], x: cp.Variable) -> tuple[Mat, Vec, Mat, Vec]:
+    """A, b, E, e of linear constraints: A x <= b, E x = e."""
+    found: dict[bool, list[tuple[Mat, Vec]]] = {False: [], True: []}
+    for c in constraints:
+        G, h = affine(c.expr, x)
+        sign = -1.0 if isinstance(c, NONNEGATIVE) else 1.0
+        found[isinstance(c, EQUAL)].append((sign * G, -sign * h))
+    empty = (np.zeros((0, x.size)), np.zeros(0))
+    upper, equal = ([empty, *found[kind]] for kind in (False, True))
+    return (
+        np.vstack([G for G, _ in upper]), np.concatenate([h for _, h in upper]),
+        np.vstack([G for G, _ in equal]), np.concatenate([h for _, h in equal]),
+    )  # fmt: skip
+
+
+EQUAL = (cp.constraints.zero.Equality, cp.constraints.zero.Zero)
+NONNEGATIVE = (cp.constraints.nonpos.NonNeg,)
+LINEAR = (*EQUAL, *NONNEGATIVE, cp.constraints.nonpos.Inequality, cp.constraints.nonpos.NonPos)

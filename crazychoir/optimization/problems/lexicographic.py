@@ -1,0 +1,169 @@
+"""The lexicographic simplex method: one optimal basis of a linear program, the same at every agent that computes it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.problems.equilibration import scaled_inverse, without_rounding
+from crazychoir.optimization.problems.tableau import walk
+from crazychoir.types import Mat, Vec
+
+Ints = npt.NDArray[np.int64]
+PIVOTS = 100_000
+REFRESH = 50
+"""Pivots after which the tableau is computed anew."""
+EPSILON = float(np.finfo(float).eps)
+ARTIFICIAL = -1
+"""The owner of artificial columns."""
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """n columns of a standard-form program with m rows.
+
+    ids: (n, 2) owner and number, each once, in increasing order;  cost: (2, n), a, which comes before c and is 1 for an
+    artificial column, then c;  entries: (m, n).
+    """
+
+    ids: Ints
+    cost: Mat
+    entries: Mat
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def id_pairs(self) -> list[tuple[int, int]]:
+        """Return the ids as tuples."""
+        return [(owner, number) for owner, number in self.ids.tolist()]
+
+    @classmethod
+    def own(cls, owner: int, c: Vec, entries: Mat, first: Vec | None = None) -> "Columns":
+        """The columns of one agent. c: (n,); entries: (m, n);  first: (n,) the cost before c, zeros if None."""
+        ids = np.column_stack([np.full(len(c), owner), np.arange(len(c))]).astype(np.int64)
+        return cls(ids, np.vstack([np.zeros(len(c)) if first is None else first, c]), entries)
+
+    @classmethod
+    def artificial(cls, m: int) -> "Columns":
+        """The identity."""
+        return cls(cls.own(ARTIFICIAL, np.zeros(m), np.eye(m)).ids, np.vstack([np.ones(m), np.zeros(m)]), np.eye(m))
+
+    def take(self, which: Ints) -> "Columns":
+        """Those at the positions `which`, increasing."""
+        return Columns(self.ids[which], self.cost[:, which], self.entries[:, which])
+
+    def free(self) -> "Columns":
+        """The same without c: what remains is to find a feasible basis."""
+        return Columns(self.ids, self.cost * np.array([[1.0], [0.0]]), self.entries)
+
+
+def union(parts: list[Columns]) -> Columns:
+    """The columns of all parts, each once."""
+    ids = np.vstack([part.ids for part in parts])
+    order = np.lexsort((ids[:, 1], ids[:, 0]))
+    different = np.concatenate([[True], (np.diff(ids[order], axis=0) != 0).any(axis=1)])
+    which = order[different]
+    cost, entries = (np.hstack([getattr(part, name) for part in parts]) for name in ("cost", "entries"))
+    return Columns(ids[which], cost[:, which], np.ascontiguousarray(entries[:, which]))
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """An optimal basis of the columns that were given, or the end of a ray.
+
+    columns: (m of them), B, in increasing order of id;  b: (m,);  inverse: (m, m), B^-1;  level: (m,) their values
+    x_B;  ray: id of a column that may grow for ever while c'x falls, or None.
+    All depend on B and b alone, bit by bit, so that agents with the same basis have the same numbers.
+    """
+
+    columns: Columns
+    b: Vec
+    inverse: Mat
+    level: Vec
+    ray: tuple[int, int] | None = None
+
+    @classmethod
+    def of(cls, columns: Columns, b: Vec) -> "Basis":
+        """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
+        inverse = scaled_inverse(columns.entries)
+        return cls(columns, b, inverse, without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b)))
+
+    @cached_property
+    def prices(self) -> Mat:
+        """(2, m) of the rows, at the two levels of cost."""
+        cost = self.columns.cost
+        return without_rounding(cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse))
+
+    @cached_property
+    def terms(self) -> Vec:
+        """(m,) the sizes of the terms whose sums are the levels: |B^-1| |b|."""
+        return np.asarray(np.abs(self.inverse) @ np.abs(self.b))
+
+    @cached_property
+    def uncertainty(self) -> Vec:
+        """(m,) the rounding error of the levels at most: epsilon |B^-1| (|B| |x_B| + |b|)."""
+        size = np.abs(self.columns.entries) @ np.abs(self.level) + np.abs(self.b)
+        return np.asarray(EPSILON * (np.abs(self.inverse) @ size))
+
+    def price_out(self, columns: Columns) -> Mat:
+        """Return (2, n) the reduced costs of `columns`, at the two levels of cost."""
+        terms = np.abs(columns.cost) + np.abs(self.prices) @ np.abs(columns.entries)
+        return without_rounding(columns.cost - self.prices @ columns.entries, terms)
+
+    def expressed(self, entries: Mat) -> Mat:
+        """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones."""
+        return without_rounding(self.inverse @ entries, np.abs(self.inverse) @ np.abs(entries))
+
+
+def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
+    """Return the lexicographically optimal basis among `columns`, by pivots from `start`, which is part of them.
+
+        min (z_1, ..., z_m, a'x, c'x, delta'x)   s.t.  A x = b + (e, e^2, ..., e^m),  x >= 0,
+        z_i the artificial column of row i,   delta_j = d^{rank of id j}
+
+    The costs come in this order. An artificial column is a big M without a number, in the order of rows, so that rows
+    in different units are never added up. a comes before c, and delta, d -> 0, makes the optimum unique. e -> 0 makes
+    the basis of a vertex unique. Neither d nor e is ever a number: signs are those of the first term that is not zero,
+    in the reduced costs (entering) and in the rows of [B^-1 b, B^-1] (leaving). So the answer depends on the columns
+    alone, not on the way to it.
+    What is zero is judged by the terms that were added up (pivot, without_rounding), never by other rows or columns:
+    with rows and columns in other units the answer is the same basis.
+    b: (m,), >= 0; `start` is lexicographically feasible, as the identity is, and as every answer is.
+    Raises SolverError beyond PIVOTS pivots, or for a singular basis.
+    Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
+    """
+    basis = start if isinstance(start, Basis) else Basis.of(start, b)
+    artificial = int(np.searchsorted(columns.ids[:, 0], 0))
+    where = {key: p for p, key in enumerate(columns.id_pairs())}
+    basic = np.array([where[key] for key in basis.columns.id_pairs()], dtype=np.int64)
+    for _ in range(PIVOTS // REFRESH):
+        pivots, end = walk(_tableau(columns, basis, basic), basic, artificial, REFRESH)
+        if not pivots:
+            owner, number = columns.ids[end].tolist()
+            ray = (owner, number) if end >= 0 else None
+            return Basis(columns.take(basic), basis.b, basis.inverse, basis.level, ray)
+        basic.sort()
+        basis = Basis.of(columns.take(basic), b)
+    found = f"{PIVOTS} pivots without an end: double precision cannot tell which basis is the best"
+    raise SolverError("lexicographic simplex", found)
+
+
+def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
+    """Return (m + 2, n + m + 1): B^-1 [A, I, b], and the reduced costs at two levels.
+
+    basic: (m,) the position of the columns of the basis.
+    """
+    m = len(basic)
+    n = len(columns)
+    tableau = np.zeros((m + 2, n + m + 1))
+    tableau[:m, :n] = basis.expressed(columns.entries)
+    tableau[:m, basic] = np.eye(m)
+    tableau[:m, n : n + m] = basis.inverse
+    tableau[:m, -1] = np.maximum(basis.level, 0.0)
+    cost = columns.cost[:, basic]
+    terms = np.abs(columns.cost) + np.abs(cost) @ np.abs(tableau[:m, :n])
+    tableau[m:, :n] = without_rounding(columns.cost - cost @ tableau[:m, :n], terms)
+    tableau[m:, basic] = 0.0
+    return tableau

@@ -1,0 +1,206 @@
+"""One agent's part of a mixed-integer linear program that is coupled by resources, as plain arrays."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import highspy
+import numpy as np
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems.linear import MOST_NODES, WORDS, LinearProgram, Mask, quiet_highs
+from crazychoir.optimization.rounds.arrays import matrix, vector
+from crazychoir.types import Mat, Vec
+
+SLACK = 1e-6
+"""What a row may miss its bound by, relative to 1 + |bound|: a solver's tolerance."""
+SMALLEST_RESOURCE = 1e-5
+"""A resource of which no number is larger is hidden by this tolerance."""
+
+
+class MixedIntegerBlock:
+    """One agent's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i.
+
+        X_i = {x : D x <= d,  low <= x <= high,  x_k integer for k in `integer`},   bounded
+
+    c: (n,);  A: (S, n), of S resources;  rows: (D (m, n), d (m,)) or None;  bounds: (low, high), (n,) or numbers;
+    integer: indices of x;  share: b_i (S,); for a common b each of N agents may take b/N.
+    Raises ConfigError for arrays that do not fit or are not finite, SolverError for an X_i that is empty, or has no
+    bound, when it is solved; both name the agent, the row and the value.
+    """
+
+    def __init__(
+        self,
+        agent: int,
+        c: Vec,
+        A: Mat,
+        share: Vec,
+        *,
+        rows: tuple[Mat, Vec] | None = None,
+        bounds: tuple[Any, Any] = (0.0, np.inf),
+        integer: Sequence[int] = (),
+    ) -> None:
+        self.agent, self.where = agent, f"agent {agent}"
+        self.c = vector(c, self.where, "c")
+        self.n = len(self.c)
+        self.share = vector(share, self.where, "share")
+        self.S = len(self.share)
+        if not self.S:
+            do = "Without a common resource each agent solves its problem alone."
+            raise ConfigError(f"{self.where}: share", "no rows", "one row or more, the same number at all agents", do)
+        self.A = matrix(A, self.where, "A", (self.S, self.n))
+        D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
+        d = vector(d, self.where, "d")
+        self.rows = _near_one(matrix(D, self.where, "D", (len(d), self.n)), d)
+        self._require_resources_to_be_seen()
+        low, high = self._bound(bounds[0], "low"), self._bound(bounds[1], "high")
+        self.bounds = low, high
+        crossed = np.flatnonzero(low > high)
+        if len(crossed):
+            k = int(crossed[0])
+            raise ConfigError(f"{self.where}: low[{k}]", f"{low[k]}", f"at most high[{k}] = {high[k]}")
+        self.integer = self._mask(integer)
+
+    def _require_resources_to_be_seen(self) -> None:
+        """Raise ConfigError for a resource whose numbers are all so small that any excess would be accepted."""
+        sizes = np.maximum(np.abs(self.A).max(axis=1, initial=0.0), np.abs(self.share))
+        hidden = np.flatnonzero((sizes > 0.0) & (sizes < SMALLEST_RESOURCE))
+        if len(hidden):
+            s = int(hidden[0])
+            found = f"numbers of {sizes[s]:.3g} at most"
+            allowed = f"{SMALLEST_RESOURCE:g} or more, or zeros: smaller ones are below the tolerance {SLACK:g}"
+            do = "Measure this resource in a smaller unit, at all agents."
+            raise ConfigError(f"{self.where}: A[{s}], share[{s}]", found, allowed, do)
+
+    def _bound(self, bound: Any, name: str) -> Vec:
+        every = np.full(self.n, float(bound)) if np.ndim(bound) == 0 else bound
+        return vector(every, self.where, name, self.n, infinite=True)
+
+    def _mask(self, integer: Sequence[int]) -> Mask:
+        for k in integer:
+            if not 0 <= k < self.n:
+                raise ConfigError(f"{self.where}: integer", k, f"indices 0 to {self.n - 1}")
+        mask = np.zeros(self.n, dtype=bool)
+        mask[list(integer)] = True
+        return mask
+
+    @cached_property
+    def _over(self) -> LinearProgram:
+        return LinearProgram(np.zeros(self.n), self.rows, bounds=self.bounds, integer=self.integer)
+
+    def corner(self, cost: Vec) -> Vec:
+        """argmin cost'x over X_i (n,)."""
+        return self._exact(self._require(self._over.solve(cost)))
+
+    def least(self, cost: Vec) -> tuple[Vec, float]:
+        """A corner that minimises cost'x over X_i, and what no point of X_i costs less than."""
+        return self.corner(cost), self._over.proven
+
+    @cached_property
+    def _elastic(self) -> "_Elastic":
+        return _Elastic(self)
+
+    def within(self, y: Vec) -> tuple[Vec, Vec]:
+        """(x, v): the least sum of v >= 0 with A x <= y + v, and with it the least c'x. y: (S,)."""
+        x = self._exact(self._require(self._elastic.solve(y)))
+        return x, np.maximum(self.A @ x - y, 0.0)
+
+    def tightening(self) -> Vec:
+        """(S,) by how much the agent's use of each resource may have to change when its x becomes a point of X_i.
+
+            min(U - L, r 1),   L, U = min, max of A x over X_i,   r = min r s.t. A x <= L + r 1, x in X_i, r >= 0
+
+        Source: Camisa, Notarnicola & Notarstefano 2022, the restriction of the coupling constraints.
+        """
+        low = np.array([row @ self.corner(row) for row in self.A])
+        high = np.array([row @ self.corner(-row) for row in self.A])
+        D, d = self.rows
+        left = np.vstack([np.hstack([self.A, -np.ones((self.S, 1))]), np.hstack([D, np.zeros((len(d), 1))])])
+        bounds = np.append(self.bounds[0], 0.0), np.append(self.bounds[1], np.inf)
+        c = np.append(np.zeros(self.n), 1.0)
+        program = LinearProgram(c, (left, np.append(low, d)), None, bounds, np.append(self.integer, False))
+        return np.asarray(np.minimum(high - low, self._require(program.solve(np.zeros_like(c)))[-1]))
+
+    def _exact(self, x: Vec) -> Vec:
+        x[self.integer] = np.round(x[self.integer])
+        return x
+
+    def _require(self, found: Vec | str) -> Vec:
+        if isinstance(found, str):
+            raise SolverError(f"{self.where}: local problem", f"{found}: {self._why(found)}")
+        return found
+
+    def _why(self, status: str) -> str:
+        """What to look at."""
+        low, high = self.bounds
+        if status == "unbounded":
+            free = np.flatnonzero(~np.isfinite(low) | ~np.isfinite(high))
+            return f"x[{', '.join(map(str, free[:10]))}] without a bound; give low and high"
+        return f"{len(self.rows[1])} rows D x <= d, low <= x <= high, {int(self.integer.sum())} integers"
+
+
+def _near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
+    """Return the rows in units in which their largest entry is 1 to 2: the tolerances of HiGHS are absolute.
+
+    The factors are powers of two, so that nothing is rounded.
+    """
+    exponents = 1 - np.frexp(np.abs(rows).max(axis=1, initial=0.0))[1]
+    exponents = np.where(rows.any(axis=1), exponents, 0)
+    return np.ldexp(rows, exponents[:, None]), np.ldexp(bounds, exponents)
+
+
+def require_block(block: Any, algorithm: str) -> None:
+    """Raise ConfigError unless it is an agent's part of a mixed-integer program."""
+    if not isinstance(block, MixedIntegerBlock):
+        allowed = "a MixedIntegerBlock, such as a MixedIntegerConstraintCoupled"
+        raise ConfigError(f"{algorithm}: block", type(block).__name__, allowed)
+
+
+class _Elastic:
+    """min c'x over X with A x <= y + v, for many y: in (x, v)."""
+
+    def __init__(self, block: MixedIntegerBlock) -> None:
+        n, S, (D, d) = block.n, block.S, block.rows
+        self._n, self._S, self._index = n, S, np.arange(n + S, dtype=np.int32)
+        self._zero, self._high = np.zeros(S), np.concatenate([block.bounds[1], np.zeros(S)])
+        self._cost, self._short = np.concatenate([block.c, self._zero]), np.concatenate([np.zeros(n), np.ones(S)])
+        self._low = np.concatenate([block.bounds[0], np.zeros(S)])
+        self._highs = quiet_highs()
+        self._highs.addVars(n + S, self._low, self._high)
+        for s, row in enumerate(block.A):
+            self._add(np.concatenate([row, -np.eye(S)[s]]), 0.0)
+        for row, most in zip(D, d, strict=True):
+            self._add(np.concatenate([row, self._zero]), most)
+        kinds = np.zeros(n + S, np.uint8)
+        kinds[:n][block.integer] = int(highspy.HighsVarType.kInteger)
+        self._highs.changeColsIntegrality(n + S, self._index, kinds)
+        self._highs.setOptionValue("mip_max_nodes", MOST_NODES)
+        self._highs.setOptionValue("mip_rel_gap", 0.0)
+
+    def solve(self, y: Vec) -> Vec | str:
+        """x (n,) of the least sum of v and then of the least c'x; or a word of why there is none."""
+        for s in range(self._S):
+            self._highs.changeRowBounds(s, -np.inf, float(y[s]))
+        within = self._minimise(self._cost, self._zero)
+        if not isinstance(within, str):
+            return within[: self._n]
+        missing = self._minimise(self._short, np.full(self._S, np.inf))
+        if isinstance(missing, str):
+            return missing
+        found = self._minimise(self._cost, missing[self._n :] + SLACK * (1.0 + np.abs(y)))
+        return found if isinstance(found, str) else found[: self._n]
+
+    def _minimise(self, cost: Vec, most: Vec) -> Vec | str:
+        """(x, v) of the least cost; `most`: of v."""
+        self._high[self._n :] = most
+        self._highs.changeColsBounds(len(self._index), self._index, self._low, self._high)
+        self._highs.changeColsCost(len(self._index), self._index, cost)
+        self._highs.run()
+        status = self._highs.getModelStatus()
+        if status != highspy.HighsModelStatus.kOptimal:
+            return WORDS.get(status, str(status.name))
+        return np.array(self._highs.getSolution().col_value)
+
+    def _add(self, row: Vec, most: float) -> None:
+        at = np.flatnonzero(row).astype(np.int32)
+        self._highs.addRow(-np.inf, float(most), len(at), at, row[at])

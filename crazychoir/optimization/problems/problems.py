@@ -1,0 +1,297 @@
+"""The problems that agents solve together, as one agent models its part in cvxpy."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from math import inf
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems import diagnosis
+from crazychoir.optimization.problems import expressions as ex
+from crazychoir.optimization.problems.conic import ConicProgram
+from crazychoir.optimization.problems.expressions import Quadratic
+from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
+from crazychoir.optimization.problems.quadratic import Polyhedron
+from crazychoir.optimization.problems.solver_choice import Decided, Program, compiled, fast
+from crazychoir.optimization.rounds.arrays import is_number, numbers, vector
+from crazychoir.types import Mat, Vec
+
+MOST_PENALTIES = 8
+"""Values of rho for which the problem is kept compiled."""
+
+
+class CostCoupled:
+    """One agent's part of  min sum_i f_i(x)  s.t.  x in the intersection of the X_i.
+
+    agent: its id, for messages;  x: cvxpy variable, a scalar or a vector (n,);  objective: f_i, convex;
+    constraints: X_i, convex sets. All may contain further variables, of this agent alone, and parameters.
+
+    What solves it is chosen by its structure, see `solver`: a closed form (f quadratic, X given by equalities), the
+    active-set method (f strictly convex quadratic, X a polyhedron), HiGHS (f linear, X a polyhedron), Clarabel (all
+    others). Each stops after a number of steps, and repeats itself to the last bit.
+    Raises ConfigError for a model that is not convex, not finite or of a wrong shape; SolverError for one that is
+    infeasible or unbounded, when it is solved. Both name the agent, the constraint and its row.
+    """
+
+    def __init__(self, agent: int, x: cp.Variable, objective: Any, constraints: Sequence[cp.Constraint] = ()) -> None:
+        self.agent, self.x, self.where = agent, x, f"agent {agent}"
+        self.n = ex.decision(x, self.where)
+        self.objective = ex.convex(objective, f"{self.where}: objective")
+        self.constraints = [*ex.constraint_list(constraints, self.where), *ex.domain(x, self.where)]
+        ex.require_continuous([self.objective, *self.constraints], self.where)
+        self._programs: dict[tuple[float, bool], Program] = {}
+
+    def refresh(self) -> None:
+        """Take the present values of the model's parameters."""
+        self._programs.clear()
+        for name in ("form", "over"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def form(self) -> Quadratic | None:
+        """f_i as a quadratic function of x; None if it is another one."""
+        found = ex.quadratics(self.objective, self.x)
+        return None if found is None else found[0]
+
+    @cached_property
+    def over(self) -> Polyhedron | None:
+        """X_i as a polyhedron; None if it is another set, or in more variables than x."""
+        return ex.polyhedron(self.constraints, self.x)
+
+    # Values ---------------------------------------------------------------------------------------------------
+
+    def value(self, x: Vec) -> float:
+        """f_i(x); inf outside of its domain."""
+        point = self._vector(x, "x")
+        if self.form is not None:
+            return self.form.value(point)
+        found = float(ex.at(self._own("value"), self.x, point)[0])
+        return found if np.isfinite(found) else inf
+
+    def gradient(self, x: Vec) -> Vec:
+        """A (sub)gradient (n,) of f_i at x."""
+        point = self._vector(x, "x")
+        if self.form is not None:
+            return self.form.gradient(point)
+        found: Vec = ex.slope(self._own("gradient"), self.x, point)[0]
+        if not np.isfinite(found).all():
+            raise SolverError(f"{self.where}: gradient of the objective at {x}", "not finite: outside of its domain")
+        return found
+
+    def _own(self, what: str) -> cp.Expression:
+        if not ex.only(self.objective, self.x):
+            names = [variable.name() for variable in self.objective.variables()]
+            raise ConfigError(f"{self.where}: {what} of the objective", f"variables {names}", f"{self.x.name()} alone")
+        return self.objective
+
+    # Solving --------------------------------------------------------------------------------------------------
+
+    def argmin(self, linear: Vec | None = None, center: Vec | None = None, penalty: float = 0.0) -> Vec:
+        """argmin f_i(x) + p'x + rho/2 |x - z|^2 over X_i; one of them where there are several.
+
+        linear: p (n,), else 0;  center: z (n,), else 0;  penalty: rho >= 0, compiled for each value.
+        """
+        p = np.zeros(self.n) if linear is None else self._vector(linear, "linear term")
+        if center is not None:
+            p = p - penalty * self._vector(center, "center")
+        return self._solved(self._program(penalty), p)
+
+    def project(self, z: Vec) -> Vec:
+        """The point of X_i that is the closest to z."""
+        return self._solved(self._program(1.0, cost=False), -self._vector(z, "point"))
+
+    def solver(self, penalty: float = 0.0) -> str:
+        """What `argmin` uses: "closed form", "active set", "HiGHS" or "Clarabel"."""
+        return self._program(penalty).name
+
+    def is_fast(self, penalty: float = 0.0) -> bool:
+        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        return self.solver(penalty) in ("closed form", "active set")
+
+    def _solved(self, program: Program, p: Vec) -> Vec:
+        found = program.solve(p)
+        if isinstance(found, str):
+            raise SolverError(f"{self.where}: local problem", self.why(found, p))
+        return found
+
+    def why(self, status: str, p: Vec) -> str:
+        """What a solver's word comes from: the constraint and its row, the entry and its value."""
+        if status == "not finite":
+            k = int(np.argmin(np.isfinite(p)))
+            return f"not finite: entry {k} of what was heard or asked for is {p[k]}"
+        if status == "unbounded":
+            return diagnosis.unbounded(self.x, self.objective + p.reshape(self.x.shape) @ self.x, self.constraints)
+        return diagnosis.no_point(status, self.constraints, self.x)
+
+    def _program(self, penalty: float, cost: bool = True) -> Program:
+        """The compiled problem for a rho, with f or without."""
+        if not is_number(penalty) or not 0.0 <= penalty < inf:
+            raise ConfigError(f"{self.where}: penalty", f"{penalty}", "a finite number >= 0")
+        found = self._programs.get((penalty, cost))
+        if found is not None:
+            return found
+        if len(self._programs) >= MOST_PENALTIES:
+            self._programs.clear()
+        objective, form = (self.objective, self.form) if cost else (cp.Constant(0.0), Quadratic.zero(self.n))
+        made = self._programs[penalty, cost] = compiled(form, self.over, self.x, objective, self.constraints, penalty)
+        return made
+
+    def _vector(self, value: Vec, name: str) -> Vec:
+        found: Vec = numbers(value, self.where, name)
+        if found.shape != (self.n,):
+            raise ConfigError(f"{self.where}: {name}", f"shape {found.shape}", f"shape ({self.n},), as {self.x.name()}")
+        return found
+
+
+def require_problem(problem: Any, kind: type, algorithm: str) -> None:
+    """Raise ConfigError unless the problem is of the kind that the algorithm solves."""
+    if not isinstance(problem, kind):
+        do = "Model the agent's part with it: crazychoir.optimization.problems.problems."
+        raise ConfigError(f"{algorithm}: problem", type(problem).__name__, f"a {kind.__name__}", do)
+
+
+class CommonCost(CostCoupled):
+    """One agent's part of  min f(x)  s.t.  x in the intersection of the X_i: all know f, each its own constraints.
+
+    Here f is quadratic (or linear), and X_i is a polyhedron. Raises ConfigError that names what is not.
+    """
+
+    def __init__(self, agent: int, x: cp.Variable, objective: Any, constraints: Sequence[cp.Constraint] = ()) -> None:
+        super().__init__(agent, x, objective, constraints)
+        if self.form is None:
+            allowed = f"a quadratic function of {x.name()}"
+            raise ConfigError(f"{self.where}: objective", str(self.objective), allowed)
+        ex.require_polyhedral(self.constraints, x, self.where)
+        self.cost: Quadratic = self.form
+        self.polyhedron = Polyhedron.of(*ex.rows(self.constraints, x))
+
+
+class ConstraintCoupled:
+    """One agent's part of  min sum_i f_i(x_i)  s.t.  sum_i g_i(x_i) <= sum_i b_i,  x_i in X_i.
+
+    coupling: g_i, (S,) convex expressions of x_i, a vector or a list;  share: b_i (S,), else 0; for a common bound b
+    each of N agents may take b/N.  The others as in CostCoupled, which `local` is, of f_i and X_i.
+    """
+
+    def __init__(
+        self, agent: int, x: cp.Variable, objective: Any, coupling: Any, constraints: Sequence[cp.Constraint] = (),
+        share: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
+        self.local = CostCoupled(agent, x, objective, constraints)
+        self.agent, self.x, self.n, self.where = agent, x, self.local.n, self.local.where
+        self.coupling = ex.coupling(coupling, f"{self.where}: coupling")
+        if not ex.only(self.coupling, x):
+            names = [variable.name() for variable in self.coupling.variables()]
+            raise ConfigError(f"{self.where}: coupling", f"variables {names}", f"{x.name()} alone")
+        self.S = int(self.coupling.size)
+        self.share = _share(share, self.S, self.where)
+
+    @cached_property
+    def _affine(self) -> tuple[Mat, Vec] | None:
+        return ex.affine(self.coupling, self.x) if self.coupling.is_affine() else None
+
+    @cached_property
+    def _priced(self) -> "_Priced":
+        return _Priced(self)
+
+    def excess(self, x: Vec) -> Vec:
+        """g_i(x) - b_i (S,), what the agent takes beyond its share."""
+        if self._affine is not None:
+            G, h = self._affine
+            return G @ x + h - self.share
+        return ex.at(self.coupling, self.x, np.asarray(x, float)) - self.share
+
+    def jacobian(self, x: Vec) -> Mat:
+        """(Sub)gradients (S, n) of g_i at x."""
+        return ex.slope(self.coupling, self.x, np.asarray(x, float)) if self._affine is None else self._affine[0]
+
+    def is_fast(self) -> bool:
+        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        return self._affine is not None and self.local.is_fast()
+
+    def argmin(self, prices: Vec) -> Vec:
+        """argmin f_i(x) + mu'g_i(x) over X_i; prices: mu (S,) >= 0."""
+        mu = self._prices(prices)
+        if self._affine is not None:
+            return self.local.argmin(self._affine[0].T @ mu)
+        found = self._priced.solve(mu)
+        if isinstance(found, str):
+            raise SolverError(f"{self.where}: local problem", self.local.why(found, np.zeros(self.n)))
+        return found
+
+    def _prices(self, value: Vec) -> Vec:
+        found: Vec = numbers(value, self.where, "prices")
+        if found.shape != (self.S,):
+            raise ConfigError(f"{self.where}: prices", f"shape {found.shape}", f"shape ({self.S},), as the coupling")
+        if not np.isfinite(found).all():
+            s = int(np.argmin(np.isfinite(found)))
+            raise SolverError(f"{self.where}: prices[{s}] = {found[s]}", "not finite")
+        return found
+
+
+def _share(given: ArrayLike | None, S: int, where: str) -> Vec:
+    """b_i (S,), 0 if nothing is given; raises ConfigError that names the entry."""
+    return vector(np.zeros(S) if given is None else given, where, "share", S)
+
+
+class MixedIntegerConstraintCoupled(MixedIntegerBlock):
+    """One agent's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i,  modelled with cvxpy.
+
+    x: (n,) with cvxpy's attributes integer and boolean, for all entries or some;  objective: linear, its constant is
+    left out;  coupling: A_i x, (S,) linear, a constant in it counts against the share;  constraints: linear ones, which
+    bound x;  share: b_i (S,), else 0.
+    The arrays are those of MixedIntegerBlock, for those who have them rather than expressions.
+    Raises ConfigError: what is not linear, by its row.
+    """
+
+    def __init__(
+        self, agent: int, x: cp.Variable, objective: Any, coupling: Any, constraints: Sequence[cp.Constraint] = (),
+        share: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
+        where = f"agent {agent}"
+        n, (integer, binary) = ex.decision(x, where), ex.whole(x)
+        own = [*ex.constraint_list(constraints, where), *ex.domain(x, where, whole=True)]
+        ex.require_polyhedral(own, x, where)
+        cost = ex.linear(ex.convex(objective, f"{where}: objective"), x, f"{where}: objective")[0][0]
+        G, h = ex.linear(ex.coupling(coupling, f"{where}: coupling"), x, f"{where}: coupling")
+        A, b, E, e = ex.rows(own, x)
+        low, high = np.full(n, -inf), np.full(n, inf)
+        low[binary], high[binary] = 0.0, 1.0
+        rows, left = (np.vstack([A, E, -E]), np.concatenate([b, e, -e])), _share(share, len(h), where) - h
+        super().__init__(agent, cost, G, left, rows=rows, bounds=(low, high), integer=integer)
+        self.x = x
+
+
+class _Priced:
+    """f + mu'g over X with a g that is not affine: with a Hessian for each mu, else with mu as a DPP parameter."""
+
+    def __init__(self, problem: ConstraintCoupled) -> None:
+        self._local, self._coupling = problem.local, problem.coupling
+        self._forms = ex.quadratics(problem.coupling, problem.x)
+        self._mu = cp.Parameter(problem.S, nonneg=True, value=np.zeros(problem.S))
+        self._zero = np.zeros(problem.n)
+
+    @cached_property
+    def _conic(self) -> ConicProgram:
+        objective = self._local.objective + self._mu @ self._coupling
+        return ConicProgram(self._local.x, objective, self._local.constraints)
+
+    def solve(self, mu: Vec) -> Vec | str:
+        """The solution x (n,), or why there is none."""
+        form = self._local.form
+        if form is not None and self._forms is not None:
+            for g, m in zip(self._forms, mu.tolist(), strict=True):
+                form = form + g.times(m)
+            if program := fast(form, self._local.over):
+                return Decided(program, lambda: self._at(mu)).solve(self._zero)
+        return self._at(mu).solve(self._zero)
+
+    def _at(self, mu: Vec) -> ConicProgram:
+        """Return the compiled program with the prices mu (S,)."""
+        self._mu.value = mu
+        self._conic.refresh()
+        return self._conic

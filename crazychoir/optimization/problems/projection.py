@@ -1,0 +1,253 @@
+"""Projections onto convex sets, in closed form where there is one."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.rounds.arrays import is_number
+from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.types import Vec
+
+
+class ConvexSet(Protocol):
+    """A closed convex set that knows its projection, and how cvxpy writes it."""
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        ...
+
+    def constraints(self, x: Any) -> list[Any]:
+        """cvxpy's constraints that say that x is in the set."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """{x: low <= x <= high}, entry by entry; P(x) = min(max(x, low), high). Bounds may be infinite."""
+
+    low: ArrayLike
+    high: ArrayLike
+    shape: tuple[int, ...] = field(init=False, repr=False)
+    """Of its points; () where low and high are numbers, which hold for points of any shape."""
+
+    def __post_init__(self) -> None:
+        low, high = _bound("low", self.low), _bound("high", self.high)
+        found = f"low {low.tolist()}, high {high.tolist()}"
+        if low.ndim and high.ndim and low.shape != high.shape:
+            raise ConfigError("box", found, "low and high of one shape, or a number for all entries")
+        if not np.all(low <= high):
+            raise ConfigError("box", found, "low at most high in each entry")
+        object.__setattr__(self, "shape", low.shape or high.shape)
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        if self.shape and np.shape(x) != self.shape:
+            raise _another_size("box", np.shape(x), self.shape)
+        return np.minimum(np.maximum(x, self.low), self.high)
+
+    def constraints(self, x: Any) -> list[Any]:
+        """low <= x <= high, where they are finite."""
+        low, high = (np.broadcast_to(np.asarray(bound, dtype=float), x.shape) for bound in (self.low, self.high))
+        below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
+        return [x[below] >= low[below]] * bool(below.size) + [x[above] <= high[above]] * bool(above.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """{x: |a'x - b| <= width / 2}: what a measurement b of a'x says, with an error of at most width / 2.
+
+    P(x) = x - a (r - min(max(r, -width/2), width/2)) / a'a,   r = a'x - b
+    """
+
+    a: ArrayLike
+    b: float
+    width: float
+    shape: tuple[int, ...] = field(init=False, repr=False)
+    """Of its points."""
+
+    def __post_init__(self) -> None:
+        a = vector("strip: a", self.a)
+        if a.ndim != 1:
+            raise ConfigError("strip: a", f"shape {a.shape}", "a vector")
+        for name, value in (("b", self.b), ("width", self.width)):
+            if not is_number(value):
+                raise ConfigError(f"strip: {name}", repr(value), "a number")
+        object.__setattr__(self, "shape", a.shape)
+        if not (a @ a > 0.0 and np.isfinite(self.b) and self.width >= 0.0):
+            found = f"a {a.tolist()}, b {self.b}, width {self.width}"
+            raise ConfigError("strip", found, "a not zero, b finite, width 0 or more")
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        if np.shape(x) != self.shape:
+            raise _another_size("strip", np.shape(x), self.shape)
+        a = np.atleast_1d(np.asarray(self.a, dtype=float))
+        r = float(a @ x - self.b)
+        beyond = r - min(max(r, -self.width / 2), self.width / 2)
+        return np.asarray(x - a * (beyond / (a @ a)))
+
+    def constraints(self, x: Any) -> list[Any]:
+        """-width/2 <= a'x - b <= width/2."""
+        r = np.atleast_1d(np.asarray(self.a, dtype=float)) @ x - self.b
+        return [r <= self.width / 2, r >= -self.width / 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Disc:
+    """{x: |x - c| <= radius}, a ball in any dimension: what a measured distance says.
+
+    P(x) = c + (x - c) min(1, radius / |x - c|)
+    """
+
+    c: ArrayLike
+    radius: float
+    shape: tuple[int, ...] = field(init=False, repr=False)
+    """Of its points."""
+
+    def __post_init__(self) -> None:
+        c = vector("disc: c", self.c)
+        if c.ndim != 1:
+            raise ConfigError("disc: c", f"shape {c.shape}", "a vector")
+        object.__setattr__(self, "shape", c.shape)
+        if not is_number(self.radius):
+            raise ConfigError("disc: radius", repr(self.radius), "a number")
+        if not 0.0 <= self.radius < np.inf:
+            raise ConfigError("disc: radius", self.radius, "0 or more")
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        if np.shape(x) != self.shape:
+            raise _another_size("disc", np.shape(x), self.shape)
+        c = np.atleast_1d(np.asarray(self.c, dtype=float))
+        away = x - c
+        distance = float(np.linalg.norm(away))
+        return np.asarray(x if distance <= self.radius else c + away * (self.radius / distance))
+
+    def constraints(self, x: Any) -> list[Any]:
+        """|x - c| <= radius."""
+        return [_cvxpy().norm2(x - np.atleast_1d(np.asarray(self.c, dtype=float))) <= self.radius]
+
+
+class Convex:
+    """A set by cvxpy's constraints on a variable: the projection is a problem that is compiled once, see programs.py.
+
+        P(z) = argmin |x - z|^2  subject to the constraints
+
+    x: cvxpy.Variable of one dimension;  where: what errors call the set, such as "agent 3: set".
+    """
+
+    def __init__(self, x: Any, constraints: Sequence[Any], where: str = "set") -> None:
+        from crazychoir.optimization.problems import expressions  # they import cvxpy
+        from crazychoir.optimization.problems import solver_choice as programs  # they import cvxpy
+
+        n = expressions.decision(x, where)
+        self.x, self.where = x, where
+        self.shape = (n,)
+        self._given = [*expressions.constraint_list(constraints, where), *expressions.domain(x, where)]
+        over = expressions.polyhedron(self._given, x)
+        zero, nothing = expressions.Quadratic.zero(n), _cvxpy().Constant(0.0)
+        self._program = programs.compiled(zero, over, x, nothing, self._given, penalty=1.0)
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set; raises SolverError where it is empty."""
+        if np.shape(x) != self.shape:
+            raise _another_size(self.where, np.shape(x), self.shape)
+        found = self._program.solve(-np.asarray(x, float))
+        if isinstance(found, str):
+            from crazychoir.optimization.problems import diagnosis
+
+            why = diagnosis.no_point(found, self._given, self.x)
+            raise SolverError(f"{self.where}: projection of {np.asarray(x).tolist()}", why)
+        return found
+
+    def constraints(self, x: Any) -> list[Any]:
+        """The given ones, of a variable that is the same."""
+        return [*self._given, x == self.x]
+
+
+class Intersection:
+    """The points that are in all of some sets.
+
+    One set: its own projection; several boxes: their common box; else cvxpy's, compiled when a set is added.
+    n: length of x;  where: what errors call the set.  Raises SolverError where nothing is in all sets.
+    """
+
+    def __init__(self, n: int, sets: Sequence[ConvexSet], where: str = "set") -> None:
+        self.n, self.where = n, where
+        self.sets = [self._checked(one, f"{where}[{r}]") for r, one in enumerate(_listed(sets, where))]
+        self._whole = self._joined()
+
+    def add(self, one: ConvexSet) -> None:
+        """Make it smaller."""
+        self.sets.append(self._checked(one, f"{self.where}[{len(self.sets)}]"))
+        self._whole = self._joined()
+
+    def project(self, x: Vec) -> Vec:
+        """The nearest point of the set."""
+        return x if self._whole is None else self._whole.project(x)
+
+    def constraints(self, x: Any) -> list[Any]:
+        """Of all sets."""
+        return [constraint for one in self.sets for constraint in one.constraints(x)]
+
+    def _checked(self, one: Any, where: str) -> ConvexSet:
+        """Return the set, if its points are (n,)."""
+        if not (callable(getattr(one, "project", None)) and callable(getattr(one, "constraints", None))):
+            raise ConfigError(where, repr(one), "a set: Box, Strip, Disc, Convex, or another ConvexSet")
+        shape = getattr(one, "shape", ())
+        if shape and shape != (self.n,):
+            found = f"a {type(one).__name__} of points of shape {shape}"
+            raise ConfigError(where, found, f"a set of points of shape ({self.n},)")
+        kept: ConvexSet = one
+        return kept
+
+    def _joined(self) -> ConvexSet | None:
+        if len(self.sets) <= 1:
+            return self.sets[0] if self.sets else None
+        boxes = [one for one in self.sets if isinstance(one, Box)]
+        if len(boxes) == len(self.sets):
+            return self._box(boxes)
+        x = _cvxpy().Variable(self.n)
+        return Convex(x, self.constraints(x), self.where)
+
+    def _box(self, boxes: Sequence[Box]) -> Box:
+        low = np.max([np.broadcast_to(box.low, self.n) for box in boxes], axis=0)
+        high = np.min([np.broadcast_to(box.high, self.n) for box in boxes], axis=0)
+        empty = np.flatnonzero(low > high)
+        if empty.size:
+            row = int(empty[0])
+            raise SolverError(f"{self.where}: row {row}", f"infeasible: from {low[row]:g} to {high[row]:g}")
+        return Box(low, high)
+
+
+def _listed(sets: Any, where: str) -> Sequence[Any]:
+    """Return the sets as a list; one alone counts as a list of one."""
+    if callable(getattr(sets, "project", None)):
+        return [sets]
+    if isinstance(sets, (str, Mapping)) or not isinstance(sets, Iterable):
+        raise ConfigError(where, repr(sets), "a list of sets")
+    return list(sets)
+
+
+def _bound(name: str, value: ArrayLike) -> Vec:
+    """Return the lower or upper bound of a box as an array of numbers, which may be infinite."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"box: {name}", repr(value), "a number, or an array of them") from error
+
+
+def _another_size(where: str, found: tuple[int, ...], shape: tuple[int, ...]) -> ConfigError:
+    """Return the error of a point that the set has none of."""
+    return ConfigError(f"{where}: point", f"shape {found}", f"shape {shape}, as the set's points")
+
+
+def _cvxpy() -> Any:
+    """1 s that closed forms do not need."""
+    import cvxpy
+
+    return cvxpy

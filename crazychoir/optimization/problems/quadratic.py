@@ -1,0 +1,248 @@
+"""Strictly convex quadratic programs over a polyhedron, factorised once and solved often."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Final
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+
+from crazychoir.optimization.problems import active_set
+from crazychoir.optimization.problems.active_set import CAPPED, INFEASIBLE, NEGLIGIBLE, NOT_FINITE, ROUNDING, Rows
+from crazychoir.optimization.problems.linear import Mask
+from crazychoir.types import Mat, Vec
+
+FLAT = 1e-7
+"""A Hessian with eigenvalues below this, relative to the largest, has no unique minimum."""
+PARALLEL: Final = 1e-10
+"""Of singular values of unit rows, relative to the largest: equalities below are dependent."""
+ROUNDED: Final = 1e-14
+"""Of the same singular values: below, they are zero, rounded."""
+CONSISTENT: Final = 1e-9
+"""What a row that no x changes may be missed by, relative to its own terms: the rounding of the data."""
+DOUBTFUL = "rows so nearly dependent that rounding decides"
+INACCURATE = "inaccurate: double precision cannot tell whether all rows hold; scale the rows and variables alike"
+WORDS = {INFEASIBLE: "infeasible", CAPPED: "too many steps", NOT_FINITE: "not finite"}
+UNDECIDED: Final = (DOUBTFUL, INACCURATE, WORDS[CAPPED])
+"""Words that do not say whether there is a solution: another method may find it."""
+
+
+@dataclass(frozen=True)
+class Polyhedron:
+    """{x in R^n : A x <= b, E x = e}, its rows scaled to length one.
+
+    A: (m, n);  b: (m,);  E: (l, n);  e: (l,).
+    """
+
+    A: Mat
+    b: Vec
+    E: Mat
+    e: Vec
+
+    @classmethod
+    def of(cls, A: Mat, b: Vec, E: Mat, e: Vec) -> "Polyhedron":
+        """From rows of any length; those of zeros that always hold are left out."""
+        upper, equal = (np.asarray(bounds, float) for bounds in (b, e))
+        return cls(*scaled(A, upper, upper < -NEGLIGIBLE)[:2], *scaled(E, equal, np.abs(equal) > NEGLIGIBLE)[:2])
+
+    @property
+    def n(self) -> int:
+        """Dimension of x."""
+        return int(self.A.shape[1])
+
+
+class AffineHull:
+    """{x in R^n : E x = e} for many e: its directions, a point of it, and whether there is one.
+
+        E_r = sum_i c_ri E_i  over a basis of rows i, for all other rows r;   so that e_r = sum_i c_ri e_i is needed
+
+    E: (l, n), rows of length one or zero.
+    null: N (n, n - rank), E N = 0, N'N = I;  lift: (n, l), of e to the point of least length that meets the basis;
+    basis: numbers of rows;  others: of the l - rank other rows;  shares: c (l - rank, rank).
+    """
+
+    def __init__(self, E: Mat, least: float = PARALLEL) -> None:
+        directions, factor, order = qr(E.T, pivoting=True) if E.size else (np.eye(E.shape[1]), E.T, np.arange(len(E)))
+        sizes = np.abs(np.diag(factor))
+        rank = int(np.sum(sizes > least * sizes.max(initial=0.0)))
+        span, triangle = directions[:, :rank], factor[:rank, :rank]
+        self.E = E
+        self.basis = order[:rank]
+        self.others = order[rank:]
+        self.null = np.ascontiguousarray(directions[:, rank:])
+        self.lift = np.zeros(E.T.shape)
+        self.shares = np.zeros((len(E) - rank, rank))
+        if rank:
+            self.lift[:, self.basis] = solve_triangular(triangle, span.T).T
+            self.shares = solve_triangular(triangle, factor[:rank, rank:]).T
+        is_rounded = sizes[rank:].max(initial=0.0) <= ROUNDED * sizes.max(initial=0.0)
+        self._finer = None if is_rounded else AffineHull(E, ROUNDED)
+
+    def point(self, e: Vec) -> Vec:
+        """Return x_0 (n,), which meets the rows of the basis, each to the rounding of its own terms."""
+        x = self.lift @ e
+        refined: Vec = x + self.lift @ (e - self.E @ x)
+        return refined
+
+    def sizes(self, x: Vec, e: Vec) -> Vec:
+        """Return the size (l,) of the terms of each row at x (n,)."""
+        found: Vec = np.abs(self.E) @ np.abs(x) + np.abs(e)
+        return found
+
+    def gaps(self, x: Vec, e: Vec) -> Vec:
+        """Return e_r - sum_i c_ri e_i (l - rank,), 0 where it is the rounding of the terms of these rows at x (n,)."""
+        gap = e[self.others] - self.shares @ e[self.basis]
+        size = self.sizes(x, e)
+        allowed = CONSISTENT * (size[self.others] + np.abs(self.shares) @ size[self.basis]) + NEGLIGIBLE
+        found: Vec = np.where(np.abs(gap) <= allowed, 0.0, gap)
+        return found
+
+    def verdict(self, x: Vec, e: Vec) -> str:
+        """Return why there is no point, where x (n,) meets the basis; "" if there is one.
+
+        "infeasible", or DOUBTFUL where a point very far away meets all rows, as they are not quite dependent.
+        """
+        if not len(self.others) or not self.gaps(x, e).any():
+            return ""
+        if self._finer is None or self._finer.verdict(self._finer.point(e), e):
+            return WORDS[INFEASIBLE]
+        return DOUBTFUL
+
+
+@dataclass
+class QuadraticProgram:
+    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p.
+
+        K = -N (N'PN)^-1 N',   k = x_0 + K P x_0,   E x_0 = e,   the columns of N span the null space of E
+
+    x = K (q + p) + k solves it without the inequalities, in closed form; with them `active_set.minimise` does, from the
+    multipliers u of the last solution. A row of A in the span of E has the same value for all x: it is judged here, and
+    not by the method. Raises np.linalg.LinAlgError if N'PN is not positive definite.
+    P: (n, n), symmetric;  q: (n,);  u: (m,) >= 0, the multipliers of A x <= b;
+    verdict: why there is no solution whatever p is, or "".
+    """
+
+    P: Mat
+    q: Vec
+    over: Polyhedron
+
+    def __post_init__(self) -> None:
+        over, self.hull = self.over, AffineHull(self.over.E)
+        null = self.hull.null
+        self.inverse = np.ascontiguousarray(-null @ np.linalg.solve(positive(null.T @ self.P @ null), null.T))
+        self._free = over.A @ null
+        self._is_fixed = np.linalg.norm(self._free, axis=1) <= PARALLEL
+        self._sizes = np.abs(over.A)
+        self._A = np.ascontiguousarray(over.A)
+        self._E = np.ascontiguousarray(over.E[self.hull.basis])
+        self._shares = np.abs(over.A @ self.hull.lift)
+        self.image = np.ascontiguousarray(over.A @ self.inverse)
+        self.gram = np.ascontiguousarray(-self.image @ over.A.T)
+        self.image[self._is_fixed] = 0.0
+        self.gram[self._is_fixed] = 0.0
+        self.gram[:, self._is_fixed] = 0.0
+        self.u = np.zeros(len(over.b))
+        self.name = "active set" if len(over.b) else "closed form"
+        x0 = self.hull.point(over.e)
+        self._place(x0 + self.inverse @ (self.P @ x0), over.b, over.e)
+
+    def _place(self, origin: Vec, b: Vec, e: Vec) -> None:
+        """Take the point `origin` (n,) of the equalities, and judge the rows that no x changes."""
+        self.origin = origin
+        self._b = np.ascontiguousarray(b, float)
+        self._e = np.asarray(e, float)
+        self._basis_e = self._e[self.hull.basis]
+        size = self._sizes @ np.abs(origin) + np.abs(b)
+        slack = b - self.over.A @ origin
+        self.verdict = self.hull.verdict(origin, e)
+        if self._is_fixed.any() and not self.verdict:
+            known = size + self._shares @ self.hull.sizes(origin, e)
+            if (slack < -CONSISTENT * known - NEGLIGIBLE)[self._is_fixed].any():
+                self.verdict = WORDS[INFEASIBLE]
+        slack[self._is_fixed | (np.abs(slack) <= ROUNDING * size)] = 0.0
+        self.slack = slack
+
+    def solve(self, p: Vec) -> Vec | str:
+        """The solution x (n,), or why there is none: one of WORDS and UNDECIDED."""
+        q = self.q + p
+        if self.verdict:
+            return self.verdict
+        if not len(self.slack):
+            x = self.inverse @ q + self.origin
+            return x if isfinite(x.sum()) else WORDS[NOT_FINITE]
+        x = np.empty_like(self.origin)
+        steps = active_set.minimise(self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x)
+        if steps >= 0:
+            return x if self._is_met(x) else self._polished(x)
+        if steps == INFEASIBLE:
+            certain = self._exclude_each_other(np.flatnonzero(self.u))
+            self.u[:] = 0.0
+            return WORDS[INFEASIBLE] if certain else DOUBTFUL
+        return WORDS[steps]
+
+    def _polished(self, x: Vec) -> Vec | str:
+        """Return the point nearest to x (n,) that meets the equalities and the active rows; INACCURATE if others miss.
+
+        Where rows are nearly dependent the active-set method loses twice the digits that this does.
+        """
+        rows = np.flatnonzero(self.u)
+        C = np.vstack([self.over.E, self.over.A[rows]])
+        d = np.concatenate([self._e, self._b[rows]])
+        for _ in range(2):
+            x = x + np.linalg.lstsq(C, d - C @ x, rcond=ROUNDED)[0]
+        return x if self._is_met(x) else INACCURATE
+
+    def _is_met(self, x: Vec) -> bool:
+        """Whether x (n,) meets the inequalities and the basis of the equalities; their other rows follow."""
+        return bool(active_set.is_met(self._A, self._b, self._E, self._basis_e, x))
+
+    def _exclude_each_other(self, rows: Rows) -> bool:
+        """Whether no x meets these rows: the least singular vector is their proof, if it is not just a small one."""
+        lengths = np.linalg.norm(self._free[rows], axis=1)
+        left, sizes, _ = np.linalg.svd(self._free[rows] / lengths[:, None])
+        weights = left[:, -1] if left[:, -1].sum() > 0.0 else -left[:, -1]
+        least = 0.0 if len(rows) > len(sizes) else sizes[-1]
+        gap = -float((self.slack[rows] / lengths) @ weights)
+        size = self._sizes[rows] @ np.abs(self.origin) + np.abs(self._b[rows])
+        is_seen = gap > CONSISTENT * float((size / lengths) @ np.abs(weights)) + NEGLIGIBLE
+        return bool(least <= PARALLEL and is_seen and weights.min() >= -CONSISTENT)
+
+
+@dataclass
+class MovingProgram(QuadraticProgram):
+    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p, b and e.
+
+        k = (I + K P) E^+ e,   so that the right-hand sides alone move
+
+    The rows of A are of length one, those of E of length one or zero.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.lift = (np.eye(len(self.P)) + self.inverse @ self.P) @ self.hull.lift
+
+    def move(self, b: Vec, e: Vec) -> None:
+        """Other right-hand sides b (m,) and e (l,); the next solution starts from the last one all the same."""
+        self._place(self.lift @ e, b, e)
+
+
+def positive(H: Mat) -> Mat:
+    """H, symmetric, if it is positive definite; else raises LinAlgError."""
+    if len(H):
+        values = np.linalg.eigvalsh(H)
+        if not values[0] > FLAT * max(values[-1], FLAT):
+            raise np.linalg.LinAlgError(f"smallest eigenvalue {values[0]:g} of {values[-1]:g}")
+    return H
+
+
+def scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
+    """Return rows of length one, their bounds, and the lengths they had; zero rows only where `keep` says so."""
+    rows, bounds = np.asarray(rows, float), np.asarray(bounds, float)
+    largest = np.abs(rows).max(axis=1, initial=0.0)
+    kept = (largest > 0.0) | keep
+    largest = np.where(largest > 0.0, largest, 1.0)[kept]
+    # By the largest entry first: the squares of very large and very small ones are not numbers.
+    rows = rows[kept] / largest[:, None]
+    length = np.linalg.norm(rows, axis=1)
+    length = np.where(length > 0.0, length, 1.0)
+    return np.ascontiguousarray(rows / length[:, None]), bounds[kept] / largest / length, largest * length

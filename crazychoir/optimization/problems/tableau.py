@@ -1,0 +1,189 @@
+"""The compiled steps of the lexicographic simplex method: pivots in a tableau, and the inverse of a basis by them.
+
+A tableau has the rows B^-1 [A, I, b] and below them the reduced costs at two levels. What is zero is judged by the
+terms of a difference, and the smaller of two numbers is looked for among numbers of one unit only: so the steps do the
+same whatever the units of rows and columns are.
+"""
+
+from typing import Final
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.numerics.math3d import Mat, kernel, table
+
+Ints = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+CANCELLED: Final = 1e-9
+"""A difference smaller than this, relative to the larger of its two terms, is a rounding error in a long walk: zero."""
+ROUNDING: Final = 1e-11
+"""The same of what is computed anew, and of a sum relative to the sizes of its terms added up."""
+OPTIMAL: Final = -1
+"""No column enters."""
+MORE: Final = -2
+"""The pivots are used up."""
+
+
+@kernel()
+def _pivot(tableau: Mat, row: int, column: int, cancelled: float) -> None:
+    """Make `column` a unit vector with its 1 in `row`, in place.
+
+        T_rj <- T_rj / T_rc,     T_ij <- T_ij - T_ic T_rj   for i != r
+
+    A difference that cancels, to less than `cancelled` of its larger term, becomes an exact zero.
+    """
+    divisor = tableau[row, column]
+    for j in range(tableau.shape[1]):
+        tableau[row, j] /= divisor
+    tableau[row, column] = 1.0
+    for i in range(tableau.shape[0]):
+        factor = tableau[i, column]
+        if i == row or factor == 0.0:
+            continue
+        for j in range(tableau.shape[1]):
+            if tableau[row, j] == 0.0:
+                continue
+            before = tableau[i, j]
+            product = factor * tableau[row, j]
+            difference = before - product
+            if abs(difference) <= cancelled * max(abs(before), abs(product)):
+                difference = 0.0
+            tableau[i, j] = difference
+        tableau[i, column] = 0.0
+
+
+@kernel()
+def _towards_feasibility(tableau: Mat, order: Ints, basic: Ints, artificial: int, is_open: Mask) -> int:
+    """Return a column that lowers the first artificial column that it changes; close the columns that raise it.
+
+    order: the rows, by their basic columns, so that those of the artificial columns come first.
+    """
+    entering = OPTIMAL
+    best_level = len(order)
+    best_change = 0.0
+    for j in range(len(is_open)):
+        if not is_open[j]:
+            continue
+        change = 0.0
+        level = 0
+        while level < len(order):
+            row = order[level]
+            # An artificial column that comes back raises itself, before those of later rows change.
+            if basic[row] >= artificial or (j < artificial and basic[row] > j):
+                break
+            change = tableau[row, j]
+            if change != 0.0:
+                break
+            level += 1
+        if change < 0.0 or (change == 0.0 and j < artificial):
+            is_open[j] = False
+        elif change > 0.0 and (level < best_level or (level == best_level and change > best_change)):
+            entering = j
+            best_level = level
+            best_change = change
+    return entering
+
+
+@kernel()
+def _entering(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
+    """Return a column with lexicographically negative reduced costs, or OPTIMAL."""
+    m = len(basic)
+    order = np.argsort(basic)
+    is_open = np.ones(n, np.bool_)
+    is_open[basic] = False
+    entering = _towards_feasibility(tableau, order, basic, artificial, is_open)
+    if entering >= 0:
+        return entering
+    for cost in (m, m + 1):
+        least = 0.0
+        for j in range(n):
+            reduced = tableau[cost, j]
+            if is_open[j] and reduced < least:
+                least = reduced
+                entering = j
+            if reduced > 0.0:
+                is_open[j] = False
+        if entering >= 0:
+            return entering
+    for j in range(n):  # of columns that cost the same, one whose first delta is negative
+        if is_open[j]:
+            for row in order:
+                if tableau[row, j] != 0.0:
+                    if tableau[row, j] > 0.0 and basic[row] < j:
+                        return j
+                    break
+    return OPTIMAL
+
+
+@kernel()
+def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
+    """Return the row with the lexicographically least [B^-1 b, B^-1] / direction, or -1.
+
+    Only rows count where the direction, the entering column, is positive.
+    """
+    rows = np.flatnonzero(tableau[:m, entering] > 0.0)
+    if len(rows) == 0:
+        return -1
+    count = len(rows)
+    for place in range(m + 1):
+        if count == 1:
+            break
+        column = n + m if place == 0 else n + place - 1
+        least = np.inf
+        for k in range(count):
+            least = min(least, tableau[rows[k], column] / tableau[rows[k], entering])
+        most = least + CANCELLED * abs(least)
+        kept = 0
+        for k in range(count):
+            if tableau[rows[k], column] / tableau[rows[k], entering] <= most:
+                rows[kept] = rows[k]
+                kept += 1
+        count = kept
+    return int(rows[0])
+
+
+@kernel(table, numba.int64[::1], numba.int64, numba.int64)
+def walk(tableau: Mat, basic: Ints, artificial: int, most: int) -> tuple[int, int]:
+    """Pivot until no column enters, in place.
+
+    tableau: (m + 2, n + m + 1);  basic: (m,) the column that is basic in each row;  artificial: columns before this
+    one are artificial, in the order of their rows;  most: pivots at most.
+    Returns the number of pivots, and OPTIMAL, MORE, or the column that may grow for ever.
+    """
+    m = len(basic)
+    n = tableau.shape[1] - m - 1
+    for pivots in range(most):
+        entering = _entering(tableau, basic, artificial, n)
+        if entering < 0:
+            return pivots, OPTIMAL
+        row = _leaving(tableau, m, n, entering)
+        if row < 0:
+            return pivots, entering
+        _pivot(tableau, row, entering, CANCELLED)
+        basic[row] = entering
+    return most, MORE
+
+
+@kernel(table)
+def solve_identity(work: Mat) -> bool:
+    """Turn [B, I] into [I, B^-1] by Gauss-Jordan elimination with row exchanges, in place; whether B is regular.
+
+    What is zero in B^-1 for the zeros of B is an exact zero. The entries of B must be of one size, as a pivot is the
+    largest of its column.
+    work: (m, 2 m).
+    """
+    m = work.shape[0]
+    for c in range(m):
+        best = c
+        for i in range(c + 1, m):
+            if abs(work[i, c]) > abs(work[best, c]):
+                best = i
+        if work[best, c] == 0.0:
+            return False
+        if best != c:
+            for j in range(2 * m):
+                work[best, j], work[c, j] = work[c, j], work[best, j]
+        _pivot(work, c, c, ROUNDING)
+    return True

@@ -1,0 +1,145 @@
+"""What no agent can see alone: whether the agents of a team fit each other and their graph, and send numbers."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.team.graph import Graph, GraphSequence, span
+
+NUMBERLESS = frozenset({type(None), bool, int, str, bytes})
+"""What holds no float."""
+
+ROUNDS = (0, 1, 10, 1000)
+"""In which functions of the round, such as step sizes, are compared."""
+
+
+def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
+    """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
+
+    `weights`: rows for exactly those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one
+    shape, where it is an array and not `common = False`;  `same`: names of numbers, and of functions of the round, that
+    are the same at all agents; what require_graph asks.
+    """
+    if sorted(agents) != list(graph.ids):
+        allowed = f"one for each node of the graph, {span(graph.ids)}"
+        raise ConfigError("team", f"agents {span(agents) or 'none'}", allowed)
+    for i in graph.ids:
+        if getattr(agents[i], "i", i) != i:
+            raise ConfigError(f"team: agent {i}", f"made as agent {agents[i].i}", f"agent {i}")
+        _require_fitting(i, agents[i], graph)
+        require_graph(agents[i], graph)
+    common = {i: agents[i].x for i in graph.ids if getattr(agents[i], "connected", False)
+              and getattr(agents[i], "common", hasattr(agents[i], "x"))}  # fmt: skip
+    _require_one_shape({i: x for i, x in common.items() if isinstance(x, np.ndarray)})
+    for i in graph.ids:
+        _require_same(i, agents[i], graph.ids[0], agents[graph.ids[0]])
+
+
+def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
+    """Raise ConfigError unless the graph is one for this algorithm; each agent of a team finds the same.
+
+    `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `undirected = True`: one where
+    who hears is heard;  `diameter`: not below the rounds of a flood of the graph.
+    """
+    where = f"graph of {type(agent).__name__}"
+    if getattr(agent, "undirected", False):
+        for each in graph.graphs if isinstance(graph, GraphSequence) else (graph,):
+            one_way = next(((i, j) for i, j in each.arcs if i not in each.out_neighbors(j)), None)
+            if one_way is not None:
+                found = "agent {1} hears agent {0}, but not the other way round".format(*one_way)
+                raise ConfigError(where, found, "an undirected graph")
+    diameter = getattr(agent, "diameter", None)
+    if (getattr(agent, "connected", False) or isinstance(diameter, int)) and not graph.is_connected:
+        raise ConfigError(where, _cut(graph), "a connected graph", "Add edges, or draw with another probability.")
+    if isinstance(diameter, int) and diameter < (least := graph.diameter()):
+        do = "Take graph.diameter(), or any bound on it, the same at all agents."
+        raise ConfigError(f"{where}: diameter", f"{diameter}", f"at least {least}: rounds in which all hear of all", do)
+
+
+def nan_in(value: Any) -> str | None:
+    """Where in what travels the first nan is, as an index: "", "[2]", "['x'][0, 1]"; None where there is none.
+
+    Looks at floats and at arrays of them, in lists, tuples and dictionaries at any depth.
+    """
+    if type(value) is float:
+        return None if value == value else ""
+    if isinstance(value, np.ndarray | np.generic):
+        return _nan_of(np.asarray(value))
+    if isinstance(value, dict):
+        return _first_nan(value.items(), value.values())
+    if isinstance(value, list | tuple):
+        return _first_nan(enumerate(value), value)
+    return None
+
+
+def _first_nan(items: Iterable[tuple[Any, Any]], values: Iterable[Any]) -> str | None:
+    if NUMBERLESS.issuperset(map(type, values)):
+        return None
+    for key, item in items:
+        if type(item) not in NUMBERLESS and (place := nan_in(item)) is not None:
+            return f"[{key!r}]{place}"
+    return None
+
+
+def _nan_of(array: Any) -> str | None:
+    if array.dtype.kind not in "fc" or not np.isnan(array).any():
+        return None
+    at = np.argwhere(np.isnan(array))[0].tolist()
+    return str(at) if at else ""
+
+
+def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
+    graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
+    for name, others in (("weights", Graph.in_neighbors), ("shares", Graph.out_neighbors)):
+        rows = getattr(agent, name, None)
+        if not isinstance(rows, tuple) or not rows or not isinstance(rows[0], Mapping):
+            continue
+        if len(rows) not in (1, len(graphs)):
+            allowed = f"one, or one for each of {len(graphs)} graphs"
+            raise ConfigError(f"agent {i}: {name}", f"{len(rows)} rows", allowed)
+        for k, each in enumerate(graphs):
+            found, wanted = sorted(j for j in rows[k % len(rows)] if j != i), sorted(others(each, i))
+            if found != wanted:
+                who = "hears" if name == "weights" else "is heard by"
+                raise ConfigError(f"agent {i}: {name}, round {k}", f"of {found}", f"of those it {who}, {wanted}")
+
+
+def _cut(graph: Graph | GraphSequence) -> str:
+    """Who does not reach whom, for an error text."""
+    whole = graph.union() if isinstance(graph, GraphSequence) else graph
+    first = whole.ids[0]
+    for start, step, said in (
+        (first, whole.out_neighbors, "no path from agent {0} to {1}"),
+        (first, whole.in_neighbors, "no path from {1} to agent {0}"),
+    ):
+        reached = [start]
+        for i in reached:
+            reached += [j for j in step(i) if j not in reached]
+        missing = [j for j in whole.ids if j not in reached]
+        if missing:
+            return said.format(first, missing)
+    return "connected"
+
+
+def _require_one_shape(arrays: Mapping[int, Any]) -> None:
+    for i, x in arrays.items():
+        first = next(iter(arrays))
+        if x.shape != arrays[first].shape:
+            raise ConfigError(f"agent {i}: x", f"shape {x.shape}", f"shape {arrays[first].shape}, as agent {first}'s")
+
+
+def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
+    """Raise ConfigError unless what must be common is that of the first agent."""
+    for name in getattr(agent, "same", ()):
+        found, wanted = _values(getattr(agent, name)), _values(getattr(other, name, None))
+        for at, value in found.items():
+            if value != wanted.get(at):
+                do = "With different ones the team would solve another problem."
+                raise ConfigError(f"agent {i}: {name}{at}", f"{value}", f"{wanted.get(at)}, as agent {first}'s", do)
+
+
+def _values(x: Any) -> dict[str, Any]:
+    """A number, or what a function of the round is in ROUNDS."""
+    return {f", round {k}": x(k) for k in ROUNDS} if callable(x) else {"": x}

@@ -1,0 +1,170 @@
+"""How agents average with their neighbours: rows of weights, their checks, and algorithms that need both sums.
+
+A row is {j: w_ij} of agent i itself and those it hears; on a graph that changes with the round, one row for each graph
+of the sequence, used in turn.
+"""
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, TypeVar
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import kernel, memory, real, vector
+from crazychoir.optimization.rounds.iteration import Iteration
+from crazychoir.optimization.rounds.messages import NUMBER, like, parts
+from crazychoir.team.graph import Graph, GraphSequence, Weights, metropolis
+from crazychoir.types import PerNeighbor, Vec
+
+T = TypeVar("T")
+Row = Mapping[int, float]
+Rows = Row | Sequence[Row]
+EXACT: Final = 1e-9
+"""By how much weights may miss their sum."""
+
+
+def checked_rows(i: int, weights: Rows, what: str = "weights") -> tuple[Row, ...]:
+    """One row a graph of the sequence, each of finite weights that sum to one; raises ConfigError."""
+    rows = (weights,) if isinstance(weights, Mapping) else tuple(weights)
+    if not rows:
+        raise ConfigError(f"agent {i}: {what}", "none", "{j: weight}, of itself and those it hears")
+    for row in rows:
+        _check_row(i, row, what)
+    return tuple({j: float(row[j]) for j in sorted(row)} for row in rows)
+
+
+def _check_row(i: int, row: Row, what: str) -> None:
+    for j, weight in row.items():
+        if not math.isfinite(weight):
+            raise ConfigError(f"agent {i}: {what}[{j}]", f"{weight}", "finite numbers")
+    if i not in row:
+        raise ConfigError(f"agent {i}: {what}", f"weights of {sorted(row)}", f"one of agent {i} itself too")
+    total = math.fsum(row.values())
+    if abs(total - 1.0) > EXACT:
+        do = "Take those of crazychoir.team.graph: metropolis, row_stochastic, column_stochastic."
+        raise ConfigError(f"agent {i}: {what}", dict(row), "weights that sum to one", do, f"they sum to {total:.9g}")
+
+
+@kernel(memory, real, vector)
+def _add(total: Vec, weight: float, x: Vec) -> bool:
+    """total += weight x, if they are of one length: whether they are."""
+    if len(x) != len(total):
+        return False
+    for n in range(len(x)):
+        total[n] += weight * x[n]
+    return True
+
+
+def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
+    """sum_j w_ij x_j over i itself and those heard; raises ConfigError that names whom the row does not fit."""
+    if len(heard) + 1 != len(row):
+        require_heard(i, row, heard)
+    mixed = row[i] * own
+    total = mixed if own.ndim == 1 else mixed.reshape(-1)
+    for j, x in heard.items():
+        if j not in row:
+            require_heard(i, row, heard)
+        try:
+            fits = _add(total, row[j], x if own.ndim == 1 else like(i, j, x, own).reshape(-1))
+        except TypeError:  # no vector of floats
+            fits = False
+        if not fits:
+            allowed = f"floats of shape {own.shape}, as its own"
+            raise ConfigError(f"agent {i}: message of agent {j}", shape_of(x), allowed)
+    return mixed
+
+
+def shape_of(x: Any) -> str:
+    """For an error text; what kind of numbers, if they are no floats."""
+    if not hasattr(x, "shape"):
+        return type(x).__name__
+    return f"shape {x.shape}" if x.dtype == "float64" else f"shape {x.shape} of {x.dtype}"
+
+
+def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
+    """Raise ConfigError unless the row has weights for exactly those heard, and i."""
+    wanted = sorted(j for j in row if j != i)
+    if wanted != sorted(heard):
+        do = "Make the weights from the graph that the team runs on."
+        raise ConfigError(f"agent {i}: weights", f"of {wanted}", f"of those it hears, {sorted(heard)}", do)
+
+
+class Mixing(Iteration):
+    """An algorithm that averages with the neighbours; a subclass writes `payload` and `mix_in`.
+
+    Each agent checks that its row sums to one when it is made. With `doubly_stochastic` the graph must be undirected,
+    and each checks that its column sums to one in the first round of each row: w_ij travels from i to j beside the
+    message. Wrong weights end the algorithm at all agents, with the column named.
+    """
+
+    connected = True
+    doubly_stochastic = True
+
+    @property
+    def undirected(self) -> bool:
+        """Whether who hears must be heard."""
+        return self.doubly_stochastic
+
+    def __init__(self, i: int, weights: Rows, rounds: int | None) -> None:
+        super().__init__(i, rounds)
+        self.weights = checked_rows(i, weights)
+
+    @property
+    def row(self) -> Row:
+        """The weights of this round."""
+        return self.weights[self.k % len(self.weights)]
+
+    @abstractmethod
+    def payload(self) -> Any:
+        """What the neighbours get in this round."""
+
+    @abstractmethod
+    def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
+        """The equation: round k, with the weights and the neighbours' payloads."""
+
+    def message(self) -> Any:
+        """The payload; in the first round of a row with the neighbour's weight."""
+        payload = self.payload()
+        if self.k >= len(self.weights) or not self.doubly_stochastic:
+            return payload
+        return PerNeighbor({j: [w, payload] for j, w in self.row.items() if j != self.i})
+
+    def update(self, heard: Mapping[int, Any]) -> None:
+        """Check the column where it is new, then mix."""
+        row = self.row
+        if self.k < len(self.weights) and self.doubly_stochastic:
+            require_heard(self.i, row, heard)
+            parts(self.i, self.k, heard, NUMBER, object)
+            self._check_column(math.fsum([row[self.i], *(w for w, _ in heard.values())]))
+            heard = {j: payload for j, (_, payload) in heard.items()}
+        self.mix_in(row, heard)
+
+    def _check_column(self, total: float) -> None:
+        if abs(total - 1.0) > EXACT:
+            allowed = "columns that sum to one, too: doubly stochastic weights"
+            do = "Take those of crazychoir.team.graph.metropolis."
+            where = f"agent {self.i}: weights, column {self.i}, round {self.k}"
+            raise ConfigError(where, f"sum {total:.9g}", allowed, do)
+
+
+def rows(graph: Graph | GraphSequence, rule: Callable[[Graph], Weights] = metropolis) -> dict[int, tuple[Row, ...]]:
+    """Each agent's rows by a rule of graph.py: one for each graph of the sequence."""
+    graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
+    weights = [rule(each) for each in graphs]
+    return {i: tuple(of[i] for of in weights) for i in graph.ids}
+
+
+def columns(graph: Graph | GraphSequence, rule: Callable[[Graph], Weights]) -> dict[int, tuple[Row, ...]]:
+    """Each agent's columns {i: w_ij} by a rule of graph.py: what agent j gives to those who hear it, and keeps."""
+    graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
+    weights = [rule(each) for each in graphs]
+    return {j: tuple({i: row[j] for i, row in of.items() if j in row} for of in weights) for j in graph.ids}
+
+
+def team(
+    graph: Graph | GraphSequence,
+    make: Callable[[int, tuple[Row, ...]], T],
+    rule: Callable[[Graph], Weights] = metropolis,
+) -> dict[int, T]:
+    """One agent a node: `make(i, weights)`, with its rows by a rule of graph.py."""
+    return {i: make(i, weights) for i, weights in rows(graph, rule).items()}

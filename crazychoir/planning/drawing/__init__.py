@@ -1,0 +1,1 @@
+"""Drawings: strokes and SVG pictures, and the paths that fly them."""

@@ -1,0 +1,217 @@
+"""Hand-drawn strokes, made smooth enough to fly."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import splev, splprep
+from scipy.spatial import cKDTree
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import Mat, Vec
+from crazychoir.planning.drawing.stroke import checked, split
+from crazychoir.planning.feasibility import Limits, peaks, references
+from crazychoir.planning.piecewise import Piecewise, joined
+from crazychoir.planning.point_to_point import PointToPoint, duration_for
+from crazychoir.planning.scaling import slowdown
+from crazychoir.planning.spline import spline
+from crazychoir.types import FullState
+
+STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
+DENSE = 0.002  # m, of the places by which the deviation is measured
+SHARE = 0.5  # of a_max for the bends, and as much for the changes of speed
+END_WEIGHT = 1e3  # of both ends in the smoothing, against 1 of each point in between
+SLOWEST_PACE, FASTEST_PACE = 3.0, 1.0 / 3.0  # of the mean s/m: how much of a hand's hesitation is flown
+
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pen:
+    """How strokes are flown.
+
+    height: m, world;  lift: m above it between two strokes;  yaw: rad, or "along" the path;
+    timing: "even": as fast as bends and limits allow; "drawn": slower where the hand was, which needs t;
+    spacing: m between knots;  smoothing: m, standard deviation of the hand.
+    """
+
+    height: float = 1.0
+    lift: float = 0.0
+    yaw: float | Literal["along"] = 0.0
+    timing: Literal["even", "drawn"] = "even"
+    spacing: float = 0.05
+    smoothing: float = 0.004
+
+    def __post_init__(self) -> None:
+        if self.timing not in ("even", "drawn"):
+            raise ConfigError("Pen: timing", self.timing, '"even" or "drawn"')
+        if self.yaw != "along" and not math.isfinite(self.yaw):
+            raise ConfigError("Pen: yaw", self.yaw, 'a finite angle, rad, or "along"')
+        for name, low in (("height", -math.inf), ("lift", 0.0), ("spacing", 1e-3), ("smoothing", 0.0)):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= low):
+                raise ConfigError(f"Pen: {name}", value, f"a finite number of metres, {low:g} or more")
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawing as it will be flown.
+
+    path: from rest to rest;  deviation: m, the largest distance between the flown lines and the drawn ones;
+    speed: m/s, acceleration: m/s2, the largest on the way.
+    """
+
+    path: Piecewise
+    deviation: float
+    speed: float
+    acceleration: float
+
+
+def drawing(
+    strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits = STANDARD, longest: float = math.inf
+) -> Drawing:
+    """The smooth flight along drawn strokes, each from rest to rest from its first drawn point to its last.
+
+    A stroke is thinned and split where it turns sharply, where the drone stops. The tremor of a part is smoothed out,
+    the part cut into equal lengths, timed, interpolated by a spline of degree 7 and slowed down as the limits need.
+    Strokes are joined by straight flights, at the same height or lifted; one of a single place is a dot, flown to.
+    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
+    the flight; one that takes longer is refused as soon as that is known.
+    Errors: ConfigError.
+    """
+    limits.check_timed("drawing")
+    drawn = [checked(stroke, f"drawing: strokes[{n}]") for n, stroke in enumerate(strokes)]
+    if pen.timing == "drawn" and any(np.shape(stroke)[1] == 2 for stroke in strokes):
+        raise ConfigError("drawing: strokes", "rows of x, y", 'rows of t, x, y for the timing "drawn"')
+    lines: list[Piecewise] = []
+    parts: list[Piecewise] = []
+    here: FullState | None = None
+    spent = 0.0
+    for t, xy in drawn:
+        for n, (clock, places) in enumerate(split(t, xy, pen.spacing)):
+            line = _line(clock, places, pen, limits, spent, longest) if len(places) > 1 else None
+            begin = line.sample(0.0) if line else _dot(places[0], pen, here)
+            new = _transfer(here, begin, 0.0 if n else pen.lift, limits) if here else []
+            if line:
+                lines.append(line)
+                new.append(line)
+            parts += new
+            spent += sum(part.duration for part in new)
+            _check_time(spent, longest)
+            here = line.sample(line.duration) if line else begin
+    if len(lines) == 0:
+        raise ConfigError("drawing: strokes", f"{len(drawn)}, of one place each", "at least one line")
+    path = joined(parts)
+    most = peaks(path)
+    return Drawing(path, _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]), most["speed"], most["acceleration"])
+
+
+def _check_time(seconds: float, longest: float) -> None:
+    if seconds > longest:
+        do = "Draw less at once, with fewer corners, or let it be faster."
+        raise ConfigError("drawing", f"{seconds:.0f} s or more", f"at most {longest:.0f} s", do)
+
+
+def _line(t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float) -> Piecewise:
+    """One part of a stroke from rest to rest, as fast as the limits allow; spent: s, of the parts before it."""
+    places, clock = _even(xy, t, pen)
+    durations = _durations(places, limits)
+    if pen.timing == "drawn":
+        durations = np.maximum(durations, _drawn_pace(clock) * durations.mean())
+    _check_time(spent + float(durations.sum()), longest)
+    space = np.column_stack([places, np.full(len(places), pen.height)])
+    yaws = np.full(len(places), pen.yaw) if pen.yaw != "along" else _directions(places)
+    flight = spline(np.cumsum([0.0, *durations]), space, yaws, degree=7)
+    return flight.slowed(slowdown(flight, limits))
+
+
+def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
+    """Places (n, 2) on the smoothed line, equally far along it, its ends as drawn, and the drawn times (n,) there."""
+    u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
+    fine = np.linspace(0.0, u[-1], max(10 * len(u), 100))
+    curve = smoothed(xy, u, pen.smoothing, fine)
+    length = np.cumsum([0.0, *np.linalg.norm(np.diff(curve, axis=0), axis=1)])
+    at = np.interp(np.linspace(0.0, length[-1], max(math.ceil(length[-1] / pen.spacing), 2) + 1), length, fine)
+    places = np.column_stack([np.interp(at, fine, curve[:, 0]), np.interp(at, fine, curve[:, 1])])
+    places[[0, -1]] = xy[[0, -1]]
+    return places, np.interp(at, u, t)
+
+
+def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
+    """The cubic smoothing spline through places (k, 2) at parameters u (k,), evaluated: sum (w d / sigma)^2 <= k."""
+    if len(xy) < 4:
+        return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])
+    w = np.ones(len(xy))
+    w[[0, -1]] = END_WEIGHT
+    curve, _ = splprep(xy.T, w=w, u=u, k=3, s=len(xy) * sigma**2)
+    return np.asarray(np.column_stack(splev(at, curve)))
+
+
+def _durations(places: Mat, limits: Limits) -> Vec:
+    """Times (n - 1,) s between places (n, 2): v^2 <= SHARE a_max / curvature, |v'| <= SHARE a_max, 0 at both ends."""
+    d = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    v = np.zeros(len(places))
+    v[1:-1] = np.minimum(limits.v_max, np.sqrt(SHARE * limits.a_max / np.maximum(_curvatures(places), 1e-9)))
+    for k in range(1, len(v)):
+        v[k] = min(v[k], math.sqrt(v[k - 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k - 1]))
+    for k in range(len(v) - 2, -1, -1):
+        v[k] = min(v[k], math.sqrt(v[k + 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k]))
+    return np.asarray(2.0 * d / (v[:-1] + v[1:]))
+
+
+def _curvatures(places: Mat) -> Vec:
+    """1/m, of the circles through three places in a row (Menger): 4 area / (a b c)."""
+    a, b = places[1:-1] - places[:-2], places[2:] - places[1:-1]
+    sides = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) * np.linalg.norm(a + b, axis=1)
+    return np.asarray(2.0 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / np.maximum(sides, 1e-12))
+
+
+def _drawn_pace(clock: Vec) -> Vec:
+    """Share of each step of the drawn times (n,), the mean 1, within a third and three times of it."""
+    steps = np.diff(clock)
+    return np.asarray(np.clip(steps / max(steps.mean(), 1e-9), FASTEST_PACE, SLOWEST_PACE))
+
+
+def _directions(places: Mat) -> Vec:
+    """rad, of the line at each of places (n, 2): towards the next from the one before."""
+    step = np.concatenate([places[1:2] - places[0:1], places[2:] - places[:-2], places[-1:] - places[-2:-1]])
+    return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
+
+
+def _dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
+    """At rest at a place; a yaw along the path stays as it is."""
+    yaw = pen.yaw if pen.yaw != "along" else here.yaw if here else 0.0
+    return FullState.at((xy[0], xy[1], pen.height), yaw=yaw)
+
+
+def _transfer(here: FullState, there: FullState, lift: float, limits: Limits) -> list[Piecewise]:
+    """Straight from rest to rest, above the height of the drawing where it lifts."""
+    up = np.array([0.0, 0.0, lift])
+    if np.allclose(here.flat, there.flat, atol=1e-9):
+        return []
+    corners = [here.p + up, there.p + up, there.p] if lift else [there.p]
+    legs: list[Piecewise] = []
+    for k, corner in enumerate(corners):
+        yaw = here.yaw if lift and k == 0 else there.yaw
+        leg = PointToPoint(here, corner, yaw, duration_for(here, corner, yaw, limits.v_max, limits.a_max))
+        legs.append(leg.slowed(max(1.0, slowdown(leg, limits))))
+        here = FullState.at(corner, yaw=yaw)
+    return legs
+
+
+def _deviation(lines: list[Piecewise], drawn: list[Mat]) -> float:
+    """m, the largest distance between the flown and the drawn lines, from each to the other."""
+    flown = np.concatenate([references(line)[1][:, 0:2] for line in lines])
+    wanted = np.concatenate([_dense(xy) for xy in drawn])
+    there, _ = cKDTree(flown).query(wanted)
+    back, _ = cKDTree(wanted).query(flown)
+    return float(max(there.max(), back.max()))
+
+
+def _dense(xy: Mat) -> Mat:
+    """Places along the straight lines between places (k, 2), at most DENSE m apart."""
+    u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
+    at = np.union1d(u, np.linspace(0.0, u[-1], math.ceil(u[-1] / DENSE) + 1))
+    return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])

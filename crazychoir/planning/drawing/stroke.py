@@ -1,0 +1,109 @@
+"""Hand-drawn strokes: read, checked, thinned, split at corners."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import Mat, Vec
+from crazychoir.planning.number_table import TableError, parse_table, read_table
+
+COLUMNS = ("stroke", "t", "x", "y")
+
+THINNING = 0.25  # of the spacing: points that are closer say no more about the shape, only about the hand
+SHARP = math.radians(80.0)  # a turn within one spacing that is flown as a stop, not as a bend
+
+
+def read_strokes(path: str | Path) -> list[Mat]:
+    """The strokes of a CSV file, (k, 3) rows t s, x, y m each: columns stroke, t, x, y, the rows of a stroke together.
+
+    Errors: TableError naming file, line and column; also where a stroke comes back, or t goes back within one.
+    """
+    return _strokes(read_table(path, COLUMNS), path)
+
+
+def parse_strokes(text: str, path: str) -> list[Mat]:
+    """`read_strokes` of what a file contains; path: what errors call it."""
+    return _strokes(parse_table(text, path, COLUMNS), path)
+
+
+def csv_of(strokes: Sequence[Mat]) -> str:
+    """What `parse_strokes` reads: strokes (k, 3) rows t, x, y."""
+    rows = (f"{n},{t:.4f},{x:.5f},{y:.5f}" for n, stroke in enumerate(strokes) for t, x, y in stroke.tolist())
+    return "\n".join([",".join(COLUMNS), *rows]) + "\n"
+
+
+def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
+    ids, rows = table["stroke"], np.column_stack([table["t"], table["x"], table["y"]])
+    starts = np.flatnonzero(np.diff(ids, prepend=np.nan))
+    for k in starts.tolist():
+        if (ids[:k] == ids[k]).any():
+            where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index('stroke') + 1} (stroke)"
+            raise TableError(where, f"{ids[k]:g} again", "the rows of a stroke one after the other")
+    back = (np.diff(table["t"], prepend=-np.inf) < 0.0) & (np.diff(ids, prepend=np.nan) == 0.0)
+    if back.any():
+        k = int(np.argmax(back))
+        where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index('t') + 1} (t)"
+        raise TableError(where, f"{table['t'][k]:g}", f"not before the {table['t'][k - 1]:g} s of the row before")
+    return np.split(rows, starts[1:])
+
+
+def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
+    """Times (k,) s (0 without) and places (k, 2) m of a stroke, without the repetitions of a place.
+
+    stroke: (k, 2) rows x, y or (k, 3) rows t, x, y;  Errors: ConfigError, with `where` and the row.
+    """
+    rows = np.asarray(stroke, dtype=float)
+    if rows.ndim != 2 or rows.shape[1] not in (2, 3) or len(rows) == 0:
+        raise ConfigError(where, f"shape {rows.shape}", "(k, 2): rows of x, y, or (k, 3): rows of t, x, y")
+    if not np.isfinite(rows).all():
+        k = int(np.argmin(np.isfinite(rows).all(axis=1)))
+        raise ConfigError(f"{where}[{k}]", rows[k].tolist(), "finite numbers")
+    if rows.shape[1] == 2:
+        rows = np.column_stack([np.zeros(len(rows)), rows])
+    elif (np.diff(rows[:, 0]) < 0.0).any():
+        k = int(np.argmax(np.diff(rows[:, 0]) < 0.0)) + 1
+        raise ConfigError(f"{where}[{k}]: t", float(rows[k, 0]), f"not before the {rows[k - 1, 0]:g} s of the last row")
+    moved = np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1) > 1e-9
+    rows = rows[np.concatenate([[True], moved])]
+    return rows[:, 0], rows[:, 1:]
+
+
+def thinned(xy: Mat, distance: float) -> list[int]:
+    """Indices of the first of places (k, 2), of each that is `distance` m from the one kept before, and of the last."""
+    kept = [0]
+    for i in range(1, len(xy)):
+        if math.dist(xy[i], xy[kept[-1]]) >= distance:
+            kept.append(i)
+    if len(kept) > 1 and math.dist(xy[-1], xy[kept[-1]]) < 0.5 * distance:
+        kept.pop()
+    return kept if math.dist(xy[-1], xy[kept[-1]]) < 1e-9 else [*kept, len(xy) - 1]
+
+
+def split(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
+    """Times and places of the thinned stroke, in parts that end, and the next begin, where it turns sharply."""
+    kept = thinned(xy, THINNING * spacing)
+    cuts = [0, *_corners(xy[kept], spacing), len(kept) - 1]
+    parts = [kept[a : b + 1] for a, b in pairwise(cuts)]
+    return [(t[part], xy[part]) for part in parts]
+
+
+def _corners(xy: Mat, reach: float) -> list[int]:
+    """Indices where the line turns by SHARP or more between the places `reach` m behind and ahead; the sharpest."""
+    turns = np.zeros(len(xy))
+    for i in range(1, len(xy) - 1):
+        far = np.linalg.norm(xy - xy[i], axis=1) >= reach
+        behind, ahead = np.flatnonzero(far[:i]), np.flatnonzero(far[i:])
+        if len(behind) and len(ahead):
+            a, b = xy[i] - xy[behind[-1]], xy[i + ahead[0]] - xy[i]
+            turns[i] = abs(math.atan2(a[0] * b[1] - a[1] * b[0], a @ b))
+    corners: list[int] = []
+    while turns.max(initial=0.0) >= SHARP:
+        sharpest = int(np.argmax(turns))
+        corners.append(sharpest)
+        turns[np.linalg.norm(xy - xy[sharpest], axis=1) < 2.0 * reach] = 0.0
+    return sorted(corners)

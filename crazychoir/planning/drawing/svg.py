@@ -1,0 +1,107 @@
+"""Drawings as SVG files: what is seen of them, as strokes; and strokes as a picture that is read again.
+
+An SVG picture's y points down, a floor's up: y is turned round, and units are millimetres unless a scale says else.
+Units are those of the page's viewBox; the width and height of the page change nothing.
+
+Seen and flown are the outlines of path, rect, circle, ellipse, line, polyline and polygon, with their transforms, also
+in groups, nested svg, and by use. Not seen are what only defines something (defs, symbol, clipPath, marker, pattern,
+mask) and what is hidden (display, visibility, opacity, neither fill nor stroke, no size). What is seen and cannot be
+flown (text, images, what a clip or a mask cuts) is refused by its name.
+
+The curves and transforms are those of svgpathtools. Its documents, and those of svgelements, are not used: the first
+ignore display, style sheets, visibility, symbols and use, the second draw markers and symbols twice, and both leave out
+without a word what they cannot read.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import Mat
+from crazychoir.planning.drawing.svg_document import READABLE, Element, read_document
+from crazychoir.planning.drawing.svg_reader import DRAWN, MOST_POINTS, Reader
+
+__all__ = ["MOST_POINTS", "SCALE", "Picture", "parse_picture", "parse_svg", "read_picture", "read_svg", "svg_of"]
+
+SCALE = 0.001
+"""m a unit of the picture."""
+WORDS_SHOWN = 5
+"""Remarks that are quoted."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is seen in an SVG document.
+
+    strokes: (k, 2) rows x, y m each, in the order of the document;  words: remarks on the rest, the first few.
+    """
+
+    strokes: list[Mat]
+    words: list[str]
+
+
+def read_svg(path: str | Path, scale: float = SCALE) -> list[Mat]:
+    """Return the strokes of an SVG file, see `parse_picture`."""
+    return read_picture(path, scale).strokes
+
+
+def read_picture(path: str | Path, scale: float = SCALE) -> Picture:
+    """Return what is seen in an SVG file, in the encoding that it declares; see `parse_picture`."""
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}", f"{error}", READABLE) from error
+    return parse_picture(data, str(path), scale)
+
+
+def parse_svg(text: str | bytes, where: str, scale: float = SCALE) -> list[Mat]:
+    """Return the strokes of an SVG text, see `parse_picture`."""
+    return parse_picture(text, where, scale).strokes
+
+
+def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Picture:
+    """Return what is seen in an SVG text.
+
+    where: what errors call the file;  scale: m a unit of the picture.
+    Errors: ConfigError, with `where`, the element, its id and its line; also where nothing is seen.
+    """
+    root = read_document(text, where)
+    reader = Reader(root, where, scale)
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            reader.read()
+    except ArithmeticError as error:
+        raise ConfigError(where, f"places that are too far off: {error}", DRAWN) from error
+    if not reader.strokes:
+        raise ConfigError(where, _nothing(root, reader.words), DRAWN)
+    return Picture([stroke * (scale, -scale) + 0.0 for stroke in reader.strokes], first_of(reader.words))
+
+
+def _nothing(root: Element, words: list[str]) -> str:
+    """Return what was found in a picture where no line is seen."""
+    counts = Counter(element.name for element in root.walk() if element.name)
+    names = ", ".join(f"{count} {name}" for name, count in counts.items())
+    said = f" ({'; '.join(first_of(words))})" if words else ""
+    return f"no line that is seen among {names}{said}"
+
+
+def first_of(words: list[str]) -> list[str]:
+    """Return the first remarks, and how many more there are."""
+    more = len(words) - WORDS_SHOWN
+    return [*words[:WORDS_SHOWN], f"and {more} more"] if more > 0 else words
+
+
+def svg_of(strokes: Sequence[Mat], scale: float = SCALE) -> str:
+    """A picture of strokes, rows x, y or t, x, y m, that `parse_svg` reads as they are, to 0.01 mm."""
+    flat = [stroke[:, -2:] * (1.0 / scale, -1.0 / scale) for stroke in strokes]
+    low, high = np.concatenate(flat).min(axis=0) - 50.0, np.concatenate(flat).max(axis=0) + 50.0
+    width, height = high - low
+    paths = "\n".join(f'<path d="M{" L".join(f"{x:.2f} {y:.2f}" for x, y in one.tolist())}"/>' for one in flat)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{low[0]:.2f} {low[1]:.2f} {width:.2f} {height:.2f}" '
+        f'fill="none" stroke="black" stroke-width="10">\n{paths}\n</svg>\n'
+    )

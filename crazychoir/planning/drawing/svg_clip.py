@@ -1,0 +1,53 @@
+"""Outlines of SVG documents outside which nothing is seen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazychoir.numerics.math3d import Mat
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A convex outline outside which nothing is seen.
+
+    corners: (k, 2), k >= 3, one after the other, in units of the picture;  owner: what errors call it.
+    """
+
+    corners: Mat
+    owner: str
+
+    def sides_passed(self, places: Mat) -> Mat:
+        """Return for each side (rows) whether each place (columns) is on its inner side or on it."""
+        sides = np.roll(self.corners, -1, axis=0) - self.corners
+        x = places[None, :, 0] - self.corners[:, None, 0]
+        y = places[None, :, 1] - self.corners[:, None, 1]
+        turns = (sides[:, None, 0] * y - sides[:, None, 1] * x) * orientation(self.corners)
+        slack = 1e-6 * np.abs(sides).max() ** 2
+        passed: Mat = turns >= -slack
+        return passed
+
+
+def corners_of(strokes: Sequence[Mat]) -> Mat | None:
+    """Return the corners of the convex shape that the strokes are the outline of; None for another shape."""
+    if len(strokes) != 1:
+        return None
+    stroke = strokes[0]
+    is_new = np.linalg.norm(stroke - np.roll(stroke, 1, axis=0), axis=1) > 1e-9 * np.abs(stroke).max()
+    corners = stroke[is_new]
+    return corners if len(corners) >= 3 and orientation(corners) else None
+
+
+def orientation(corners: Mat) -> float:
+    """Return 1 or -1 for corners (k, 2) that turn one way or the other, once around; 0 for another shape."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    after = np.roll(sides, -1, axis=0)
+    turns = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]
+    angles = np.arctan2(turns, (sides * after).sum(axis=1))
+    if abs(abs(angles.sum()) - 2.0 * np.pi) > 0.1:
+        return 0.0
+    small = 1e-9 * np.abs(sides).max() ** 2
+    if (turns >= -small).all():
+        return 1.0
+    return -1.0 if (turns <= small).all() else 0.0

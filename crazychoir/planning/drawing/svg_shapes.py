@@ -1,0 +1,284 @@
+"""SVG shapes as path data; lengths, transforms and viewports as numbers."""
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from svgpathtools import parse_transform
+
+from crazychoir.numerics.math3d import Mat
+from crazychoir.planning.drawing.svg_document import Element, quoted
+
+Size = tuple[float, float]
+"""Width and height of a viewport, in its own units."""
+SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
+UNITS = {
+    "": 1.0,
+    "px": 1.0,
+    "in": 96.0,
+    "cm": 96.0 / 2.54,
+    "mm": 9.6 / 2.54,
+    "q": 2.4 / 2.54,
+    "pt": 4.0 / 3.0,
+    "pc": 16.0,
+}
+"""Units of the picture a unit of length, as CSS defines them."""
+LENGTHS = f"a number, or one with %, {', '.join(filter(None, UNITS))}"
+TRANSFORMS = "matrix(a b c d e f), translate(x y), scale(x y), rotate(deg x y), skewX(deg), skewY(deg)"
+MILLIMETRE = UNITS["mm"]  # units of the picture
+
+# No expression here can match the same text in two ways: a hostile text costs no more than a good one of its length.
+_NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+_LENGTH = re.compile(rf"\s*({_NUMBER})\s*([a-zA-Z]*|%)\s*\Z", re.ASCII)
+_NUMBER_OR_GAP = re.compile(rf"({_NUMBER})|[\s,]+", re.ASCII)
+_FUNCTION = re.compile(r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)", re.ASCII)
+
+
+class ShapeError(ValueError):
+    """An attribute that cannot be read: what was found, and what is allowed."""
+
+    def __init__(self, found: str, allowed: str) -> None:
+        self.found = found
+        self.allowed = allowed
+        super().__init__(f"{found}; allowed: {allowed}")
+
+
+def length(element: Element, name: str, whole: float | None, default: str = "0") -> float:
+    """Return an attribute that is a length, in units of the picture.
+
+    whole: what 100 % is; None where the document does not say it.
+    Errors: ShapeError.
+    """
+    text = element.attributes.get(name, default)
+    found = _LENGTH.match(text)
+    unit = found[2].lower() if found else ""
+    if found is None or not (unit == "%" or unit in UNITS) or not math.isfinite(float(found[1])):
+        raise ShapeError(f"{name}={quoted(text)}", LENGTHS)
+    if unit != "%":
+        return float(found[1]) * UNITS[unit]
+    if whole is None:
+        raise ShapeError(f"{name}={quoted(text)} of a page without viewBox, width and height", "a length without %")
+    return float(found[1]) / 100.0 * whole
+
+
+def numbers(text: str, what: str) -> list[float]:
+    """Return a list of numbers, with or without separators. Errors: ShapeError."""
+    found: list[float] = []
+    at = 0
+    while at < len(text):
+        token = _NUMBER_OR_GAP.match(text, at)
+        if token is None:
+            raise ShapeError(f"{what}={quoted(text)}", "a list of numbers")
+        if token[1]:
+            found.append(float(token[1]))
+        at = token.end()
+    if not all(map(math.isfinite, found)):
+        raise ShapeError(f"{what}={quoted(text)}", "finite numbers")
+    return found
+
+
+def transform_of(text: str) -> Mat:
+    """Return the matrix (3, 3) of a list of matrix, translate, scale, rotate, skewX and skewY.
+
+    Numbers may stand without separators, as in translate(10-5). Errors: ShapeError.
+    """
+    if text.strip() in ("", "none"):
+        return np.eye(3)
+    written: list[str] = []
+    at = 0
+    while found := _FUNCTION.match(text, at):
+        arguments = numbers(found[2], f"transform {found[1]}")
+        written.append(f"{found[1]}({','.join(map(repr, arguments))})")
+        at = found.end()
+    try:
+        if text[at:].strip(" \t\r\n,"):
+            raise ValueError(text[at:])
+        matrix: Mat = parse_transform(" ".join(written), strict=True)
+    except ValueError as error:
+        raise ShapeError(f"transform={quoted(text)}", TRANSFORMS) from error
+    return matrix
+
+
+def path_data(element: Element, viewport: Size | None) -> str:
+    """Return a shape as path data; empty for a shape without size.
+
+    viewport: what shares in % are of.
+    Errors: ShapeError.
+    """
+    attributes = element.attributes
+    match element.name:
+        case "path":
+            d = attributes.get("d", "").strip()
+            return "" if d == "none" else d
+        case "rect":
+            return _rectangle(element, viewport)
+        case "circle" | "ellipse":
+            return _ellipse(element, viewport)
+        case "line":
+            ends = [length(element, name, _whole(name, viewport)) for name in ("x1", "y1", "x2", "y2")]
+            return _data("M", ends[:2], "L", ends[2:])
+    places = numbers(attributes.get("points", ""), "points")
+    if len(places) % 2:
+        raise ShapeError(f"points of {len(places)} numbers", "two for each place")
+    if not places:
+        return ""
+    return _data("M", places) + ("Z" if element.name == "polygon" else "")
+
+
+def _rectangle(element: Element, viewport: Size | None) -> str:
+    x, y, width, height = (length(element, name, _whole(name, viewport)) for name in ("x", "y", "width", "height"))
+    if not (width > 0.0 and height > 0.0):
+        return ""
+    radii = _radii(element, viewport)
+    rx = min(radii[0], 0.5 * width)
+    ry = min(radii[1], 0.5 * height)
+    right = x + width
+    bottom = y + height
+    if not (rx > 0.0 and ry > 0.0):
+        return _data("M", [x, y], "H", [right], "V", [bottom], "H", [x]) + "Z"
+    corner = [rx, ry, 0, 0, 1]
+    return _data(
+        "M", [x + rx, y], "L", [right - rx, y], "A", [*corner, right, y + ry],
+        "L", [right, bottom - ry], "A", [*corner, right - rx, bottom],
+        "L", [x + rx, bottom], "A", [*corner, x, bottom - ry],
+        "L", [x, y + ry], "A", [*corner, x + rx, y],
+    ) + "Z"  # fmt: skip
+
+
+def _ellipse(element: Element, viewport: Size | None) -> str:
+    cx = length(element, "cx", _whole("x", viewport))
+    cy = length(element, "cy", _whole("y", viewport))
+    if element.name == "circle":
+        rx = length(element, "r", _whole("r", viewport))
+        ry = rx
+    else:
+        rx, ry = _radii(element, viewport)
+    if not (rx > 0.0 and ry > 0.0):
+        return ""
+    quarter = [rx, ry, 0, 0, 1]
+    return _data(
+        "M", [cx + rx, cy], "A", [*quarter, cx, cy + ry], "A", [*quarter, cx - rx, cy],
+        "A", [*quarter, cx, cy - ry], "A", [*quarter, cx + rx, cy],
+    ) + "Z"  # fmt: skip
+
+
+def _radii(element: Element, viewport: Size | None) -> Size:
+    """Return rx and ry; where one is missing, auto or negative, it is the other."""
+    found: list[float | None] = []
+    for name in ("rx", "ry"):
+        is_auto = element.attributes.get(name, "auto").strip() == "auto"
+        radius = None if is_auto else length(element, name, _whole(name, viewport))
+        found.append(radius if radius is None or radius >= 0.0 else None)
+    rx, ry = found
+    if rx is None:
+        rx = ry or 0.0
+    return rx, rx if ry is None else ry
+
+
+def _whole(name: str, viewport: Size | None) -> float | None:
+    """Return what 100 % of an attribute is."""
+    if viewport is None:
+        return None
+    if name == "r":
+        return math.hypot(*viewport) / math.sqrt(2.0)
+    return viewport[0] if "x" in name or name == "width" else viewport[1]
+
+
+def _data(*parts: str | list[float]) -> str:
+    return " ".join(part if isinstance(part, str) else " ".join(map(repr, part)) for part in parts)
+
+
+@dataclass(frozen=True)
+class View:
+    """How what is in an <svg> or <symbol> is shown.
+
+    matrix: (3, 3), from its units to those around it;  size: of its viewport in its own units;  window: corners
+    (4, 2) of what is shown, in the units around it. Both are None where the document does not say them.
+    """
+
+    matrix: Mat
+    size: Size | None
+    window: Mat | None
+
+
+@dataclass(frozen=True)
+class Page:
+    """The page of a document, in units of the picture.
+
+    corner: (2,) its upper left corner;  size: width and height.
+    """
+
+    corner: tuple[float, float]
+    size: Size
+
+
+def page_of(element: Element) -> Page | None:
+    """Return the page of the outermost element: its viewBox, or else its width and height; None without them."""
+    if box := _view_box(element):
+        return Page((box[0], box[1]), (box[2], box[3]))
+    if element.name != "svg" or any(
+        element.attributes.get(name, "auto").strip().endswith(("%", "auto")) for name in ("width", "height")
+    ):
+        return None
+    return Page((0.0, 0.0), (length(element, "width", None), length(element, "height", None)))
+
+
+def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View | None:
+    """Return how the inside of a nested <svg> or a used <symbol> is shown; None if it has no size.
+
+    outer: the viewport around it;  given: width and height of the <use>, which come before its own.
+    Errors: ShapeError.
+    """
+    asked = Element(element.name, element.attributes | given, element.line)
+    x = length(asked, "x", _whole("x", outer))
+    y = length(asked, "y", _whole("y", outer))
+    box = _view_box(element)
+    sizes = [asked.attributes.get(name, "auto").strip() for name in ("width", "height")]
+    if outer is None and any(size == "auto" or size.endswith("%") for size in sizes):
+        if box is not None:
+            raise ShapeError("a viewBox and no size", "width and height, or a page with them")
+        return View(_moved(x, y), None, None)
+    for name, size in zip(("width", "height"), sizes, strict=True):
+        if size == "auto":
+            asked.attributes[name] = "100%"
+    width = length(asked, "width", _whole("width", outer))
+    height = length(asked, "height", _whole("height", outer))
+    if not (width > 0.0 and height > 0.0) or (box is not None and not (box[2] > 0.0 and box[3] > 0.0)):
+        return None
+    window = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height)])
+    if box is None:
+        return View(_moved(x, y), (width, height), window)
+    fit = _fit(asked.attributes.get("preserveAspectRatio", ""), box, (width, height))
+    return View(_moved(x, y) @ fit, (box[2], box[3]), window)
+
+
+def _view_box(element: Element) -> list[float] | None:
+    text = element.attributes.get("viewBox", "").strip()
+    if not text or text == "none":
+        return None
+    box = numbers(text, "viewBox")
+    if len(box) != 4 or box[2] < 0.0 or box[3] < 0.0:
+        raise ShapeError(f"viewBox={quoted(text)}", "x, y, width and height, these not negative")
+    return box
+
+
+def _fit(text: str, box: list[float], size: Size) -> Mat:
+    """Return the matrix from a viewBox to a viewport of this size, as preserveAspectRatio says."""
+    words = text.replace("defer", "").split() or ["xMidYMid"]
+    scales = [size[0] / box[2], size[1] / box[3]]
+    if words[0] == "none":
+        return np.diag([*scales, 1.0]) @ _moved(-box[0], -box[1])
+    align = re.fullmatch(r"x(Min|Mid|Max)Y(Min|Mid|Max)", words[0])
+    if align is None or words[1:] not in ([], ["meet"], ["slice"]):
+        raise ShapeError(f"preserveAspectRatio={quoted(text)}", "none, or xMidYMid and its like with meet or slice")
+    scale = max(scales) if words[1:] == ["slice"] else min(scales)
+    share = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
+    left = [share[align[k + 1]] * (size[k] - scale * box[k + 2]) for k in range(2)]
+    return _moved(*left) @ np.diag([scale, scale, 1.0]) @ _moved(-box[0], -box[1])
+
+
+def _moved(x: float, y: float) -> Mat:
+    matrix = np.eye(3)
+    matrix[:2, 2] = (x, y)
+    return matrix

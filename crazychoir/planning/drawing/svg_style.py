@@ -1,0 +1,214 @@
+"""Styles of SVG elements: what attributes, `style` and style sheets say of what is seen."""
+
+import re
+from dataclasses import dataclass
+from typing import NoReturn
+
+from crazychoir.errors import ConfigError
+from crazychoir.planning.drawing.svg_document import Element, quoted, shortened
+
+INITIAL_WORDS = ("initial", "unset", "revert", "revert-layer")
+FOLLOWED_PROPERTIES = (
+    "display", "visibility", "opacity", "overflow", "fill", "fill-opacity", "stroke", "stroke-opacity",
+    "stroke-width", "stroke-linecap", "clip-path", "mask", "marker", "marker-start", "marker-mid", "marker-end",
+    "transform-origin",
+)  # fmt: skip
+"""Properties that decide what is seen and where; each may be an attribute, too."""
+EVERYTHING = ""
+"""Stands for elements of each name."""
+BOXES = ("rect", "svg", "symbol", "use", "image", "foreignObject")
+GEOMETRY_PROPERTIES = {
+    **dict.fromkeys(("transform", "translate", "rotate", "scale", "offset-path"), (EVERYTHING,)),
+    **dict.fromkeys(("x", "y", "width", "height"), BOXES),
+    **dict.fromkeys(("cx", "cy"), ("circle", "ellipse")),
+    **dict.fromkeys(("rx", "ry"), ("rect", "ellipse")),
+    "r": ("circle",),
+    "d": ("path",),
+}
+"""Properties of CSS that would move or reshape these elements; they are refused: attributes say the same."""
+INHERITED_PROPERTIES = (
+    "visibility", "fill", "stroke", "fill-opacity", "stroke-opacity", "stroke-width", "stroke-linecap",
+)  # fmt: skip
+MARKERS = ("marker", "marker-start", "marker-mid", "marker-end")
+
+_NO_PAINT = re.compile(r"none|transparent|#[0-9a-f]{3}0|#[0-9a-f]{6}00", re.IGNORECASE)
+_ALPHA = re.compile(r"(?:rgb|hsl)a\([^()]*,([^(),]*)\)|(?:rgb|hsl)a?\([^()]*/([^()/]*)\)", re.IGNORECASE)
+_COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)|<!--|-->", re.DOTALL)
+_HARMLESS_RULE = re.compile(r"@(?:charset|namespace)[^;]*(?:;|\Z)|@font-face\s*\{[^{}]*(?:\}|\Z)")
+_SIMPLE_SELECTOR = re.compile(r"(\*|[A-Za-z][\w-]*)?((?:[.#][\w-]+)*)\Z", re.ASCII)
+_POINTED_AT = re.compile(r":(hover|focus|active|visited|focus-within|focus-visible)\b")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One selector of a style sheet with its declarations."""
+
+    name: str
+    """Of elements; empty for all."""
+    classes: frozenset[str]
+    id: str | None
+    declarations: dict[str, tuple[str, bool]]
+    """Values by property, and whether they are important."""
+
+    def applies_to(self, element: Element) -> bool:
+        """Is it an element that the selector means?"""
+        return (
+            self.name in ("", element.name)
+            and (self.id is None or self.id == element.attributes.get("id"))
+            and self.classes <= set(element.attributes.get("class", "").split())
+        )
+
+    @property
+    def specificity(self) -> tuple[int, int, int]:
+        """Ids, classes, names, as CSS compares selectors."""
+        return int(self.id is not None), len(self.classes), int(self.name != "")
+
+
+class Styles:
+    """What the style sheets, attributes and `style` of an element say about it.
+
+    Sheets may select by element, class and id. Another selector, or another rule than `{}`, is refused if it sets a
+    property that decides what is seen. Errors: ConfigError, with `where` and the element.
+    """
+
+    def __init__(self, root: Element, where: str) -> None:
+        self.where = where
+        self._root = root
+        self._rules: list[Rule] = []
+        for element in root.walk():
+            if element.name == "style" and _is_followed(element):
+                self._rules += self._read_sheet(element)
+        self._rules.sort(key=lambda rule: rule.specificity)
+
+    def of(self, element: Element) -> dict[str, str]:
+        """Return the values of the properties that are followed, by name; words in small letters."""
+        found = {name: element.attributes[name] for name in FOLLOWED_PROPERTIES if name in element.attributes}
+        sheets = [rule.declarations for rule in self._rules if rule.applies_to(element)]
+        own = _declarations(element.attributes.get("style", ""))
+        for important in (False, True):
+            for declarations in (*sheets, own):
+                chosen = {name: value for name, (value, is_strong) in declarations.items() if is_strong is important}
+                found |= chosen
+        found = {name: value.strip() for name, value in found.items()}
+        self._check_geometry(element, found)
+        return {name: value if "(" in value else value.lower() for name, value in found.items()}
+
+    def _check_geometry(self, element: Element, found: dict[str, str]) -> None:
+        """Raise a ConfigError for a style that moves or reshapes the element; the size of the page changes nothing."""
+        for name, elements in GEOMETRY_PROPERTIES.items():
+            value = found.get(name, "none").strip()
+            is_meant = EVERYTHING in elements or (element.name in elements and element is not self._root)
+            if is_meant and value not in ("none", "auto", *INITIAL_WORDS):
+                what = f"{element.label} with a style {name}: {shortened(value)}"
+                do = f"Write it as an attribute of the element: {name}=..., or save the drawing as plain SVG."
+                raise ConfigError(self.where, what, "styles that neither move nor reshape", do)
+
+    def _read_sheet(self, element: Element) -> list[Rule]:
+        sheet = _HARMLESS_RULE.sub(" ", _COMMENT.sub(" ", element.text))
+        if mark := re.search(r"@[\w-]+", sheet):
+            self._refuse(element, shortened(mark.group()))
+        rules: list[Rule] = []
+        for rule in sheet.split("}"):
+            selectors, opened, body = rule.partition("{")
+            if "{" in body:
+                self._refuse(element, f"a rule within {quoted(selectors.strip())}")
+            declarations = _declarations(body) if opened else {}
+            for selector in selectors.split(","):
+                rules += self._read_rule(element, selector.strip(), declarations)
+        return rules
+
+    def _read_rule(self, element: Element, selector: str, declarations: dict[str, tuple[str, bool]]) -> list[Rule]:
+        """Return the rule, or none if it never applies or does not matter."""
+        matters = any(name in declarations for name in (*FOLLOWED_PROPERTIES, *GEOMETRY_PROPERTIES))
+        if not matters or _POINTED_AT.search(selector):
+            return []
+        found = _SIMPLE_SELECTOR.match(selector)
+        if found is None or not selector:
+            self._refuse(element, quoted(selector))
+        parts = re.findall(r"[.#][\w-]+", found[2])
+        ids = {part[1:] for part in parts if part[0] == "#"}
+        if len(ids) > 1:
+            return []
+        classes = frozenset(part[1:] for part in parts if part[0] == ".")
+        return [Rule("" if found[1] in (None, "*") else found[1], classes, min(ids, default=None), declarations)]
+
+    def _refuse(self, element: Element, what: str) -> NoReturn:
+        do = "Write what it sets as attributes of the elements, or save the drawing as plain SVG."
+        raise ConfigError(self.where, f"{element.label} with {what}", "selectors of an element, .class or #id", do)
+
+
+def _is_followed(sheet: Element) -> bool:
+    """Is a <style> element CSS for what is seen on a screen?"""
+    media = sheet.attributes.get("media", "all").strip().lower()
+    return sheet.attributes.get("type", "text/css").strip() in ("", "text/css") and media in ("", "all", "screen")
+
+
+def _declarations(body: str) -> dict[str, tuple[str, bool]]:
+    """Return the values of `name: value; ...` by name, and whether they are important."""
+    found: dict[str, tuple[str, bool]] = {}
+    for part in _COMMENT.sub(" ", body).split(";"):
+        name, colon, value = part.partition(":")
+        name = name.strip().lower()
+        if not colon or name not in (*FOLLOWED_PROPERTIES, *GEOMETRY_PROPERTIES):
+            continue
+        value, mark, _ = value.partition("!")
+        is_important = bool(mark)
+        if is_important or not found.get(name, ("", False))[1]:
+            found[name] = (value.strip(), is_important)
+    return found
+
+
+def handed_down(outer: dict[str, str], style: dict[str, str]) -> dict[str, str]:
+    """Return the inherited properties of an element; outer: those of the element around it."""
+    found = dict(outer)
+    for name in INHERITED_PROPERTIES:
+        value = style.get(name, "inherit")
+        if value == "initial":
+            found.pop(name, None)
+        elif value not in ("inherit", *INITIAL_WORDS):
+            found[name] = value
+    return found
+
+
+def hidden_by(style: dict[str, str]) -> str:
+    """Return the property that hides an element and all in it; empty if none does."""
+    if style.get("display") == "none":
+        return "display: none"
+    return "" if _share(style.get("opacity", "1")) > 0.0 else "opacity: 0"
+
+
+def is_visible(inherited: dict[str, str]) -> bool:
+    """Does `visibility` show an element?"""
+    return inherited.get("visibility", "visible") not in ("hidden", "collapse")
+
+
+def has_dots(inherited: dict[str, str]) -> bool:
+    """Is a line without length seen, as a dot of the width of the stroke?"""
+    return _is_paint(inherited.get("stroke", "none")) and inherited.get("stroke-linecap") in ("round", "square")
+
+
+def is_painted(name: str, inherited: dict[str, str]) -> bool:
+    """Has a shape a fill or a stroke? A line has no fill, but without a word on its stroke it counts as drawn."""
+    has_stroke = (
+        _is_paint(inherited.get("stroke", "none"))
+        and _share(inherited.get("stroke-opacity", "1")) > 0.0
+        and _share(inherited.get("stroke-width", "1")) > 0.0
+    )
+    if name == "line" and "stroke" in inherited:
+        return has_stroke
+    has_fill = _is_paint(inherited.get("fill", "black")) and _share(inherited.get("fill-opacity", "1")) > 0.0
+    return has_stroke or has_fill
+
+
+def _share(text: str) -> float:
+    """Return the number at the begin of a value, such as 50% or 2px; 1 without one, as for a value in error."""
+    found = re.match(r"[-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?", text.strip().lower())
+    return float(found.group()) if found else 1.0
+
+
+def _is_paint(value: str) -> bool:
+    """Is it a colour or a pattern that is seen?"""
+    if _NO_PAINT.fullmatch(value):
+        return False
+    alpha = _ALPHA.fullmatch(value)
+    return alpha is None or _share(alpha[1] or alpha[2]) > 0.0

@@ -1,0 +1,202 @@
+"""Tables of numbers in CSV files; every complaint names file, line and column."""
+
+import codecs
+import csv
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import Mat
+
+CSV = "a readable CSV file, UTF-8"
+UNITS = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "m/s2", "m/s²", "m/s^3", "m/s3", "m/s³")
+"""Units that may follow the name of a column; numbers are never converted."""
+ALIASES = {"time": "t"}
+_LINE_END = re.compile(r"\r\n|\r|\n")
+_SEPARATOR_LINE = re.compile(r"\s*\"?sep=([,;\t])\"?\s*\Z")
+_NAME = re.compile(r"([^\[\](){}]*)[\[(]([^\[\](){}]*)[\])]")
+_NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z")
+
+Line = tuple[int, list[str]]
+"""The number of a line, and its cells."""
+
+
+class TableError(ConfigError):
+    """A CSV file of numbers is wrong: file, line, column."""
+
+
+def read_table(path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()) -> dict[str, Mat]:
+    """Return the columns of a CSV file by name, each (k,), and "line" (k,), where each row stands.
+
+    The first line names the columns, in any order and in small letters or capitals; `required` ones must be there, of
+    each group of `optional` ones all or none. A name may be followed by its unit, x [m]. Left out are empty lines, an
+    empty last column, and what follows a #; a comment that names the columns is taken for the first line if numbers
+    follow. Columns are separated by commas, semicolons, tabs or blanks, as the names are; decimals may be written with
+    a comma, if columns are not. The text is UTF-8, UTF-16 with a byte-order mark, or Latin-1.
+    Errors: TableError.
+    """
+    try:
+        raw = Path(path).read_bytes()
+        text = _decoded(raw)
+    except (OSError, ValueError) as error:
+        raise TableError(f"{path}", f"{error}", CSV) from error
+    return parse_table(text, path, required, optional)
+
+
+def parse_table(
+    text: str, path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()
+) -> dict[str, Mat]:
+    """`read_table` of what a file contains; path: what errors call it."""
+    try:
+        (first, names), rows = _lines(text.removeprefix("\ufeff"), path, required)
+    except csv.Error as error:
+        raise TableError(f"{path}", f"{error}", CSV) from error
+    head = [_column(path, first, column, name) for column, name in enumerate(names, 1)]
+    _check_head(path, first, head, required, optional)
+    if not rows:
+        raise TableError(f"{path}", "no row of numbers", "at least one row below the names of the columns")
+    _check_decimals(path, head, rows)
+    numbers = [_numbers(path, number, head, cells) for number, cells in rows]
+    table = dict(zip(head, np.array(numbers).T, strict=True))
+    return table | {"line": np.array([float(number) for number, _ in rows])}
+
+
+def _decoded(raw: bytes) -> str:
+    """Return the text of a file; Latin-1 if it is nothing else, for comments: numbers and names are ASCII."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return raw.decode("utf-16")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        if b"\0" in raw:
+            raise
+        return raw.decode("latin-1")
+
+
+def _lines(text: str, path: str | Path, required: Sequence[str]) -> tuple[Line, list[Line]]:
+    """Return the line of names and those of numbers, cut into cells."""
+    separator = ""
+    comments: list[tuple[int, str]] = []
+    head: Line | None = None
+    rows: list[Line] = []
+    for number, written in enumerate(_LINE_END.split(text), 1):
+        line, _, comment = written.partition("#")
+        if not line.strip(" \t,;"):
+            comments.append((number, comment))
+        elif head is None and (declared := _SEPARATOR_LINE.match(line)):
+            separator = declared[1]
+        elif head is None and not all(map(_is_number, _cells(line, separator or _separator(line)))):
+            separator = separator or _separator(line)
+            head = (number, _cells(line, separator))
+        else:
+            if head is None:
+                head = _head_in(comments, required)
+                if head is None:
+                    allowed = f"first a line with the names of the columns: {', '.join(required)}"
+                    raise TableError(f"{path}, line {number}", "numbers without names", allowed)
+                separator = separator or _separator(line)
+            rows.append((number, _cells(line, separator)))
+    if head is None:
+        raise TableError(f"{path}", "an empty file", "a line with the names of the columns, then rows of numbers")
+    return head, rows
+
+
+def _head_in(comments: list[tuple[int, str]], required: Sequence[str]) -> Line | None:
+    """Return the last comment that names all required columns."""
+    for number, comment in reversed(comments):
+        names = _cells(comment, _separator(comment))
+        if {_name_and_unit(name)[0] for name in names} >= set(required):
+            return number, names
+    return None
+
+
+def _separator(line: str) -> str:
+    """Return what separates the cells of a line; a blank stands for any number of blanks."""
+    return next((mark for mark in (";", "\t", ",") if mark in line.strip()), " ")
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    """Return the cells of a line, without an empty last one."""
+    if separator == " ":
+        return line.split()
+    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+    return cells if cells[-1] else cells[:-1]
+
+
+def _column(path: str | Path, line: int, column: int, written: str) -> str:
+    """Return the name of a column in small letters, without its unit."""
+    name, unit = _name_and_unit(written)
+    if unit and unit not in UNITS:
+        raise TableError(f"{path}, line {line}, column {column}", repr(written), f"units: {', '.join(UNITS)}")
+    return name
+
+
+def _name_and_unit(written: str) -> tuple[str, str]:
+    """Return the parts of x [m]; the unit is empty where there is none."""
+    found = _NAME.fullmatch(written.lower().strip())
+    name = (found[1] if found else written.lower()).strip()
+    return ALIASES.get(name, name), found[2].strip() if found else ""
+
+
+def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None:
+    """Raise a TableError where some decimals have a comma and others a point."""
+    has_point = any("." in cell for _, cells in rows for cell in cells)
+    for line, cells in rows if has_point else ():
+        for column, (name, cell) in enumerate(zip(head, cells, strict=False), 1):
+            if "," in cell:
+                where = f"{path}, line {line}, column {column} ({name})"
+                raise TableError(where, repr(cell), "a point in each number, or a comma in each")
+
+
+def _is_number(cell: str) -> bool:
+    return _NUMBER.match(cell) is not None
+
+
+def _check_head(
+    path: str | Path, line: int, head: list[str], required: Sequence[str], optional: Sequence[Sequence[str]]
+) -> None:
+    known = [*required, *(name for group in optional for name in group)]
+    for column, name in enumerate(head, 1):
+        if name not in known or head.index(name) != column - 1:
+            allowed = f"each of {', '.join(known)} once"
+            raise TableError(f"{path}, line {line}, column {column}", repr(name), allowed)
+    for group in (required, *(group for group in optional if any(name in head for name in group))):
+        missing = [name for name in group if name not in head]
+        if missing:
+            raise TableError(f"{path}, line {line}", f"no column {', '.join(missing)}", f"{', '.join(group)}")
+
+
+def _numbers(path: str | Path, line: int, head: list[str], cells: list[str]) -> list[float]:
+    if len(cells) != len(head):
+        do = "Separate columns by semicolons if decimals have a comma." if len(cells) > len(head) else ""
+        raise TableError(f"{path}, line {line}", f"{len(cells)} columns", f"{len(head)}, as in the line of names", do)
+    named = enumerate(zip(head, cells, strict=True), 1)
+    return [_number(path, line, column, name, cell) for column, (name, cell) in named]
+
+
+def _number(path: str | Path, line: int, column: int, name: str, cell: str) -> float:
+    value = float(cell.replace(",", ".")) if _is_number(cell) else math.nan
+    if not math.isfinite(value):
+        raise TableError(f"{path}, line {line}, column {column} ({name})", repr(cell), "a finite number")
+    return value
+
+
+def check_increasing(path: str | Path, table: dict[str, Mat], name: str) -> None:
+    """Raise a TableError at the first row whose value in the column is not above that of the row before."""
+    steps = np.diff(table[name]) > 0.0
+    if not steps.all():
+        k = int(np.argmin(steps)) + 1
+        where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index(name) + 1} ({name})"
+        raise TableError(where, f"{table[name][k]:g}", f"more than the {table[name][k - 1]:g} of the row before")
+
+
+def write_table(path: str | Path, columns: Sequence[str], rows: Mat) -> None:
+    """The rows (k, n) under their names (n,), each number to its last digit."""
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows.tolist())

@@ -1,0 +1,1 @@
+"""A Crazyflie behind a radio link, as the flight sees it."""

@@ -1,0 +1,1 @@
+"""Connections to Crazyflies through cflib: links, dongles, and tables of contents."""

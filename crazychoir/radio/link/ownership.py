@@ -1,0 +1,114 @@
+"""Who has a dongle: one process of this machine at a time, found by a lock that dies with it.
+
+The lock is the name of a Unix socket in the abstract namespace of Linux. It is the same for all users and in every
+environment (a login shell, cron, `sudo`, a service with folders of its own), and there is no file that could be taken,
+removed, or left behind. The kernel says which process holds it. Like the addresses of virtual drones it is one name a
+network namespace; where a Crazyradio is given to two of them, the kernel lets one process claim it.
+"""
+
+import contextlib
+import hashlib
+import os
+import re
+import socket
+import struct
+import threading
+from collections.abc import Iterable, Iterator
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import Refused
+from crazychoir.files.user_folders import user_name
+
+LAND_FIRST = "and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
+LAND_AS_OWNER = "and may fly drones: that user, or root, must land them first (Ctrl-C there, or `crazychoir land`)"
+PREFIX = "crazychoir-"
+"""How the name of each lock begins."""
+LONGEST_NAME = 107  # bytes of a name, after the zero byte that makes it abstract
+ANSWER_TIMEOUT = 0.5  # s for the owner to say its swarm; a process that is stopped does not
+CREDENTIALS = struct.Struct("3i")  # process, user and group, as the kernel knows them
+ANSWER_SIZE = 256  # bytes
+
+
+@contextlib.contextmanager
+def owned(config: SwarmConfig, dongle: int) -> Iterator[None]:
+    """This process owns a dongle, or, of virtual drones, their addresses; Refused while another one does."""
+    with contextlib.ExitStack() as kept:
+        for name in _names(config, dongle):
+            kept.enter_context(_locked(name, dongle, config.name))
+        yield
+
+
+def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
+    """Refused while another process owns one of these dongles, before anything is started that needs it."""
+    for dongle in dongles:
+        for name in _names(config, dongle):
+            owner = _owner(name)
+            if owner is not None:
+                raise Refused(f"dongle {dongle}", owner)
+
+
+def _names(config: SwarmConfig, dongle: int) -> list[str]:
+    """Of its locks, in an order that all keep to."""
+    uris = [config.drone(i).uri for i in config.dongles[dongle]]
+    names = {f"dongle-{uri.split('/')[2]}" if uri.startswith("radio") else uri for uri in uris}
+    return sorted(names)
+
+
+def _address(name: str) -> bytes:
+    """Return the abstract name of a lock."""
+    text = f"{PREFIX}{name}".encode()
+    if len(text) > LONGEST_NAME:
+        text = f"{PREFIX}{hashlib.blake2b(text, digest_size=16).hexdigest()}".encode()
+    return b"\0" + text
+
+
+@contextlib.contextmanager
+def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
+    """This process alone holds the lock; swarm: what others are told."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
+        try:
+            lock.bind(_address(name))
+        except OSError as error:
+            found = _owner(name) or f"it cannot be locked ({error.strerror or error})"
+            raise Refused(f"dongle {dongle}", found) from None
+        lock.listen()
+        answering = threading.Thread(target=_answer, args=(lock, swarm.encode()), name=f"lock {name}", daemon=True)
+        answering.start()
+        try:
+            yield
+        finally:
+            with contextlib.suppress(OSError):
+                lock.shutdown(socket.SHUT_RDWR)  # ends the wait of the thread, which holds the name
+            answering.join()
+
+
+def _answer(lock: socket.socket, swarm: bytes) -> None:
+    """Tell each process that asks which swarm holds the lock, until it is given up."""
+    with contextlib.suppress(OSError):
+        while True:
+            asking, _ = lock.accept()
+            with asking, contextlib.suppress(OSError):
+                asking.sendall(swarm)
+
+
+def _owner(name: str) -> str | None:
+    """Return which process holds a lock and what to do, None if no process does."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.settimeout(ANSWER_TIMEOUT)
+        try:
+            asking.connect(_address(name))
+        except ConnectionRefusedError:
+            return None
+        except OSError:  # so many ask at once that no more can
+            return f"another process has it, {LAND_FIRST}"
+        process, user, _ = CREDENTIALS.unpack(
+            asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+        )
+        try:
+            said = asking.recv(ANSWER_SIZE).decode(errors="replace")
+        except OSError:
+            said = ""
+    swarm = f" (swarm {said})" if re.fullmatch(r"[\w.-]+", said) else ""
+    if user == os.getuid():
+        return f"process {process or '?'}{swarm} has it, {LAND_FIRST}"
+    return f"process {process or '?'}{swarm} of {user_name(user)} has it, {LAND_AS_OWNER}"

@@ -1,0 +1,155 @@
+"""What drones have told of their log variables and parameters, by checksum: kept on disk, shared by all links."""
+
+import contextlib
+import hashlib
+import json
+import logging
+import os
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+from cflib.crazyflie.log import LogTocElement
+from cflib.crazyflie.param import ParamTocElement
+
+from crazychoir.files.user_folders import WARNING, cache_home
+
+log = logging.getLogger(__name__)
+PATIENCE, LOOKS = 60.0, 0.25
+"""s that a link waits for what another one is being told, longer than each is given to open; and after which it looks
+whether that one, or itself, has been closed meanwhile."""
+FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
+KINDS = {"log": LogTocElement, "param": ParamTocElement}
+
+NAME = "tables of contents"
+"""What this cache holds, in warnings."""
+
+Contents = dict[str, dict[str, Any]]
+
+
+class TableOfContents:
+    """A cache of tables of contents, in the shape that cflib wants one: `fetch` and `insert`, from any thread.
+
+    Drones with the same firmware have the same tables, so the first link asks and the others wait for its answer. A
+    file is there whole or not at all, whoever writes at the same time.
+
+    folder: where they are kept, None where there is no place: then they are known to this process alone.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self.folder = folder
+        self._damaged: list[int] = []
+        self._warned = False
+        self._known: dict[int, Contents] = {}
+        self._asked: dict[int, int] = {}
+        self._closed: dict[int, None] = {}
+        self._told = threading.Condition()
+
+    def fetch(self, crc: int) -> Contents | None:
+        """The table with this checksum; None: whoever asks is to get it from its drone."""
+        me = threading.get_ident()
+        with self._told:
+            self._closed.pop(me, None)
+            for _ in range(round(PATIENCE / LOOKS)):
+                found = self._known.get(crc) or self._read(crc)
+                if found is not None:
+                    self._known[crc] = found
+                    return found
+                if self._asked.setdefault(crc, me) == me or me in self._closed:
+                    return None
+                self._told.wait(LOOKS)
+        return None
+
+    def insert(self, crc: int, contents: Contents) -> None:
+        """A drone has told its table."""
+        with self._told:
+            self._known[crc] = contents
+            self._asked.pop(crc, None)
+            self._told.notify_all()
+        if self.folder is None:
+            self._warn("no home folder")
+            return
+        try:
+            self._write(self.folder, crc, contents)
+        except OSError as error:
+            self._warn(f"{self.folder}: {error.strerror or error}")
+
+    def _warn(self, fault: str) -> None:
+        """Say once why nothing is kept."""
+        if not self._warned:
+            self._warned = True
+            do = "Set XDG_CACHE_HOME to a folder that can be written and has room."
+            log.warning("%s%s: %s: they are not kept, connecting takes longer. %s", WARNING, NAME, fault, do)
+
+    def forget(self, thread: int) -> None:
+        """The link of this thread is closed: who waits for what it was being told asks itself."""
+        with self._told:
+            self._asked = {crc: who for crc, who in self._asked.items() if who != thread}
+            self._closed[thread] = None
+            self._told.notify_all()
+
+    def _read(self, crc: int) -> Contents | None:
+        if self.folder is None or crc in self._damaged:
+            return None
+        file = _file(self.folder, crc)
+        try:
+            return decoded(file.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            self._damaged.append(crc)  # waiting links look again and again
+            log.warning("%s: %s: asked of the drone again", file, error)
+            return None
+
+    def _write(self, folder: Path, crc: int, contents: Contents) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=folder, prefix=".")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(encoded(contents))
+            os.replace(name, _file(folder, crc))
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise
+
+
+def _file(folder: Path, crc: int) -> Path:
+    return folder / f"{crc:08X}.json"
+
+
+def _check(kind: str, elements: list[Any]) -> str:
+    """Return the digest of a table: a file that is damaged and still JSON is found by it."""
+    return hashlib.blake2b(json.dumps([kind, elements]).encode(), digest_size=8).hexdigest()
+
+
+def encoded(contents: Contents) -> str:
+    """As text."""
+    elements = [element for group in contents.values() for element in group.values()]
+    kind = "param" if any(isinstance(element, ParamTocElement) for element in elements) else "log"
+    values = [[getattr(element, f) for f in FIELDS] for element in elements]
+    return json.dumps({"kind": kind, "check": _check(kind, values), "elements": values})
+
+
+def decoded(text: str) -> Contents:
+    """From text; ValueError, KeyError, TypeError or AttributeError for another one.
+
+    Whether a parameter is persistent is not kept: cflib would ask for each at every connection.
+    """
+    raw = json.loads(text)
+    kind, found = KINDS[raw["kind"]], Contents()
+    if raw["check"] != _check(raw["kind"], raw["elements"]):
+        raise ValueError("it is damaged: its digest is another")
+    for values in raw["elements"]:
+        element = kind()
+        for name, value in zip(FIELDS, values, strict=True):
+            setattr(element, name, value)
+        found.setdefault(element.group, {})[element.name] = element
+    return found
+
+
+def folder() -> Path | None:
+    """Where this user keeps them, None without a place for caches."""
+    own = cache_home()
+    return None if own is None else own / "crazychoir" / "contents"

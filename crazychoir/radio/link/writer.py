@@ -1,0 +1,145 @@
+"""The only thread that sends to a drone: a driver may keep who sends for seconds when its air is full."""
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+
+from crazychoir.radio.protocol.crtp import Packet
+from crazychoir.runtime.clock import SECOND, Clock
+
+
+class Turns:
+    """Turns of the drones that share a dongle, as many a second as it carries.
+
+    A radio's driver keeps who sends until the air is free; one that sends into a network does not, and what waits there
+    for a slower dongle grows old. Whoever waits here sends the newest.
+    """
+
+    def __init__(self, clock: Clock, capacity: float) -> None:
+        self._clock, self._period_ns = clock, round(SECOND / capacity)
+        self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
+
+    def turn(self) -> None:
+        """Wait for one, from any thread."""
+        with self._lock:
+            now_ns = self._clock.now_ns()
+            start_ns = max(now_ns, self._free_ns)
+            self._free_ns = start_ns + self._period_ns
+        if start_ns > now_ns:
+            self._never.wait((start_ns - now_ns) / SECOND)
+
+
+MOST = 1000
+"""Packets that wait in order; beyond that the link is as good as gone."""
+
+
+class Writer:
+    """Sends packets in order, and between them the newest of each kind, in turn; urgent ones before all others.
+
+    send: puts a packet on the link; False: it has no room for it, which is tried again, unless something more urgent or
+    newer has come meanwhile;  turn: waits until one may be sent;  room: waits a short time for room on the link, so
+    that what is sent is the newest by then; False: there is none yet.
+    """
+
+    def __init__(
+        self, name: str, send: Callable[[Packet], bool], turn: Callable[[], None] = lambda: None,
+        room: Callable[[], bool] = lambda: True,
+    ) -> None:  # fmt: skip
+        self._send, self._turn, self._room, self._work = send, turn, room, threading.Condition()
+        self._urgent: deque[Packet] = deque()
+        self._ordered: deque[Packet] = deque()
+        self._newest: dict[str, Packet] = {}
+        self._ends = False
+        self.sent = self.refused = 0
+        """Packets that have gone; those for which too many were waiting."""
+        self.failure = ""
+        """What the last send that failed has raised."""
+        self._thread = threading.Thread(target=self._run, name=f"{name} writer", daemon=True)
+        self._thread.start()
+
+    def put(self, packet: Packet) -> bool:
+        """Send this after all that were put before; False if too many wait."""
+        with self._work:
+            if len(self._ordered) >= MOST:
+                self.refused += 1
+                return False
+            self._ordered.append(packet)
+            self._work.notify()
+        return True
+
+    def urgent(self, packets: Iterable[Packet]) -> None:
+        """Send these before all that waits; those that waited as urgent need not be sent any more."""
+        with self._work:
+            self._urgent = deque(packets)
+            self._work.notify()
+
+    def newest(self, kind: str, packet: Packet) -> None:
+        """Send this instead of the one of its kind that still waits."""
+        with self._work:
+            self._newest[kind] = packet
+            self._work.notify()
+
+    def forget(self, kind: str) -> None:
+        """What waits of this kind is not sent any more."""
+        with self._work:
+            self._newest.pop(kind, None)
+
+    def failed(self) -> str:
+        """What has been raised since this was asked."""
+        failure, self.failure = self.failure, ""
+        return failure
+
+    def end(self) -> None:
+        """Send what waits in order, then end."""
+        with self._work:
+            self._ends = True
+            self._newest.clear()
+            self._work.notify()
+
+    def join(self, seconds: float) -> bool:
+        """Wait for its end; False if it still sends."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while self._waits():
+            self._turn()
+            while not (self._room() and self._has_sent()):
+                pass  # its turn has come: whatever is next by then
+
+    def _waits(self) -> bool:
+        """Until there is something to send; False at its end."""
+        with self._work:
+            while not (self._urgent or self._ordered or self._newest or self._ends):
+                self._work.wait()
+            return bool(self._urgent or self._ordered or self._newest)
+
+    def _has_sent(self) -> bool:
+        """Whether what is next has gone, has failed for good, or does not wait any more."""
+        with self._work:
+            packet = self._next()
+        if packet is None:
+            return True
+        try:
+            if not self._send(packet):
+                return False
+            self.sent += 1
+        except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
+            self.failure = f"{type(error).__name__}: {error}"
+        with self._work:
+            self._remove(packet)
+        return True
+
+    def _next(self) -> Packet | None:
+        for waiting in (self._urgent, self._ordered, list(self._newest.values())):
+            if waiting:
+                return waiting[0]
+        return None
+
+    def _remove(self, packet: Packet) -> None:
+        """It does not wait any more, if it has not been replaced meanwhile."""
+        for waiting in (self._urgent, self._ordered):
+            if waiting and waiting[0] is packet:
+                waiting.popleft()
+                return
+        self._newest = {kind: other for kind, other in self._newest.items() if other is not packet}

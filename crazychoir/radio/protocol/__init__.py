@@ -1,0 +1,1 @@
+"""CRTP packets and addresses, without input or output."""

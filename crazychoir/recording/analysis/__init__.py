@@ -1,0 +1,1 @@
+"""Figures, comparisons and plots of recordings."""

@@ -1,0 +1,167 @@
+"""What a recording says of a flight, in numbers: where each drone was, where it was to be, how far they were apart."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from crazychoir.bus.topics import REFERENCE, STATE, TRUTH
+from crazychoir.recording.mcap.odometry import into_world
+from crazychoir.recording.mcap.reading import Recording, Values
+from crazychoir.types import Mat, Vec
+
+TOPICS = (TRUTH.name, STATE.name, REFERENCE.name)
+UNSEEN = "unseen"
+"""What a recording's `about` calls the drones that nobody sees from outside."""
+JOINED = 0.15
+"""s: places that are further apart in time are not joined by a line."""
+COLUMNS = (
+    "t_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "vx_m_s", "vy_m_s", "vz_m_s",
+    "wx_rad_s", "wy_rad_s", "wz_rad_s",
+    "reference_x_m", "reference_y_m", "reference_z_m", "tracking_error_m", "estimation_error_m",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Track:
+    """One drone, at the n times t at which it was somewhere.
+
+    source: what says where it was: `truth`, or its own `state`, of a drone that nobody sees or whose truth was not
+    recorded: then there is nothing to compare its estimate with.
+    t: (n,) s since the recording began;  p: (n, 3) m, world;  q: (n, 4);  v: (n, 3) m/s, world;  w: (n, 3) rad/s, body;
+    reference, estimate: (n, 3) m, world, NaN where there is none.
+    """
+
+    drone: int
+    source: str
+    t: Vec
+    p: Mat
+    q: Mat
+    v: Mat
+    w: Mat
+    reference: Mat
+    estimate: Mat
+
+    @property
+    def tracking(self) -> Vec:
+        """(n,) m: how far it was from its reference."""
+        distance: Vec = np.linalg.norm(self.p - self.reference, axis=1)
+        return distance
+
+    @property
+    def estimation(self) -> Vec:
+        """(n,) m: how far it was from where it thought it was."""
+        distance: Vec = np.linalg.norm(self.p - self.estimate, axis=1)
+        return distance
+
+    def figures(self) -> dict[str, float | str | None]:
+        """Lengths in m; None where nothing can be compared.
+
+        rmse = sqrt(mean(e^2)), e: tracking or estimation error at each time of the track that has one.
+        """
+        return {
+            "source": self.source,
+            "flown_m": float(np.linalg.norm(np.diff(self.p, axis=0), axis=1).sum()),
+            "highest_m": float(self.p[:, 2].max()),
+            "fastest_m_s": float(np.linalg.norm(self.v, axis=1).max()),
+            "compared_s": float(np.sum(np.diff(self.t)[np.isfinite(self.tracking[1:] + self.tracking[:-1])])),
+            "tracking_rmse_m": rms(self.tracking),
+            "tracking_max_m": _greatest(self.tracking),
+            "estimation_rmse_m": rms(self.estimation),
+        }
+
+    def write(self, path: Path) -> None:
+        """A CSV file, a row a time, nan where there is nothing."""
+        parts = (self.t, self.p, self.q, self.v, self.w, self.reference, self.tracking, self.estimation)
+        np.savetxt(path, np.column_stack(parts), fmt="%.6f", delimiter=",", header=",".join(COLUMNS), comments="")
+
+
+@dataclass(frozen=True)
+class Flight:
+    """All drones of which it is known where they were; separation: (m,) m, the least distance of any two at the times
+    (m,) s; NaN: no two are known.
+    """
+
+    tracks: tuple[Track, ...]
+    times: Vec
+    separation: Vec
+
+    def figures(self) -> dict[str, Any]:
+        """Of the flight, and of each drone."""
+        least = self.separation[np.isfinite(self.separation)]
+        return {
+            "min_separation_m": float(least.min()) if len(least) else None,
+            "drones": {track.drone: track.figures() for track in self.tracks},
+        }
+
+
+def flight_of(recording: Recording) -> Flight:
+    """The flight of a recording, of drones whose truth or state was recorded."""
+    sources = {i: _source(recording, i) for i in recording.drones}
+    tracks = [_track(recording, i, source) for i, source in sources.items() if source]
+    if not tracks:
+        return Flight((), np.zeros(0), np.zeros(0))
+    times = np.arange(min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks), 1.0 / TRUTH.rate)
+    places = np.array([joined(track.t, track.p, times) for track in tracks])
+    return Flight(tuple(tracks), times, np.array([_nearest(places[:, k]) for k in range(len(times))]))
+
+
+def joined(t: Vec, x: Mat, at: Vec) -> Mat:
+    """x (n, m), known at increasing times t (n,) s, at the times `at` (k,) s: (k, m).
+
+        x(s) = x_a + (s - t_a) / (t_b - t_a) (x_b - x_a),  t_a <= s <= t_b neighbours
+
+    NaN where t_b - t_a > JOINED, and outside of t.
+    """
+    if len(t) < 2:
+        return np.full((len(at), x.shape[1] if len(t) else 3), np.nan)
+    b = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    gap = t[b] - t[b - 1]
+    share = (at - t[b - 1]) / gap
+    found: Mat = x[b - 1] + share[:, None] * (x[b] - x[b - 1])
+    found[(gap > JOINED) | (share < 0.0) | (share > 1.0)] = np.nan
+    return found
+
+
+def rms(e: Vec) -> float | None:
+    """Root of the mean square of what is finite of e."""
+    e = e[np.isfinite(e)]
+    return float(np.sqrt(np.mean(e**2))) if len(e) else None
+
+
+def _source(recording: Recording, i: int) -> str:
+    """The topic that says where it was, empty if none does. The truth of one that nobody sees is its own estimate."""
+    unseen = str(i) in recording.about.get(UNSEEN, "").split(",")
+    topics = [STATE.name] if unseen else [TRUTH.name, STATE.name]
+    return next((name for name in topics if len(recording.of(i, name)) > 1), "")
+
+
+def _track(recording: Recording, i: int, source: str) -> Track:
+    began = recording.seconds[0]
+    t, x = _in_order(recording.of(i, source), began)
+    p, q, v_b, w = x[:, 0:3], x[:, 3:7], x[:, 7:10], x[:, 10:13]
+    reference, estimate = (
+        joined(*_in_order(recording.of(i, name), began), t)[:, :3] for name in (REFERENCE.name, STATE.name)
+    )
+    if source == STATE.name:
+        estimate = np.full_like(p, np.nan)
+    return Track(i, source, t, p, q, into_world(q, v_b), w, reference, estimate)
+
+
+def _in_order(values: Values, began: float) -> tuple[Vec, Mat]:
+    """Times of birth in s since `began`, increasing, and what was then: over a network one may overtake another."""
+    t, first = np.unique(values.born - began, return_index=True)
+    return t, values.numbers[first]
+
+
+def _nearest(places: Mat) -> float:
+    """m, the least distance of any two whose places are known; NaN if there are no two."""
+    known = places[np.isfinite(places[:, 0])]
+    return float(pdist(known).min()) if len(known) > 1 else float("nan")
+
+
+def _greatest(e: Vec) -> float | None:
+    e = e[np.isfinite(e)]
+    return float(e.max()) if len(e) else None

@@ -1,0 +1,206 @@
+"""Pictures of a flight for a column of a paper: 3.5 inches wide, as PNG and PDF."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crazychoir.bus.topics import STATE
+from crazychoir.config.checks import TOUCHING
+from crazychoir.files.output_files import save_figure
+from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.recording.analysis.figures import Flight, Track
+from crazychoir.types import Mat
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH = 3.5
+"""inches, of a column."""
+NAMED = len(COLOURS)
+"""Drones that a legend names; more of them are told by a scale of colours."""
+FORMATS = ("png", "pdf")
+STYLE: Any = {
+    "font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7,
+    "axes.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+    "axes.axisbelow": True, "grid.color": "#e6e6e6", "grid.linewidth": 0.5, "lines.linewidth": 1.0,
+    "legend.frameon": False, "legend.handlelength": 2.2, "legend.columnspacing": 1.2, "pdf.fonttype": 42,
+}  # fmt: skip
+Pictures = dict[str, tuple[float, "Callable[[Figure], None]"]]
+"""By name: the height in inches, and what draws it."""
+Reasons = dict[str, str]
+"""By the name of a picture: why it is not drawn."""
+BAND: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
+"""A broad band below the line of what was flown."""
+
+
+def draw(pictures: Pictures, folder: Path) -> list[Path]:
+    """These pictures, into `folder`; returns their files."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    files = []
+    for name, (height, picture) in pictures.items():
+        with mpl.rc_context(STYLE):
+            figure = Figure(figsize=(WIDTH, height), dpi=300, layout="constrained")
+            FigureCanvasAgg(figure)
+            picture(figure)
+            for suffix in FORMATS:
+                files.append(folder / f"{name}.{suffix}")
+                save_figure(figure, files[-1])
+    return files
+
+
+def of_flight(flight: Flight) -> tuple[Pictures, Reasons]:
+    """What is drawn of where drones were, and what cannot be."""
+    all_pictures: Pictures = {
+        "top": (3.3, partial(_draw_top, flight=flight)),
+        "space": (3.2, partial(_draw_space, flight=flight)),
+        "tracking": (2.4, partial(_draw_tracking, flight=flight)),
+        "heights": (2.4, partial(_draw_heights, flight=flight)),
+        "separation": (2.0, partial(_draw_separation, flight=flight)),
+    }
+    missing: Reasons = {}
+    if not flight.tracks:
+        missing = dict.fromkeys(all_pictures, "no truth or state of any drone")
+    elif not any(np.isfinite(track.tracking).any() for track in flight.tracks):
+        missing["tracking"] = "no reference while it was known where a drone was"
+    if flight.tracks and not np.isfinite(flight.separation).any():
+        missing["separation"] = "no two drones at one time"
+    return {name: picture for name, picture in all_pictures.items() if name not in missing}, missing
+
+
+def _draw_top(figure: "Figure", flight: Flight) -> None:
+    axes = figure.add_subplot()
+    for line, track in lines(flight):
+        axes.plot(*track.p[:, :2].T, **line)
+        axes.plot(*track.reference[:, :2].T, **BAND)
+        axes.plot(*track.p[0, :2], "o", color=line["color"], markersize=3.5, zorder=4)
+    axes.set_aspect("equal")
+    axes.margins(0.08)
+    axes.set_xlabel("$x$ [m]")
+    axes.set_ylabel("$y$ [m]")
+    name(figure, flight, band=_reference(flight), started=True)
+
+
+def _draw_space(figure: "Figure", flight: Flight) -> None:
+    axes: Any = figure.add_subplot(projection="3d")
+    for line, track in lines(flight):
+        axes.plot(*track.p.T, **line)
+        axes.plot(*track.reference.T, **BAND)
+        axes.plot(*track.p[:1].T, "o", color=line["color"], markersize=3.5, zorder=4)
+    axes.set_aspect("equal")
+    axes.set_xlabel("$x$ [m]", labelpad=-6)
+    axes.set_ylabel("$y$ [m]", labelpad=-6)
+    axes.set_zlabel("$z$ [m]", labelpad=-6)
+    axes.tick_params(pad=-3)
+    axes.locator_params(nbins=4)
+    name(figure, flight, band=_reference(flight), started=True, pad=0.16)
+
+
+def _draw_tracking(figure: "Figure", flight: Flight) -> None:
+    axes = figure.add_subplot()
+    for line, track in lines(flight):
+        axes.plot(track.t, 100.0 * track.tracking, **line)
+    axes.set_ylim(bottom=0.0)
+    along_time(axes, float(flight.times[-1]), "distance from reference [cm]")
+    name(figure, flight)
+
+
+def _draw_heights(figure: "Figure", flight: Flight) -> None:
+    axes = figure.add_subplot()
+    for line, track in lines(flight):
+        axes.plot(track.t, track.p[:, 2], **line)
+        axes.plot(track.t, track.reference[:, 2], **BAND)
+    along_time(axes, float(flight.times[-1]), "$z$ [m]")
+    name(figure, flight, band=_reference(flight))
+
+
+def _draw_separation(figure: "Figure", flight: Flight) -> None:
+    axes = figure.add_subplot()
+    axes.plot(flight.times, flight.separation, color=COLOURS[0])
+    axes.axhline(TOUCHING, color=COLOURS[1], linestyle=DASHES[1], linewidth=0.8)
+    axes.annotate(
+        f"may touch: {TOUCHING:g} m", (flight.times[-1], TOUCHING), xytext=(0, 2), textcoords="offset points",
+        ha="right", va="bottom", color=COLOURS[1], fontsize=7,
+    )  # fmt: skip
+    axes.set_ylim(bottom=0.0)
+    along_time(axes, float(flight.times[-1]), "least distance of two [m]")
+
+
+def along_time(axes: Any, last: float, label: str) -> None:
+    """Time to the right, up to `last` s."""
+    axes.set_xlim(0.0, last)
+    axes.set_xlabel("$t$ [s]")
+    axes.set_ylabel(label)
+
+
+def lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
+    """How each drone's line looks, and the drone."""
+    return list(zip(looks(len(flight.tracks)), flight.tracks, strict=True))
+
+
+def looks(n: int) -> list[dict[str, Any]]:
+    """Of the lines of n drones; dashes show what lies below a line."""
+    told: Any = zip(COLOURS[:n], cycle(DASHES), strict=False) if n <= NAMED else zip(scale(n), n * ["-"], strict=True)
+    return [{"color": colour, "linestyle": dash} for colour, dash in told]
+
+
+def scale(n: int) -> Mat:
+    """n colours, from dark to light."""
+    from matplotlib import colormaps
+
+    colours: Mat = colormaps["viridis"](np.linspace(0.0, 0.92, n))
+    return colours
+
+
+def _reference(flight: Flight) -> str:
+    """The name of the band, if there is one."""
+    return "reference" if any(np.isfinite(track.reference).any() for track in flight.tracks) else ""
+
+
+def name(figure: "Figure", flight: Flight, band: str = "", started: bool = False, pad: float = 0.02) -> None:
+    """Say which line is which, and what the band is. Who is shown by its own state, not by truth, is marked."""
+    own = [track.source == STATE.name for track in flight.tracks]
+    marks = [" (state)" if one else "" for one in own]
+    names = [f"{track.drone}{mark}" for track, mark in zip(flight.tracks, marks, strict=True)]
+    note = "" if len(own) <= NAMED or not any(own) else " (state)" if all(own) else " (some: state)"
+    name_drones(figure, names, f"drone{note}", band, started, pad)
+
+
+def name_drones(
+    figure: "Figure", names: Sequence[str], label: str = "drone", band: str = "", started: bool = False,
+    pad: float = 0.02,
+) -> None:  # fmt: skip
+    """By a legend above, or, of many, by a scale of colours with this label."""
+    from matplotlib.lines import Line2D
+
+    handles = []
+    if len(names) <= NAMED:
+        styles = zip(names, looks(len(names)), strict=True)
+        handles += [Line2D([], [], label=f"drone {one}", **style) for one, style in styles]
+    if band:
+        handles.append(Line2D([], [], label=band, **BAND))
+    if started:
+        handles.append(Line2D([], [], label="start", color=INK, marker="o", linestyle="", markersize=3.5))
+    if handles:
+        figure.legend(handles=handles, loc="outside upper center", ncols=4 if max(map(len, names)) < 6 else 3)
+    if len(names) > NAMED:
+        _draw_scale(figure, names, label, pad)
+
+
+def _draw_scale(figure: "Figure", names: Sequence[str], label: str, pad: float) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+
+    n = len(names)
+    norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
+    mappable = ScalarMappable(norm, ListedColormap(list(scale(n))))
+    bar = figure.colorbar(mappable, ax=figure.axes[0], label=label, fraction=0.04, pad=pad)
+    marks = np.unique(np.linspace(0, n - 1, min(n, 6)).round().astype(int))
+    bar.set_ticks(marks.tolist(), labels=[names[k].split()[0] for k in marks])
+    bar.ax.minorticks_off()

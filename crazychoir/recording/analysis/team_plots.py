@@ -1,0 +1,166 @@
+"""Pictures of what a team has done together: who worked when, what was said, and how they came to agree."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crazychoir.guidance.feedback import LAW
+from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.recording.analysis.activity import ON_GROUND, Work
+from crazychoir.recording.analysis.communication import COUNTERS, Talk
+from crazychoir.recording.analysis.figures import Flight
+from crazychoir.recording.analysis.plots import BAND, Pictures, Reasons, along_time, lines, looks, name, name_drones
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PHASES = {
+    ON_GROUND: "#e0e0e0", "taking off": "#56B4E9", "mission": "#0072B2", "hovering": "#F0E442",
+    "returning": "#CC79A7", "landing": "#009E73", "stopped": "#D55E00",
+}  # fmt: skip
+"""Okabe and Ito's, and a grey; in print they differ in lightness, too."""
+MOST_LABELLED = 60
+"""Stops with their names beside the bars; more would cover each other."""
+LETTER = 0.017
+"""Of the width of the picture, a letter of a stop's name."""
+MOST_CHANNELS = 4
+LEAST = 1e-6
+"""m, and in the units of messages: what is nearer is drawn there."""
+END = 1.0
+"""s over which the place is averaged where a drone's law has ended."""
+SAID = {"lost": "lost (simulated)"}
+"""Counters that the legend calls otherwise: what a real network loses, no sender counts."""
+PLANNED = {"m": "length of all routes [m]", "s": "time until all are back [s]"}
+
+
+def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
+    """Those of which the recording has anything, and why not the others."""
+    pictures: Pictures = {}
+    missing: Reasons = {}
+    if work.flown:
+        pictures["tasks"] = (max(1.6, 0.75 + 0.27 * len(work.drones)), partial(_draw_tasks, work=work))
+    else:
+        missing["tasks"] = "nobody has left the ground" if work.spans else "no status of any drone"
+    if len(talk.t):
+        pictures["messages"] = (2.0, partial(_draw_messages, talk=talk))
+    else:
+        missing["messages"] = "no two statuses of a drone"
+    times = law_times(work)
+    if talk.history:
+        pictures["convergence"] = (2.4, partial(_draw_history, talk=talk))
+    elif any(track.drone in times for track in flight.tracks):
+        pictures["convergence"] = (2.4, partial(_draw_law, flight=flight, work=work))
+    elif talk.channels:
+        pictures["convergence"] = (2.0, partial(_draw_rounds, talk=talk))
+    else:
+        missing["convergence"] = "no result with planned routes, no law with truth or state, no rounds"
+    return pictures, missing
+
+
+def law_times(work: Work) -> dict[int, tuple[float, float]]:
+    """s in which each drone flew by a law."""
+    spans = {i: [span for span in work.spans if span.drone == i and span.task == LAW] for i in work.drones}
+    return {i: (of[0].begin, of[-1].end) for i, of in spans.items() if of}
+
+
+def _draw_tasks(figure: "Figure", work: Work) -> None:
+    """A bar a drone, in the colours of its phases; a mark where it was done with a stop, with the stop's name."""
+    axes, rows = figure.add_subplot(), {i: -k for k, i in enumerate(work.drones)}
+    for span in work.spans:
+        bar: Any = {"color": PHASES.get(span.phase, INK), "height": 0.5, "linewidth": 0.0}
+        axes.barh(rows[span.drone], span.end - span.begin, left=span.begin, **bar)
+    for stop in work.stops:
+        row = rows[stop.drone]
+        axes.plot([stop.t, stop.t], [row - 0.25, row + 0.33], color="black", linewidth=0.7, solid_capstyle="butt")
+    last = max(span.end for span in work.spans)
+    if len(work.stops) <= MOST_LABELLED:
+        _name_stops(axes, work, rows, last)
+    axes.set_yticks(list(rows.values()), [str(i) for i in rows])
+    axes.set_ylim(min(rows.values()) - 0.65, 0.85)
+    axes.grid(visible=False, axis="y")
+    along_time(axes, last, "drone")
+    seen = [phase for phase in PHASES if any(span.phase == phase for span in work.spans)]
+    _name_phases(figure, seen, bool(work.stops))
+
+
+def _name_stops(axes: Any, work: Work, rows: dict[int, int], last: float) -> None:
+    """Above the bar, or below it where the name before would be covered."""
+    ends: dict[int, float] = {}
+    for stop in work.stops:
+        row, half = rows[stop.drone], 0.5 * LETTER * last * len(stop.label)
+        above = stop.t - half >= ends.get(stop.drone, 0.0)
+        if above:
+            ends[stop.drone] = stop.t + half
+        y, to = (row + 0.33, "bottom") if above else (row - 0.27, "top")
+        axes.text(stop.t, y, stop.label, fontsize=5.5, color="black", ha="center", va=to)
+
+
+def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [Patch(color=PHASES[phase], label=phase) for phase in seen]
+    if stopped:
+        mark: Any = {"color": "black", "marker": "|", "linestyle": "", "markersize": 6}
+        handles.append(Line2D([], [], label="stop done", **mark))
+    figure.legend(handles=handles, loc="outside upper center", ncols=3, handlelength=1.2)
+
+
+def _draw_messages(figure: "Figure", talk: Talk) -> None:
+    axes = figure.add_subplot()
+    for label, rate, colour, dash in zip(COUNTERS, talk.rates.T, COLOURS, DASHES, strict=False):
+        axes.plot(talk.t, rate, color=colour, linestyle=dash, label=SAID.get(label, label))
+    axes.set_ylim(bottom=0.0)
+    along_time(axes, float(talk.t[-1]), "messages of all [1/s]")
+    figure.legend(loc="outside upper center", ncols=3)
+
+
+def _draw_history(figure: "Figure", talk: Talk) -> None:
+    """What each drone knew in each round: the value of the relaxation, and the cost of the best plan."""
+    axes = figure.add_subplot()
+    last = max(float(own[-1, 0]) for own in talk.history.values())
+    for line, (_, own) in zip(looks(len(talk.history)), sorted(talk.history.items()), strict=True):
+        rounds = np.append(own[:, 0], last + 1)
+        axes.step(rounds, np.append(own[:, 1], own[-1, 1]), where="post", **line)
+        axes.step(rounds, np.append(own[:, 2], own[-1, 2]), where="post", **BAND)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("round")
+    axes.set_ylabel(PLANNED[talk.unit])
+    name_drones(figure, [str(i) for i in sorted(talk.history)], band="best plan")
+
+
+def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
+    """How far each drone is from where its law has ended, on a logarithmic axis."""
+    axes, times, last = figure.add_subplot(), law_times(work), 0.0
+    for line, track in lines(flight):
+        if track.drone not in times:
+            continue
+        begin, end = times[track.drone]
+        during = (track.t >= begin) & (track.t <= end)
+        if np.any(during):
+            p = track.p[during]
+            there = p[track.t[during] >= end - END].mean(axis=0)
+            axes.semilogy(track.t[during] - begin, np.maximum(np.linalg.norm(p - there, axis=1), LEAST), **line)
+            last = max(last, end - begin)
+    along_time(axes, last, "distance from end [m]")
+    axes.set_xlabel("$t$ since the law began [s]")
+    name(figure, flight)
+
+
+def _draw_rounds(figure: "Figure", talk: Talk) -> None:
+    """How messages of a round come to agree: by their spread, where all are numbers; else how many are different."""
+    axes = figure.add_subplot()
+    chosen = sorted(talk.channels, key=lambda channel: -len(channel.rounds))[:MOST_CHANNELS]
+    numbers = all(channel.spread is not None for channel in chosen)
+    for channel, colour, dash in zip(chosen, COLOURS, DASHES, strict=False):
+        look: Any = {"color": colour, "linestyle": dash, "label": channel.name}
+        if numbers and channel.spread is not None:
+            axes.semilogy(channel.rounds, np.maximum(channel.spread, LEAST), **look)
+        else:
+            axes.step(channel.rounds, channel.different, where="mid", **look)
+    if not numbers:
+        axes.set_ylim(0.0, max(float(channel.different.max()) for channel in chosen) + 0.5)
+    axes.set_xlabel("round")
+    axes.set_ylabel("distance from the mean" if numbers else "different messages")
+    figure.legend(loc="outside upper center", ncols=2)

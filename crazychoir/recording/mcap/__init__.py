@@ -1,0 +1,1 @@
+"""Recordings as MCAP files: records, messages and their definitions."""

@@ -1,0 +1,198 @@
+"""The one table of what a recording holds: for each of our types a ROS 2 message, its values in the order of the
+fields, and what makes the value of them again. Standard messages where one fits, so that Foxglove, PlotJuggler and
+rosbags show them as they are.
+
+A message with a header: header.stamp is when the value was born, header.frame_id "world".
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from json import dumps, loads
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+
+from crazychoir.bus.codec import decode
+from crazychoir.bus.json_view import plain
+from crazychoir.bus.topics import Topic
+from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, schema
+from crazychoir.recording.mcap.definitions import DEFINITIONS
+from crazychoir.recording.mcap.odometry import odometry, state_of
+from crazychoir.runtime.clock import SECOND
+from crazychoir.team.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, GONE, KIND_BITS, KINDS, REPEAT, WANT
+from crazychoir.types import (
+    FPQR,
+    FRPY,
+    XYZ,
+    Acc,
+    Acceleration,
+    Body,
+    Drive,
+    FullState,
+    Goto,
+    LinkStatus,
+    Plan,
+    Pose,
+    State,
+    Status,
+    Vec,
+    Vel,
+    Velocity,
+)
+
+WAY = 25
+"""Numbers of a row of a plan's way."""
+KIND_NAMES = {
+    DATA: "data", REPEAT: "repeat", AHEAD: "ahead", WANT: "want", CREDIT: "credit", FIN: "fin", FIN_TOO: "fin too",
+    GONE: "gone",
+}  # fmt: skip
+"""What a message of a round says."""
+
+
+class Exchanged(NamedTuple):
+    """One message of a round as it arrived at drone `to`; flags: epoch and kind;  payload: of the codec."""
+
+    to: int
+    round: int
+    flags: int
+    channel: str
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class Message:
+    """How a type is written: the ROS message, and its values after the header's stamp, without constants.
+
+    value: what makes the value of these again; None: nobody replays it.
+    """
+
+    name: str
+    values: Callable[[Any], Sequence[Any]]
+    value: Callable[[Sequence[Any]], Any] | None = None
+
+    @property
+    def type(self) -> str:
+        """As ROS 2 names it."""
+        return self.name.replace("/", "/msg/")
+
+    @property
+    def schema(self) -> str:
+        """Its text."""
+        return schema(self.name, DEFINITIONS)
+
+    @property
+    def leaves(self) -> list[Leaf]:
+        """Its fields."""
+        return list(leaves(self.name, DEFINITIONS))
+
+    @property
+    def stamped(self) -> bool:
+        """Whether it begins with a header."""
+        return self.leaves[0].path == "header.stamp.sec"
+
+    def layout(self, drone: int) -> Layout:
+        """Its bytes, of this drone."""
+        return _layout(self, drone)
+
+
+@cache
+def _layout(message: Message, drone: int) -> Layout:
+    constants = {
+        "header.frame_id": "world", "child_frame_id": f"drone{drone}",
+        "pose.covariance": None, "twist.covariance": None,
+    }  # fmt: skip
+    return Layout(message.leaves, constants)
+
+
+Pack = Callable[[Any, int], bytes]
+
+
+def packer(message: Message, drone: int) -> Pack:
+    """The function that makes a message of a value of this drone that was born at that time, in ns."""
+    pack, values = message.layout(drone).pack, message.values
+    if not message.stamped:
+        return lambda value, born_ns: pack(values(value))
+    return lambda value, born_ns: pack((*divmod(born_ns, SECOND), *values(value)))
+
+
+def in_json(value: Any) -> str:
+    """A value of any kind, as a text."""
+    return dumps(plain(value), default=str)
+
+
+def exchanged(message: Exchanged) -> tuple[Any, ...]:
+    """The fields of crazychoir_msgs/Round."""
+    to, k, flags, channel, payload = message
+    return to, k, flags >> KIND_BITS, KIND_NAMES[flags & KINDS], channel, _content(payload)
+
+
+@lru_cache(maxsize=64)  # one payload goes to all neighbours
+def _content(payload: bytes) -> str:
+    return in_json(decode(payload)) if payload else ""
+
+
+def _vec(x: Sequence[Any]) -> Vec:
+    return np.array(x, dtype=float)
+
+
+def _said(x: Sequence[Any]) -> Any:
+    raw = loads(x[0])
+    return _plan(raw) if isinstance(raw, dict) and "awaits" in raw else raw
+
+
+def _plan(raw: Mapping[str, Any]) -> Plan:
+    way, offer = (_vec(raw[name]).reshape(-1, WAY) for name in ("way", "offer"))
+    agreed = {int(i): number for i, number in raw["agreed"].items()}
+    return Plan(way, raw["since"], offer, raw["due"], raw["number"], agreed, _vec(raw["awaits"]))
+
+
+def _array(name: str, kind: Callable[[Vec], Any]) -> Message:
+    """Of a type that is one array."""
+    return Message(name, lambda value: value.flat.tolist(), lambda x: kind(_vec(x)))
+
+
+def _record(name: str, kind: Callable[..., Any]) -> Message:
+    """Of a type whose fields are the message's."""
+    return Message(name, lambda value: [getattr(value, n) for n in value.__struct_fields__], lambda x: kind(*x))
+
+
+MESSAGES: dict[Any, Message] = {
+    Pose: _array("geometry_msgs/PoseStamped", Pose),
+    State: Message("nav_msgs/Odometry", odometry, state_of),
+    Acceleration: Message(
+        "crazychoir_msgs/Acceleration", lambda wanted: (*wanted.a.tolist(), wanted.yaw),
+        lambda x: Acceleration(_vec(x[:3]), x[3]),
+    ),
+    FullState: _array("crazychoir_msgs/FullState", FullState),
+    Goto: Message(
+        "crazychoir_msgs/Goto", lambda wanted: (*map(float, wanted.p), wanted.yaw, wanted.duration),
+        lambda x: Goto(_vec(x[:3]), x[3], x[4]),
+    ),
+    FPQR: _array("crazychoir_msgs/FPQR", FPQR),
+    FRPY: _array("crazychoir_msgs/FRPY", FRPY),
+    Vel: _array("crazychoir_msgs/Vel", Vel),
+    Velocity: Message(
+        "crazychoir_msgs/Velocity", lambda wanted: (*wanted.v.tolist(), wanted.yaw),
+        lambda x: Velocity(_vec(x[:3]), x[3]),
+    ),
+    Acc: _array("crazychoir_msgs/Acc", Acc),
+    Drive: _array("crazychoir_msgs/Drive", Drive),
+    XYZ: Message(
+        "crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist()),
+        lambda x: XYZ(x[0], _vec(x[1:])),
+    ),
+    LinkStatus: _record("crazychoir_msgs/LinkStatus", LinkStatus),
+    Body: _record("crazychoir_msgs/Body", Body),
+    Status: _record("crazychoir_msgs/Status", Status),
+    str: Message("std_msgs/String", lambda line: (line,), lambda x: x[0]),
+    Plan: Message("crazychoir_msgs/Value", lambda plan: (in_json(plan),), _said),
+    dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),), _said),
+    Exchanged: Message("crazychoir_msgs/Round", exchanged),
+}  # fmt: skip
+"""By the type of a value; any other value is written as a dictionary is."""
+
+
+def usual(topic: Topic) -> Any:
+    """The type whose messages have the topic's name alone: its only one, or the first of several."""
+    return (get_args(topic.type) or (topic.type,))[0]

@@ -1,0 +1,223 @@
+"""A recording read back, one that was cut off too: every whole chunk counts."""
+
+import mmap
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from crazychoir.bus.topics import BY_NAME
+from crazychoir.errors import ConfigError
+from crazychoir.recording.mcap.cdr import Layout
+from crazychoir.recording.mcap.file import ABOUT, MISSION_FILE, OUTCOME, SWARM_FILE
+from crazychoir.recording.mcap.messages import MESSAGES, usual
+from crazychoir.recording.mcap.records import (
+    DO,
+    MESSAGE,
+    Records,
+    of_another_program,
+    opened,
+    records_of,
+    stream,
+)
+from crazychoir.runtime.clock import SECOND
+from crazychoir.types import Mat
+
+STAMP = 2
+"""Numbers of a header's stamp."""
+FLIGHT = "a recording of a flight"
+
+
+@dataclass
+class Values:
+    """What was recorded of one topic of one drone, oldest first.
+
+    came, born: (n,) s, by the clock of the recording;  numbers: (n, m), the values of a message after its stamp, in the
+    order of its fields, as far as they are as long in every message.
+    """
+
+    came: Mat
+    born: Mat
+    numbers: Mat
+
+    def __len__(self) -> int:
+        return len(self.came)
+
+
+@dataclass
+class Recording:
+    """A file of a flight.
+
+    about: what was flown;  swarm: the swarm file, as text;  mission: the text of the mission's file;  outcome: what
+    came of it, of a complete recording: why it `ended`, and of a flight in virtual time its `digest`;  lost: messages
+    that are not in it;  missed: that the network did not bring to who recorded it;  chunks: of messages, that are
+    whole;  fault: where it is cut off or spoilt, empty if it was ended in order;  topics: by (drone, topic).
+    """
+
+    path: Path
+    about: dict[str, str] = field(default_factory=dict)
+    swarm: str = ""
+    mission: str = ""
+    outcome: dict[str, str] = field(default_factory=dict)
+    lost: int = 0
+    missed: int = 0
+    chunks: int = 0
+    fault: str = "not read"
+    topics: dict[tuple[int, str], Values] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> bool:
+        """Whether it was ended in order, and all is there."""
+        return not self.fault
+
+    @property
+    def lacks(self) -> dict[str, Any]:
+        """Whether it is complete, and what it does not have, for JSON."""
+        return {"complete": self.complete, "lost": self.lost, "missed": self.missed}
+
+    @property
+    def drones(self) -> list[int]:
+        """Those of which there is anything."""
+        return sorted({drone for drone, _ in self.topics})
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """When the first and the last message came, s."""
+        came = [values.came for values in self.topics.values()]
+        return min(column[0] for column in came), max(column[-1] for column in came)
+
+    def of(self, drone: int, topic: str) -> Values:
+        """The values of a topic; none if it was not recorded."""
+        return self.topics.get((drone, topic), Values(np.zeros(0), np.zeros(0), np.zeros((0, 0))))
+
+
+def read(path: Path, topics: tuple[str, ...]) -> Recording:
+    """The recording of these topics; raises ConfigError for what is none, or has none of them."""
+    recording = _whole(path, topics)
+    if not recording.topics:
+        raise ConfigError(str(path), f"no {' and no '.join(topics)} of any drone", FLIGHT, DO)
+    return recording
+
+
+def header(path: Path) -> Recording:
+    """A recording without its messages: what was flown, what came of it, and whether all its chunks are whole.
+
+    Raises ConfigError for what is no recording, or has no message.
+    """
+    recording = _whole(path, ())
+    if not recording.chunks:
+        raise ConfigError(str(path), f"no message: it was {recording.fault or 'ended in order'}", FLIGHT, DO)
+    return recording
+
+
+def _whole(path: Path, topics: tuple[str, ...]) -> Recording:
+    with opened(path) as content:
+        recording = _read(path, content, topics)
+    if not recording.about:
+        raise of_another_program(path)
+    return recording
+
+
+def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
+    recording, found, whole = Recording(path), _Series(path, topics), Records(content)
+    for opcode, body in whole:
+        try:
+            _take(recording, found, opcode, body)
+        except ConfigError:
+            raise
+        except Exception:  # noqa: BLE001 - whatever is wrong with a record, what lies before it counts
+            whole.spoilt()
+            break
+    recording.topics, recording.fault = found.values(), whole.fault
+    return recording
+
+
+def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> None:
+    match opcode:
+        case Opcode.METADATA:
+            told = Metadata.read(stream(body))
+            if told.name == ABOUT:
+                recording.about = told.metadata
+            elif told.name == OUTCOME:
+                recording.outcome = told.metadata
+                recording.lost, recording.missed = (int(told.metadata.get(name, 0)) for name in ("lost", "missed"))
+        case Opcode.ATTACHMENT:
+            attached = Attachment.read(stream(body))
+            if attached.name == SWARM_FILE:
+                recording.swarm = attached.data.decode()
+            elif attached.name == MISSION_FILE:
+                recording.mission = attached.data.decode(errors="replace")
+        case Opcode.CHUNK:
+            recording.chunks += any(kind == Opcode.MESSAGE for kind, _ in records_of(body))
+            if found.topics:
+                found.add(body)
+
+
+class _Columns:
+    """Values of one topic of one drone as they are read: 8 bytes a number."""
+
+    def __init__(self) -> None:
+        self._times, self._numbers = array("d"), array("d")
+
+    def __len__(self) -> int:
+        return len(self._times) // 2
+
+    def add(self, came_ns: int, born_ns: int, numbers: Sequence[float]) -> None:
+        """A message; the same count of numbers in each."""
+        self._times.extend((came_ns / SECOND, born_ns / SECOND))
+        self._numbers.extend(numbers)
+
+    def values(self) -> Values:
+        """All of them; of at least one message."""
+        times, n = np.frombuffer(self._times).reshape(-1, 2), len(self)
+        return Values(times[:, 0], times[:, 1], np.frombuffer(self._numbers).reshape(n, len(self._numbers) // n))
+
+
+class _Series:
+    """What chunks hold of some topics."""
+
+    def __init__(self, path: Path, topics: tuple[str, ...]) -> None:
+        self._path, self.topics = path, topics
+        self._schemas: dict[int, Schema] = {}
+        self._keys: dict[int, tuple[int, str]] = {}
+        self._layouts: dict[int, Layout] = {}
+        self._found: dict[int, _Columns] = {}
+
+    def add(self, chunk: bytes) -> None:
+        """Take the records of a chunk."""
+        for opcode, body in records_of(chunk):
+            match opcode:
+                case Opcode.MESSAGE:
+                    self._hear(body)
+                case Opcode.SCHEMA:
+                    schema = Schema.read(stream(body))
+                    self._schemas[schema.id] = schema
+                case Opcode.CHANNEL:
+                    self._open(Channel.read(stream(body)))
+
+    def values(self) -> dict[tuple[int, str], Values]:
+        """By (drone, topic)."""
+        return {self._keys[channel]: rows.values() for channel, rows in sorted(self._found.items()) if len(rows)}
+
+    def _hear(self, body: bytes) -> None:
+        channel, _, came_ns, born_ns = MESSAGE.unpack_from(body)
+        layout = self._layouts.get(channel)
+        if layout is not None:
+            self._found[channel].add(came_ns, born_ns, layout.numbers(body[MESSAGE.size :])[STAMP:])
+
+    def _open(self, channel: Channel) -> None:
+        topic = channel.metadata.get("topic", "")
+        if topic not in self.topics or channel.id in self._layouts:
+            return
+        message, schema = MESSAGES[usual(BY_NAME[topic])], self._schemas[channel.schema_id]
+        if (schema.name, schema.data.decode()) != (message.type, message.schema):
+            do = "Plot it with the version that recorded it."
+            raise ConfigError(str(self._path), f"another {schema.name} for {topic}", message.type, do)
+        drone = int(channel.metadata["drone"])
+        self._keys[channel.id], self._found[channel.id] = (drone, topic), _Columns()
+        self._layouts[channel.id] = message.layout(drone)

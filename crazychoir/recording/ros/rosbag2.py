@@ -1,0 +1,146 @@
+"""A recording as a bag of ROS 2: a folder with an MCAP file of standard messages, and metadata.yaml."""
+
+import contextlib
+import json
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.topics import TRUTH
+from crazychoir.errors import ConfigError
+from crazychoir.recording.mcap.file import LARGEST
+from crazychoir.recording.mcap.sequence import told
+from crazychoir.recording.mcap.writer import Timed, Writer
+from crazychoir.recording.ros.ros import Said, for_ros
+
+METADATA = "metadata.yaml"
+BAG_VERSION = 5
+"""Of the format of metadata.yaml: that of Humble, which later ones read too."""
+
+
+@dataclass
+class Channel:
+    """A topic of a bag: its number in the file, its type, its messages."""
+
+    id: int
+    type: str
+    count: int = 0
+
+
+@dataclass
+class Bag:
+    """A new bag in the folder; raises ConfigError where there is one already, or none can be made.
+
+    whole: it is closed, and all is on the disk.
+    """
+
+    folder: Path
+    channels: dict[str, Channel] = field(default_factory=dict)
+    first_ns: int = 0
+    last_ns: int = 0
+    whole: bool = False
+
+    def __post_init__(self) -> None:
+        made = False
+        try:
+            self.folder.mkdir(parents=True)
+            made = True
+            self._file = self.path.open("xb")
+        except OSError as error:
+            if made:
+                self.folder.rmdir()
+            do = "A bag is never written over: name another folder, or remove that one."
+            raise ConfigError("--rosbag2", str(self.folder), "a new folder", do, str(error.strerror)) from error
+        self._writer, self._schemas = Writer(), dict[str, int]()
+        self._waiting: list[Timed] = []
+        self._bytes = 0
+        self._writer.begin("ros2", f"crazychoir {VERSION}")
+
+    @property
+    def path(self) -> Path:
+        """Its only file of messages."""
+        return self.folder / f"{self.folder.name}_0.mcap"
+
+    @property
+    def count(self) -> int:
+        """Its messages."""
+        return sum(channel.count for channel in self.channels.values())
+
+    def write(self, said: Said, came_ns: int, born_ns: int) -> None:
+        """Add a message."""
+        channel = self.channels.get(said.topic) or self._open(said)
+        self.first_ns = min(self.first_ns, came_ns) if self.count else came_ns
+        self.last_ns = max(self.last_ns, came_ns)
+        channel.count += 1
+        self._waiting.append((channel.id, came_ns, born_ns, said.data))
+        self._bytes += len(said.data)
+        if self._bytes > LARGEST:
+            self._flush()
+
+    def close(self) -> None:
+        """Write the rest, the index, and the metadata."""
+        self._flush()
+        self._writer.finish()
+        self._file.write(self._writer.take())
+        self._file.close()
+        (self.folder / METADATA).write_text(self._metadata(), encoding="utf-8")
+        self.whole = True
+
+    def discard(self) -> None:
+        """Remove it again."""
+        with contextlib.suppress(OSError):  # what it still holds may not fit
+            self._file.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _open(self, said: Said) -> Channel:
+        if said.type not in self._schemas:
+            self._schemas[said.type] = self._writer.schema(said.type, SchemaEncoding.ROS2, said.schema)
+        told = {"offered_qos_profiles": ""}
+        number = self._writer.channel(said.topic, MessageEncoding.CDR, self._schemas[said.type], told)
+        channel = self.channels[said.topic] = Channel(number, said.type)
+        return channel
+
+    def _flush(self) -> None:
+        if self._waiting:
+            self._writer.chunk(self._waiting)
+            self._waiting, self._bytes = [], 0
+            self._file.write(self._writer.take())
+
+    def _metadata(self) -> str:
+        """JSON, which YAML is too."""
+        times = {
+            "duration": {"nanoseconds": self.last_ns - self.first_ns},
+            "starting_time": {"nanoseconds_since_epoch": self.first_ns}, "message_count": self.count,
+        }  # fmt: skip
+        form = {"serialization_format": "cdr", "offered_qos_profiles": ""}
+        topics = [
+            {"topic_metadata": {"name": name, "type": channel.type, **form}, "message_count": channel.count}
+            for name, channel in self.channels.items()
+        ]
+        about = {
+            "version": BAG_VERSION, "storage_identifier": "mcap", **times, "topics_with_message_count": topics,
+            "compression_format": "", "compression_mode": "", "relative_file_paths": [self.path.name],
+            "files": [{"path": self.path.name, **times}],
+        }  # fmt: skip
+        return json.dumps({"rosbag2_bagfile_information": about}, indent=2) + "\n"
+
+
+def convert(path: Path, folder: Path) -> Bag:
+    """The bag of a recording; raises ConfigError for what is none, and where there is no room: no folder is left."""
+    truths = frozenset(message.source.drone for message in told(path, (TRUTH.name,)))
+    bag = Bag(folder)
+    try:
+        for message in told(path):
+            for said in for_ros(message, truths):
+                bag.write(said, message.came_ns, message.born_ns)
+        bag.close()
+    except OSError as error:
+        do = "Make room, or name a folder on another disk."
+        raise ConfigError("--rosbag2", str(folder), "a folder that can be written", do, str(error.strerror)) from error
+    finally:
+        if not bag.whole:
+            bag.discard()
+    return bag

@@ -1,0 +1,71 @@
+"""Recovery from shared columns: all robots learn the promising routes of all, and agree on one proven plan."""
+
+import numpy as np
+
+from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.bound import Bound, improve
+from crazychoir.routing.distributed.master import Pool
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.packing import packed, unpacked
+from crazychoir.routing.distributed.primal_decomposition import PriceRounds
+from crazychoir.routing.distributed.proof import Assignment, Proof
+from crazychoir.types import Vec
+
+DISCLOSED: tuple[str, ...] = (
+    "task prices",
+    "largest change of a share",
+    "whether its routes could be listed",
+    "route columns (task sets and lengths)",
+    "least reduced costs",
+    "plan",
+)
+
+
+class ColumnRecovery:
+    """Column generation over floods, then set partitioning with a certificate.
+
+    1. Flood the active columns and mean prices of all robots; pi = the mean over the robots.
+    2. Each robot prices exactly at pi; flood least_i and its best columns: bound.py.
+    3. Each robot solves the relaxed restricted master; flood its duals; pi = their mean; again from 2 until the
+       relaxation is within `tolerance` of the bound.
+    4. Set partitioning: proof.py.
+
+    Every decision that ends a loop is taken from flooded values, with sums that every machine rounds alike, so all
+    robots end in the same round.
+    """
+
+    def __init__(self, member: Member, prices: PriceRounds) -> None:
+        self._member, self._prices = member, prices
+        self._i, self._diameter = member.place.robot, member.place.diameter
+        self._pool = Pool(len(member.local.tasks))
+        self._bound = Bound(prices=prices.mean_price)
+
+    def run(self) -> Exchange[Assignment]:
+        """Steps 1 to 4."""
+        pi = yield from self._start()
+        yield from self._generate(pi)
+        return (yield from Proof(self._member, self._pool, self._bound).run())
+
+    def _start(self) -> Exchange[Vec]:
+        self._member.report(phase="columns")
+        own = packed([c for _, c in sorted(self._prices.active.items())])
+        known = yield from flood(self._i, [own, self._prices.mean_price.tolist()], self._diameter)
+        for robot, (columns, _) in known.items():
+            self._pool.add(robot, unpacked(columns))
+        return _mean([mu for _, mu in known.values()])
+
+    def _generate(self, pi: Vec) -> Exchange[None]:
+        member, bound = self._member, self._bound
+        for _ in range(member.settings.passes):
+            new = yield from improve(bound, member, self._pool, pi, member.settings.batch)
+            relaxed = self._pool.relax(member.unserved)
+            known = yield from flood(self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter)
+            value = min(v for v, _ in known.values())
+            if not new or value - bound.value <= member.tolerance(value):
+                return
+            pi = _mean([prices for _, prices in known.values()])
+
+
+def _mean(rows: list[list[float]]) -> Vec:
+    return np.asarray(np.mean(np.array(rows), axis=0))

@@ -1,0 +1,101 @@
+"""The local problem of primal decomposition: a robot's routes convexified, as a linear program over its columns."""
+
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.routing.pricing.route_table import Column, RouteTable
+from crazychoir.types import Vec
+
+TOLERANCE = 1e-7
+BATCH = 10
+
+
+@dataclass(frozen=True)
+class LocalSolution:
+    """Value p_i(y) in m, prices mu (M,) m >= 0, unserved demand v (M,), and the columns in use."""
+
+    value: float
+    mu: Vec
+    violation: Vec
+    active: list[Column]
+
+
+class ColumnProgram:
+    """The demand y_i of robot i, served as cheaply as a mixture of its routes can.
+
+        p_i(y) = min  sum_c length_c lambda_c + sum_j M_j v_j
+                 s.t. sum_{c serves j} lambda_c + v_j >= y_j    : mu_j >= 0
+                      sum_c lambda_c = 1,  lambda >= 0,  v >= 0
+
+    c runs over all columns of the robot, that is, over the corners of conv(Z_i); those that matter are found
+    by exact pricing at the duals. 0 <= mu_j <= M_j, so M_j (M,) m must exceed any price of task j.
+    The program stays warm: solve(y) changes bounds and adds columns.
+    Raises SolverError if HiGHS does not reach the optimum.
+    """
+
+    def __init__(self, table: RouteTable, penalty: Vec, robot: int = 0) -> None:
+        self._table, self._penalty, self._where = table, penalty, f"robot {robot}: local problem"
+        self._rows = np.unique(table.task)
+        self._row_of = {int(j): r for r, j in enumerate(self._rows)}
+        self._columns: dict[Column, None] = {Column(0.0, ()): None}
+        self._highs = quiet_highs()
+        self._build()
+
+    def solve(self, y: Vec) -> LocalSolution:
+        """p_i(y), its prices, and the columns with positive weight; y: (M,)."""
+        rows = self._rows
+        count = len(rows)
+        if count:
+            self._highs.changeRowsBounds(
+                count, np.arange(count, dtype=np.int32), y[rows], np.full(count, highspy.kHighsInf)
+            )
+        solution = self._generate()
+        weights = np.array(solution.col_value)
+        mu = np.where(y > 0, self._penalty, 0.0)
+        mu[rows] = np.clip(np.array(solution.row_dual)[:count], 0.0, self._penalty[rows])
+        violation = np.maximum(y, 0.0)
+        violation[rows] = weights[:count]
+        unservable = np.setdiff1d(np.arange(len(y)), rows)
+        value = self._highs.getObjectiveValue() + float(self._penalty[unservable] @ violation[unservable])
+        active = [c for c, w in zip(self._columns, weights[count:], strict=True) if w > TOLERANCE and c.tasks]
+        return LocalSolution(value, mu, violation, active)
+
+    def _build(self) -> None:
+        for _ in self._rows:
+            self._highs.addRow(-highspy.kHighsInf, highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
+        self._highs.addRow(1.0, 1.0, 0, np.array([], np.int32), np.array([]))
+        for r, j in enumerate(self._rows):
+            self._add(float(self._penalty[j]), [r])
+        self._add(0.0, [len(self._rows)])
+
+    def _generate(self) -> highspy.HighsSolution:
+        """Alternate solving and pricing until no further column has a negative reduced cost.
+
+        One that is there already, and still seems to have one, is within the tolerance of HiGHS.
+        """
+        while True:
+            solution = self._run()
+            dual = np.array(solution.row_dual)
+            prices = np.zeros_like(self._penalty)
+            prices[self._rows] = dual[:-1]
+            cheap = self._table.cheapest(prices, BATCH, below=float(dual[-1]) - TOLERANCE)
+            new = [column for column in cheap if column not in self._columns]
+            if not new:
+                return solution
+            for column in new:
+                self._columns[column] = None
+                self._add(column.length, [*(self._row_of[j] for j in column.tasks), len(self._rows)])
+
+    def _run(self) -> highspy.HighsSolution:
+        self._highs.run()
+        status = self._highs.getModelStatus()
+        if status != highspy.HighsModelStatus.kOptimal:
+            raise SolverError(self._where, status.name)
+        return self._highs.getSolution()
+
+    def _add(self, cost: float, rows: list[int]) -> None:
+        self._highs.addCol(cost, 0.0, highspy.kHighsInf, len(rows), np.array(rows, np.int32), np.ones(len(rows)))

@@ -1,0 +1,259 @@
+"""The method `columns`: distributed column generation, then clusters of robots that improve one plan side by side."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.cluster_problem import flown, most_saved, renamed, reoptimize
+from crazychoir.routing.distributed.clusters import Cluster, Neighbors, tasks_of, unserved
+from crazychoir.routing.distributed.gossip import Gossip
+from crazychoir.routing.distributed.large_bound import LargeBound
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.proof import Assignment, Offer, Proof
+from crazychoir.routing.distributed.robot_profile import TOLD, introduce, restricted
+from crazychoir.routing.instance.instance import LocalProblem
+from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES
+from crazychoir.routing.pricing.route_table import Column, shortest_route
+from crazychoir.types import Vec
+
+DISCLOSED: tuple[str, ...] = (
+    *(f"own {name}" for name in TOLD),
+    "how many tasks it can serve, and whether its routes could be listed",
+    "route columns (task sets and lengths)",
+    "task prices",
+    "least reduced costs",
+    "plans (stops of all robots)",
+)
+BETTER = 1e-9
+"""m: a plan that saves less than this is the same."""
+
+
+class DistributedColumns:
+    """All robots plan, none of them for all.
+
+    1. The robots introduce themselves (introduction.py).
+    2. Where every robot can list its routes, gossip.py solves the relaxation and proves a bound.
+    3. Each robot searches for a plan of its own from nothing; the best one, agreed on, is the first that all know.
+    4. Where few enough columns remain that a better plan could contain, or always if `prove`: proof.py.
+    5. Where step 2 was not possible, if `prove`, after step 6: a bound by large_bound.py.
+    6. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its
+       joint problem; the best of what
+       they found is flooded and taken over by all. Clusters are disjoint, so that any number of them fits together: the
+       draw is the lock. The plan in force is feasible after each pass.
+
+    routes: of the plan in force, the nodes of each robot's stops.
+    """
+
+    def __init__(self, member: Member) -> None:
+        self._member, self._i, self._diameter = member, member.place.robot, member.place.diameter
+        self._m, self._refusal = len(member.local.tasks), member.local.tasks.refusal
+        self._robots: dict[int, LocalProblem] = {}
+        self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
+        self.routes: dict[int, list[int]] = {}
+
+    def run(self) -> Exchange[Assignment]:
+        """Steps 1 to 6."""
+        self._robots = yield from introduce(self._member)
+        gossip = yield from self._relax()
+        yield from self._begin()
+        if gossip is None:
+            yield from self._improve(-np.inf)
+            return (yield from self._bounded())
+        proof = Proof(self._member, gossip.pool, gossip.bound, self._offer())
+        settings = self._member.settings
+        yield from proof.search(np.inf if settings.prove else settings.most_proven)
+        self._take_over(proof)
+        if not proof.closed:
+            yield from self._improve(proof.proven)
+        return self._assignment(proof.proven)
+
+    def _bounded(self) -> Exchange[Assignment]:
+        """The plan in force; with a bound if `prove`, where lengths are what is minimised, and no priority."""
+        member = self._member
+        if not member.settings.prove or MAKESPAN in member.local.objective or (member.local.tasks.priority > 0).any():
+            return self._assignment(None)
+        weight = member.vehicle_weight
+        plan = [
+            (i, Column(weight + self._flown(i, tuple(self.routes[i]))[0], tasks)) for i, tasks in self._sets().items()
+        ]
+        large = LargeBound(member, plan)
+        yield from large.run()
+        return self._assignment(large.value, large.relaxation)
+
+    @property
+    def _left_out(self) -> Vec:
+        """(M,): what the search pays for a task left out: its refusal, or more than any plan could save by it."""
+        return np.where(np.isfinite(self._refusal), self._refusal, most_saved(self._robots, self._member.reach))
+
+    def _relax(self) -> Exchange[Gossip | None]:
+        """Column generation, if lengths are what is minimised, and every robot can list its routes."""
+        member = self._member
+        if MAKESPAN in member.local.objective:
+            return None
+        servable = yield from flood(self._i, len(member.local.servable), self._diameter)
+        if max(servable.values()) > member.settings.most_listed:
+            return None
+        complete = yield from flood(self._i, not member.speaks or member.table.complete, self._diameter)
+        if not all(complete.values()):
+            vars(member).pop("table", None)  # no bound follows from tables that are cut, and they are large
+            return None
+        gossip = Gossip(self._member)
+        yield from gossip.run()
+        return gossip
+
+    def _begin(self) -> Exchange[None]:
+        """The best of the plans that the robots find from nothing."""
+        self._member.report(phase="start")
+        self._member.kind = "plans"
+        settings = self._member.settings
+        mine = None
+        if self._i < settings.starters:
+            everybody = Cluster(tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,))
+            routes = reoptimize(self._robots, {}, everybody, self._left_out, settings.first_steps, self._i)
+            mine = [self._worth(routes), self._i, _flat(routes)]
+        best = yield from best_offer(mine, self._diameter)
+        if best is None:
+            raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
+        self.routes = _unflat(best[2])
+        self._member.report(cost=self._shown_cost())
+
+    def _improve(self, bound: float) -> Exchange[None]:
+        """Passes of clusters, until the bound is met, or nothing got better for `still_passes`."""
+        settings = self._member.settings
+        self._member.report(phase="clusters")
+        self._member.kind = "plans"
+        fitting = settings.cluster_rounds // max(1, self._diameter)
+        passes = max(settings.least_passes, min(settings.most_passes, fitting))
+        near, still = Neighbors(self._robots), 0
+        for k in range(passes):
+            missing = self._worth(self.routes)[0]
+            cost = self._weighed()
+            met = not missing and cost - bound <= self._member.tolerance(cost)
+            if met or still == settings.still_passes:
+                return
+            clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
+            offers = yield from flood(self._i, self._lead(clusters, settings.steps // passes, k), self._diameter)
+            still = 0 if self._accept(clusters, offers) else still + 1
+            self._member.report(cost=self._shown_cost())
+
+    def _lead(self, clusters: Sequence[Cluster], steps: int, k: int) -> list[Any] | None:
+        """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
+        own = next((c for c in clusters if self._i in c.leaders), None)
+        if own is None or not own.tasks:
+            return None
+        seed = k * self._member.place.robots + self._i
+        new = reoptimize(self._robots, self.routes, own, self._left_out, steps, seed)
+        old = {i: self.routes.get(i, []) for i in own.robots}
+        worth = self._worth(new, own.tasks)
+        if not _better(worth, self._worth(old, own.tasks)):
+            return None
+        return [worth, _flat({i: stops for i, stops in new.items() if stops != old[i]})]
+
+    def _accept(self, clusters: Sequence[Cluster], offers: Mapping[int, Any]) -> bool:
+        """Take over the best offer of each cluster; returns whether there was any."""
+        better = False
+        for cluster in clusters:
+            made = [(list(offers[i][0]), i) for i in cluster.leaders if offers[i] is not None]
+            if made:
+                self.routes.update(_unflat(offers[min(made)[1]][1]))
+                better = True
+        return better
+
+    def _offer(self) -> Offer | None:
+        """The plan in force, if it serves all that must be served."""
+        return None if self._missing() else Offer(self._weighed(), self._sets())
+
+    def _weighed(self) -> float:
+        """m, the cost of the plan in force as the relaxations have it: of its vehicles, where they are counted first,
+        and of what is minimised.
+        """
+        worth = self._worth(self.routes)
+        weight = self._member.vehicle_weight
+        return weight * worth[1] + worth[2] if weight else worth[1]
+
+    def _shown_cost(self) -> float:
+        """What is minimised, without the number of vehicles."""
+        worth = self._worth(self.routes)
+        return worth[2] if self._member.vehicle_weight else worth[1]
+
+    def _take_over(self, proof: Proof) -> None:
+        """The routes of the proof's plan, where it is better than the one in force."""
+        if proof.infeasible:
+            why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
+            raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
+        if proof.best is None:
+            return
+        weight, vehicles = self._member.vehicle_weight, len(proof.best.routes)
+        worth = [vehicles, proof.best.cost - weight * vehicles] if weight else [proof.best.cost]
+        if not _better([0, *worth], self._worth(self.routes)):
+            return
+        for i in self._robots:
+            self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
+
+    def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
+        """Stops of the shortest route of robot i that serves exactly these."""
+        chosen = np.array(tasks, dtype=np.int64)
+        vehicle = restricted(self._robots[i], chosen).vehicle
+        stops, _ = shortest_route(vehicle, range(len(tasks)), self._member.local.objective)
+        return renamed(stops, chosen, self._m)
+
+    def _assignment(self, bound: float | None, relaxation: str | None = None) -> Assignment:
+        left = self._missing()
+        if left:
+            why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
+            raise SolverError(f"robot {self._i}: clusters", why)
+        return Assignment(self._sets(), bound, self.routes, relaxation)
+
+    def _missing(self) -> list[int]:
+        """Tasks that must be served and are not."""
+        return [j for j in unserved(self.routes, self._m) if np.isinf(self._refusal[j])]
+
+    def _sets(self) -> dict[int, tuple[int, ...]]:
+        sets = {i: tuple(tasks_of(stops, self._m)) for i, stops in self.routes.items()}
+        return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
+
+    def _worth(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> list[float]:
+        """By what plans are compared: how many tasks are missing that must be served, then what is minimised, in order.
+
+        The first of these is with the refusals. Of what is left out only `tasks` count, all if None.
+        """
+        left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
+        flights = [self._flown(i, tuple(stops)) for i, stops in sorted(routes.items()) if len(stops)]
+        value = {
+            TOTAL: math.fsum(length for length, _ in flights),
+            MAKESPAN: max((finish for _, finish in flights), default=0.0),
+            VEHICLES: float(len(flights)),
+        }
+        first, *rest = (value[name] for name in self._member.local.objective)
+        refusals = self._refusal[left]
+        refused = np.isfinite(refusals)
+        return [float(np.count_nonzero(~refused)), first + math.fsum(refusals[refused]), *rest]
+
+    def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
+        if (i, stops) not in self._costs:
+            self._costs[i, stops] = flown(self._robots[i], stops)
+        return self._costs[i, stops]
+
+
+def _better(new: Sequence[float], old: Sequence[float]) -> bool:
+    """Whether `new` is less at the first place where they differ."""
+    return next((a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False)
+
+
+def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:
+    """Robots, numbers of stops, and all stops in a row."""
+    ids = sorted(routes)
+    stops = [s for i in ids for s in routes[i]]
+    sizes = [len(routes[i]) for i in ids]
+    return [np.array(ids, np.int32), np.array(sizes, np.int32), np.array(stops, np.int32)]
+
+
+def _unflat(parts: Sequence[Any]) -> dict[int, list[int]]:
+    ids, sizes, stops = (part.tolist() for part in parts)
+    ends = np.cumsum(sizes).tolist()
+    return {i: stops[end - n : end] for i, n, end in zip(ids, sizes, ends, strict=True)}

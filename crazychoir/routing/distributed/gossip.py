@@ -1,0 +1,119 @@
+"""Distributed column generation: the robots gossip bases of the master problem and price at their own duals."""
+
+from typing import Any
+
+from crazychoir.optimization.rounds.agreement import best_offer
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.bound import Bound, improve, least_robots
+from crazychoir.routing.distributed.master import Master, Pool, Relaxation
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.packing import packed, unpacked
+from crazychoir.types import Vec
+
+TOLERANCE = 1e-7
+"""m: a reduced cost above minus this is rounding."""
+SPREAD = 1e-3
+"""Of the master's right-hand sides: with degenerate bases each robot could be content with prices of its own."""
+
+
+class Gossip:
+    """Robot i solves the master over the columns that it knows, and tells its neighbours the basis.
+
+        pool_i <- pool_i + bases of the neighbours + own columns of least reduced cost at (pi_i, sigma_ii)
+        (pi_i, sigma_i), basis_i <- the relaxation over pool_i;   what of basis_i was not yet told is told
+
+    Pools only grow, so it ends: when no robot has learned a column for diameter + 1 rounds, which all know in the
+    same round from `latest`, the last round in which anybody that was heard of learned one; or after `gossip_rounds`.
+    Then the prices of the robot with the least value are everybody's: price exactly, flood, bound; where that bound is
+    below the value, a robot's column was not known to the one that named the prices: again with those columns.
+    Where robots have a fixed cost, parts of robots leave a gap of parts of it: all that again with the row that at
+    least n robots leave, see `least_robots`, which every plan meets.
+    bound, value: m, the value of the relaxation;  master: with all columns that robot i has heard of.
+    Source: the idea of distributed simplex (Burger, Notarstefano, Bullo, Allgower 2012, Automatica 48(9)), with columns
+    priced instead of listed.
+    """
+
+    def __init__(self, member: Member) -> None:
+        self._member, self._i = member, member.place.robot
+        self.master = Master(member.unserved, SPREAD, {i: len(same) for i, same in member.alike.items()})
+        self.pool = Pool(len(member.local.tasks))
+        self.bound = Bound()
+        self._told: set[Any] = set()
+        self._latest = 0
+
+    def run(self) -> Exchange[float]:
+        """The value; where robots have a fixed cost, with their number rounded up."""
+        self._member.report(phase="columns")
+        value, used = yield from self._converge()
+        if self._member.fixed > 0.0:
+            robots = yield from least_robots(self.bound, self._member)
+            if robots > used:
+                self.bound.robots = robots
+                self.master.at_least(robots, self._member.fixed)
+                value, _ = yield from self._converge()
+        return value
+
+    def _converge(self) -> Exchange[tuple[float, float]]:
+        """Gossip and agree until the bound is the value, which is returned, or `passes` are over; and how many robots
+        the relaxation uses.
+        """
+        settings = self._member.settings
+        best = self._priced()
+        for _ in range(settings.passes):
+            best = yield from self._spread(best)
+            value, pi, used, reward = yield from self._agree(best)
+            news = yield from improve(self.bound, self._member, self.pool, pi, settings.batch, reward)
+            if not news or value - self.bound.value <= self._member.tolerance(value):
+                break
+            for robot, column in self.pool.items():
+                self.master.add(robot, [column])
+            best = self._priced()
+        return value, used
+
+    def _spread(self, best: Relaxation) -> Exchange[Relaxation]:
+        """Rounds until nobody learns."""
+        self._latest = 0
+        for k in range(1, self._member.settings.gossip_rounds + 1):
+            self._member.kind = "bases"
+            heard = yield [self._latest, self._news()]
+            learned = self._learn([news for _, news in heard.values()])
+            self._latest = max([self._latest, *(int(latest) for latest, _ in heard.values())])
+            if learned:
+                size = len(self.master)
+                best = self._priced()
+                self._latest = k if len(self.master) > size or learned else self._latest
+            if k - self._latest > self._member.place.diameter:
+                break
+        return best
+
+    def _news(self) -> list[Any]:
+        """Columns of the basis that were not told yet."""
+        news = [(i, c) for i, c in self.master.basis if (i, c) not in self._told]
+        self._told.update(news)
+        return [[i for i, _ in news], packed([c for _, c in news])]
+
+    def _learn(self, arrived: list[list[Any]]) -> int:
+        new = 0
+        for robots, columns in arrived:
+            for robot, column in zip(robots, unpacked(columns), strict=True):
+                new += self.master.add(robot, [column])
+        return new
+
+    def _priced(self) -> Relaxation:
+        """The relaxation after own pricing, until no own column has a negative reduced cost."""
+        member, batch = self._member, self._member.settings.batch
+        while True:
+            best = self.master.relax()
+            below = self.master.sigma(self._i) - TOLERANCE
+            own = member.table.cheapest(best.prices, batch, below, best.reward) if member.speaks else []
+            if not self.master.add(self._i, own):
+                member.report(relaxed=float(best.value))
+                return best
+
+    def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec, float, float]]:
+        """The least value; the prices, the number of robots and their reward of the one that found it."""
+        self._member.kind = "prices"
+        own: list[Any] = [best.value, self._i, best.prices, best.used, best.reward]
+        offer = yield from best_offer(own, self._member.place.diameter)
+        value, _, prices, used, reward = offer or own  # everybody makes one
+        return float(value), prices, float(used), float(reward)

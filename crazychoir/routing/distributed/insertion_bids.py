@@ -1,0 +1,101 @@
+"""Plans of cheapest insertions: what robots bid for tasks, in an auction and in CBBA. Baselines: quick, not optimal."""
+
+from collections.abc import Generator
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.assignment.bundles import CBBA, Bundle, sequential_auction
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.proof import Assignment
+from crazychoir.routing.instance.instance import LocalProblem
+from crazychoir.routing.search.fleet import fleet_of
+from crazychoir.routing.search.insertion import cheapest
+from crazychoir.routing.search.tours import Tours, insert, refresh
+from crazychoir.types import Vec
+
+METHODS = ("cbba", "auction")
+DISCLOSED = ("what tasks would cost robots", "who serves which task")
+ANYWHERE = -9
+"""No pair of places is left out."""
+WORTH = 1e7
+"""m, what a task that must be served is worth: more than any detour, and the same at all robots."""
+Stops = tuple[int, ...]
+
+
+class InsertionBids:
+    """A robot's bids: what a task is worth beyond the growth of the route with it, where that is the least.
+
+        c_j(route) = worth_j - min over both places in the route of (its length with j - its length)
+
+    worth_j: what refusing j costs, the same at all robots; of a task that must be served more than any detour. A task
+    that may be refused is not worth a bid below 0. All limits of the robot are kept. path: the stops of the route.
+    """
+
+    def __init__(self, local: LocalProblem) -> None:
+        refusal = local.tasks.refusal
+        self._must = np.isinf(refusal)
+        self._worth = np.where(self._must, WORTH, refusal)
+        self._fleet = fleet_of([local.vehicle], refusal)
+        self._end = 2 * len(refusal) + 1
+        self._extra = np.zeros((2, 3 * len(refusal) + 4))
+        self.start: Stops = ()
+        for j in np.flatnonzero(local.vehicle.aboard):
+            self.start = self.insert(self.start, int(j))
+
+    def scores(self, path: Stops) -> Vec:
+        """(M,) of the tasks that are not in the route."""
+        tours = self._tours(path)
+        growth = np.array([self._cheapest(tours, j)[0] for j in range(len(self._worth))])
+        growth[tours.at >= 0] = np.inf
+        scores = self._worth - growth
+        return np.where(self._must | (scores > 0.0), scores, -np.inf)
+
+    def insert(self, path: Stops, task: int) -> Stops:
+        """The stops with the task. Raises SolverError if it fits nowhere."""
+        tours = self._tours(path)
+        cost, first, second = self._cheapest(tours, task)
+        if cost == np.inf:
+            raise SolverError(f"a route with task {task}", "infeasible")
+        insert(self._fleet, tours, 0, task, first, second)
+        return tuple(np.minimum(tours.stop[0, 1 : tours.stops[0] + 1], self._end).tolist())
+
+    def _cheapest(self, tours: Tours, j: int) -> Any:
+        return cheapest(self._fleet, tours, self._extra, j, 0, ANYWHERE, ANYWHERE)
+
+    def _tours(self, path: Stops) -> Tours:
+        tours = Tours.of(self._fleet, [path])
+        refresh(self._fleet, tours, 0)
+        return tours
+
+
+def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
+    """This robot's route by METHODS, without a bound.
+
+    Raises SolverError, at every robot alike, where a task that must be served is left to nobody.
+    """
+    place, tasks, bidder = member.place, len(member.local.tasks), InsertionBids(member.local)
+    member.report(phase="bids")
+    member.kind = "bids"
+    if method == "auction":
+        bundle = yield from sequential_auction(place.robot, bidder, tasks, place.diameter)
+    else:
+        bundle = yield from _rounds_of(CBBA(place.robot, bidder, range(place.robots), tasks, place.diameter))
+    missing = [j for j in bundle.open_tasks if np.isinf(member.local.tasks.refusal[j])]
+    if missing:
+        names = ", ".join(map(str, missing))
+        raise SolverError(
+            f"robot {place.robot}: {method}",
+            f"incomplete: nobody's route has room for task(s) {names}; use the method columns",
+        )
+    mine = tuple(sorted(bundle.tasks))
+    return Assignment({place.robot: mine}, None, {place.robot: bundle.path})
+
+
+def _rounds_of(program: CBBA) -> Generator[Any, Any, Bundle]:
+    """A program as a part of another."""
+    while not program.done:
+        program.step((yield program.message()))
+    return program.result

@@ -1,0 +1,128 @@
+"""What is proven of every plan where the routes of a robot are too many to be listed."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.master import Master
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.packing import packed, unpacked
+from crazychoir.routing.pricing.bidirectional_pricing import Halves
+from crazychoir.routing.pricing.labels import MOST_TASKS
+from crazychoir.routing.pricing.reduced_cost import least_reduced_cost, relaxed_reduced_cost
+from crazychoir.routing.pricing.route_table import Column
+from crazychoir.types import Vec
+
+NG_ROUTE = "ng-route"
+"""The relaxation by which a robot prices whose routes cannot be halved, or in too many ways: they may serve a task
+again, see least.py.
+"""
+DRAWN = 0.6
+"""Share of the best prices so far in the next ones."""
+HALF = 3
+"""Times as many labels may a half have as a table, which keeps more of each."""
+CLOSE = 0.01
+"""Relative gap below which prices are no longer drawn."""
+ENOUGH = 1e-5
+"""Relative gap between the value of the columns known and the bound."""
+
+
+class LargeBound:
+    """The Lagrangian bound of bound.py, by prices that are sought pass by pass; only the robots' pricing is heavy.
+
+        pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known), at first
+        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what leaving task j out costs
+
+    Each robot floods least_i and columns of negative reduced cost, exact ones by halves.py where its halves are few
+    enough, else least_i of a relaxation; two robots solve the relaxation over all columns heard of, and the prices of
+    the better one are taken over by all. It ends when the bound is the value of the columns known, when no prices bring
+    new columns, after 2 `passes`, or when the pricing of one robot is cut: it could serve more than MOST_TASKS tasks,
+    or has too many routes at these prices; what was proven at others holds.
+    value: m, None if there is no bound;  relaxation: of the routes, None if they were priced exactly.
+    Source: Wentges 1997, International Transactions in Operational Research 4(2), for the prices.
+    """
+
+    def __init__(self, member: Member, plan: Sequence[tuple[int, Column]]) -> None:
+        self._member, self._i = member, member.place.robot
+        speaker = {i: same[0] for same in member.alike.values() for i in same}
+        self._plan = [(speaker[i], column) for i, column in plan]
+        self._halves: Halves | None = None
+        self.value: float | None = None
+        self.relaxation: str | None = None
+
+    def run(self) -> Exchange[None]:
+        """Passes; all robots end in the same round with the same value."""
+        member, settings = self._member, self._member.settings
+        member.report(phase="bound")
+        member.kind = "columns"
+        self._halves = self._listed()
+        master = Master(member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()})
+        for robot, column in self._plan:
+            master.add(robot, [column])
+        best, centre, pi, drawn = -np.inf, self._start(), self._start(), True
+        for _ in range(settings.passes * 2):
+            known = yield from flood(self._i, self._priced(pi), member.place.diameter)
+            told = {i: known[i] for i in member.alike}
+            if any(least == -np.inf for least, _, _ in told.values()):
+                break
+            value = math.fsum([*pi, *(len(member.alike[i]) * least for i, (least, _, _) in told.items())])
+            self.relaxation = None if all(exact for _, exact, _ in told.values()) else NG_ROUTE
+            if value > best:
+                best, centre = value, pi
+            new = sum(master.add(i, unpacked(columns)) for i, (_, _, columns) in told.items())
+            if not new and not drawn:
+                break
+            relaxed, prices = yield from self._agree(master)
+            if relaxed - best <= ENOUGH * max(1.0, abs(relaxed)):
+                break
+            # Where drawn prices bring nothing, or little is missing, those of the columns themselves are next.
+            drawn = new > 0 and relaxed - best > CLOSE * abs(relaxed)
+            pi = DRAWN * centre + (1.0 - DRAWN) * prices if drawn else prices
+        self.value = best if best > -np.inf else None
+
+    def _listed(self) -> Halves | None:
+        """All halves of own routes, where they are not too many."""
+        member, vehicle = self._member, self._member.local.vehicle
+        if not (member.speaks and Halves.fits(vehicle) and len(vehicle.servable) <= MOST_TASKS):
+            return None
+        halves = Halves(vehicle, HALF * member.settings.most_labels)
+        return halves if halves.complete else None
+
+    def _start(self) -> Vec:
+        """The cost of each route of the plan, in equal parts on its tasks; at most what leaving a task out costs.
+
+        All robots begin alike, as the penalty is one for all after introductions.
+        """
+        pi = np.array(self._member.unserved)
+        for _, column in self._plan:
+            pi[list(column.tasks)] = column.length / max(1, len(column.tasks))
+        return np.minimum(pi, self._member.unserved)
+
+    def _priced(self, pi: Vec) -> list[Any] | None:
+        """least_i, -inf if unknown, whether it is exact, and columns; None of a robot that another one speaks for."""
+        member = self._member
+        if not member.speaks:
+            return None
+        vehicle, batch, most = member.local.vehicle, member.settings.batch, member.settings.most_labels // 3
+        if self._halves is not None:
+            columns = self._halves.cheapest(pi, batch, 0.0)
+            values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
+            return [min([0.0, *values]), True, packed(columns)]
+        if len(vehicle.servable) > MOST_TASKS:
+            return [-np.inf, False, packed([])]
+        found = least_reduced_cost(vehicle, pi, most=0)
+        least = min(0.0, relaxed_reduced_cost(vehicle, pi, found.value, most=most))
+        return [least, False, packed(found.columns[:batch])]
+
+    def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
+        """Value and prices of the columns known."""
+        own: list[Any] | None = None
+        if self._i < self._member.settings.searchers:
+            relaxed = master.relax()
+            own = [relaxed.value, self._i, relaxed.prices]
+        value, _, prices = (yield from best_offer(own, self._member.place.diameter)) or [np.inf, 0, self._start()]
+        return float(value), np.asarray(prices)

@@ -1,0 +1,301 @@
+"""The restricted master problem: set partitioning over the columns that are known of all robots."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.routing.pricing.route_table import Column
+from crazychoir.types import Vec
+
+GOLDEN = 0.6180339887498949
+STATUS = highspy.HighsModelStatus
+NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
+"""Where a search over x in [0, 1] says so, there is no choice."""
+REACHED = (STATUS.kOptimal, *NONE, STATUS.kSolutionLimit, STATUS.kIterationLimit, STATUS.kObjectiveBound,
+           STATUS.kObjectiveTarget)  # fmt: skip
+"""Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
+ROUNDED = 1e-6
+"""Of a number of columns: as much above a whole number is that number."""
+ROUNDING = 1e-9
+"""m: of the length of one route, added in another order."""
+Key = tuple[int, tuple[int, ...]]
+Routes = dict[int, tuple[int, ...]]
+"""Tasks of each robot, increasing."""
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Value in m of the linear relaxation and the task prices (M,) m >= 0.
+
+    used: sum of x, parts of robots counted as such;  reward: m >= 0, what each of them earns, where they are too few.
+    """
+
+    value: float
+    prices: Vec
+    used: float = 0.0
+    reward: float = 0.0
+
+
+@dataclass(frozen=True)
+class Partition:
+    """Cost in m, the tasks of each robot that flies, and the bound in m that the search proved over these columns.
+
+    Where no choice was found the cost is inf; the bound is too if there is none.
+    """
+
+    cost: float
+    routes: Routes
+    bound: float
+
+
+class Pool:
+    """The known columns of each robot, each set once, with its shortest length."""
+
+    def __init__(self, tasks: int) -> None:
+        self._tasks = tasks
+        self._length: dict[Key, float] = {}
+
+    def __len__(self) -> int:
+        return len(self._length)
+
+    def items(self) -> list[tuple[int, Column]]:
+        """(robot, column), in the order (robot, tasks)."""
+        return [(robot, Column(self._length[robot, tasks], tasks)) for robot, tasks in sorted(self._length)]
+
+    def add(self, robot: int, columns: Iterable[Column]) -> int:
+        """Take columns of a robot; returns how many are new or shorter than known."""
+        new = 0
+        for column in columns:
+            if not self.has(robot, column):
+                self._length[robot, column.tasks] = column.length
+                new += 1
+        return new
+
+    def has(self, robot: int, column: Column) -> bool:
+        """Whether the robot's column is known at this length."""
+        return self._length.get((robot, column.tasks), np.inf) <= column.length
+
+    def relax(self, penalty: Vec) -> Relaxation:
+        """The covering relaxation of these columns."""
+        master = Master(penalty)
+        for robot, column in self.items():
+            master.add(robot, [column])
+        return master.relax()
+
+
+class Master:
+    """The covering relaxation of the columns known so far, each robot at most one column; it stays warm.
+
+        min  sum length_c x_c + sum_j penalty_j v_j
+        s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
+             sum_{c of i} x_c <= K_i                             : sigma_i <= 0,    x >= 0, v >= 0
+             sum_c x_c + w >= n, at the cost f w                 : 0 <= mu <= f,    after `at_least`
+
+    penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised
+    by up to this, each by another amount, the same at all robots: then no optimal basis is degenerate, so prices are
+    unique;  number: K_i, how many robots are as i is, who stands for them: 1 of those not named;
+    basis: columns of the last optimal basis, at most as many as there are rows.
+    Raises SolverError if HiGHS does not reach the optimum.
+    """
+
+    def __init__(self, penalty: Vec, spread: float = 0.0, number: Mapping[int, int] | None = None) -> None:
+        self._spread, self._penalty, self._number = spread, penalty, number or {}
+        self._highs, self._tasks = quiet_highs(), len(penalty)
+        self._columns: list[tuple[int, Column]] = []
+        self._index: dict[Key, int] = {}
+        self._row: dict[int, int] = {}
+        self._count: tuple[int, int] | None = None
+        for j, price in enumerate(penalty):
+            self._highs.addRow(self._raised(j), highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
+            self._highs.addCol(float(price), 0.0, highspy.kHighsInf, 1, np.array([j], np.int32), np.ones(1))
+
+    def __len__(self) -> int:
+        return len(self._columns)
+
+    def add(self, robot: int, columns: Iterable[Column]) -> int:
+        """Take columns of a robot; returns how many are new or shorter than known."""
+        new = [column for column in columns if column.tasks and self._is_news(robot, column)]
+        if new:
+            self._append(self._row_of(robot), new)
+        return len(new)
+
+    def _is_news(self, robot: int, column: Column) -> bool:
+        """Note the column; of one set of tasks the shorter remains, so a later longer one is none, nor is rounding."""
+        k = self._index.get((robot, column.tasks))
+        if k is not None and self._columns[k][1].length <= column.length + ROUNDING:
+            return False
+        self._index[robot, column.tasks] = len(self._columns)
+        self._columns.append((robot, column))
+        return True
+
+    def _row_of(self, robot: int) -> int:
+        if robot not in self._row:
+            self._row[robot] = self._highs.getNumRow()
+            most = self._raised(self._tasks + robot, self._number.get(robot, 1))
+            self._highs.addRow(-highspy.kHighsInf, most, 0, np.array([], np.int32), np.array([]))
+        return self._row[robot]
+
+    def _raised(self, row: int, number: int = 1) -> float:
+        """The right-hand side of a row, with a share of `spread` (multiples of the golden ratio fill an interval)."""
+        return number + self._spread * ((row + 1) * GOLDEN % 1.0)
+
+    def _append(self, row: int, columns: list[Column]) -> None:
+        common = [row] if self._count is None else [row, self._count[0]]
+        rows = [[*column.tasks, *common] for column in columns]
+        starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
+        index = np.array([r for column in rows for r in column], dtype=np.int32)
+        n, cost = len(columns), np.array([column.length for column in columns])
+        free = np.full(n, highspy.kHighsInf)
+        self._highs.addCols(n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index)))
+
+    def at_least(self, robots: int, reward: float) -> None:
+        """Ask for `robots` = n columns in all, each that is missing at the cost `reward` = f in m; once."""
+        row, n = self._highs.getNumRow(), len(self)
+        self._count = row, robots
+        index = np.arange(self._tasks, self._tasks + n, dtype=np.int32)
+        self._highs.addRow(self._raised(row, robots), highspy.kHighsInf, n, index, np.ones(n))
+        self._highs.addCol(reward, 0.0, highspy.kHighsInf, 1, np.array([row], np.int32), np.ones(1))
+        self._columns.append((-1, Column(reward, ())))  # keeps its place
+
+    def relax(self) -> Relaxation:
+        """Its value (that of its prices at right-hand sides not raised) and prices, with the columns added since."""
+        self._highs.run()
+        status = self._highs.getModelStatus()
+        if status != highspy.HighsModelStatus.kOptimal:
+            raise SolverError("restricted master, relaxed", status.name)
+        dual = np.array(self._highs.getSolution().row_dual)
+        self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
+        prices = np.clip(dual[: self._tasks], 0.0, self._penalty)
+        saved = [self._number.get(robot, 1) * sigma for robot, sigma in self._sigma.items()]
+        row, robots = self._count or (0, 0)
+        reward = max(0.0, float(dual[row])) if self._count else 0.0
+        return Relaxation(math.fsum([*prices, *saved, robots * reward]), prices, self._used, reward)
+
+    def sigma(self, robot: int) -> float:
+        """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""
+        return self._sigma.get(robot, 0.0)
+
+    @property
+    def basis(self) -> list[tuple[int, Column]]:
+        """Columns of the last basis, in the order of their arrival."""
+        _, basic = self._highs.getBasicVariables()
+        basis = [self._columns[int(k) - self._tasks] for k in np.sort(basic) if k >= self._tasks]
+        return [(robot, column) for robot, column in basis if column.tasks]
+
+    @property
+    def _used(self) -> float:
+        x = self._highs.getSolution().col_value[self._tasks :]
+        return math.fsum(part for part, (_, column) in zip(x, self._columns, strict=True) if column.tasks)
+
+
+def partition(
+    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, known: Routes | None = None,
+    alike: Mapping[int, Sequence[int]] | None = None, most: int | None = None,
+) -> Partition:  # fmt: skip
+    """The cheapest choice of columns that serves each task exactly once.
+
+        min  sum length_c x_c
+        s.t. sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  sum_c x_c <= most if it is given,  x binary
+
+    Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from;  alike: the K_i robots
+    that a column of i is one of, i among them: i alone where it is not named.
+    Raises SolverError if HiGHS breaks off, then also without presolve and a start.
+    """
+    same = {robot: (alike or {}).get(robot, (robot,)) for robot, _ in columns}
+    number = {robot: len(robots) for robot, robots in same.items()}
+    start = None
+    if known is not None:
+        start = np.array([float(any(known.get(i) == c.tasks for i in same[robot])) for robot, c in columns])
+    highs = _searched(_model(columns, tasks, seed, number, most), nodes, start)
+    if highs.getModelStatus() not in REACHED:  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
+        highs = _model(columns, tasks, seed, number, most)
+        highs.setOptionValue("presolve", "off")
+        highs = _searched(highs, nodes, None)
+    status, info = highs.getModelStatus(), highs.getInfo()
+    if status not in REACHED:
+        raise SolverError(f"set partitioning of {len(columns)} columns", status.name)
+    if info.primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
+        return Partition(np.inf, {}, np.inf if not columns or status in NONE else -np.inf)
+    chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
+    cost = sum(column.length for _, column in chosen)
+    return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
+
+
+def fewest(
+    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, weight: float, least: int,
+    known: Routes | None = None, alike: Mapping[int, Sequence[int]] | None = None,
+) -> Partition:  # fmt: skip
+    """The choice of the fewest columns, of those the shortest, that serves each task exactly once.
+
+        n* = min sum_c x_c,    then  min sum (length_c - weight) x_c  s.t.  sum_c x_c <= n*
+
+    Neither program has a large number in it. weight: m, the part of each length that counts the vehicle, more than
+    what any plan costs without it;  least: no plan has fewer columns;  the rest as in `partition`. The cost and the
+    bound of the answer are with the weight.
+    """
+    count = None if known is None else len(known)
+    if count is None or count > least:
+        counted = [(robot, Column(1.0, column.tasks)) for robot, column in columns]
+        few = partition(counted, tasks, seed, nodes, known, alike)
+        if few.cost == np.inf:
+            return few
+        known = few.routes
+        count = len(known)
+        least = max(least, math.ceil(few.bound - ROUNDED)) if few.bound > -np.inf else least
+    light = [(robot, Column(column.length - weight, column.tasks)) for robot, column in columns]
+    found = partition(light, tasks, seed, nodes, known, alike, count)
+    if found.cost == np.inf:
+        return Partition(np.inf, {}, np.inf if found.bound == np.inf else -np.inf)
+    proven = found.bound if least >= len(found.routes) else 0.0
+    return Partition(
+        cost=weight * len(found.routes) + found.cost,
+        routes=found.routes,
+        bound=weight * min(least, len(found.routes)) + proven,
+    )
+
+
+def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Highs:
+    """After branch and bound over binary columns."""
+    n = highs.getNumCol()
+    index = np.arange(n, dtype=np.int32)
+    highs.changeColsIntegrality(n, index, np.full(n, int(highspy.HighsVarType.kInteger), np.uint8))
+    highs.setOptionValue("mip_rel_gap", 0.0)
+    highs.setOptionValue("mip_max_nodes", nodes)
+    if start is not None:
+        highs.setSolution(n, index, start)
+    highs.run()
+    return highs
+
+
+def _shared_out(chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]) -> Routes:
+    """Each column to a robot of its own."""
+    free = {robot: iter(robots) for robot, robots in same.items()}
+    return {next(free[robot]): column.tasks for robot, column in chosen}
+
+
+def _model(
+    columns: list[tuple[int, Column]], tasks: int, seed: int, number: Mapping[int, int], most: int | None
+) -> highspy.Highs:
+    """Rows: tasks = 1, robots in use <= number, all columns <= most; columns in the given order, 0 <= x <= 1."""
+    highs, robots = quiet_highs(seed), sorted(number)
+    row_of = {robot: tasks + r for r, robot in enumerate(robots)}
+    empty = np.array([], np.int32), np.array([])
+    for _ in range(tasks):
+        highs.addRow(1.0, 1.0, 0, *empty)
+    for robot in robots:
+        highs.addRow(-highspy.kHighsInf, float(number[robot]), 0, *empty)
+    last = []
+    if most is not None:
+        last = [tasks + len(robots)]
+        highs.addRow(-highspy.kHighsInf, float(most), 0, *empty)
+    rows = [[*column.tasks, row_of[robot], *last] for robot, column in columns]
+    starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
+    index = np.array([r for column in rows for r in column], dtype=np.int32)
+    n, cost = len(columns), np.array([column.length for _, column in columns])
+    highs.addCols(n, cost, np.zeros(n), np.ones(n), len(index), starts, index, np.ones(len(index)))
+    return highs

@@ -1,0 +1,189 @@
+"""Set partitioning with a certificate: the team agrees on one plan and proves how good it is."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.bound import Bound
+from crazychoir.routing.distributed.master import Pool, Routes, fewest, partition
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.packing import packed, unpacked
+from crazychoir.routing.instance.plan import sha256
+from crazychoir.routing.pricing.labels import Ints
+from crazychoir.routing.pricing.route_table import Column
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Who serves what: tasks of each robot that is known;  lower_bound in m, None if none is exact.
+
+    stops: nodes of each robot's route, where they are known; else it is the shortest one for its tasks;
+    relaxation: of the routes by which the bound was priced, None if they were priced exactly.
+    """
+
+    routes: Routes
+    lower_bound: float | None
+    stops: Mapping[int, Sequence[int]] | None = None
+    relaxation: str | None = None
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A plan that all have heard of: cost in m, tasks of each robot, what its search proved in m."""
+
+    cost: float
+    routes: Routes
+    searched: float = -np.inf
+
+
+class Proof:
+    """A plan with column c of robot i costs at least bound + excess(c), so few columns can be part of a better one.
+
+    Flood all columns of an excess <= gap; each robot solves the set partitioning of those, every task exactly once;
+    min-consensus on (cost, robot) picks one plan, sent with its hash. If its cost is within gap of the bound, it is
+    optimal; else double the gap and again. A partitioning of more than `small` columns is left to the `searchers`
+    lowest ids, because it costs seconds and one answer is enough.
+    Every decision that ends a loop is taken from flooded values, so all robots end in the same round; so is that there
+    is no plan, which a searcher offers in the place of one.
+    pool: columns that are known to all;  best: the best plan known to all;  proven: m, no plan costs less.
+    Raises SolverError if there is no plan, or if a plan arrives damaged.
+    """
+
+    def __init__(self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None) -> None:
+        self._member, self._pool, self._bound, self.best = member, pool, bound, best
+        self._i, self._diameter = member.place.robot, member.place.diameter
+        self._tolerance = member.tolerance(bound.value)
+        self._none, self._exhausted = False, False
+        self.proven = bound.value
+
+    def run(self) -> Exchange[Assignment]:
+        """The optimal plan, or the best one where passes and nodes do not suffice."""
+        yield from self.search()
+        if self.best is None:
+            why, status = self._failure()
+            raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
+        return Assignment(self.best.routes, self.proven if self._bound.exact else None)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the best plan is proven optimal among all columns."""
+        return self.best is not None and self.best.cost - self.proven <= self._tolerance
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether there is no plan."""
+        return self._bound.exact and self._exhausted and self._none
+
+    def search(self, most: float = np.inf) -> Exchange[None]:
+        """Widen the gap until the plan's own gap is inside it, or until more than `most` columns would be searched."""
+        settings = self._member.settings
+        self._member.report(phase="plan")
+        self._member.kind = "columns"
+        gap = min(settings.first_gap * max(1.0, abs(self._bound.value)), self._own_gap())
+        for _ in range(settings.passes):
+            near = self._near(gap)
+            if (yield from self._is_more(near, most)):
+                return
+            self._exhausted = yield from self._widen(near)
+            found = yield from self._agree(gap)
+            if found is not None:
+                self.proven = max(self.proven, min(found.searched, self._bound.value + gap))
+                self.best = found if self.best is None or found.cost < self.best.cost else self.best
+            if self.closed or self._exhausted or self._own_gap() <= gap:
+                return
+            gap = min(2.0 * gap, self._own_gap())
+
+    def _own_gap(self) -> float:
+        """Columns beyond it are not part of a better plan than the best."""
+        return np.inf if self.best is None else self.best.cost - self._bound.value + self._tolerance
+
+    def _failure(self) -> tuple[str, str]:
+        """Why there is no plan, and the status."""
+        if not self._bound.exact:
+            why = "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
+            return why, "incomplete"
+        if self.infeasible:
+            why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
+            return f"infeasible: no plan serves every task; {why}", "infeasible"
+        return "no plan found within the passes and nodes", "incomplete"
+
+    def _near(self, gap: float) -> Ints:
+        """Own columns within the gap, by their numbers in the table."""
+        if not self._member.speaks:
+            return np.zeros(0, np.int64)
+        cost = self._member.table.reduced_costs(self._bound.prices, self._bound.reward)
+        return np.flatnonzero(cost < self._bound.least[self._i] + gap)
+
+    def _is_more(self, near: Ints, most: float) -> Exchange[bool]:
+        """Whether the columns of all robots within the gap are more than `most`."""
+        if most == np.inf:
+            return False
+        counts = yield from flood(self._i, len(near), self._diameter)
+        return bool(sum(counts.values()) > most)
+
+    def _widen(self, near: Ints) -> Exchange[bool]:
+        """Flood the columns `near`, a part at a time; returns whether no robot has any beyond."""
+        member, settings = self._member, self._member.settings
+        most = max(1, min(settings.most_shared, settings.most_relayed // member.place.robots))
+        columns = [member.table.column(int(c)) for c in near]
+        exhausted = not member.speaks or len(near) == len(member.table)
+        fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
+        while True:
+            own = [packed(fresh[:most]), len(fresh) <= most, exhausted]
+            known = yield from flood(self._i, own, self._diameter)
+            for robot, (news, _, _) in known.items():
+                self._pool.add(robot, unpacked(news))
+            if all(last for _, last, _ in known.values()):
+                return all(everything for _, _, everything in known.values())
+            fresh = fresh[most:]
+
+    def _agree(self, gap: float) -> Exchange[Offer | None]:
+        """The best plan that a robot finds among the columns within the gap."""
+        best = yield from best_offer(self._search(gap), self._diameter)
+        self._none = best is not None and best[0] == np.inf
+        if best is None or self._none:
+            return None
+        cost, robot, routes, searched, digest = best
+        if sha256(routes) != digest:
+            raise SolverError(f"robot {self._i}: the plan of robot {robot}", "damaged: its hash differs")
+        self._member.report(cost=float(cost) - self._member.vehicle_weight * len(routes))
+        return Offer(float(cost), {int(i): tuple(int(j) for j in tasks) for i, tasks in routes}, float(searched))
+
+    def _search(self, gap: float) -> list[Any] | None:
+        """Own offer: cost, robot, routes, searched bound, hash; a cost of inf says that there is no plan.
+
+        A large search is left to a few robots: the others offer nothing, nor do those that were cut without a plan.
+        """
+        settings = self._member.settings
+        useful = [(i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap]
+        if len(useful) > settings.small and self._i >= settings.searchers:
+            return None
+        refusals = self._refusals()
+        useful += refusals
+        known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
+        nodes = settings.proof_nodes if settings.prove else settings.nodes
+        weight, tasks = self._member.vehicle_weight, len(self._member.local.tasks)
+        if weight:
+            least = self._member.least_vehicles(self._bound.value)
+            found = fewest(useful, tasks, self._i, nodes, weight, least, known, self._member.alike)
+        else:
+            found = partition(useful, tasks, self._i, nodes, known, self._member.alike)
+        if found.cost == np.inf and found.bound < np.inf:
+            return None
+        robots = self._member.place.robots
+        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items()) if robot < robots]
+        return [found.cost, self._i, routes, found.bound, sha256(routes)]
+
+    def _refusals(self) -> list[tuple[int, Column]]:
+        """Tasks that may be refused, each as the column of a robot that does not exist, N + j."""
+        refusal, n = self._member.local.tasks.refusal, self._member.place.robots
+        return [(n + int(j), Column(float(refusal[j]), (int(j),))) for j in np.flatnonzero(np.isfinite(refusal))]
+
+    def _with_refusals(self, routes: Routes, refusals: list[tuple[int, Column]]) -> Routes:
+        served = {j for tasks in routes.values() for j in tasks}
+        return routes | {robot: column.tasks for robot, column in refusals if column.tasks[0] not in served}

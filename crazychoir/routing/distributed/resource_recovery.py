@@ -1,0 +1,113 @@
+"""Recovery from the shares alone: each robot chooses its own tasks; claims settle who keeps what."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import SolverError
+from crazychoir.optimization.rounds.agreement import flood, highest_bids
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.primal_decomposition import PriceRounds
+from crazychoir.routing.distributed.proof import Assignment
+from crazychoir.routing.pricing.labels import Ints
+from crazychoir.types import Vec
+
+POSITIVE = 1e-6
+"""A share above this asks for service."""
+
+
+class ResourceRecovery:
+    """Each robot computes only its own block, as in the paper; a task claimed by several is kept by one.
+
+        S_i = argmin c_i'z - W sum_{j in S} (1 + y_ij)   over the routes of i,  asking for every j with y_ij > 0
+
+    Shares are positive at several robots, so S_i overlap, and "exactly once" needs one comparison a task.
+    The least that settles it is the winner's name: method `resource` takes the lowest robot id that claims j, and
+    nothing but names travels. `resource-argmax` compares the shares y_ij (ties: lowest id), so that the
+    winner's share is disclosed too; its plans are better.
+    A robot claims only sets that it can serve together with what it keeps, so whatever it wins of them is feasible
+    too; where a detour may be shorter that is not so: then each tells what it keeps of what it has won.
+    Passes go on, with claims on every open task, until all are kept. If a pass keeps nothing new, the open tasks
+    become urgent, that is, are claimed before others, and the claims start again from robot id `attempt`, up to
+    `attempts` times. Raises SolverError, at every robot alike, if tasks are open even then.
+    """
+
+    def __init__(self, member: Member, prices: PriceRounds, by_share: bool) -> None:
+        self._member, self._prices, self._by_share = member, prices, by_share
+        self._i = member.place.robot
+        self._urgency = np.zeros(len(member.local.tasks))
+
+    @property
+    def disclosed(self) -> tuple[str, ...]:
+        """What the robots told each other."""
+        claims = ("task prices", "largest change of a share", "claims (task, robot)", "least reduced costs",
+                  "whether its routes could be listed")  # fmt: skip
+        return (*claims, "largest share of each task") if self._by_share else claims
+
+    def run(self) -> Exchange[Assignment]:
+        """Claims until every task is kept, then the bound at the mean of all prices."""
+        self._member.report(phase="claims")
+        for attempt in range(self._member.settings.attempts):
+            owner = yield from self._claim(attempt)
+            open_tasks = np.flatnonzero(owner < 0)
+            if not len(open_tasks):
+                bound = yield from self._bound()
+                mine = tuple(int(j) for j in np.flatnonzero(owner == self._i))
+                return Assignment({self._i: mine}, bound)
+            self._urgency[open_tasks] += 1.0
+        raise SolverError(
+            f"robot {self._i}: claims on the tasks",
+            f"incomplete after {self._member.settings.attempts} attempts: nobody's route has room for task(s) "
+            f"{', '.join(map(str, open_tasks))}; use the method columns",
+        )
+
+    def _claim(self, attempt: int) -> Exchange[Ints]:
+        """Owner of each task, -1 for none."""
+        owner = np.full(len(self._urgency), -1)
+        wanted, last = self._prices.y > POSITIVE, False
+        while (owner < 0).any():
+            bids = {j: [self._amount(j, attempt), self._i] for j in self._choice(owner, wanted)}
+            won = yield from highest_bids(bids, self._member.place.diameter)
+            kept = yield from self._kept(owner, {j: robot for j, (_, robot) in won.items()})
+            for j, robot in kept.items():
+                owner[j] = robot
+            if not kept and last:
+                break
+            wanted, last = np.ones_like(wanted), True  # at every robot alike, whatever its own shares were
+        return owner
+
+    def _kept(self, owner: Ints, won: dict[int, int]) -> Exchange[dict[int, int]]:
+        """Who keeps what of the tasks won: of a set that is too long without the others' tasks, the best part."""
+        if self._member.local.vehicle.metric:
+            return won
+        mine = np.array([won.get(j) == self._i for j in range(len(owner))])
+        told = yield from flood(self._i, self._choice(owner, mine), self._member.place.diameter)
+        return {j: robot for robot, tasks in told.items() for j in tasks}
+
+    def _choice(self, owner: Ints, wanted: npt.NDArray[np.bool_]) -> list[int]:
+        """The open tasks, of those wanted, that this robot serves best together with those that it keeps."""
+        mine, free = owner == self._i, owner < 0
+        large = 1.0 + float(self._member.penalty.sum()) + self._member.table.length.max()  # also where all points meet
+        share = np.clip(self._prices.y, 0.0, 1.0)
+        urgency = (len(owner) + 1.0) ** np.minimum(self._urgency, 3.0)
+        worth = np.where(free & wanted, large * (1.0 + share) * urgency, -np.inf)
+        worth[mine] = 4.0 * float(worth[np.isfinite(worth)].sum()) + 4.0 * large
+        best = self._member.table.cheapest(worth, 1, below=np.inf)
+        return [j for j in best[0].tasks if free[j]]
+
+    def _amount(self, j: int, attempt: int) -> float:
+        if self._by_share:
+            return float(self._prices.y[j])
+        return -float((self._i - attempt) % self._member.place.robots)
+
+    def _bound(self) -> Exchange[float | None]:
+        """sum_j pi_j + sum_i min(0, least reduced cost of i at pi), pi the mean of the robots' mean prices."""
+        place, table = self._member.place, self._member.table
+        known = yield from flood(self._i, self._prices.mean_price.tolist(), place.diameter)
+        pi: Vec = np.mean(np.array(list(known.values())), axis=0)
+        least = yield from flood(self._i, [min(0.0, table.least(pi)), table.complete], place.diameter)
+        if not all(complete for _, complete in least.values()):
+            return None
+        return math.fsum([*pi, *(value for value, _ in least.values())])

@@ -1,0 +1,1 @@
+"""Pickup-and-delivery instances, plans and their checks."""

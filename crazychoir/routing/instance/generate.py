@@ -1,0 +1,98 @@
+"""Random instances, each a function of its seed alone."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.pricing.labels import Ints
+from crazychoir.types import Mat
+
+TRIES = 10_000
+
+
+def random_instance(
+    robots: int,
+    tasks: int,
+    seed: int,
+    room: Sequence[float] = (10.0, 10.0),
+    *,
+    spacing: float = 0.0,
+    margin: float = 0.0,
+    heights: tuple[float, float] = (0.4, 1.2),
+    loads: tuple[int, int] = (1, 3),
+    capacities: tuple[int, int] = (3, 5),
+    capable: float = 1.0,
+    route_length_limit: float | None = None,
+    clusters: int = 0,
+    fields: Mapping[str, Any] | None = None,
+) -> Instance:
+    """Homes, pickups and deliveries uniform in a room of 2 or 3 dimensions, in m, one corner at the origin.
+
+    In three dimensions homes are on the floor, goods at `heights`. spacing: m, least distance between homes, and
+    between the goods' points;  margin: m, kept from the walls;  capable: share of the tasks that a robot may do;
+    clusters: goods lie in so many heaps instead, a twentieth of the room's width around their middles;
+    fields: further ones of the instance file.
+    Every task gets a robot that can do it. Raises ConfigError if the room is too small for the spacing.
+    """
+    draw = np.random.default_rng(seed)
+    flat = len(room) == 2
+    home = _scatter(draw, robots, room[:2], spacing, margin)
+    if clusters:
+        goods = _heaps(draw, 2 * tasks, room[:2], clusters)
+    else:
+        goods = _scatter(draw, 2 * tasks, room[:2], spacing, margin)
+    if not flat:
+        home = np.column_stack([home, np.zeros(robots)])
+        goods = np.column_stack([goods, draw.uniform(*heights, size=2 * tasks).round(2)])
+    load = draw.integers(loads[0], loads[1], size=tasks, endpoint=True)
+    capacity = draw.integers(capacities[0], capacities[1], size=robots, endpoint=True)
+    mask = _capability(draw, capacity, load, capable)
+    return Instance.parse(
+        {
+            "home": home.tolist(),
+            "pickup": goods[:tasks].tolist(),
+            "delivery": goods[tasks:].tolist(),
+            "load": load.astype(float).tolist(),
+            "capacity": capacity.astype(float).tolist(),
+            "route_length_limit": route_length_limit,
+            "capability": mask.tolist(),
+            **(fields or {}),
+        },
+        f"random_instance(robots={robots}, tasks={tasks}, seed={seed})",
+    )
+
+
+def _capability(draw: np.random.Generator, capacity: Ints, load: Ints, share: float) -> npt.NDArray[np.bool_]:
+    """(N, M), each true with probability `share`, and at least one true a task among the robots that can lift it."""
+    mask = draw.random((len(capacity), len(load))) < share
+    for j in range(len(load)):
+        able = np.flatnonzero(capacity >= load[j])
+        if len(able) and not mask[able, j].any():
+            mask[draw.choice(able), j] = True
+    return mask
+
+
+def _heaps(draw: np.random.Generator, count: int, room: Sequence[float], heaps: int) -> Mat:
+    """(count, 2) m, to the centimetre, normally distributed around points of the room, and inside it."""
+    middle = draw.uniform([0.0, 0.0], room, size=(heaps, 2))
+    points = draw.normal(middle[draw.integers(heaps, size=count)], room[0] / 20.0)
+    return np.asarray(points.clip([0.0, 0.0], room).round(2))
+
+
+def _scatter(draw: np.random.Generator, count: int, room: Sequence[float], spacing: float, margin: float) -> Mat:
+    """(count, 2) m, to the centimetre, by dart throwing."""
+    points: list[np.ndarray] = []
+    for _ in range(TRIES):
+        point = draw.uniform([margin, margin], [room[0] - margin, room[1] - margin]).round(2)
+        if all(np.linalg.norm(point - other) >= spacing for other in points):
+            points.append(point)
+        if len(points) == count:
+            return np.array(points)
+    raise ConfigError(
+        "random_instance", f"{len(points)} of {count} points placed", f"points {spacing:g} m apart within {room} m",
+        "Take a larger room, fewer points or a smaller spacing.",
+    )  # fmt: skip

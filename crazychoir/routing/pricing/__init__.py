@@ -1,0 +1,1 @@
+"""Route pricing: labels, dominance and bounds."""

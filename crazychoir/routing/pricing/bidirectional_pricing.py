@@ -1,0 +1,196 @@
+"""Exact pricing of routes with a limit that are too many to be listed: halves of them are listed, and put together."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from crazychoir.numerics.math3d import kernel
+from crazychoir.routing.instance.vehicle import SLACK, Vehicle
+from crazychoir.routing.pricing.label_setting import bits_of
+from crazychoir.routing.pricing.labels import SPREAD, Ints, Words, grow_labels
+from crazychoir.routing.pricing.route_table import Column, of_one_set
+from crazychoir.types import Mat, Vec
+
+MOST_LABELS = 3_000_000
+"""Of one half."""
+
+
+class _Half(NamedTuple):
+    """Labels in the order of their group. keys: (n, 4) words: tasks of which a stop is on it, and those on board at its
+    open end;  length: (n,) m;  open: (n,) the node there;  start: (G + 1,) where groups begin. Labels of one group have
+    the same on board, but for chance.
+    """
+
+    keys: Words
+    length: Vec
+    open: Ints
+    start: Ints
+
+
+class Halves:
+    """All routes of one robot, each as two halves: pricing is exact, as with a RouteTable, which would be too large.
+
+        reduced cost of a route at prices pi = cost_a + way from a to b + cost_b
+        cost_a = length_a - sum of pi_j picked up on a,    cost_b = length_b - sum of pi_j picked up on b
+
+    a: the path from the start as long as it is within half of the limit, by the labels of labels.py;  b: the path from
+    the stop after it to the end, by the same labels of the route flown backwards. They fit if what is on board behind a
+    is what b delivers without having picked it up, if they have no other task in common, and if the route is within the
+    limit. That needs about the square root of the labels of whole routes.
+    For robots with a limit, of one trip, without windows and with nothing aboard: `fits` says so.
+    complete: whether each half had at most `most` labels.
+    Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
+    Source: Righini & Salani 2006, Discrete Optimization 3(3), bounded bidirectional dynamic programming.
+    """
+
+    def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS) -> None:
+        self._servable, self._tasks = vehicle.servable, vehicle.tasks
+        self._vehicle = v = of_one_set(vehicle, self._servable)
+        there, complete = _labels(v, most)
+        back, also = _labels(_backwards(v), most)
+        self.complete = complete and also
+        self._there, self._back = _grouped(there, back._replace(open=_backwards_node(back.open, v.tasks)))
+
+    @staticmethod
+    def fits(vehicle: Vehicle) -> bool:
+        """Whether its routes are of the kind that can be halved."""
+        return bool(np.isfinite(vehicle.limit)) and not (vehicle.timed or vehicle.trips > 1 or vehicle.aboard.any())
+
+    def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
+        """At most `count` columns with a reduced cost under `below`, the least first; the very least is among them."""
+        found: dict[tuple[int, ...], Column] = {}
+        for _, a, b in self._joined(prices, below - self._vehicle.fixed):
+            words = self._there.keys[a, :2] | self._back.keys[b, :2]
+            tasks = tuple(self._servable[bits_of(words)].tolist())
+            if tasks not in found and len(found) < count:
+                found[tasks] = Column(self._length(a, b), tasks)
+        return list(found.values())
+
+    def _length(self, a: int, b: int) -> float:
+        """m, of the route of halves a and b, with the fixed cost; a price in it would round it, and make it news."""
+        v, there, back = self._vehicle, self._there, self._back
+        way = float(v.distance[there.open[a], back.open[b]])
+        return float(there.length[a]) + way + float(back.length[b]) + v.fixed
+
+    def least(self, prices: Vec) -> float:
+        """The least reduced cost; at most 0, that of the idle column."""
+        values = [value for value, _, _ in self._joined(prices, -self._vehicle.fixed)[:1]]
+        return min([0.0, *(value + self._vehicle.fixed for value in values)])
+
+    def _joined(self, prices: Vec, below: float) -> list[tuple[float, int, int]]:
+        """(reduced cost without the fixed cost, halves a and b), of each group the best, the least first."""
+        own, v, there, back = prices[self._servable], self._vehicle, self._there, self._back
+        if not len(there.length):
+            return []
+        sums = _sums(own)
+        one = there.length - _worth(there.keys, sums, False)
+        two = back.length - _worth(back.keys, sums, True)
+        least, least_back = np.minimum.reduceat(one, there.start[:-1]), np.minimum.reduceat(two, back.start[:-1])
+        first, start = _promising(one, least_back, there.start, below)
+        second, start_back = _promising(two, least, back.start, below)
+        best, a, b = _join(
+            first, second, start, start_back, one, two, there.keys, back.keys, there.length, back.length, there.open,
+            back.open, v.distance, v.limit + SLACK, below,
+        )  # fmt: skip
+        order = [int(g) for g in np.argsort(best, kind="stable") if a[g] >= 0]
+        return [(float(best[g]), int(a[g]), int(b[g])) for g in order]
+
+
+def _labels(v: Vehicle, most: int) -> tuple[_Half, bool]:
+    """The labels within half of the limit."""
+    m, way = v.tasks, v.shortest
+    rest, home = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1], np.ascontiguousarray(way[: 2 * m, 2 * m + 1])
+    limit = v.limit + SLACK
+    keys, last, length, _, complete = grow_labels(
+        v.distance, rest, home, v.load, v.aboard, v.capacity + SLACK, limit, limit / 2.0 + SLACK, most
+    )
+    return _Half(keys, length, last, np.zeros(0, np.int64)), complete
+
+
+def _backwards_node(v: Ints, m: int) -> Ints:
+    """The node of a route that is node v of the same route flown backwards."""
+    return np.where(v == 2 * m, 2 * m + 1, np.where(v < m, v + m, v - m))
+
+
+def _backwards(v: Vehicle) -> Vehicle:
+    """The robot that flies the routes of v from their end to their start, and brings goods back."""
+    m = v.tasks
+    nodes = [*range(m, 2 * m), *range(m), 2 * m + 1, 2 * m]
+    square = np.ix_(nodes, nodes)
+    return Vehicle(
+        distance=np.ascontiguousarray(v.distance.T[square]), duration=np.ascontiguousarray(v.duration.T[square]),
+        earliest=v.earliest[nodes], latest=v.latest[nodes], load=v.load, capacity=v.capacity, limit=v.limit,
+        capable=v.capable, aboard=v.aboard, robot=v.robot, metric=v.metric,
+    )  # fmt: skip
+
+
+def _grouped(there: _Half, back: _Half) -> tuple[_Half, _Half]:
+    """Those labels of both halves of which the other has one with the same on board."""
+    one, two = (half.keys[:, 2] * SPREAD[0] ^ half.keys[:, 3] * SPREAD[1] for half in (there, back))
+    common = np.intersect1d(one, two)
+    return _of_groups(there, one, common), _of_groups(back, two, common)
+
+
+def _of_groups(half: _Half, name: Words, common: Words) -> _Half:
+    kept = np.flatnonzero(np.isin(name, common))
+    kept = kept[np.argsort(name[kept], kind="stable")]
+    start = np.searchsorted(name[kept], common)
+    return _Half(half.keys[kept], half.length[kept], half.open[kept], np.append(start, len(kept)))
+
+
+def _promising(cost: Vec, least: Vec, start: Ints, below: float) -> tuple[Ints, Ints]:
+    """Labels that cost less than `below` with the least of the other half, the least of each group first; starts."""
+    group = np.repeat(np.arange(len(least)), np.diff(start))
+    kept = np.flatnonzero(cost + least[group] < below)
+    kept = kept[np.lexsort((cost[kept], group[kept]))]
+    return kept, np.searchsorted(group[kept], np.arange(len(start)))
+
+
+def _sums(prices: Vec) -> Mat:
+    """(16, 256) the sum of the prices of each subset of eight tasks: of 16 times eight."""
+    padded = np.zeros(128)
+    padded[: len(prices)] = prices
+    bits = np.arange(256)[:, None] >> np.arange(8) & 1
+    return np.ascontiguousarray((bits @ padded.reshape(16, 8).T).T)
+
+
+@kernel(nogil=True)
+def _worth(keys: Words, sums: Mat, besides: bool) -> Vec:
+    """(n,) m, the prices of the tasks of each label; besides: not of those on board."""
+    out = np.zeros(len(keys))
+    for i in range(len(keys)):
+        for part in range(2):
+            rest = keys[i, part] & (~keys[i, 2 + part] if besides else ~np.uint64(0))
+            for byte in range(8):
+                out[i] += sums[8 * part + byte, rest >> np.uint64(8 * byte) & np.uint64(255)]
+    return out
+
+
+@kernel(nogil=True)
+def _join(
+    first: Ints, second: Ints, start: Ints, start_back: Ints, one: Vec, two: Vec, keys: Words, keys_back: Words,
+    length: Vec, length_back: Vec, at: Ints, at_back: Ints, distance: Mat, limit: float, below: float
+) -> tuple[Vec, Ints, Ints]:  # fmt: skip
+    """(G,) of each group the least reduced cost under `below`, and its halves, -1 where there is none.
+
+    first, second: labels by group, those of least cost first, group g from start[g] to start[g + 1].
+    """
+    groups = len(start) - 1
+    best, a, b = np.full(groups, below), np.full(groups, -1), np.full(groups, -1)
+    for g in range(groups):
+        for p in range(start[g], start[g + 1]):
+            i = first[p]
+            for q in range(start_back[g], start_back[g + 1]):
+                k = second[q]
+                if one[i] + two[k] >= best[g]:
+                    break
+                if keys[i, 2] != keys_back[k, 2] or keys[i, 3] != keys_back[k, 3]:
+                    continue
+                if keys[i, 0] & keys_back[k, 0] != keys[i, 2] or keys[i, 1] & keys_back[k, 1] != keys[i, 3]:
+                    continue
+                if keys[i, 0] | keys[i, 1] | keys_back[k, 0] | keys_back[k, 1] == 0:
+                    continue
+                way = distance[at[i], at_back[k]]
+                if one[i] + way + two[k] < best[g] and length[i] + way + length_back[k] <= limit:
+                    best[g], a[g], b[g] = one[i] + way + two[k], i, k
+    return best, a, b

@@ -1,0 +1,148 @@
+"""Label setting over routes with windows and several trips: the compiled kernel beside labels.py.
+
+A label is a path from the start: (picked P, on board O, last stop) with cost, time, what is left of the limit of its
+trip, and the trips begun. Of two labels with the same three, one that is no better in any of the four is dropped.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from crazychoir.numerics.math3d import kernel
+from crazychoir.routing.pricing.labels import Flags, Ints, Words, after, begin, doubled, inside, listed, slot_of
+from crazychoir.types import Mat, Vec
+
+ROUNDING = 1e-11
+"""m and s: labels that differ by less differ by rounding; far below SLACK."""
+COST, TIME, LEFT, TRIP = 0, 1, 2, 3
+
+
+@kernel()
+def row_of(state: Mat, n: int) -> Any:
+    """The state of label n."""
+    return state[n, COST], state[n, TIME], state[n, LEFT], state[n, TRIP]
+
+
+@kernel()
+def as_good(a: Any, b: Any, by: Flags) -> bool:
+    """Whether a label of state a is as good as one of state b in all that counts."""
+    return bool(
+        (not by[COST] or a[COST] <= b[COST] + ROUNDING)
+        and (not by[TIME] or a[TIME] <= b[TIME] + ROUNDING)
+        and (not by[LEFT] or a[LEFT] >= b[LEFT] - ROUNDING)
+        and (not by[TRIP] or a[TRIP] <= b[TRIP])
+    )
+
+
+@kernel()
+def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead: Flags, k: int, new: int,
+         by: Flags) -> bool:  # fmt: skip
+    """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
+    mine, n = row_of(state, new), table[k]
+    while n >= 0:
+        if not dead[n] and as_good(row_of(state, n), mine, by):
+            return False
+        n = after_it[n]
+    n = table[k]
+    while n >= 0:
+        if not dead[n] and as_good(mine, row_of(state, n), by):
+            dead[n] = True
+        n = after_it[n]
+    if table[k] < 0:
+        table[k], after_it[new] = new, -1
+    else:  # the head stays: it is what the table finds the key by
+        after_it[new], after_it[table[k]] = after_it[table[k]], new
+    return True
+
+
+@kernel()
+def rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> Ints:
+    """A table of `size` places that holds the heads of chains among the first `count` labels."""
+    table = np.full(size, -1, dtype=np.int64)
+    for i in range(count):
+        if head[i]:
+            table[slot_of(table, keys, last, keys[i, 0], keys[i, 1], keys[i, 2], keys[i, 3], last[i])] = i
+    return table
+
+
+@kernel()
+def in_time(
+    stop: int, on: Ints, goods: int, m: int, time: float, left: float, latest: Vec, shortest: Mat, fastest: Mat
+) -> bool:
+    """Whether after service at `stop` begins, each delivery due and the end can be reached, by lower bounds."""
+    end = 2 * m + 1
+    if time > latest[stop] or time + fastest[stop, end] > latest[end] or shortest[stop, end] > left:
+        return False
+    for n in range(goods + 1):
+        if stop >= m and (n == goods or on[n] == stop - m):
+            continue
+        k = m + (on[n] if n < goods else stop)
+        due = time + fastest[stop, k]
+        if due > latest[k] or due + fastest[k, end] > latest[end]:
+            return False
+        if shortest[stop, k] + shortest[k, end] > left:
+            return False
+    return True
+
+
+@kernel(nogil=True)
+def grow_fronts(
+    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Flags,
+    by: Flags, capacity: float, limit: float, limit_again: float, trips: int, most: int
+) -> tuple[Words, Ints, Mat, Ints, Flags, Flags, bool]:  # fmt: skip
+    """All labels that no other dominates, in breadth-first order.
+
+    Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,):
+    whether a new trip began before its last stop;  dead (n,): dominated by a later one;  complete.
+    shortest, fastest (2m + 2, 2m + 2): lower bounds of distance and duration over any nodes;  by (4,): what counts;
+    capacity, limits and latest with their slack;  the rest as in Vehicle and grow_labels.
+    """
+    m, room = len(load), 1024
+    end = 2 * m + 1
+    keys, last, parent = np.zeros((room, 4), np.uint64), np.zeros(room, np.int64), np.full(room, -1, np.int64)
+    state, held, table = np.zeros((room, 4)), np.zeros(room), np.full(4 * room, -1, np.int64)
+    chain, again, dead = np.full(room, -1, np.int64), np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+    head = np.zeros(room, np.bool_)
+    on = np.zeros(m, np.int64)
+    begin(keys, held, load, aboard)
+    last[0], state[0, TIME], state[0, LEFT], state[0, TRIP] = 2 * m, earliest[2 * m], limit, 1.0
+    count, i, complete = 1, 0, True
+    while i < count:
+        goods = 0 if dead[i] else listed(keys, i, 2, m, on)
+        ways = 2 if goods == 0 and state[i, TRIP] < trips else 1
+        options = 0 if dead[i] else ways * m + goods
+        for option in range(options):
+            anew = option >= m + goods
+            at, cost, time, left, trip = last[i], state[i, COST], state[i, TIME], state[i, LEFT], state[i, TRIP]
+            stop = option if option < m else (option - m if anew else m + on[option - m])
+            if stop < m and (inside(keys, i, 0, stop) or load[stop] > capacity - held[i]):
+                continue
+            if anew:
+                if distance[at, end] > left:
+                    continue
+                cost, time = cost + distance[at, end], max(time + duration[at, end], earliest[end])
+                left, trip, at = limit_again, trip + 1.0, end
+            cost, left = cost + distance[at, stop], left - distance[at, stop]
+            time = max(time + duration[at, stop], earliest[stop])
+            if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
+                continue
+            if count >= most:
+                complete = False
+                continue
+            p0, p1, o0, o1 = after(keys, i, stop, m)
+            k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
+            keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
+            last[count], parent[count], again[count], dead[count] = stop, i, anew, False
+            state[count, COST], state[count, TIME], state[count, LEFT], state[count, TRIP] = cost, time, left, trip
+            held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
+            head[count] = table[k] < 0
+            if not _put(table, keys, last, state, chain, dead, k, count, by):
+                continue
+            count += 1
+            if count == len(last):
+                keys, last, parent, state = doubled(keys), doubled(last), doubled(parent), doubled(state)
+                held, chain, again, dead = doubled(held), doubled(chain), doubled(again), doubled(dead)
+                head = doubled(head)
+                table = rehashed(2 * len(table), keys, last, head, count)
+        i += 1
+    return keys[:count], last[:count], state[:count], parent[:count], again[:count], dead[:count], complete

@@ -1,0 +1,170 @@
+"""Label setting over routes that differ by their length alone: the compiled kernel of exact route pricing.
+
+A label is a path from the start: (picked P, on board O, last stop); of two labels with the same three only
+the shorter can be part of a shortest route, so only it is kept. Sets are two words of 64 bits.
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.numerics.math3d import kernel
+from crazychoir.types import Mat, Vec
+
+Words = npt.NDArray[np.uint64]
+Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+ONE = np.uint64(1)
+SPREAD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9))
+SHIFT = np.uint64(29)
+MOST_TASKS = 128
+"""Bits of the two words of a set."""
+
+
+@kernel()
+def slot_of(table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1: Any, at: Any) -> Any:
+    """Where a label is, or would be, in the open-addressing table."""
+    mask = len(table) - 1
+    h = (p0 * SPREAD[0]) ^ (o0 * SPREAD[1]) ^ ((p1 + np.uint64(at)) * SPREAD[2]) ^ (o1 * SPREAD[0] + SPREAD[1])
+    h ^= h >> SHIFT
+    h *= SPREAD[1]
+    h ^= h >> SHIFT
+    k = np.int64(h & np.uint64(mask))
+    while True:
+        i = table[k]
+        if i < 0:
+            return k
+        if keys[i, 0] == p0 and keys[i, 1] == p1 and keys[i, 2] == o0 and keys[i, 3] == o1 and last[i] == at:
+            return k
+        k = (k + 1) & mask
+
+
+@kernel()
+def _rehashed(size: int, keys: Words, last: Ints, count: int) -> Ints:
+    table = np.full(size, -1, dtype=np.int64)
+    for i in range(count):
+        table[slot_of(table, keys, last, keys[i, 0], keys[i, 1], keys[i, 2], keys[i, 3], last[i])] = i
+    return table
+
+
+@kernel()
+def doubled(values: Any) -> Any:
+    """The values, and as many zeros after them."""
+    return np.concatenate((values, np.zeros_like(values)))
+
+
+@kernel()
+def inside(words: Words, row: int, first: int, j: int) -> bool:
+    """Whether bit j is set in the two words of `row` that begin at column `first`."""
+    return bool(words[row, first + (j >> 6)] >> np.uint64(j & 63) & ONE)
+
+
+@kernel()
+def listed(words: Words, row: int, first: int, m: int, out: Ints) -> int:
+    """Writes the set of `row` into `out`, increasing; returns how many there are."""
+    n = 0
+    for part in range(2):
+        rest, j = words[row, first + part], 64 * part
+        while rest != 0 and j < m:
+            if rest & ONE:
+                out[n] = j
+                n += 1
+            rest >>= ONE
+            j += 1
+    return n
+
+
+@kernel()
+def after(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]:
+    """The two words of P and of O after `stop`."""
+    p0, p1, o0, o1 = keys[row, 0], keys[row, 1], keys[row, 2], keys[row, 3]
+    j = stop % m
+    bit = ONE << np.uint64(j & 63)
+    if stop < m:
+        return (p0 | bit, p1, o0 | bit, o1) if j < 64 else (p0, p1 | bit, o0, o1 | bit)
+    return (p0, p1, o0 & ~bit, o1) if j < 64 else (p0, p1, o0, o1 & ~bit)
+
+
+@kernel()
+def begin(keys: Words, held: Vec, load: Vec, aboard: Flags) -> None:
+    """Label 0: at the start, with the goods that are aboard."""
+    for j in range(len(load)):
+        if aboard[j]:
+            bit = ONE << np.uint64(j & 63)
+            keys[0, j >> 6] |= bit
+            keys[0, 2 + (j >> 6)] |= bit
+            held[0] += load[j]
+
+
+@kernel()
+def _in_reach(rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: float, limit: float) -> bool:
+    """Whether from `stop` there is a way to the end by each delivery due within the limit."""
+    m = rest.shape[1]
+    j = stop % m
+    if so_far + (rest[stop, j] if stop < m else home[stop]) > limit:
+        return False
+    for n in range(count):  # noqa: SIM110  # a kernel
+        if on[n] != j and so_far + rest[stop, on[n]] > limit:
+            return False
+    return True
+
+
+@kernel(nogil=True)
+def grow_labels(
+    distance: Mat, rest: Mat, home: Vec, load: Vec, aboard: Flags, capacity: float, limit: float, far: float, most: int
+) -> tuple[Words, Ints, Vec, Ints, bool]:
+    """All undominated labels, in breadth-first order: keys (n, 4), last (n,), length (n,), parent (n,), complete.
+
+    distance (2m + 2, 2m + 2) m of pickups, deliveries, start, end;  rest (2m, m) m, at least the way from a stop by
+    delivery k to the end;  home (2m,) m, at least the way to the end;  load (m,), m <= MOST_TASKS;  limit: m;
+    far: m, of the longest label, the limit or less;  most: labels.
+    Label 0 is the start with what is aboard; its `last` is 2m. Every step adds a stop, so a label is final when its
+    turn comes. Beyond `most` labels no new one is made and `complete` is False.
+    """
+    m, room = len(load), 1024
+    keys, last, parent = np.zeros((room, 4), np.uint64), np.zeros(room, np.int64), np.full(room, -1, np.int64)
+    length, held, table = np.zeros(room), np.zeros(room), np.full(4 * room, -1, np.int64)
+    on = np.zeros(m, np.int64)
+    begin(keys, held, load, aboard)
+    last[0], count, i, complete = 2 * m, 1, 0, True
+    while i < count:
+        goods = listed(keys, i, 2, m, on)
+        for option in range(m + goods):
+            stop = option if option < m else m + on[option - m]
+            if stop < m and (inside(keys, i, 0, stop) or load[stop] > capacity - held[i]):
+                continue
+            so_far = length[i] + distance[last[i], stop]
+            if so_far > far or not _in_reach(rest, home, stop, on, goods, so_far, limit):
+                continue
+            p0, p1, o0, o1 = after(keys, i, stop, m)
+            k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
+            n = table[k]
+            if n >= 0:
+                if so_far < length[n]:
+                    length[n], parent[n] = so_far, i
+            elif count >= most:
+                complete = False
+            else:
+                keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
+                last[count], length[count], parent[count], table[k] = stop, so_far, i, count
+                held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
+                count += 1
+                if count == len(last):
+                    keys, last, parent = doubled(keys), doubled(last), doubled(parent)
+                    length, held = doubled(length), doubled(held)
+                    table = _rehashed(2 * len(table), keys, last, count)
+        i += 1
+    return keys[:count], last[:count], length[:count], parent[:count], complete
+
+
+@kernel(nogil=True)
+def reduced_costs(length: Vec, start: Ints, task: Ints, prices: Vec) -> Vec:
+    """(n,) length_c - sum of the prices of the tasks start[c]:start[c + 1] of column c."""
+    out = np.empty(len(length))
+    for c in range(len(length)):
+        worth = 0.0
+        for k in range(start[c], start[c + 1]):
+            worth += prices[task[k]]
+        out[c] = length[c] - worth
+    return out

@@ -1,0 +1,1 @@
+"""Local search for good plans: ruin and recreate, insertion and set partitioning."""

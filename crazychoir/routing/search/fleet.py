@@ -1,0 +1,112 @@
+"""Vehicles as the arrays of a search: what is the same for all is kept once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crazychoir.routing.instance.vehicle import MAKESPAN, SLACK, TOTAL, VEHICLES, Vehicle
+from crazychoir.routing.search.tours import Fleet, Ints
+from crazychoir.types import Mat, Vec
+
+TIE_BREAK = 1e-3
+"""Weight of the second value of an objective, and of the total where only the makespan is minimised, when annealing."""
+
+
+def fleet_of(vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)) -> Fleet:
+    """The arrays of these vehicles, with the slack of rounding in capacities, limits and windows.
+
+    Where all have the same ways between stops, in the same windows, they share one matrix that all starts and ends are
+    nodes of; else each has its own. Goods that are aboard must be delivered, whatever their penalty.
+    """
+    first, k = vehicles[0], len(vehicles)
+    m = first.tasks
+    timed = MAKESPAN in objective or any(v.timed for v in vehicles)
+    shared = all(_same_between_stops(first, v, timed) for v in vehicles[1:])
+    kind = np.zeros(k, np.int64) if shared else np.arange(k, dtype=np.int64)
+    start = 2 * m + (np.arange(k, dtype=np.int64) if shared else np.zeros(k, np.int64))
+    end = start + (k if shared else 1)
+    distance, duration, earliest, latest = _matrices(vehicles, kind, start, end)
+    carrier = np.full(m, -1, np.int64)
+    for i, v in enumerate(vehicles):
+        carrier[v.aboard] = i
+    on_total, on_finish = (TIE_BREAK, 1.0) if objective[0] == MAKESPAN else (1.0, 0.0)
+    return Fleet(
+        distance=distance,
+        duration=duration,
+        earliest=earliest,
+        latest=latest,
+        kind=kind,
+        start=start,
+        end=end,
+        load=np.array(first.load, float),
+        capacity=np.array([v.capacity + SLACK for v in vehicles]),
+        fixed=np.array([v.fixed for v in vehicles], float),
+        held=np.array([float(v.load[v.aboard].sum()) for v in vehicles]),
+        limit=np.array([[v.limit + SLACK, v.limit_again + SLACK] for v in vehicles]),
+        trips=np.array([v.trips for v in vehicles], np.int64),
+        capable=np.array([v.capable | v.aboard for v in vehicles]),
+        carrier=carrier,
+        penalty=np.where(carrier >= 0, np.inf, penalty),
+        twin=_twins(vehicles, shared),
+        near=_near(first.distance[: 2 * m, : 2 * m]),
+        traits=_traits(vehicles),
+        timed=timed,
+        on_total=on_total,
+        on_finish=on_finish,
+        counted=VEHICLES in objective,
+    )
+
+
+def _same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
+    s = 2 * v.tasks
+    names = ["distance", "duration", "earliest", "latest"] if timed else ["distance"]
+    for name in names:
+        a, b = getattr(v, name), getattr(w, name)
+        if a is not b and not np.array_equal(a[:s, :s] if a.ndim == 2 else a[:s], b[:s, :s] if b.ndim == 2 else b[:s]):
+            return False
+    return True
+
+
+def _matrices(vehicles: Sequence[Vehicle], kind: Ints, start: Ints, end: Ints) -> tuple[Mat, Mat, Mat, Mat]:
+    """distance, duration, earliest, latest of a Fleet."""
+    s, u, w = 2 * vehicles[0].tasks, int(kind.max()) + 1, int(end.max()) + 1
+    distance, duration = np.zeros((u, w, w)), np.zeros((u, w, w))
+    earliest, latest = np.zeros((u, w)), np.zeros((u, w))
+    for v, row, *ends in zip(vehicles, kind, start, end, strict=True):
+        for whole, own in ((distance, v.distance), (duration, v.duration)):
+            whole[row, :s, :s] = own[:s, :s]
+            whole[row, ends, :s], whole[row, :s, ends] = own[s:, :s], own[:s, s:].T
+            whole[row, ends[0], ends] = own[s, s:]
+            whole[row, ends[1], ends] = own[s + 1, s:]
+        earliest[row, :s], latest[row, :s] = v.earliest[:s], v.latest[:s] + SLACK
+        earliest[row, ends], latest[row, ends] = v.earliest[s:], v.latest[s:] + SLACK
+    return distance, duration, earliest, latest
+
+
+def _twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
+    """(K,) the first vehicle that is the same, with nothing aboard."""
+    seen: dict[object, int] = {}
+    twin = np.arange(len(vehicles), dtype=np.int64)
+    for i, v in enumerate(vehicles):
+        s = 2 * v.tasks
+        parts = [v.capable, v.earliest, v.latest, v.distance[s:], v.distance[:, s:], v.duration[s:], v.duration[:, s:]]
+        parts += [] if shared else [v.distance, v.duration]
+        numbers = (v.capacity, v.limit, v.limit_again, v.trips, v.fixed)
+        if not v.aboard.any():
+            twin[i] = seen.setdefault((numbers, *(part.tobytes() for part in parts)), i)
+    return twin
+
+
+def _near(distance: Mat) -> Ints:
+    """(2M, 2M) stops by their distance from each, the shorter of the two ways."""
+    return np.argsort(np.minimum(distance, distance.T), axis=1, kind="stable")
+
+
+def _traits(vehicles: Sequence[Vehicle]) -> Mat:
+    """(M, 5) of the tasks: load, shortest distance alone, width of its windows, first opening, last closing."""
+    first = vehicles[0]
+    m = first.tasks
+    p, d = np.arange(m), np.arange(m, 2 * m)
+    alone = [v.distance[2 * m, p] + v.distance[p, d] + v.distance[d, 2 * m + 1] for v in vehicles]
+    width = np.minimum(first.latest[p] - first.earliest[p], first.latest[d] - first.earliest[d])
+    return np.column_stack([first.load, np.min(alone, axis=0), width, first.earliest[p], first.latest[d]])

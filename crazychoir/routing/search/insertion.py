@@ -1,0 +1,168 @@
+"""Where a task fits best into a route, by the slacks that the route's positions keep."""
+
+from typing import Any
+
+import numpy as np
+
+from crazychoir.numerics.math3d import kernel
+from crazychoir.routing.search.tours import OPTIONS, begins, way
+
+ABOARD = 1e-9
+"""Load on board that is rounding alone."""
+
+
+@kernel(_nrt=False)
+def cheapest(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int) -> Any:
+    """Cost in m and places (first, second), as `insert` takes them, of the cheapest way to put task j into route k.
+
+        cost = on_total * (growth of the route + fixed cost if it was empty) + on_finish * finish of the route
+
+    extra: (2, L) scratch;  (but_first, but_second): a pair of places that is not looked at.  Cost inf: it fits nowhere.
+    Without the triangle inequality in durations some places that would be in time are not found.
+    """
+    if not fleet.capable[k, j] or fleet.load[j] > fleet.capacity[k]:
+        return np.inf, 0, 0
+    if fleet.carrier[j] >= 0:
+        best, first, second = _delivery_only(fleet, tours, j, k, but_second)
+    else:
+        _detours(fleet, tours, extra, j, k)
+        best, first, second = _pair(fleet, tours, extra, j, k, but_first, but_second)
+        if fleet.trips[k] > 1 and tours.stops[k] > 0:
+            other, place = _trip(fleet, tours, j, k, best)
+            if other < best:
+                best, first, second = other, place, -1
+    if tours.stops[k] == 0:
+        best += fleet.on_total * (way(fleet, fleet.kind[k], fleet.start[k], fleet.end[k]) + fleet.fixed[k])
+    return best, first, second
+
+
+@kernel(**OPTIONS)
+def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
+    """extra[0]: m, of the delivery behind each position;  extra[1]: the least of it from there to the trip's end."""
+    m, n, u = len(fleet.load), tours.stops[k], fleet.kind[k]
+    d, least = m + j, np.inf
+    w = tours.stop[k, n + 1]
+    for pos in range(n, -1, -1):
+        v = tours.stop[k, pos]
+        if w >= 2 * m:
+            least = np.inf
+        detour = way(fleet, u, v, d) + way(fleet, u, d, w) - way(fleet, u, v, w)
+        least = min(least, detour)
+        extra[0, pos], extra[1, pos] = detour, least
+        w = v
+
+
+@kernel(**OPTIONS)
+def _pair(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int) -> Any:
+    """Both stops into one of the trips there are."""
+    m, n, u, timed, plain = len(fleet.load), tours.stops[k], fleet.kind[k], fleet.timed, fleet.on_finish == 0.0
+    d, spare = m + j, fleet.capacity[k] - fleet.load[j]
+    best, first, second, pickup = np.inf, 0, 0, 0.0
+    w = tours.stop[k, 0]
+    for i in range(n + 1):
+        v, w = w, tours.stop[k, i + 1]
+        if tours.load[k, i] > spare:
+            continue
+        here = way(fleet, u, v, j) - way(fleet, u, v, w)
+        detour, both = here + way(fleet, u, j, w), here + way(fleet, u, j, d) + way(fleet, u, d, w)
+        most = min(best, tours.room[k, i]) if plain else tours.room[k, i]
+        ahead = w < 2 * m and tours.load[k, i + 1] <= spare and detour + extra[1, i + 1] < most
+        if both >= most and not ahead:
+            continue
+        if timed:
+            pickup = begins(fleet, u, tours.begin[k, i], v, j)
+            if pickup > fleet.latest[u, j]:
+                continue
+        if both < most and (i != but_first or i != but_second):
+            cost = _cost(fleet, tours, k, both, pickup, j, d, i + 1) if timed else both
+            if cost < best:
+                best, first, second = cost, i, i
+                most = min(most, best) if plain else most
+        if not ahead:
+            continue
+        t, before = pickup, j
+        for s in range(i + 1, n + 1):
+            v = tours.stop[k, s]
+            if v >= 2 * m or tours.load[k, s] > spare or detour + extra[1, s] >= most:
+                break
+            if timed:
+                t = begins(fleet, u, t, before, v)
+                if t > tours.late[k, s]:
+                    break
+                before = v
+            growth = detour + extra[0, s]
+            if growth < most and (i != but_first or s != but_second):
+                cost = _cost(fleet, tours, k, growth, t, v, d, s + 1) if timed else growth
+                if cost < best:
+                    best, first, second = cost, i, s
+                    most = min(most, best) if plain else most
+    return best, first, second
+
+
+@kernel(**OPTIONS)
+def _cost(fleet: Any, tours: Any, k: int, growth: float, t: float, v: int, d: int, after: int) -> Any:
+    """Of delivery d between a service at v that begins at t and position `after` of route k; inf if it is too late."""
+    u = fleet.kind[k]
+    t = begins(fleet, u, t, v, d)
+    if t > fleet.latest[u, d]:
+        return np.inf
+    w = tours.stop[k, after]
+    t = begins(fleet, u, t, d, w)
+    if t > tours.late[k, after]:
+        return np.inf
+    if fleet.on_finish == 0.0:
+        return growth
+    return fleet.on_total * growth + fleet.on_finish * _end(fleet, tours, k, t, after)
+
+
+@kernel(**OPTIONS)
+def _end(fleet: Any, tours: Any, k: int, t: float, pos: int) -> float:
+    """s, when route k is over if service at position `pos` begins at t."""
+    for after in range(pos + 1, tours.stops[k] + 2):
+        t = begins(fleet, fleet.kind[k], t, tours.stop[k, after - 1], tours.stop[k, after])
+    return t
+
+
+@kernel(**OPTIONS)
+def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
+    """A trip of its own, behind one of those there are: cost in m and the position at the vehicle's end before it."""
+    n, u, end, d = tours.stops[k], fleet.kind[k], fleet.end[k], len(fleet.load) + j
+    growth = way(fleet, u, end, j) + way(fleet, u, j, d) + way(fleet, u, d, end)
+    trips, cost, place = 0, below, 0
+    for pos in range(1, n + 2):
+        trips += tours.stop[k, pos] == end
+    if growth >= fleet.limit[k, 1] or trips >= fleet.trips[k]:
+        return np.inf, 0
+    for pos in range(n + 1, 0, -1):
+        if tours.stop[k, pos] != end or tours.load[k, pos] > ABOARD:
+            continue
+        here = growth
+        if fleet.timed:
+            pickup = begins(fleet, u, tours.begin[k, pos], end, j)
+            delivery = begins(fleet, u, pickup, j, d)
+            back = begins(fleet, u, delivery, d, end)
+            if pickup > fleet.latest[u, j] or delivery > fleet.latest[u, d] or back > tours.late[k, pos]:
+                continue
+            if fleet.on_finish > 0.0:
+                here = fleet.on_total * growth + fleet.on_finish * _end(fleet, tours, k, back, pos)
+        if here < cost:
+            cost, place = here, pos
+    return (cost, place) if place > 0 else (np.inf, 0)
+
+
+@kernel(**OPTIONS)
+def _delivery_only(fleet: Any, tours: Any, j: int, k: int, but: int) -> Any:
+    """The delivery of goods that are aboard, into the first trip."""
+    m, u, d = len(fleet.load), fleet.kind[k], len(fleet.load) + j
+    best, second = np.inf, 0
+    for pos in range(tours.stops[k] + 1 if fleet.carrier[j] == k else 0):
+        v, w = tours.stop[k, pos], tours.stop[k, pos + 1]
+        if pos > 0 and v >= 2 * m:
+            break
+        growth = way(fleet, u, v, d) + way(fleet, u, d, w) - way(fleet, u, v, w)
+        if pos == but or growth >= tours.room[k, pos]:
+            continue
+        cost = _cost(fleet, tours, k, growth, tours.begin[k, pos], v, d, pos + 1) if fleet.timed else growth
+        if cost < best:
+            best, second = cost, pos
+    return best, -1, second

@@ -1,0 +1,128 @@
+"""Sharing tasks by an auction of cheapest insertions: quick, from wherever the robots are and whatever they carry.
+
+Each robot bids for each free task what its route would grow by; in each pass every robot that has the best bid for
+something takes the one that it is best at, so that few passes do. What nobody can serve is left, and named. Only bids
+travel. Not optimal: a plan in some tens of rounds, at any time.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+from crazychoir.optimization.rounds.agreement import highest_bids
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.instance.vehicle import SLACK, Vehicle
+
+Nodes = tuple[int, ...]
+
+
+@dataclass
+class Insertion:
+    """Routes of one vehicle, as nodes without its start and its end; time windows are not looked at."""
+
+    vehicle: Vehicle
+    _d: list[list[float]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._d = self.vehicle.distance.tolist()
+
+    def length(self, route: Nodes) -> float:
+        """m, from the start over the route to the end."""
+        m, d = self.vehicle.tasks, self._d
+        way = (2 * m, *route, 2 * m + 1)
+        return sum((d[v][w] for v, w in pairwise(way)), 0.0)
+
+    def loads(self, route: Nodes) -> list[float]:
+        """On board at the start and after each stop."""
+        vehicle, m = self.vehicle, self.vehicle.tasks
+        now = float(vehicle.load[vehicle.aboard].sum())
+        found = [now]
+        for v in route:
+            now += float(vehicle.load[v]) if v < m else -float(vehicle.load[v - m])
+            found.append(now)
+        return found
+
+    def cheapest(self, route: Nodes, j: int) -> tuple[float, Nodes] | None:
+        """The least m by which a route grows with task j, and that route; None if j cannot be served on it.
+
+        A task that is aboard from the start is delivered only.
+        """
+        vehicle, m, d = self.vehicle, self.vehicle.tasks, self._d
+        way = (2 * m, *route, 2 * m + 1)
+        room = vehicle.limit + SLACK - self.length(route)
+        load, most = float(vehicle.load[j]), vehicle.capacity + SLACK
+        best: tuple[float, int, int] | None = None
+        if vehicle.aboard[j]:
+            extras = [d[v][m + j] + d[m + j][w] - d[v][w] for v, w in pairwise(way)]
+            best = min((extra, b, b) for b, extra in enumerate(extras))
+        elif vehicle.capable[j]:
+            loads = self.loads(route)
+            for a in range(len(route) + 1):
+                v, after = way[a], way[a + 1]
+                to = d[v][j]
+                for b in range(a, len(route) + 1):
+                    if loads[b] + load > most:
+                        break
+                    w, x = way[b], way[b + 1]
+                    if a == b:
+                        extra = to + d[j][m + j] + d[m + j][x] - d[v][x]
+                    else:
+                        extra = to + d[j][after] - d[v][after] + d[w][m + j] + d[m + j][x] - d[w][x]
+                    if best is None or (extra, a, b) < best:
+                        best = extra, a, b
+        if best is None or best[0] > room:
+            return None
+        extra, a, b = best
+        head = route[:a] if vehicle.aboard[j] else (*route[:a], j)
+        return extra, (*head, *route[a:b], m + j, *route[b:])
+
+    def first(self) -> Nodes:
+        """The route that delivers what is aboard and serves nothing else, whatever its length."""
+        route: Nodes = ()
+        free = Insertion(_without_limit(self.vehicle))
+        for j in self.vehicle.aboard.nonzero()[0].tolist():
+            found = free.cheapest(route, j)
+            route = found[1] if found else route
+        return route
+
+    def improved(self, route: Nodes) -> Nodes:
+        """The route after each task in turn was taken out and put where it costs least, until nothing is gained."""
+        m, free = self.vehicle.tasks, Insertion(_without_limit(self.vehicle))
+        length, gained = free.length(route), True
+        while gained:
+            gained = False
+            for j in sorted({v % m for v in route}):
+                found = free.cheapest(tuple(v for v in route if v % m != j), j)
+                if found and (shorter := free.length(found[1])) < length - SLACK:
+                    route, length, gained = found[1], shorter, True
+        return route
+
+
+def _without_limit(vehicle: Vehicle) -> Vehicle:
+    return replace(vehicle, limit=math.inf)
+
+
+def parallel_auction(
+    robot: int, vehicle: Vehicle, free: list[int], diameter: int
+) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
+    """This robot's route and the tasks that nobody can serve; the same passes at all robots.
+
+    free: the tasks to be shared out, the same at all robots;  diameter: of the connected graph.
+    A task stays free where no robot has the capability, the capacity or the length left for it.
+    """
+    insertion = Insertion(vehicle)
+    route, left = insertion.first(), list(free)
+    while left:
+        found = {j: insertion.cheapest(route, j) for j in left}
+        bids = {j: [-extra[0], robot] for j, extra in found.items() if extra is not None}
+        best = yield from highest_bids(bids, diameter)
+        if not best:
+            break
+        taken: dict[int, tuple[float, int]] = {}
+        for j, (amount, winner) in best.items():
+            taken[winner] = min(taken.get(winner, (math.inf, j)), (-amount, j))
+        for winner, (_, j) in taken.items():
+            left.remove(j)
+            mine = found[j] if winner == robot else None
+            route = mine[1] if mine else route
+    return insertion.improved(route), tuple(left)

@@ -1,0 +1,141 @@
+"""The best plan of routes that a search has seen: set partitioning over those whose price says that they matter."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import highspy
+import numpy as np
+
+from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.routing.search.route_pool import Pool
+from crazychoir.routing.search.tours import Bools, Fleet, Ints, Tours, refresh
+from crazychoir.types import Vec
+
+MOST = 250
+"""Routes that are left to the integer program, at most."""
+NODES = 50
+"""Of its search, at most."""
+
+
+class _Columns(NamedTuple):
+    """cost (C,); rows of column c: row[start[c] : start[c + 1]], tasks and then M + its kind of vehicle."""
+
+    cost: Vec
+    start: Ints
+    row: Ints
+
+    def only(self, chosen: Ints) -> "_Columns":
+        parts = [self.row[self.start[c] : self.start[c + 1]] for c in chosen]
+        return _Columns(self.cost[chosen], np.cumsum([0, *map(len, parts)]), np.concatenate(parts))
+
+
+def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
+    """A plan that costs less than `tours`, of routes of the pool; `tours` itself if none is found.
+
+        min  sum_c cost_c x_c + sum_j penalty_j v_j
+        s.t. sum_{c serves j} x_c + v_j = 1,  sum_{c of kind h} x_c <= vehicles of that kind,   x, v binary
+
+    closed: (K,) vehicles that may not leave.  A task that must be served has no v. Of the columns only those are looked
+    at whose reduced cost, at the prices of the linear relaxation, is at most the gap between `tours` and that
+    relaxation: no other can be part of a better plan. Beyond MOST of them, or NODES nodes, the best may be missed.
+    Where vehicles are counted, each of them costs more than all routes of a plan with no more vehicles than `tours`,
+    and the plan that is found is compared by its vehicles first, so that no rounding of the program decides.
+    """
+    chosen = np.flatnonzero(pool.vehicle >= 0)
+    vehicle = _vehicle_cost(fleet, pool, tours, chosen)
+    columns = _columns(fleet, pool, chosen, vehicle)
+    cost = _cost(fleet, tours, vehicle)
+    relaxation = _model(fleet, columns, closed)
+    relaxation.run()
+    if relaxation.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        return tours
+    reduced = np.array(relaxation.getSolution().col_dual)[: len(chosen)]
+    gap = cost - relaxation.getObjectiveValue()
+    near = np.argsort(reduced, kind="stable")[:MOST]
+    near = np.sort(near[reduced[near] <= gap])
+    if gap <= 0.0 or not len(near):
+        return tours
+    taken = _integer(fleet, columns.only(near), cost, closed)
+    if taken is None:
+        return tours
+    found = _plan(fleet, pool, chosen[near[taken]], closed)
+    return tours if fleet.counted and _worth(fleet, found) >= _worth(fleet, tours) else found
+
+
+def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
+    """(K,) m, of each vehicle that leaves."""
+    if not fleet.counted:
+        return fleet.fixed
+    left = tours.stops > 0
+    longest = max([*tours.length[left], *(pool.cost[chosen] - fleet.fixed[pool.vehicle[chosen]])], default=0.0)
+    return np.minimum(fleet.fixed, 1.0 + np.count_nonzero(left) * longest)
+
+
+def _worth(fleet: Fleet, tours: Tours) -> tuple[float, int, float]:
+    """Penalties, vehicles and length, by which plans are compared in this order where vehicles are counted."""
+    left = tours.stops > 0
+    penalties = sum(fleet.penalty[tours.at < 0].tolist(), 0.0)
+    return penalties, int(np.count_nonzero(left)), sum(tours.length[left].tolist(), 0.0)
+
+
+def _columns(fleet: Fleet, pool: Pool, chosen: Ints, vehicle: Vec) -> _Columns:
+    m = len(fleet.load)
+    rows = []
+    for p in chosen:
+        stops = pool.stop[p, : pool.stops[p]]
+        rows.append([*(stops[(m <= stops) & (stops < 2 * m)] - m), m + fleet.twin[pool.vehicle[p]]])
+    cost = pool.cost[chosen]
+    if fleet.counted:
+        cost = cost - fleet.fixed[pool.vehicle[chosen]] + vehicle[pool.vehicle[chosen]]
+    return _Columns(cost, np.cumsum([0, *map(len, rows)]), np.array([r for row in rows for r in row]))
+
+
+def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
+    """m, of distances, vehicles that leave and penalties, added in this order; inf if a task is missing."""
+    left = tours.stops > 0
+    return sum([*tours.length[left].tolist(), *vehicle[left].tolist(), *fleet.penalty[tours.at < 0].tolist()], 0.0)
+
+
+def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:
+    """Rows: tasks, then as many vehicles of each kind as there are; columns: the routes, then refusals."""
+    m, k = len(fleet.load), len(fleet.start)
+    highs, empty = quiet_highs(), (np.array([], np.int32), np.array([]))
+    for _ in range(m):
+        highs.addRow(1.0, 1.0, 0, *empty)
+    for number in np.bincount(fleet.twin[~closed], minlength=k):
+        highs.addRow(-highspy.kHighsInf, float(number), 0, *empty)
+    n, ones = len(columns.cost), np.ones(len(columns.row))
+    start, row = columns.start[:-1].astype(np.int32), columns.row.astype(np.int32)
+    highs.addCols(n, columns.cost, np.zeros(n), np.ones(n), len(row), start, row, ones)
+    for j in np.flatnonzero(np.isfinite(fleet.penalty)):
+        highs.addCol(float(fleet.penalty[j]), 0.0, 1.0, 1, np.array([j], np.int32), np.ones(1))
+    return highs
+
+
+def _integer(fleet: Fleet, columns: _Columns, below: float, closed: Bools) -> Ints | None:
+    """The columns of a choice that costs less than `below`, if one is found."""
+    highs = _model(fleet, columns, closed)
+    index = np.arange(highs.getNumCol(), dtype=np.int32)
+    kinds = np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8)
+    highs.changeColsIntegrality(len(index), index, kinds)
+    highs.setOptionValue("mip_rel_gap", 0.0)
+    highs.setOptionValue("mip_max_nodes", NODES)
+    highs.setOptionValue("objective_bound", below)
+    highs.run()
+    if highs.getInfo().primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
+        return None
+    if highs.getObjectiveValue() >= below:
+        return None
+    return np.flatnonzero(np.array(highs.getSolution().col_value)[: len(columns.cost)] > 0.5)
+
+
+def _plan(fleet: Fleet, pool: Pool, taken: Ints, closed: Bools) -> Tours:
+    """The routes of the pool at these places, each by a vehicle of its kind."""
+    free = [list(np.flatnonzero((fleet.twin == kind) & ~closed)) for kind in range(len(fleet.twin))]
+    routes: list[Sequence[int]] = [[] for _ in fleet.start]
+    for p in taken:
+        routes[free[fleet.twin[pool.vehicle[p]]].pop(0)] = pool.stop[p, : pool.stops[p]].tolist()
+    tours = Tours.of(fleet, routes)
+    for k in range(len(routes)):
+        refresh(fleet, tours, k)
+    return tours

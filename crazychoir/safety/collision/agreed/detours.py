@@ -1,0 +1,102 @@
+"""The ways to a goal among which a drone chooses: straight, later, by a waypoint, or only some of it."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazychoir.numerics.math3d import E3, Mat, Vec
+from crazychoir.safety.collision.agreed.paths import braking, end, flight, hold, leaves, moving, seconds
+from crazychoir.safety.collision.agreed.rest_goal import NEAR, Aim
+from crazychoir.safety.rules.guard import INSET, Fence
+
+DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+"""s, after it has come to rest."""
+SHARES = (0.25, 0.5, 0.75, 0.9)
+"""Of the straight way, where it may wait, or turn aside before and after."""
+ASIDE, ABOVE = (0.5, 0.9), 0.95
+"""m beside, above and below the straight way."""
+DRAWN = 10
+"""Waypoints that are drawn."""
+AROUND = np.array([0.9, 0.9, 1.0])
+"""m beyond the straight way's box in which they are drawn."""
+DIP = 0.15
+"""m below the lowest waypoint, at most, that a way may sink of a drone that cannot stop before: there is the floor."""
+TURN = 0.3
+"""s that each further flight of a way costs beside its duration: it is not taken for nothing."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """A way, and what it costs, s."""
+
+    cost: float
+    way: Mat
+
+
+class Detours:
+    """Ways from a motion to a goal, cheapest first.
+
+    v_max m/s, a_max m/s2: of go_to;  fence: where ways are, and their waypoints;  draw: for some of those.
+    """
+
+    def __init__(self, v_max: float, a_max: float, fence: Fence, draw: np.random.Generator) -> None:
+        self.v_max, self.a_max, self.fence, self.draw = v_max, a_max, fence, draw
+
+    def options(self, start: Vec, aim: Aim, most: float) -> list[Option]:
+        """All that cost less than `most` s, from a motion (12,) to rest at a goal, and stay INSET inside the fence.
+
+        Less so, or outside, where the drone cannot stop before, or the goal is there; but no deeper than DIP.
+        """
+        places = np.array([start[0:3], aim.goal, end(braking(start, self.a_max))])
+        low = np.minimum(places.min(axis=0), np.array(self.fence.low) + INSET)
+        low[2] = max(low[2], min(start[2], aim.goal[2], self.fence.low[2] - DIP))
+        high = np.maximum(places.max(axis=0), np.array(self.fence.high) - INSET)
+        found = [
+            option
+            for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))
+            if option.cost < most and not leaves(option.way, low, high)
+        ]  # fmt: skip
+        return sorted(found, key=lambda option: option.cost)
+
+    def _option(self, aim: Aim, *pieces: Mat) -> Option:
+        way = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+        return Option(seconds(way) + aim.missing(end(way)) + TURN * (len(way) - 1), way)
+
+    def _straight(self, start: Vec, aim: Aim) -> Iterator[Option]:
+        """At once, or after a while."""
+        yield self._option(aim, flight(start, aim.goal, self.v_max, self.a_max))
+        rest = braking(start, self.a_max)
+        stopped = moving(rest, seconds(rest))
+        later = flight(stopped, aim.goal, self.v_max, self.a_max)
+        for delay in DELAYS:
+            yield self._option(aim, rest, hold(stopped[0:3], delay), later)
+
+    def _by_waypoints(self, start: Vec, aim: Aim) -> Iterator[Option]:
+        """Over a waypoint, or to it only."""
+        for point in self._waypoints(start[0:3], aim.goal):
+            first = flight(start, point, self.v_max, self.a_max)
+            yield self._option(aim, first)
+            there = moving(first, seconds(first))
+            yield self._option(aim, first, flight(there, aim.goal, self.v_max, self.a_max))
+
+    def _waypoints(self, p: Vec, goal: Vec) -> Iterator[Vec]:
+        straight = goal - p
+        flat = math.hypot(straight[0], straight[1])
+        side = np.array([-straight[1], straight[0], 0.0]) / flat if flat > NEAR else np.array([0.0, 1.0, 0.0])
+        for share in SHARES:
+            on = p + share * straight
+            yield self._inside(on)
+            if share < SHARES[-1]:
+                for far in ASIDE:
+                    yield self._inside(on + far * side)
+                    yield self._inside(on - far * side)
+                yield self._inside(on + ABOVE * E3)
+                yield self._inside(on - ABOVE * E3)
+        low, high = np.minimum(p, goal) - AROUND, np.maximum(p, goal) + AROUND
+        for point in self.draw.uniform(low, high, (DRAWN, 3)):
+            yield self._inside(point)
+
+    def _inside(self, p: Vec) -> Vec:
+        return self.fence.nearest(p)

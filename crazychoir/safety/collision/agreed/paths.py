@@ -1,0 +1,227 @@
+"""Ways: what a planner on board flies, piece by piece, each a polynomial of degree 7 that go_to makes.
+
+A way is a (k, 25) table: of each piece its duration s and the coefficients of x, y and z in t, ascending, 8 each.
+It ends at rest, and there the drone stays. A motion is (12,) = p m, v m/s, a m/s2, j m/s3, each (3,), world.
+"""
+
+import math
+
+import numpy as np
+
+from crazychoir.numerics.math3d import Mat, Triple, Vec, kernel, matrix, memory, real, vector
+from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERATION, PEAK_SPEED, SHORTEST
+
+PIECE = 25
+GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16
+"""Durations are tried in a row that grows so, up to so many times the one from rest; peaks are those of samples."""
+LOOK, ROUNDING = 0.1, 1e-3
+"""s between two looks at where a way is, and m by which it may be elsewhere: 1 m/s2 makes 1.3 mm in between."""
+FAST, HARD = 1.05, 1.1
+"""Of a limit, what sampled peaks may come to."""
+STEEP = 1.25
+"""Of a_max, from where on an acceleration is no peak of such a way."""
+SWING = 2.0
+"""Of a_max, at least, the limit of who begins with more: it would become far too fast before it turned round gently."""
+
+
+@kernel()
+def _begin(way: Mat, t: float) -> tuple[int, float]:
+    """The piece that is flown t s after the beginning of the way, and s since that began."""
+    last = way.shape[0] - 1
+    for k in range(last):
+        if t < way[k, 0]:
+            return k, max(t, 0.0)
+        t -= way[k, 0]
+    return last, min(max(t, 0.0), way[last, 0])
+
+
+@kernel()
+def place(way: Mat, t: float) -> Triple:
+    """Where it is t s after the beginning."""
+    k, s = _begin(way, t)
+    x, y, z = way[k, 8], way[k, 16], way[k, 24]
+    for n in range(6, -1, -1):
+        x, y, z = x * s + way[k, 1 + n], y * s + way[k, 9 + n], z * s + way[k, 17 + n]
+    return x, y, z
+
+
+@kernel(matrix, real, memory)
+def motion(way: Mat, t: float, out: Vec) -> None:
+    """The motion t s after the beginning, into out (12,); at rest after the end."""
+    k, s = _begin(way, t)
+    for c in range(3):
+        p, v, a, j = 0.0, 0.0, 0.0, 0.0
+        for n in range(7, -1, -1):  # Horner's scheme: j, a, v hold a sixth, half and the whole of a derivative
+            j = j * s + a
+            a = a * s + v
+            v = v * s + p
+            p = p * s + way[k, 1 + 8 * c + n]
+        out[c], out[3 + c], out[6 + c], out[9 + c] = p, v, 2.0 * a, 6.0 * j
+    if t >= np.sum(way[:, 0]):
+        out[3:12] = 0.0
+
+
+@kernel(vector, vector, real, memory)
+def connect(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
+    """The polynomial from a motion (12,) to another in `duration` s, into piece (25,).
+
+        p(t) = sum_n c_n t^n:  p, v, a, j are the start's at 0 and the end's at T
+    """
+    t = piece[0] = duration
+    for c in range(3):
+        v, a, j = start[3 + c] * t, start[6 + c] * t * t, start[9 + c] * t * t * t
+        g0 = end[c] - start[c] - v - a / 2.0 - j / 6.0
+        g1 = end[3 + c] * t - v - a - j / 2.0
+        g2 = end[6 + c] * t * t - a - j
+        g3 = end[9 + c] * t * t * t - j
+        row = 1 + 8 * c
+        piece[row], piece[row + 1], piece[row + 2], piece[row + 3] = start[c], v, a / 2.0, j / 6.0
+        piece[row + 4] = 35.0 * g0 - 15.0 * g1 + 2.5 * g2 - g3 / 6.0
+        piece[row + 5] = -84.0 * g0 + 39.0 * g1 - 7.0 * g2 + 0.5 * g3
+        piece[row + 6] = 70.0 * g0 - 34.0 * g1 + 6.5 * g2 - 0.5 * g3
+        piece[row + 7] = -20.0 * g0 + 10.0 * g1 - 2.0 * g2 + g3 / 6.0
+        power = 1.0
+        for n in range(8):
+            piece[row + n] /= power
+            power *= t
+
+
+@kernel()
+def _length(x: Vec, first: int) -> float:
+    return math.sqrt(x[first] ** 2 + x[first + 1] ** 2 + x[first + 2] ** 2)
+
+
+@kernel()
+def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
+    """The largest speed and acceleration of a piece, as shares of their limits."""
+    worst, way = 0.0, piece.reshape((1, PIECE))
+    for n in range(1, LOOKS):
+        motion(way, piece[0] * n / LOOKS, at)
+        worst = max(worst, _length(at, 3) / (FAST * v_max), _length(at, 6) / (HARD * a_max))
+    return worst
+
+
+@kernel()
+def _limit(acceleration: float, a_max: float) -> float:
+    """m/s2, for who begins with an acceleration."""
+    if acceleration <= STEEP * a_max:
+        return max(a_max, acceleration / HARD)
+    return max(acceleration, SWING * a_max)
+
+
+@kernel(matrix)
+def hardest(way: Mat) -> float:
+    """The largest acceleration sideways on a way, m/s2, of samples."""
+    at, worst, began = np.zeros(12), 0.0, 0.0
+    for k in range(way.shape[0]):
+        for n in range(LOOKS):
+            motion(way, began + way[k, 0] * n / LOOKS, at)
+            worst = max(worst, math.sqrt(at[6] ** 2 + at[7] ** 2))
+        began += way[k, 0]
+    return worst
+
+
+@kernel(matrix, vector, vector)
+def leaves(way: Mat, low: Vec, high: Vec) -> bool:
+    """Whether a way comes out of the box from corner low (3,) m to corner high, seen every LOOK s."""
+    lasts, t = np.sum(way[:, 0]), 0.0
+    while t < lasts + LOOK:
+        p = place(way, t)
+        for c in range(3):
+            if p[c] < low[c] - ROUNDING or p[c] > high[c] + ROUNDING:
+                return True
+        t += LOOK
+    return False
+
+
+@kernel(vector, vector, real, real, memory)
+def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
+    """What go_to on board makes of a motion (12,), whose jerk it does not know, and a goal (3,) at rest.
+
+    As short as the limits allow: from rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)); else the first of
+    a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast counts
+    as its own limit, and one that is too hard as well, or SWING a_max from STEEP a_max on.
+    """
+    begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
+    begin[9:12], end[0:3] = 0.0, goal
+    d = _length(end[0:3] - start[0:3], 0)
+    t = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max), SHORTEST)
+    speed, acceleration = _length(start, 3), _length(start, 6)
+    if speed + acceleration < 1e-6:
+        connect(begin, end, t, piece)
+        return
+    longest, t = PATIENT * t + PEAK_DECELERATION * speed / a_max, max(SHORTEST, 0.5 * t)
+    v, a = max(v_max, speed), _limit(acceleration, a_max)
+    best, least = t, math.inf
+    while t < longest and least > 1.0:
+        connect(begin, end, t, piece)
+        excess = _excess(piece, v, a, at)
+        if excess < least:
+            best, least = t, excess
+        t *= GROWTH
+    connect(begin, end, best, piece)
+
+
+@kernel(vector, real, memory)
+def stop(start: Vec, a_max: float, piece: Vec) -> None:
+    """The shortest way from a motion (12,) to rest, wherever that is.
+
+        p(T) = p + v T / 2 + a T^2 / 10,   T = 15/8 |v| / a_max without acceleration
+    """
+    begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
+    begin[9:12] = 0.0
+    t = max(PEAK_DECELERATION * _length(start, 3) / a_max, SHORTEST)
+    a, longest = _limit(_length(start, 6), a_max), PATIENT * t + PATIENT
+    while True:
+        for c in range(3):
+            end[c] = start[c] + start[3 + c] * t / 2.0 + start[6 + c] * t * t / 10.0
+        connect(begin, end, t, piece)
+        if t > longest or _excess(piece, math.inf, a, at) <= 1.0:
+            return
+        t *= GROWTH
+
+
+def hold(p: Vec, seconds: float) -> Mat:
+    """Staying at p (3,) m."""
+    way = np.zeros((1, PIECE))
+    way[0, 0], way[0, 1], way[0, 9], way[0, 17] = seconds, *p
+    return way
+
+
+def flight(start: Vec, goal: Vec, v_max: float, a_max: float) -> Mat:
+    """The way of one go_to."""
+    way = np.empty((1, PIECE))
+    go_to(start, goal, v_max, a_max, way[0])
+    return way
+
+
+def braking(start: Vec, a_max: float) -> Mat:
+    """The way to rest."""
+    way = np.empty((1, PIECE))
+    stop(start, a_max, way[0])
+    return way
+
+
+def keeping_up(start: Vec, then: Vec, seconds: float, a_max: float) -> Mat:
+    """To a motion (12,) that will be wanted `seconds` later, and to rest from there."""
+    way = np.empty((2, PIECE))
+    connect(start, then, seconds, way[0])
+    stop(then, a_max, way[1])
+    return way
+
+
+def moving(way: Mat, t: float) -> Vec:
+    """The motion (12,) t s after the beginning."""
+    out = np.empty(12)
+    motion(way, t, out)
+    return out
+
+
+def seconds(way: Mat) -> float:
+    """s, of all pieces."""
+    return float(way[:, 0].sum())
+
+
+def end(way: Mat) -> Vec:
+    """(3,) m, where it ends."""
+    return moving(way, seconds(way))[0:3]

@@ -1,0 +1,1 @@
+"""Checks that a body seen by the cameras is this drone."""

@@ -1,0 +1,328 @@
+"""The watchdog of one drone: what is too old, too far or not a number, and what is done about it. A table decides."""
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from crazychoir.config.checks import AROUND
+from crazychoir.config.flight_room import EDGE as EDGE
+from crazychoir.config.flight_room import flight_room
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import Mat, kernel, matrix, memory, real, vector
+from crazychoir.planning.point_to_point import STOP
+from crazychoir.runtime.throttle import Throttle as Throttle
+from crazychoir.types import Point, State, Vec
+
+
+class Action(IntEnum):
+    """What the drone does, the worse the larger."""
+
+    NOMINAL = 0  # fly the reference
+    BRAKE = 1  # come to rest and stay, on the prediction if there is no pose
+    LAND = 2  # descend where it is
+    CUT = 3  # stop the motors
+
+
+INSET = 0.1
+"""m from the sides of the fence where a drone comes to rest that would leave it."""
+DOING = {Action.BRAKE: "braking", Action.LAND: "landing", Action.CUT: "motors cut"}
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One row of the safety table.
+
+    measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
+    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it),
+    "broken" (1 if the state is not finite), or one that the guard is told, see TOLD;  limit: exceeded, the rule acts;
+    clear: it acts until the measure has been at or below this for `settle` seconds;  latched: it acts for good.
+    """
+
+    measure: str
+    limit: float
+    action: Action
+    clear: float = 0.0
+    settle: float = 0.5
+    latched: bool = False
+
+
+# Poses: 0.10 s is ten of them missed at 100 Hz, 0.1 m at 1 m/s; after 0.50 s a prediction is worth little; after 2.00 s
+# without commands the firmware cuts by itself. Fence: it brakes while it can still stop inside, and lands if it does
+# not. Beyond the limit area it is the paper's keep-out zone: shut down at once.
+TABLE = (
+    Rule("pose", 0.10, Action.BRAKE, clear=0.05),
+    Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
+    Rule("pose", 2.00, Action.CUT, latched=True),
+    Rule("reference", 0.30, Action.BRAKE, clear=0.15),
+    Rule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
+    Rule("stop", 0.00, Action.BRAKE, clear=-0.05),
+    Rule("fence", 0.25, Action.LAND, latched=True),
+    Rule("limit area", 0.00, Action.CUT, latched=True),
+    Rule("broken", 0.00, Action.CUT, latched=True),
+    Rule("link", 0.50, Action.BRAKE, clear=0.30),
+    Rule("link", 4.00, Action.LAND, latched=True),
+    Rule("battery", 5.00, Action.LAND, latched=True),
+    Rule("empty", 0.00, Action.LAND, latched=True),
+    Rule("tumbled", 0.00, Action.CUT, latched=True),
+    Rule("body", 0.00, Action.CUT, latched=True),
+    Rule("gone", 0.00, Action.CUT, latched=True),
+    Rule("astray", 0.00, Action.LAND, latched=True),
+    Rule("astray", 1.00, Action.CUT, latched=True),
+)
+REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "pose" and r.latched else r for r in TABLE)
+"""The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
+PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rule.action is not Action.BRAKE)
+"""The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
+TOLD = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
+"""Of a drone that a radio reaches: s since its last packet; s that its battery is low, and V below what is critical,
+both as the firmware of its platform has it; 1 if it lies on its back, has crashed, or is locked by its firmware; 1 if
+what the cameras take for it does not rise when it takes off; 1 if that does not move as the drone does, 2 if it may not
+land; m outside the limit area where a body is seen for some time that is not believed to be its own."""
+
+TEXT = {
+    "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
+    "reference": "reference {value:.2f} s old, limit {limit:.2f} s: {doing}",
+    "fence": "{value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
+    "stop": "comes to rest {value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
+    "limit area": "{value:.2f} m outside the limit area, in the keep-out zone: {doing}",
+    "broken": "state is not finite: {doing}",
+    "link": "its radio is silent for {value:.2f} s, limit {limit:.2f} s: {doing}",
+    "battery": "battery below {said} V for {value:.1f} s, limit {limit:.1f} s: {doing}",
+    "empty": "battery {value:.2f} V below {said} V: {doing}",
+    "body": "its body does not rise as it takes off: another drone's, or too little thrust: {doing}",
+    "astray": "{said}: {doing}",
+    "gone": "its body, or another, is seen {value:.2f} m outside the limit area: {doing}",
+    "tumbled": "{said}tumbled, crashed or locked, as its firmware says: {doing}",
+}
+AT_EDGE = "can just come to rest inside the fence: {doing}"
+
+
+@dataclass(frozen=True)
+class Fence:
+    """The box in which a drone may fly, from corner `low` to corner `high`, (3,) m each."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+    @classmethod
+    def box(cls, low: Point, high: Point) -> "Fence":
+        """From two corners."""
+        corners = np.array([low, high], dtype=float)
+        if corners.shape != (2, 3) or not np.all(corners[0] < corners[1]):
+            raise ConfigError("Fence.box", [list(low), list(high)], "two corners (3,) m, the first below the second")
+        (a, b, c), (d, e, f) = corners.tolist()
+        return cls((a, b, c), (d, e, f))
+
+    def with_floor(self, z: float) -> "Fence":
+        """The same box from the height z m upwards."""
+        return Fence.box((*self.low[:2], z), self.high)
+
+    def grown(self, margin: float) -> "Fence":
+        """The same box, its sides `margin` m further out."""
+        return Fence.box([x - margin for x in self.low], [x + margin for x in self.high])
+
+    def outside(self, x: float, y: float, z: float) -> float:
+        """m by which a position is outside, the largest over the six sides; negative inside."""
+        a, b = self.low, self.high
+        return max(a[0] - x, x - b[0], a[1] - y, y - b[1], a[2] - z, z - b[2])
+
+    def nearest(self, p: Vec, inset: float = INSET) -> Vec:
+        """The place inside, `inset` m from the sides, that is nearest to p (3,): where to hold."""
+        return np.clip(p, np.array(self.low) + inset, np.array(self.high) - inset)
+
+
+BELOW_GROUND = 0.2
+"""m below the ground where the fence of a drone that takes off or lands begins: cameras and floors are not exact."""
+REACTION = 0.1
+"""s for which a drone that is told to brake flies on at its speed: delays of filter, commands and attitude."""
+ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to do and why; reason, and the measure that it is about, are empty when all is well."""
+
+    action: Action
+    reason: str = ""
+    measure: str = ""
+
+
+ALL_WELL = Verdict(Action.NOMINAL)
+
+
+@kernel(vector, vector, real)
+def _outside(x: Vec, box: Vec, reach: float) -> float:
+    """The measure "stop": m by which the place of x (13,), or where it comes to rest, is outside the box (6,).
+
+        p + (reach |v| + REACTION) v
+
+    box: low, high;  reach: s2/m, 0 for one that ends inside by its own plan.  Negative inside; not finite if x is not.
+    """
+    far = reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION if reach > 0.0 else 0.0
+    furthest, finite = -math.inf, 0.0
+    for c in range(3):
+        ahead = far * x[3 + c]
+        furthest = max(furthest, max(box[c] - x[c] - min(ahead, 0.0), x[c] + max(ahead, 0.0) - box[3 + c]))
+    for c in range(13):
+        finite += 0.0 * x[c]
+    return furthest + finite
+
+
+@kernel(matrix, vector, memory)
+def _each_outside(rows: Mat, box: Vec, out: Vec) -> None:
+    """The measure "stop" of each of the rows (n, 6 or more) of a path, which brakes by itself, into out (n,)."""
+    for k in range(rows.shape[0]):
+        out[k] = _outside(rows[k], box, 0.0)
+
+
+class Guard:
+    """Judges one drone every tick: each rule of the table that acts has a say, the worst action wins.
+
+    A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`;
+    a latched one never stops: an operator looks at the drone and starts its agent again.
+
+    fence: where it flies;  limit: the area beyond which its motors are cut, None: AROUND m around the fence;
+    ground: m. To take off and to land it leaves the fence downwards, and so far no rule but
+    "stop" knows its floor.
+    a_max: m/s2, with which it brakes. It brakes at the distance STOP |v|^2 / a_max from the fence that `stopping`
+    needs, REACTION s before, so a drone that follows references comes to rest at the fence; one that flies a plan of
+    its own, which ends inside, at the fence itself.
+    """
+
+    def __init__(
+        self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0, ground: float = 0.0,
+        limit: Fence | None = None,
+    ) -> None:  # fmt: skip
+        for rule in table:
+            if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
+                raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
+        self.table = self._own = table
+        self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been clear
+        self._found: dict[Rule, float] = {}  # the last value for which it did
+        self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
+        least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
+        self._least = least
+        self._told: dict[str, float] = dict.fromkeys(TOLD, -math.inf)
+        self._said: dict[str, str] = {}
+        self._told_well = True
+        self._least_pose, self._least_reference = least["pose"], least["reference"]
+        self._least_stop = min(least["fence"], least["stop"], least["limit area"])
+        self._reach = STOP / a_max
+        self._whole = fence.with_floor(min(fence.low[2], ground - BELOW_GROUND))
+        limit = self._whole.grown(AROUND) if limit is None else limit
+        self._limit = limit.with_floor(min(limit.low[2], self._whole.low[2] - AROUND))
+        self._flying, self._low = (np.array([*box.low, *box.high]) for box in (fence, self._whole))
+        drives = fence.low[2] < ground
+        self.room = Fence(*flight_room(fence.low, fence.high, None if drives else ground))
+        """Where a drone may be sent: nowhere inside does this guard brake it."""
+
+    @property
+    def latched(self) -> str:
+        """Why this drone must not fly again: the reason of the first latched rule that acted; empty if none has."""
+        return next(iter(self._latched.values()), "")
+
+    def check(
+        self, now: float, state: State | None, pose_age: float, reference_age: float | None = None, low: bool = False
+    ) -> Verdict:
+        """The verdict at `now` (s); ages in s.
+
+        state None: nothing was ever seen;  reference_age None: none needed;  low: it takes off or lands.
+        """
+        age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
+        stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
+        well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
+        if well and self._told_well and not self._acting:
+            return ALL_WELL
+        return self._judge(now, self._measured(state, pose_age, age, stop))
+
+    def leaves_room(self, path: Mat) -> Vec:
+        """Return (n,) m by which each set-point of a path (n, 14) is outside `room`, negative inside.
+
+        The measure is "stop" of the table, as `check` takes it of a drone that flies a plan of its own.
+        """
+        out = np.empty(len(path))
+        _each_outside(np.ascontiguousarray(path), np.array([*self.room.low, *self.room.high]), out)
+        return out
+
+    def tell(self, measure: str, value: float, said: str = "") -> None:
+        """A measure of TOLD now; said: what its reason says in place of {said}."""
+        self._told[measure] = value
+        self._said[measure] = said
+        self._told_well = all(value <= self._least[m] for m, value in self._told.items())
+
+    def told(self, measure: str) -> float:
+        """What a measure of TOLD is."""
+        return self._told[measure]
+
+    def beyond(self, p: Vec) -> float:
+        """m by which p (3,) m is outside the limit area."""
+        return self._limit.outside(*p.tolist())
+
+    @property
+    def acts(self) -> bool:
+        """Whether a rule acts, or has too recently."""
+        return bool(self._acting)
+
+    def excuse(self, measure: str) -> None:
+        """Stop the rules of a measure that counts no more; a latched one stays."""
+        self._acting = {rule: since for rule, since in self._acting.items() if rule.measure != measure or rule.latched}
+
+    def forget(self) -> None:
+        """A flight is over, or begins: no rule of the one before acts any more, but for latched ones."""
+        self._acting = {rule: since for rule, since in self._acting.items() if rule.latched}
+        self.table = self._own
+
+    def bear_unseen(self, seconds: float) -> None:
+        """Until it has landed: do not cut the motors of a drone because nobody has seen it for less than this."""
+        cuts = ("pose", Action.CUT)
+        self.table = tuple(
+            replace(rule, limit=max(rule.limit, seconds)) if (rule.measure, rule.action) == cuts else rule
+            for rule in self._own
+        )
+
+    def _measured(self, state: State | None, pose_age: float, reference_age: float, stop: float) -> dict[str, float]:
+        """The measures of the table."""
+        outside, beyond, broken = -math.inf, -math.inf, 0.0
+        if state is not None:
+            x, y, z, *rest = state.flat.tolist()
+            outside, beyond = self._whole.outside(x, y, z), self._limit.outside(x, y, z)
+            broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
+        return {
+            "pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "limit area": beyond,
+            "broken": broken, **self._told,
+        }  # fmt: skip
+
+    def _judge(self, now: float, values: dict[str, float]) -> Verdict:
+        """Start and stop rules, then let the worst one that acts speak."""
+        for rule in self.table:
+            value = values[rule.measure]
+            if not value <= rule.limit:  # a NaN is beyond every limit
+                self._acting[rule], self._found[rule] = math.inf, value
+                if rule.latched:
+                    self._latched.setdefault(rule, _reason(rule, value, self._said.get(rule.measure, "")))
+            elif rule in self._acting:
+                self._settle(rule, value, now)
+        worst = max(self._acting, key=lambda rule: rule.action, default=None)
+        if worst is None:
+            return ALL_WELL
+        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, self._found[worst]), worst.measure)
+
+    def _settle(self, rule: Rule, value: float, now: float) -> None:
+        """Stop a rule whose measure has been clear for long enough."""
+        if rule.latched:
+            return
+        since = min(self._acting[rule], now) if value <= rule.clear else math.inf
+        self._acting[rule] = since
+        if now - since >= rule.settle:
+            del self._acting[rule]
+
+
+def _reason(rule: Rule, value: float, said: str = "") -> str:
+    """What was found, the limit, what is done."""
+    at_edge = rule.measure == "stop" and abs(value) < EDGE
+    text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(
+        value=value, limit=rule.limit, doing=DOING[rule.action], said=said
+    )
+    return f"{text}, for good" if rule.latched else text

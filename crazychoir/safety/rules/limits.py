@@ -1,0 +1,102 @@
+"""What a reference may ask for: the limits of [flight] hold whatever guidance wants, and wherever it wants to be."""
+
+import math
+
+import numpy as np
+
+from crazychoir.config.tables import Flight
+from crazychoir.control.gains import Gains
+from crazychoir.numerics.math3d import Triple, Vec, clip, dot, kernel, memory, real, vector
+from crazychoir.types import Acceleration, FullState, State
+
+
+@kernel()
+def _share(a: Triple, limit: float) -> float:
+    """The factor, at most 1, that shortens a to the length `limit`."""
+    length = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+    return limit / length if length > limit else 1.0
+
+
+@kernel(vector, vector, vector, vector, memory)
+def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
+    """The law of ReferenceLimits for a reference (14,), into out (14,); False, and out is no good: nothing to cut."""
+    v_max, a_max, j_max, w_max = limits[0], limits[1], limits[2], limits[3]
+    speed = _share((ref[3], ref[4], ref[5]), v_max)
+    lead = _share((ref[6], ref[7], ref[8]), a_max) if speed == 1.0 else 0.0
+    e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
+    far = _share((gains[0] / gains[3] * e[0], gains[1] / gains[4] * e[1], gains[2] / gains[5] * e[2]), v_max)
+    pull = (
+        gains[0] * far * e[0] + gains[3] * (speed * ref[3] - x[3]),
+        gains[1] * far * e[1] + gains[4] * (speed * ref[4] - x[4]),
+        gains[2] * far * e[2] + gains[5] * (speed * ref[5] - x[5]),
+    )
+    hard = _share(pull, a_max)
+    turn = _share((ref[9], ref[10], ref[11]), j_max)
+    for c in range(3):
+        out[c] = x[c] + hard * far * e[c]
+        out[3 + c] = x[3 + c] + hard * (speed * ref[3 + c] - x[3 + c])
+        out[6 + c] = lead * ref[6 + c]
+        out[9 + c] = turn * ref[9 + c] if lead == 1.0 else 0.0
+    out[12], out[13] = ref[12], clip(ref[13], -w_max, w_max)
+    return min(speed, lead, far, hard, turn) < 1.0 or abs(ref[13]) > w_max
+
+
+@kernel(vector, vector, vector, real, memory)
+def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> None:
+    """The law of ReferenceLimits for an acceleration `wanted` (3,), into out (3,)."""
+    v_max, a_max = limits[0], limits[1]
+    hard = _share((wanted[0], wanted[1], wanted[2]), a_max)
+    a, v = (hard * wanted[0], hard * wanted[1], hard * wanted[2]), (x[3], x[4], x[5])
+    speed = math.sqrt(dot(v, v))
+    excess = max(dot(a, v) / speed - kv * (v_max - speed), 0.0) / speed if speed > 0.0 else 0.0
+    a = (a[0] - excess * v[0], a[1] - excess * v[1], a[2] - excess * v[2])
+    hard = _share(a, a_max)
+    for c in range(3):
+        out[c] = hard * a[c]
+
+
+class ReferenceLimits:
+    """Cuts a reference to v_max, a_max of [flight] and what follows from them; one within stays as it is, to the bit.
+
+        Acceleration:  a . v / |v| <= kv (v_max - |v|),  |a| <= a_max
+        FullState:     |v_d| <= v_max (a cut one without acceleration),  |a_d| <= a_max (a cut one without jerk),
+                       |(kp / kv) (p_d - p)| <= v_max,  |kp (p_d - p) + kv (v_d - v)| <= a_max,
+                       |j_d| <= kr a_max,  |yaw_d'| <= kr_yaw (1 rad)
+
+    So a far place is flown to at v_max, a reference that runs away is followed at 2 v_max, and none asks for more than
+    2 a_max, however its place, velocity and acceleration jump. The jerk and the yaw rate are fed forward to the body
+    rates: those that nothing else in the reference bears out tilt the drone until its attitude control outweighs them,
+    for a_max m/s2 more, and turn it by 1 rad.
+    kp 1/s2, kv 1/s, kr 1/s: of the controller that flies FullStates.
+    """
+
+    def __init__(self, flight: Flight, gains: Gains) -> None:
+        self.a_max = flight.acceleration_limit
+        self._a_max_squared = self.a_max**2
+        self.gains = gains.position
+        """(13,), of Gains.position."""
+        self._kv, self._v_max = min(gains.kv), flight.speed_limit
+        roll, pitch, yaw = gains.kr
+        self._limits = np.array([flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0])
+
+    def acceleration(self, reference: Acceleration, state: State, speed: float) -> Acceleration | None:
+        """What of it the limits leave to a drone in `state`, |v| = speed; None: of another shape, or not finite."""
+        wanted = np.asarray(reference.a)
+        if wanted.shape != (3,):
+            return None
+        x, y, z = wanted.tolist()
+        squared = x * x + y * y + z * z + 0.0 * reference.yaw
+        room = self._kv * (self._v_max - speed)
+        if squared <= self._a_max_squared and room > 0.0 and squared <= room * room:
+            return reference
+        if not math.isfinite(x + y + z + reference.yaw):
+            return None
+        out = np.empty(3)
+        _cut_acceleration(state.flat, np.array([x, y, z]), self._limits, self._kv, out)
+        return Acceleration(out, reference.yaw)
+
+    def full_state(self, reference: FullState, state: State) -> FullState:
+        """A reference that pulls the drone in `state` no harder than the limits allow."""
+        out = np.empty(14)
+        is_cut = _cut_full_state(state.flat, reference.flat, self.gains, self._limits, out)
+        return FullState(out) if is_cut else reference

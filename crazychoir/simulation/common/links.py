@@ -1,0 +1,60 @@
+"""The ways to a drone of the lightweight world, which is steered by its thrust and three rates."""
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+from crazychoir.numerics.math3d import Vec, rotation
+from crazychoir.types import Command, State
+
+
+class Rated(Protocol):
+    """A world whose drones are steered by four numbers each."""
+
+    def command(self, i: int, u: Vec | Sequence[float]) -> None:
+        """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
+        ...
+
+    def cut(self, i: int) -> None:
+        """Stop the motors of drone i for good."""
+        ...
+
+    def state(self, i: int) -> State:
+        """The truth about drone i."""
+        ...
+
+
+class SimulatedLink:
+    """The way to one drone of a world in this process."""
+
+    def __init__(self, world: Rated, drone: int) -> None:
+        self.world, self.drone = world, drone
+
+    def send(self, command: Command) -> None:
+        """Held until the next one; it is an FPQR."""
+        self.world.command(self.drone, self.inputs(command.flat))
+
+    def inputs(self, flat: Vec) -> Vec | Sequence[float]:
+        """What the world takes, of thrust N and body rates rad/s."""
+        return flat
+
+    def cut(self) -> None:
+        """Stop the motors for good."""
+        self.world.cut(self.drone)
+
+
+class EulerRatesLink(SimulatedLink):
+    """For a world that is steered by the rates of its Euler angles, as the paper writes.
+
+    phi' = p + (q sin phi + r cos phi) tan theta,  theta' = q cos phi - r sin phi,
+    psi' = (q sin phi + r cos phi) / cos theta
+    """
+
+    def inputs(self, flat: Vec) -> Vec | Sequence[float]:
+        """Turn body rates p, q, r into Euler-angle rates at the drone's present attitude."""
+        thrust, p, q, r = flat.tolist()
+        # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
+        x, y, z = rotation(self.world.state(self.drone).q)[2].tolist()
+        phi, cos_theta = math.atan2(y, z), max(math.hypot(y, z), 1e-6)
+        turn = q * math.sin(phi) + r * math.cos(phi)
+        return [thrust, p - turn * x / cos_theta, q * math.cos(phi) - r * math.sin(phi), turn / cos_theta]

@@ -1,0 +1,102 @@
+"""What is true of all drones of a world, whichever engine moves them."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import Mat, Vec, kernel, matrix, memory
+from crazychoir.platforms import Platform
+from crazychoir.types import Pose, State
+
+
+@kernel(matrix, memory)
+def _closest(x: Mat, best: Vec) -> None:
+    """The closest pair of drones: best (3,) = row, row, distance m."""
+    best[2] = math.inf
+    for i in range(x.shape[0]):
+        for j in range(i):
+            d = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2 + (x[i, 2] - x[j, 2]) ** 2
+            if d < best[2]:
+                best[0], best[1], best[2] = j, i, d
+    best[2] = math.sqrt(best[2])
+
+
+class Truth:
+    """The drones of a world, row by row, and what may be asked about them.
+
+    ids: the drones;  p0: (N, 3) m, where they start, not below the floor z = 0;  yaw0: (N,) rad;  platform: of all, or
+    one a drone;  dt: s, a step of the world.  states: (N, 13), rows laid out as State.flat;  impact: (N,) m/s, the
+    fastest touch-down;  limited: (N,) steps in which a command was beyond what the drone can do.
+    """
+
+    def __init__(
+        self, ids: Sequence[int], p0: Mat, yaw0: Vec | None, platform: Platform | Sequence[Platform], dt: float
+    ) -> None:
+        self.ids, self.dt, self.tick = tuple(ids), dt, 0
+        n, name = len(self.ids), type(self).__name__
+        if np.shape(p0) != (n, 3) or not np.all(np.isfinite(p0)):
+            raise ConfigError(f"{name}: p0", p0, f"finite, shape ({n}, 3): one row a drone")
+        self.platforms = (platform,) * n if isinstance(platform, Platform) else tuple(platform)
+        if len(self.platforms) != n:
+            raise ConfigError(f"{name}: platform", [p.name for p in self.platforms], f"one platform, or {n}")
+        self.row = {drone: row for row, drone in enumerate(self.ids)}
+        self.states = _standing(p0, np.zeros(n) if yaw0 is None else yaw0)
+        self._allowed = [row.max_landing_speed for row in self.platforms]
+        self.limited = np.zeros(n)
+        self.impact = np.zeros(n)
+        self._resting = np.where(self.states[:, 2] > 0.0, 0.0, 1.0)
+
+    @property
+    def time(self) -> float:
+        """s since the start."""
+        return self.tick * self.dt
+
+    def see(self, i: int, pose: Pose) -> None:
+        """Nothing: these drones estimate nothing themselves."""
+
+    def state(self, i: int) -> State:
+        """The truth about drone i, a copy."""
+        return State(self.states[self.row[i]].copy())
+
+    def resting(self, i: int) -> bool:
+        """Does drone i stand on the floor?"""
+        return bool(self._resting[self.row[i]])
+
+    @property
+    def crashed(self) -> list[int]:
+        """Drones that have touched something faster than their platform may."""
+        return [i for i, hit, most in zip(self.ids, self.impact, self._allowed, strict=True) if hit > most]
+
+    def harm(self, i: int) -> str:
+        """What has broken drone i, and at which speed; empty if nothing has."""
+        impact, allowed = self.impact[self.row[i]], self._allowed[self.row[i]]
+        if not impact > allowed:
+            return ""
+        return f"crashed: hit {self.struck(i)} at {impact:.2f} m/s, allowed {allowed:g} m/s"
+
+    def struck(self, i: int) -> str:
+        """What drone i has hit fastest."""
+        return "the floor"
+
+    def closest(self) -> tuple[int, int, float]:
+        """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""
+        best = np.full(3, -1.0)
+        _closest(self.states, best)
+        if best[0] < 0.0:
+            return -1, -1, math.inf
+        return self.ids[int(best[0])], self.ids[int(best[1])], float(best[2])
+
+    def min_separation(self) -> float:
+        """m, the smallest distance between two drones; inf for one drone."""
+        return self.closest()[2]
+
+
+def _standing(p0: Mat, yaw0: Vec) -> Mat:
+    """(N, 13) level states at rest at p0, not below the floor."""
+    x = np.zeros((len(p0), 13))
+    x[:, 0:3] = p0
+    x[:, 2] = np.maximum(x[:, 2], 0.0)
+    x[:, 8], x[:, 9] = np.sin(0.5 * yaw0), np.cos(0.5 * yaw0)
+    return x

@@ -1,0 +1,1 @@
+"""The lightweight world: drones as points with attitude, one integrator."""

@@ -1,0 +1,274 @@
+"""The lightweight world: the paper's quadrotor model, integrated by an explicit Runge-Kutta method of order 4."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Literal
+
+import numpy as np
+
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Mat,
+    Triple,
+    Vec,
+    clip,
+    columns,
+    dot,
+    kernel,
+    matrix,
+    memory,
+    real,
+    table,
+    vector,
+)
+from crazychoir.platforms import PAPER, Platform
+from crazychoir.simulation.common.links import EulerRatesLink, SimulatedLink
+from crazychoir.simulation.common.logs import LIGHT
+from crazychoir.simulation.common.truth import Truth
+from crazychoir.simulation.common.world import not_flown
+
+THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
+SILENCE = 0.5
+"""s without a command after which a drone has no thrust: it has no firmware that would level it first."""
+
+
+@kernel()
+def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
+    """Body rates of the inputs u[1:4]: themselves, or Euler-angle rates eta' turned into body axes.
+
+        p = phi' - psi' sin(theta)
+        q = theta' cos(phi) + psi' sin(phi) cos(theta)
+        r = psi' cos(phi) cos(theta) - theta' sin(phi)
+
+    z_row: last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
+    """
+    if not euler:
+        return u[1], u[2], u[3]
+    phi = math.atan2(z_row[1], z_row[2])
+    c, s = math.cos(phi), math.sin(phi)
+    return u[1] + u[3] * z_row[0], u[2] * c + u[3] * z_row[1], u[3] * z_row[2] - u[2] * s
+
+
+@kernel()
+def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
+    """The paper's dynamics, z up, quaternion attitude.
+
+        p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v,  q' = 1/2 q (w, 0)
+
+    y: (10,) = p m, v m/s, q;  u: (4,) = thrust N, rates rad/s;  A = diag, kg/s.
+    """
+    q = (y[6], y[7], y[8], y[9])
+    bx, by, bz = columns(q)
+    v = (y[3], y[4], y[5])
+    m = platform[MASS]
+    ax, ay = -platform[1] * dot(bx, v) / m, -platform[2] * dot(by, v) / m
+    az = (u[THRUST] - platform[3] * dot(bz, v)) / m
+    w = _body_rates((bx[2], by[2], bz[2]), u, euler)
+    for c in range(3):
+        out[c] = v[c]
+        out[3 + c] = ax * bx[c] + ay * by[c] + az * bz[c]
+    out[5] -= GRAVITY
+    out[6] = 0.5 * (q[3] * w[0] + q[1] * w[2] - q[2] * w[1])
+    out[7] = 0.5 * (q[3] * w[1] + q[2] * w[0] - q[0] * w[2])
+    out[8] = 0.5 * (q[3] * w[2] + q[0] * w[1] - q[1] * w[0])
+    out[9] = -0.5 * (q[0] * w[0] + q[1] * w[1] + q[2] * w[2])
+
+
+@kernel()
+def _lagged(start: Vec, target: Vec, t: float, lags: Vec, out: Vec) -> None:
+    """First-order lag, exact: u(t) = target + (start - target) exp(-t / lag); lag 0 follows at once.
+
+    lags: (2,) s, of the thrust and of the rates.
+    """
+    for c in range(4):
+        lag = lags[0] if c == THRUST else lags[1]
+        decay = math.exp(-t / lag) if lag > 0.0 else 0.0
+        out[c] = target[c] + (start[c] - target[c]) * decay
+
+
+@kernel()
+def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -> None:
+    """One step of the classical Runge-Kutta method of order 4; y is replaced.
+
+    u: (3, 4) inputs at the beginning, the middle and the end of the step;  k: (5, 10) room for the slopes.
+    """
+    stage = k[4]
+    _slope(y, u[0], platform, euler, k[0])
+    for c in range(10):
+        stage[c] = y[c] + 0.5 * h * k[0, c]
+    _slope(stage, u[1], platform, euler, k[1])
+    for c in range(10):
+        stage[c] = y[c] + 0.5 * h * k[1, c]
+    _slope(stage, u[1], platform, euler, k[2])
+    for c in range(10):
+        stage[c] = y[c] + h * k[2, c]
+    _slope(stage, u[2], platform, euler, k[3])
+    for c in range(10):
+        y[c] += h / 6.0 * (k[0, c] + 2.0 * k[1, c] + 2.0 * k[2, c] + k[3, c])
+    n = 1.0 / math.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
+    for c in range(6, 10):
+        y[c] *= n
+
+
+@kernel()
+def _stays_down(y: Vec, u: Vec, platform: Vec) -> bool:
+    """Does the weight of a drone on the floor outweigh its thrust?"""
+    upright = 1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7])
+    lift: float = u[THRUST] * upright
+    return lift <= float(platform[MASS]) * GRAVITY
+
+
+@kernel()
+def _put_down(x: Vec) -> None:
+    """Stop a drone on the floor: no slip, no bounce; upright it stands level, on its back it stays there."""
+    x[2] = 0.0
+    for c in range(3):
+        x[3 + c] = 0.0
+        x[10 + c] = 0.0
+    if x[6] * x[6] + x[7] * x[7] < 0.5:
+        n = math.sqrt(x[8] * x[8] + x[9] * x[9])
+        x[6], x[7], x[8], x[9] = 0.0, 0.0, x[8] / n, x[9] / n
+
+
+@kernel(matrix, matrix, table, table, memory)
+def _admit(commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec) -> None:
+    """Clip commands to the limits of platforms (N, 9), counting where needed; a command with a NaN repeats the last."""
+    for i in range(commands.shape[0]):
+        for c in range(4):
+            value, limit = commands[i, c], platforms[i, MAX_THRUST + c]
+            if not math.isfinite(value):
+                accepted[i] = previous[i]
+                counts[i] += 1.0
+                break
+            accepted[i, c] = clip(value, 0.0 if c == THRUST else -limit, limit)
+        else:
+            counts[i] += 1.0 if np.any(accepted[i] != commands[i]) else 0.0
+
+
+@kernel(table, table, matrix, real, matrix, vector, memory, memory, memory, real)
+def _advance(
+    x: Mat,
+    actual: Mat,
+    target: Mat,
+    h: float,
+    platforms: Mat,
+    lags: Vec,
+    alive: Vec,
+    resting: Vec,
+    impact: Vec,
+    euler: float,
+) -> None:
+    """Advance all drones by h with the held commands `target`; replaces x (N, 13) and inputs `actual` (N, 4)."""
+    k, u, y, goal = np.empty((5, 10)), np.empty((3, 4)), np.empty(10), np.empty(4)
+    platform = np.empty(platforms.shape[1])
+    for i in range(x.shape[0]):
+        for c in range(platforms.shape[1]):
+            platform[c] = platforms[i, c]
+        for c in range(4):
+            goal[c] = target[i, c] * alive[i]
+        for s in range(3):
+            _lagged(actual[i], goal, 0.5 * h * s, lags, u[s])
+        if resting[i] and _stays_down(x[i, :10], u[2], platform):
+            actual[i, THRUST] = u[2, THRUST]
+            actual[i, 1:4] = 0.0
+            continue
+        resting[i] = 0.0
+        actual[i] = u[2]
+        y[:] = x[i, :10]
+        _runge_kutta(y, u, h, platform, euler > 0.0, k)
+        x[i, :10] = y
+        bx, by, bz = columns((y[6], y[7], y[8], y[9]))
+        x[i, 10], x[i, 11], x[i, 12] = _body_rates((bx[2], by[2], bz[2]), u[2], euler > 0.0)
+        if y[2] < 0.0:
+            impact[i] = max(impact[i], -y[5])
+            resting[i] = 1.0
+            _put_down(x[i])
+
+
+class CFIntegrator(Truth):
+    """The paper's lightweight simulation: Runge-Kutta of order 4, one compiled pass for all drones.
+
+    ids: the drones, row by row;  p0: (N, 3) m;  yaw0: (N,) rad;  platform: of all, or one a drone;
+    dt: s;  inputs: "rates" (body) or "euler" (the paper's Euler-angle rates);  rate_lag, thrust_lag: s, first order,
+    exact;  command_delay: s, exact for any value: one that is no multiple of dt splits the step where the input
+    switches.
+
+    The floor is z = 0: a drone rests on it without slipping until its thrust exceeds its weight.
+    A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.
+    """
+
+    flies: tuple[str, ...] = ("fpqr",)
+    command_timeout: float | None = SILENCE
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None = None,
+        platform: Platform | Sequence[Platform] = PAPER,
+        dt: float = 0.01,
+        *,
+        rate_lag: float = 0.0,
+        thrust_lag: float = 0.0,
+        command_delay: float = 0.0,
+        inputs: Literal["rates", "euler"] = "rates",
+    ) -> None:
+        super().__init__(ids, p0, yaw0, platform, dt)
+        n = len(self.ids)
+        self.commands = np.zeros((n, 4))
+        self.commands[:, THRUST] = np.where(self.states[:, 2] > 0.0, [row.weight for row in self.platforms], 0.0)
+        self._alive = np.ones(n)
+        self._held = {i: self.commands[row] for i, row in self.row.items()}
+        self._actual = self.commands.copy()
+        self._flat = np.array([row.flat for row in self.platforms])
+        self._lags = np.array([thrust_lag, rate_lag])
+        self._late = int(command_delay / dt + 1e-9)
+        self._split = max(command_delay - self._late * dt, 0.0)
+        self._sent = [self.commands.copy() for _ in range(self._late + 2)]
+        self._euler = float(inputs == "euler")
+
+    def link(self, i: int, kind: str = "fpqr") -> SimulatedLink:
+        """The way to drone i: body rates in, whatever the inputs are; raises ConfigError for another kind."""
+        if kind not in self.flies:
+            raise not_flown(i, kind, self.flies)
+        return EulerRatesLink(self, i) if self._euler else SimulatedLink(self, i)
+
+    def command(self, i: int, u: Vec | Sequence[float]) -> None:
+        """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
+        self._held[i][...] = u
+
+    def cut(self, i: int) -> None:
+        """Stop the motors of drone i for good."""
+        self._alive[self.row[i]] = 0.0
+
+    @property
+    def variables(self) -> Iterable[str]:
+        """What its drones log."""
+        return LIGHT
+
+    def log(self, i: int, name: str) -> float:
+        """A log variable of drone i now, in the firmware's unit."""
+        return LIGHT[name](self.state(i))
+
+    def step(self) -> None:
+        """Advance every drone by dt."""
+        size, k = len(self._sent), self.tick
+        _admit(self.commands, self._flat, self._sent[k % size], self._sent[(k - 1) % size], self.limited)
+        if self._split > 1e-9 * self.dt:
+            self._run(self._sent[(k - self._late - 1) % size], self._split)
+        self._run(self._sent[(k - self._late) % size], self.dt - self._split)
+        self.tick += 1
+
+    def _run(self, target: Mat, h: float) -> None:
+        _advance(
+            self.states,
+            self._actual,
+            target,
+            h,
+            self._flat,
+            self._lags,
+            self._alive,
+            self._resting,
+            self.impact,
+            self._euler,
+        )

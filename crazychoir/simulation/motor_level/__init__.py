@@ -1,0 +1,1 @@
+"""The motor-level world: bodies, rotors, batteries and inertial sensors."""

@@ -1,0 +1,216 @@
+"""Whole Crazyflies: the motor-level world with the firmware on board of each drone, one compiled pass a step."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any, Self
+
+import numpy as np
+
+from crazychoir.numerics.math3d import (
+    Mat,
+    Vec,
+    exponential,
+    kernel,
+    matrix,
+    memory,
+    product,
+    rotation,
+    table,
+    vector,
+    yaw_of,
+)  # fmt: skip
+from crazychoir.platforms import CRAZYFLIE_21, Platform
+from crazychoir.simulation.common.draws import Keys
+from crazychoir.simulation.common.mismatch import built
+from crazychoir.simulation.common.world import WorldSetup, not_flown
+from crazychoir.simulation.motor_level.air import Wind
+from crazychoir.simulation.motor_level.battery import drain
+from crazychoir.simulation.motor_level.body import fly, obey
+from crazychoir.simulation.motor_level.floor import stand
+from crazychoir.simulation.motor_level.imu import Imu, measure
+from crazychoir.simulation.motor_level.motor_control import CONTROLS, CrazyflieLink
+from crazychoir.simulation.motor_level.motors import H, MotorWorld, keys, whole
+from crazychoir.simulation.onboard.logs import TABLE, read
+from crazychoir.simulation.onboard.loop import stabilize
+from crazychoir.simulation.onboard.onboard import Onboard
+from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
+from crazychoir.types import Pose
+
+# isort: off
+from crazychoir.simulation.motor_level.lanes import (
+    ACCX, ACCY, ACCZ, GYROX, GYROY, GYROZ, LANES, U1, U2, U3, U4, VOLTAGE, Blocks, blocks, give,
+    take,
+)  # fmt: skip
+# isort: on
+
+ON_BOARD = ("vel", "xyz", "fullstate")
+"""Kinds of commands for which position or velocity are controlled on board."""
+SELDOM = 7
+"""Poses of which the estimator is told one where they are not: 14 Hz of 100."""
+
+
+@kernel()
+def _think(m: Vec, first: int, firmware: Fleet) -> None:
+    """One ms of the firmware of a block's drones: what the sensors say goes in, motor commands come out."""
+    for k in range(min(LANES, firmware.shape[0] - first)):
+        fw = firmware[first + k]
+        stabilize(fw, m[GYROX + k], m[GYROY + k], m[GYROZ + k], m[ACCX + k], m[ACCY + k], m[ACCZ + k])
+        u = fw.motors
+        m[U1 + k], m[U2 + k], m[U3 + k], m[U4 + k] = u[0], u[1], u[2], u[3]
+
+
+@kernel(table, blocks, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector, rows)
+def _advance(
+    x: Mat,
+    lanes: Blocks,
+    commands: Mat,
+    force: Mat,
+    torque: Mat,
+    below: Vec,
+    limited: Vec,
+    resting: Vec,
+    impact: Vec,
+    lift: Vec,
+    seeds: Keys,
+    time: int,
+    steps: int,
+    options: Vec,
+    firmware: Fleet,
+) -> None:
+    """As `motors._advance`, with the firmware between the sensors and the motors in each step."""
+    normal = (options[0], options[1], options[2])
+    for b in range(lanes.shape[0]):
+        m, first = lanes[b].m, b * LANES
+        take(m, first, x, commands, force, torque, below, limited)
+        for step in range(steps):
+            measure(m, seeds[b], time + step, options[3], options[4])
+            _think(m, first, firmware)
+            obey(m)
+            fly(m, H)
+            stand(m, normal, H)
+        drain(m, steps * H)
+        give(m, first, x, resting, impact, lift)
+        for k in range(min(LANES, x.shape[0] - first)):
+            firmware[first + k].vbat = m[VOLTAGE + k]
+
+
+class CrazyflieWorld(MotorWorld):
+    """MotorWorld whose drones carry their firmware.
+
+    platform: for which the firmware is made;  bodies: what each drone really is, None for its platform.
+    onboard: by id, what a radio reaches of a drone: set-points, planner, parameters, logs, and the pose from outside.
+    options: MotorWorld's. Motors stand still until the firmware turns them, in the air too.
+    """
+
+    flies: tuple[str, ...] = tuple(CONTROLS)
+    command_timeout: float | None = None
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None = None,
+        platform: Platform | Sequence[Platform] = CRAZYFLIE_21,
+        *,
+        bodies: Sequence[Platform] | None = None,
+        **options: Any,
+    ) -> None:
+        platforms = [platform] * len(ids) if isinstance(platform, Platform) else platform
+        self._firmware = np.concatenate([fleet(1, row) for row in platforms])
+        self.onboard: dict[int, Onboard] = {}
+        self._told, self._told_every = dict.fromkeys(ids, 0), dict.fromkeys(ids, 1)
+        super().__init__(ids, p0, yaw0, platforms if bodies is None else bodies, **options)
+        for row, i in enumerate(self.ids):
+            self.onboard[i] = Onboard(platforms[row], self._firmware, row)
+            self.onboard[i].place(self.states[row, :3], yaw_of(self.states[row, 6:10]))
+            self._firmware["vbat_low"][row] = self.vbat(i)
+
+    @classmethod
+    def of(cls, setup: WorldSetup, **more: Any) -> Self:
+        """The world of a swarm file, with its [motors] as options; more: of this class."""
+        options = setup.options
+        gusts, noise = options["gusts"], options["imu_noise"]
+        wind = Wind(setup.wind, gusts, options["gust_time"]) if gusts > 0.0 or any(setup.wind) else None
+        roll, pitch = options["floor_tilt"]
+        normal = rotation(np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))))[:, 2]
+        bodies = [built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
+        return cls(
+            setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
+            seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in asdict(Imu()).items()}),
+            ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"],
+            bodies=bodies, floor_normal=tuple(normal.tolist()), **more,
+        )  # fmt: skip
+
+    def link(self, i: int, kind: str = "fpqr") -> CrazyflieLink:
+        """The way to drone i for commands of this kind; raises ConfigError for one that the firmware does not know."""
+        if kind not in self.flies:
+            raise not_flown(i, kind, self.flies)
+        self._told_every[i] = 1 if kind in ON_BOARD else SELDOM
+        return CrazyflieLink(self.onboard[i], kind)
+
+    def see(self, i: int, pose: Pose) -> None:
+        """Tell the estimator on board; seldom where only rates are controlled there, as a radio's time is short."""
+        told = self._told[i] = self._told[i] + 1
+        if told % self._told_every[i] == 0:
+            self.onboard[i].external_pose(pose.p, pose.q)
+
+    @property
+    def failed(self) -> dict[int, str]:
+        """Drones of which something is no number any more, and what: no step mends that."""
+        parts = {
+            "the requests to its motors": self._firmware["request"],
+            "the commands of its motors": self._firmware["motors"],
+            "the state of its body": self.states,
+        }
+        return {
+            self.ids[row]: f"{part}: found {numbers[row].tolist()}; allowed: finite numbers"
+            for part, numbers in parts.items()
+            for row in np.flatnonzero(~np.isfinite(numbers).all(axis=1)).tolist()
+        }
+
+    def restore(self, i: int) -> None:
+        """As a MotorWorld does; its firmware is another's business."""
+        super().restore(i)
+        row = self.row[i]
+        self._firmware["vbat"][row] = self._firmware["vbat_low"][row] = self.vbat(i)
+
+    @property
+    def variables(self) -> Iterable[str]:
+        """What its drones log."""
+        return TABLE
+
+    def log(self, i: int, name: str) -> float:
+        """A log variable of drone i now, in the firmware's unit."""
+        return read(self._firmware, self.row[i], name)
+
+    def command(self, i: int, u: Vec | Sequence[float]) -> None:
+        """A set-point for drone i: u (4,) = thrust N, body rates rad/s; its firmware must be in rate mode."""
+        self.onboard[i].fpqr(*u)
+
+    def _run(self, time: int, steps: int) -> None:
+        if not np.any(self._firmware["controller"] == OUT_OF_TREE):
+            self._advance(time, steps)
+            return
+        for k in range(steps):
+            self._advance(time + k, 1)
+            for i in np.flatnonzero(self._firmware["law_due"]).tolist():
+                self.onboard[self.ids[i]].obey_law()
+
+    def _advance(self, time: int, steps: int) -> None:
+        _advance(
+            self.states,
+            self._lanes,
+            self.commands,
+            self.force,
+            self.torque,
+            self._below,
+            self.limited,
+            self._resting,
+            self.impact,
+            self._lift,
+            self._sensors,
+            time,
+            steps,
+            self._options,
+            self._firmware,
+        )

@@ -1,0 +1,122 @@
+"""How the motor-level world keeps its drones: eight side by side, so that one instruction computes several of them.
+
+A block is one flat array. Number c of the drone in lane l lies at m[c + l]; the names below are the c. A loop over the
+lanes of such a block has constant distances between everything that it reads and writes, which is what lets the
+compiler use vector instructions; each lane computes the same bits as it would alone.
+"""
+
+import math
+from itertools import count
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.numerics.math3d import Mat, Vec, kernel
+from crazychoir.platforms import Platform
+
+Number = TypeVar("Number", np.float64, np.uint64)
+
+LANES = 8
+
+_next = count(6 * 13 * LANES, LANES)
+
+# State: p m world, v m/s world, q body to world, w rad/s body; then the same 13 at a stage, and its four slopes.
+PX, PY, PZ, VX, VY, VZ, QX, QY, QZ, QW, WX, WY, WZ = range(0, 13 * LANES, LANES)
+STAGE, SLOPE1, SLOPE2, SLOPE3, SLOPE4 = range(13 * LANES, 6 * 13 * LANES, 13 * LANES)
+
+# Rotors 1 to 4: command (share of the firmware's greatest thrust), goal N, thrust N at the beginning of a step;
+# thrust N and its derivative by the speed, N/rpm, at a stage.
+U1, U2, U3, U4 = (next(_next) for _ in range(4))
+G1, G2, G3, G4 = (next(_next) for _ in range(4))
+F1, F2, F3, F4 = (next(_next) for _ in range(4))
+N1, N2, N3, N4 = (next(_next) for _ in range(4))
+S1, S2, S3, S4 = (next(_next) for _ in range(4))
+
+# What all rotors do to the body: force N along z, torques N m, angular momentum kg m2/s along z.
+LIFT, TX, TY, TZ, SPIN = (next(_next) for _ in range(5))
+# From outside: force N world, torque N m body, wind m/s world.
+EX, EY, EZ, OX, OY, OZ, AIRX, AIRY, AIRZ = (next(_next) for _ in range(9))
+# Specific force m/s2 body; what the sensors say of it and of w; their biases.
+SX, SY, SZ = (next(_next) for _ in range(3))
+GYROX, GYROY, GYROZ, ACCX, ACCY, ACCZ = (next(_next) for _ in range(6))
+BIAS1, BIAS2, BIAS3, BIAS4, BIAS5, BIAS6 = (next(_next) for _ in range(6))
+
+# 1 in the air and 0 on the floor; greatest touch-down speed m/s; of each motor, 1 until it is cut.
+FREE, IMPACT = (next(_next) for _ in range(2))
+ALIVE1, ALIVE2, ALIVE3, ALIVE4 = (next(_next) for _ in range(4))
+# Battery: what is left of the charge (1: full), V at its poles, greatest thrust N of one motor at that voltage.
+CHARGE, VOLTAGE, CEILING = (next(_next) for _ in range(3))
+
+# Constants of the platform.
+MASS, LIGHT, JX, JY, JZ, IJX, IJY, IJZ, ARM, DRAGX, DRAGY, DRAGZ = (next(_next) for _ in range(12))
+CURVE1, CURVE2, SPEED, TORQUE1, TORQUE2, INERTIA, BOOST = (next(_next) for _ in range(7))
+HALF, FULL, GROUND, MOST, LEAST = (next(_next) for _ in range(5))
+CELL_FULL, CELL_EMPTY, RESISTANCE, CAPACITY, IDLE, POWER = (next(_next) for _ in range(6))
+C0, C1, C2, C3 = (next(_next) for _ in range(4))
+SIZE = next(_next)
+
+block_fields = np.dtype([("m", np.float64, (SIZE,))])
+"""A block as a kernel gets it: a record, as to count references to an array takes a twelfth of a step."""
+blocks: Any = numba.from_dtype(block_fields)[::1]
+Blocks = npt.NDArray[np.void]
+
+
+def constants(platform: Platform, h: float, ground_effect: bool) -> dict[int, float]:
+    """The constants of a platform in SI but for rpm, by name; HALF and FULL are the rotors' decays in h/2 and h s."""
+    rotor, cell = platform.rotor, platform.battery
+    hover = platform.weight / 4.0
+    return {
+        MASS: platform.mass, JX: platform.inertia[0], JY: platform.inertia[1], JZ: platform.inertia[2],
+        LIGHT: 1.0 / platform.mass,
+        IJX: 1.0 / platform.inertia[0], IJY: 1.0 / platform.inertia[1], IJZ: 1.0 / platform.inertia[2],
+        ARM: platform.arm, DRAGX: platform.drag[0], DRAGY: platform.drag[1], DRAGZ: platform.drag[2],
+        CURVE1: rotor.thrust[0], CURVE2: rotor.thrust[1], TORQUE1: rotor.torque[0], TORQUE2: rotor.torque[1],
+        SPEED: 0.5 / rotor.thrust[1],
+        INERTIA: rotor.inertia * math.pi / 30.0, BOOST: rotor.inertia * math.pi / 30.0 / rotor.lag,
+        HALF: math.exp(-0.5 * h / rotor.lag), FULL: math.exp(-h / rotor.lag),
+        GROUND: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
+        MOST: platform.firmware.thrust_max, LEAST: platform.firmware.thrust_min,
+        CELL_FULL: cell.full, CELL_EMPTY: cell.empty, RESISTANCE: cell.resistance, CAPACITY: cell.capacity,
+        IDLE: cell.idle, POWER: 0.25 * cell.hover_power / hover**1.5,
+        C0: rotor.voltage[0], C1: rotor.voltage[1], C2: rotor.voltage[2], C3: rotor.voltage[3],
+    }  # fmt: skip
+
+
+def in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """(blocks, LANES) of values (N,); the last one where a lane is empty."""
+    return np.pad(values, (0, -len(values) % LANES), mode="edge").reshape(-1, LANES)
+
+
+@kernel()
+def take(m: Vec, first: int, x: Mat, commands: Mat, force: Mat, torque: Mat, below: Vec, limited: Vec) -> None:
+    """Fill a block from the rows of its drones: states, motor commands, and what pushes them from outside.
+
+    A command that is not a number leaves the one before; one that is not in 0..1 is counted.
+    """
+    for k in range(min(LANES, x.shape[0] - first)):
+        i, beyond = first + k, 0.0
+        for c in range(13):
+            m[c * LANES + k] = x[i, c]
+            m[STAGE + c * LANES + k] = x[i, c]
+        for c in range(4):
+            u = commands[i, c]
+            beyond = beyond if 0.0 <= u <= 1.0 else 1.0
+            m[U1 + c * LANES + k] = u if math.isfinite(u) else m[U1 + c * LANES + k]
+        for c in range(3):
+            m[EX + c * LANES + k] = force[i, c]
+            m[OX + c * LANES + k] = torque[i, c]
+        m[EZ + k] -= below[i]
+        limited[i] += beyond
+
+
+@kernel()
+def give(m: Vec, first: int, x: Mat, resting: Vec, impact: Vec, lift: Vec) -> None:
+    """Write a block back to the rows of its drones."""
+    for k in range(min(LANES, x.shape[0] - first)):
+        for c in range(13):
+            x[first + k, c] = m[c * LANES + k]
+        resting[first + k] = 1.0 - m[FREE + k]
+        impact[first + k] = m[IMPACT + k]
+        lift[first + k] = m[LIFT + k]

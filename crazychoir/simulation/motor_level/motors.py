@@ -1,0 +1,289 @@
+"""The motor-level world: rotors, bodies, air, batteries and inertial sensors at 1 kHz, one compiled pass a step."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+
+from crazychoir.errors import ConfigError
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Mat,
+    Triple,
+    Vec,
+    exponential,
+    kernel,
+    matrix,
+    memory,
+    product,
+    rotation,
+    table,
+    vector,
+)  # fmt: skip
+from crazychoir.platforms import CRAZYFLIE_21, Platform
+from crazychoir.simulation.common.draws import Keys, stream, uniform
+from crazychoir.simulation.common.truth import Truth
+from crazychoir.simulation.motor_level.air import Wind, blow, downwash
+from crazychoir.simulation.motor_level.battery import drain
+from crazychoir.simulation.motor_level.body import fly, obey
+from crazychoir.simulation.motor_level.floor import stand
+from crazychoir.simulation.motor_level.imu import Imu, measure
+
+# isort: off
+from crazychoir.simulation.motor_level.lanes import (
+    ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE1, ALIVE2, ALIVE3, ALIVE4, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ,
+    LANES, LIFT, N1, S1, SIZE, SX, U1, U2, U3, U4, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes,
+    take,
+)  # fmt: skip
+# isort: on
+
+H = 0.001
+"""s, one step of the motor-level model, as long as a tick of the firmware."""
+MOTORS = (ALIVE1, ALIVE2, ALIVE3, ALIVE4)
+"""Where it stands whether they turn."""
+SENSORS, BIASES, GUSTS = range(3)
+"""What random numbers are drawn for."""
+
+keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
+whole: Any = numba.int64
+
+
+@kernel(table, blocks, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector)
+def _advance(
+    x: Mat,
+    lanes: Blocks,
+    commands: Mat,
+    force: Mat,
+    torque: Mat,
+    below: Vec,
+    limited: Vec,
+    resting: Vec,
+    impact: Vec,
+    lift: Vec,
+    seeds: Keys,
+    time: int,
+    steps: int,
+    options: Vec,
+) -> None:
+    """Advance all drones by `steps` of H s from step number `time`, block by block; replaces x (N, 13).
+
+    options: (5,) normal of the floor, deviations of gyroscope and accelerometer.
+    """
+    normal = (options[0], options[1], options[2])
+    for b in range(lanes.shape[0]):
+        m = lanes[b].m
+        take(m, b * LANES, x, commands, force, torque, below, limited)
+        for step in range(steps):
+            measure(m, seeds[b], time + step, options[3], options[4])
+            obey(m)
+            fly(m, H)
+            stand(m, normal, H)
+        drain(m, steps * H)
+        give(m, b * LANES, x, resting, impact, lift)
+
+
+@kernel(table, keys, whole, vector)
+def _blow(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
+    """The wind at all drones for the next step; wind: (5,) mean, gust, decay. It starts as it goes on on average."""
+    for b in range(blocks.shape[0]):
+        blow(blocks[b], seeds[b], time, (wind[0], wind[1], wind[2]), wind[3], wind[4] if time > 0 else 0.0)
+
+
+class MotorWorld(Truth):
+    """Crazyflies with rotors that lag, batteries that sag and sensors that err, in air that moves.
+
+    ids, p0, yaw0, platform: as of Truth;  dt: s, of a step, a multiple of 1 ms;  seed: of everything that is drawn;
+    wind: None for still air;  imu: the sensors;  ground_effect, downwash: whether they act;  charge: of the batteries
+    at the start, 1 is full;  floor_normal: of what is under each drone, world; the floor itself is z = 0.
+
+    commands: (N, 4) shares of the firmware's greatest thrust, of motors 1 to 4;  force, torque: (N, 3) N world and N m
+    body, which push the drones from outside until they are changed.
+    A drone stands without slipping until its rotors carry it. One that starts on the floor has its motors stopped, one
+    in the air has those of hover, until its first command arrives. What is drawn for a drone is a function of
+    (seed, time, id) alone, so its flight depends on others by downwash only.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None = None,
+        platform: Platform | Sequence[Platform] = CRAZYFLIE_21,
+        dt: float = 0.01,
+        *,
+        seed: int = 0,
+        wind: Wind | None = None,
+        imu: Imu | None = None,
+        ground_effect: bool = True,
+        downwash: bool = True,
+        charge: float = 1.0,
+        floor_normal: Triple = (0.0, 0.0, 1.0),
+    ) -> None:
+        super().__init__(ids, p0, yaw0, platform, dt)
+        self._steps = round(dt / H)
+        if self._steps < 1 or abs(self._steps * H - dt) > 1e-9:
+            raise ConfigError("MotorWorld: dt", dt, "a multiple of 0.001 s")
+        n = len(self.ids)
+        self._normal = _upwards(floor_normal)
+        self.states[self._resting > 0.0, 6:10] = _tilted(self.states[self._resting > 0.0, 6:10], self._normal)
+        hover = [row.weight / (4.0 * row.firmware.thrust_max) for row in self.platforms]
+        self.commands = np.where(self._resting > 0.0, 0.0, hover)[:, None] * np.ones(4)
+        self.force, self.torque, self._below = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        self._lift = np.zeros(n)
+        self._radius = np.array([row.radius for row in self.platforms])
+        self._heads, self._chain = np.zeros(_buckets(n), np.int64), np.zeros((n, 3), np.int64)
+        self._downwash, self._wind = downwash and n > 1, wind
+        sensors = Imu() if imu is None else imu
+        self._options = np.array([*self._normal, *sensors.deviations(H)])
+        self._sensors, self._gusts = self._keys(seed, SENSORS), self._keys(seed, GUSTS)
+        self._blocks = np.zeros((-(-n // LANES), SIZE))
+        self._lanes = self._blocks.view(block_fields)[:, 0]
+        self._fill(seed, sensors, ground_effect, charge)
+        self._run(0, 0)
+        self._began = self._blocks.copy()
+
+    def _keys(self, seed: int, use: int) -> Keys:
+        """(blocks, LANES) the keys of the drones' streams; the last drone's where a lane is empty."""
+        return in_lanes(np.array([stream(seed, use, i) for i in self.ids], np.uint64))
+
+    def _fill(self, seed: int, sensors: Imu, ground_effect: bool, charge: float) -> None:
+        """Everything that a block keeps; the empty lanes of the last block repeat its last drone, motors cut."""
+        rows = [constants(platform, H, ground_effect) for platform in self.platforms]
+        for name in rows[0]:
+            self._put(name, np.array([row[name] for row in rows]))
+        for c in range(13):
+            self._put(c * LANES, self.states[:, c])
+        thrusts = self.commands * np.array([row.firmware.thrust_max for row in self.platforms])[:, None]
+        slopes = np.array([_slopes(row, f) for row, f in zip(self.platforms, thrusts, strict=True)])
+        for c in range(4):
+            self._put(F1 + c * LANES, thrusts[:, c])
+            self._put(N1 + c * LANES, thrusts[:, c])
+            self._put(S1 + c * LANES, slopes[:, c])
+        self._lift[:] = thrusts.sum(axis=1)
+        specific = np.array([GRAVITY * rotation(q)[2] for q in self.states[:, 6:10]])
+        drawn = [[uniform(key, c) for c in range(6)] for key in (stream(seed, BIASES, i) for i in self.ids)]
+        bias = np.array(drawn) * np.repeat([sensors.gyro_bias, sensors.acc_bias], 3)
+        for c in range(3):
+            self._put(SX + c * LANES, specific[:, c])
+        for c in range(6):
+            self._put(BIAS1 + c * LANES, bias[:, c])
+        self._put(CHARGE, np.full(len(self.ids), charge))
+        self._put(FREE, 1.0 - self._resting)
+        for motor in MOTORS:
+            self._put(motor, np.ones(len(self.ids)))
+        for row in range(len(self.ids), len(self._blocks) * LANES):
+            self._blocks[-1, [lane + row % LANES for lane in (FREE, *MOTORS)]] = 0.0
+
+    def _put(self, name: int, values: Vec) -> None:
+        self._blocks[:, name : name + LANES] = in_lanes(values)
+
+    def _of(self, i: int, name: int) -> float:
+        block, lane = divmod(self.row[i], LANES)
+        return float(self._blocks[block, name + lane])
+
+    def command(self, i: int, u: Vec | Sequence[float]) -> None:
+        """Hold u (4,), shares of the firmware's greatest thrust, for motors 1 to 4 of drone i from now on."""
+        self.commands[self.row[i]] = u
+
+    def cut(self, i: int) -> None:
+        """Stop the motors of drone i for good."""
+        self.turn(i, (False,) * len(MOTORS))
+
+    def turn(self, i: int, motors: Sequence[bool]) -> None:
+        """Which of motors 1 to 4 of drone i turn when they are told to."""
+        block, lane = divmod(self.row[i], LANES)
+        self._blocks[block, [motor + lane for motor in MOTORS]] = motors
+
+    def charge_to(self, i: int, charge: float) -> None:
+        """Another battery for drone i, so full: 0 to 1."""
+        block, lane = divmod(self.row[i], LANES)
+        self._blocks[block, CHARGE + lane] = charge
+
+    def restore(self, i: int) -> None:
+        """Put drone i back where it began, as it was then, whatever has become of it; the others fly on."""
+        row, (block, lane) = self.row[i], divmod(self.row[i], LANES)
+        began = self._began[block, lane::LANES]
+        self._blocks[block, lane::LANES] = began
+        self.states[row], self.commands[row] = began[:13], [self._of(i, c) for c in (U1, U2, U3, U4)]
+        self._resting[row], self.impact[row], self._lift[row] = 1.0 - self._of(i, FREE), 0.0, self._of(i, LIFT)
+
+    def vbat(self, i: int) -> float:
+        """V at the poles of drone i's battery, under load; 0 when it is empty."""
+        return self._of(i, VOLTAGE)
+
+    def charge(self, i: int) -> float:
+        """What is left in drone i's battery, 1 is full."""
+        return self._of(i, CHARGE)
+
+    def gyro(self, i: int) -> Vec:
+        """(3,) rad/s, body: what the gyroscope of drone i said last."""
+        return np.array([self._of(i, c) for c in (GYROX, GYROY, GYROZ)])
+
+    def accelerometer(self, i: int) -> Vec:
+        """(3,) m/s2, body: the specific force by the accelerometer of drone i, as it said last."""
+        return np.array([self._of(i, c) for c in (ACCX, ACCY, ACCZ)])
+
+    def wind(self, i: int) -> Vec:
+        """(3,) m/s, world, at drone i."""
+        return np.array([self._of(i, c) for c in (AIRX, AIRY, AIRZ)])
+
+    def below(self, i: int) -> float:
+        """N downwards, by which the wash of others pushes drone i."""
+        return float(self._below[self.row[i]])
+
+    def step(self) -> None:
+        """Advance every drone by dt; the air is that of the beginning of the step."""
+        if self._wind is not None:
+            wind = np.array([*self._wind.mean, self._wind.gust, math.exp(-self.dt / self._wind.time)])
+            _blow(self._blocks, self._gusts, self.tick, wind)
+        if self._downwash:
+            downwash(self.states, self._lift, self._radius, self._heads, self._chain, self._below)
+        self._run(self.tick * self._steps, self._steps)
+        self.tick += 1
+
+    def _run(self, time: int, steps: int) -> None:
+        _advance(
+            self.states,
+            self._lanes,
+            self.commands,
+            self.force,
+            self.torque,
+            self._below,
+            self.limited,
+            self._resting,
+            self.impact,
+            self._lift,
+            self._sensors,
+            time,
+            steps,
+            self._options,
+        )
+
+
+def _slopes(platform: Platform, f: Vec) -> Vec:
+    """(4,) N/rpm: how the thrusts f (4,) of the rotors change with their speed."""
+    c1, c2 = platform.rotor.thrust
+    return np.sqrt(c1 * c1 + 4.0 * c2 * f)
+
+
+def _buckets(n: int) -> int:
+    """A power of two, about twice n."""
+    return 1 << max(2 * n - 1, 1).bit_length()
+
+
+def _upwards(normal: Triple) -> Triple:
+    """A unit vector along the normal of a floor; ConfigError if it does not point upwards."""
+    length = math.sqrt(sum(c * c for c in normal))
+    if not math.isfinite(length) or not normal[2] > 0.5 * length:
+        raise ConfigError("MotorWorld: floor_normal", normal, "a vector within 60 degrees of (0, 0, 1)")
+    return (normal[0] / length, normal[1] / length, normal[2] / length)
+
+
+def _tilted(q: Mat, normal: Triple) -> Mat:
+    """Level attitudes (N, 4) turned by the shortest way so that their z axis is the normal."""
+    s = math.hypot(normal[0], normal[1])
+    a = math.atan2(s, normal[2]) / s if s > 0.0 else 0.0
+    turned = exponential(-a * normal[1], a * normal[0], 0.0)
+    return np.array([product(turned, row) for row in q]).reshape(-1, 4)

@@ -1,0 +1,1 @@
+"""Computation without flight: simulated algorithms and routing in many processes."""

@@ -1,0 +1,90 @@
+"""Programs of this machine that answer in JSON lines: started together, heard together, and all gone at the end."""
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any, Self
+
+from crazychoir.files.path_texts import child_environment
+
+
+class Ended(TimeoutError):
+    """A program has ended before its answer; number: which, as they were named."""
+
+    def __init__(self, number: int, last_words: str) -> None:
+        self.number = number
+        super().__init__("a process has ended before its answer" + (f": {last_words}" if last_words else ""))
+
+
+class Group:
+    """Programs started together; each answers by lines that are JSON objects; of what else it says the last is kept.
+
+    A program ends when its standard input does, so that none outlives this process however that ends; at the end of
+    the `with` all are killed, with what they have started.
+    """
+
+    def __init__(self, commands: list[list[str]]) -> None:
+        self._commands = commands
+        self._processes: list[subprocess.Popen[str]] = []
+        self._lines: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
+        self._last_words = ["" for _ in commands]
+
+    def __enter__(self) -> Self:
+        pipe = subprocess.PIPE
+        for number, command in enumerate(self._commands):
+            process = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, encoding="utf-8", errors="replace",
+                env=child_environment(), start_new_session=True,
+            )
+            self._processes.append(process)
+            threading.Thread(target=self._read, args=(number, process), daemon=True).start()
+        return self
+
+    def _read(self, number: int, process: "subprocess.Popen[str]") -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in process.stdout or ():
+                if line.startswith("{"):
+                    self._lines.put((number, line))
+                elif line.strip():
+                    self._last_words[number] = line.strip()
+        self._lines.put((number, ""))
+
+    def tell(self, word: str) -> None:
+        """One line to every program."""
+        for process in self._processes:
+            with contextlib.suppress(OSError):  # its end is heard as one
+                if process.stdin is not None:
+                    process.stdin.write(word + "\n")
+                    process.stdin.flush()
+
+    def answers(self, count: int, patience: float, complaint: str) -> Iterator[tuple[int, dict[str, Any]]]:
+        """The next `count` answers, each with its program's number.
+
+        Raises TimeoutError after `patience` s, and Ended if a program ends instead.
+        """
+        ends = time.perf_counter() + patience
+        for done in range(count):
+            try:
+                number, line = self._lines.get(timeout=max(0.0, ends - time.perf_counter()))
+            except queue.Empty:
+                raise TimeoutError(f"{count - done} of {count} processes {complaint} in {patience:g} s") from None
+            if not line:
+                raise Ended(number, self._last_words[number])
+            yield number, json.loads(line)
+
+    def __exit__(self, *exception: object) -> None:
+        for process in self._processes:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        for process in self._processes:
+            process.wait(5.0)
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    with contextlib.suppress(OSError):
+                        stream.close()

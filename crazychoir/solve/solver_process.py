@@ -1,0 +1,251 @@
+"""Some robots of a pickup-and-delivery team in a process of their own: `launch.team` starts it and tells it when."""
+
+import asyncio
+import ctypes
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.json_view import plain
+from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.port import Bus
+from crazychoir.errors import CrazyChoirError, RoundTimeout
+from crazychoir.launch.joining import joined
+from crazychoir.numerics import kernel_cache as cache
+from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
+from crazychoir.routing.distributed.plain_loop import member, warm
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.team.algorithm_run import run_algorithm
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph
+from crazychoir.types import PerNeighbor
+
+PR_SET_PDEATHSIG = 1
+SOLVE, REPLAY = "pickup_delivery", "replay"
+SHOWN = 4
+"""Looks at the progress a second."""
+Packed = bytes | dict[int, bytes]
+
+
+@dataclass
+class Robot:
+    """One robot: its part of the algorithm, its place in the network, and the records of its rounds; a Round itself.
+
+    cpu: s of thread time of each step;  payloads: the message of each round, encoded;  counters: of its messages when
+    its plan was there.
+    """
+
+    communicator: Communicator
+    agent: PickupDelivery
+    look: Callable[[PickupDelivery], None]
+    cpu: list[float] = field(default_factory=list)
+    payloads: list[Packed] = field(default_factory=list)
+    counters: dict[str, int] = field(default_factory=dict)
+    heavy = True
+
+    @property
+    def done(self) -> bool:
+        """Whether the plan is there."""
+        return self.agent.done
+
+    def message(self) -> Any:
+        """What the neighbours get, and a copy of it that no later change reaches."""
+        message = self.agent.message()
+        self.payloads.append(packed(message))
+        return message
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """One round more."""
+        began = time.thread_time()
+        self.agent.step(heard)
+        self.cpu.append(time.thread_time() - began)
+        self.look(self.agent)
+
+    def report(self) -> dict[str, Any]:
+        """What there is to say of it when all is over."""
+        return {"robot": self.communicator.id, "rounds": len(self.cpu), "cpu_s": sum(self.cpu), **self.counters}
+
+
+class Replay:
+    """The messages of a robot once more, as a Round that computes nothing."""
+
+    def __init__(self, payloads: list[Packed]) -> None:
+        self._payloads, self._k = payloads, 0
+
+    @property
+    def done(self) -> bool:
+        """Whether all have been sent."""
+        return self._k == len(self._payloads)
+
+    def message(self) -> Any:
+        """The next."""
+        return unpacked(self._payloads[self._k])
+
+    def step(self, heard: Mapping[int, Any]) -> None:
+        """Nothing to do."""
+        self._k += 1
+
+
+class Process:
+    """The robots `mine` of the team, from the start to their reports.
+
+    spec: what `launch.team` has written;  curve: [[s since GO, m], ...], each cost of a plan that was below the last.
+    """
+
+    def __init__(self, spec: dict[str, Any]) -> None:
+        self.spec = spec
+        self.robots: dict[int, Robot] = {}
+        self.curve: list[list[float]] = []
+        self._orders: asyncio.Queue[str] = asyncio.Queue()
+        self._clock: Clock
+        self._go_ns = 0
+        self._shown = 0.0
+        self._lock = threading.Lock()
+
+    async def run(self, clock: Clock) -> None:
+        """Join, wait for GO, solve, report; then the same messages again without computing."""
+        self._clock = clock
+        loop = asyncio.get_running_loop()
+        threading.Thread(target=self._obey, args=(loop,), daemon=True).start()
+        spec = self.spec
+        instance = Instance.load(spec["instance"])
+        links = Graph.from_neighbors({int(i): tuple(js) for i, js in spec["neighbors"].items()})
+        bus = Bus(clock, Impairment(spec["seed"], [Rule(spec["effects"])]), spec["process"], "solve")
+        await clock.compute(warm, instance.local(0), spec["method"])
+        neighbors = {j: links.neighbors(j) for j in links.ids}
+        for i in spec["mine"]:
+            agent = member(instance, neighbors, i, links.diameter(), spec["method"], Settings(**spec["settings"]))
+            communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
+            self.robots[i] = Robot(communicator, agent, self._look)
+        async with asyncio.TaskGroup() as group:
+            serving = None
+            if spec["connect"] or spec["listen"]:
+                link = ZenohLink(
+                    bus, spec["swarm"], listen=spec["listen"], connect=spec["connect"], incarnation=1, version="solve"
+                )
+                link.open()
+                serving = group.create_task(link.run())
+                await joined(link, links)
+            await self._work()
+            if serving is not None:
+                serving.cancel()
+
+    async def _work(self) -> None:
+        clock = self._clock
+        say({"ready": True, "start_cpu_s": time.process_time()})
+        await self._order("go")
+        self._go_ns, cpu = clock.now_ns(), time.process_time()
+        ended = await self._all(self._solve)
+        say({"solved": self._report(time.process_time() - cpu, ended)})
+        await self._order("replay")
+        began = clock.now_ns()
+        ended = await self._all(self._replay)
+        say({"replayed_s": (max(ended) - began) / SECOND})
+        await self._order("end")
+
+    async def _all(self, work: Any) -> list[int]:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(work(robot), name=f"robot {i}") for i, robot in self.robots.items()]
+        return [task.result() for task in tasks]
+
+    async def _solve(self, robot: Robot) -> int:
+        """All rounds of one robot; returns the instant at which its plan was there, ns."""
+        try:
+            await run_algorithm(robot.communicator, robot, channel=SOLVE)
+        except RoundTimeout as late:
+            raise late.simulated() from None
+        ended = self._clock.now_ns()
+        counters = robot.communicator.port.counters
+        robot.counters = {"messages": counters.sent, **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")}}
+        await robot.communicator.close(SOLVE)
+        return ended
+
+    async def _replay(self, robot: Robot) -> int:
+        """The same messages once more, without any computation."""
+        await run_algorithm(robot.communicator, Replay(robot.payloads), channel=REPLAY)
+        ended = self._clock.now_ns()
+        await robot.communicator.close(REPLAY)
+        return ended
+
+    def _look(self, agent: PickupDelivery) -> None:
+        """In the thread of a step: note a better plan; show how far all are, now and then."""
+        with self._lock:
+            self._note(agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND)
+
+    def _note(self, cost: float | None, now: float) -> None:
+        if cost is not None and (not self.curve or cost < self.curve[-1][1]):
+            self.curve.append([now, cost])
+        if self.spec["watched"] and now >= self._shown:
+            self._shown = now + 1.0 / SHOWN
+            progress = {i: robot.agent.progress for i, robot in self.robots.items()}
+            say({"progress": {i: [p.phase, p.round, p.cost] for i, p in progress.items()}})
+
+    def _report(self, cpu: float, ended: list[int]) -> dict[str, Any]:
+        robots = self.robots.values()
+        return {
+            "wall_s": (max(ended) - self._go_ns) / SECOND,
+            "cpu_s": cpu,
+            "steps": [max(times) for times in zip(*(robot.cpu for robot in robots), strict=True)],
+            "robots": [robot.report() for robot in robots],
+            "solutions": [robot.agent.solution.to_json() for robot in robots],
+            "curve": self.curve,
+        }
+
+    def _obey(self, loop: asyncio.AbstractEventLoop) -> None:
+        """In a thread: orders from standard input; its end is ours."""
+        for line in sys.stdin:
+            loop.call_soon_threadsafe(self._orders.put_nowait, line.strip())
+        os._exit(1)
+
+    async def _order(self, expected: str) -> None:
+        while await self._orders.get() != expected:
+            pass
+
+
+def packed(message: Any) -> Packed:
+    """A message as bytes, or one for each neighbour: what is kept of it is small, and no later change reaches it."""
+    if type(message) is PerNeighbor:
+        return {j: encode(value) for j, value in message.items()}
+    return encode(message)
+
+
+def unpacked(payload: Packed) -> Any:
+    """The message again."""
+    if isinstance(payload, dict):
+        return PerNeighbor({j: decode(value) for j, value in payload.items()})
+    return decode(payload)
+
+
+def say(answer: dict[str, Any]) -> None:
+    """One line to `launch.team`."""
+    sys.stdout.write(json.dumps(plain(answer)) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """The argument is the specification; what is wrong is said as an answer, and ends the process."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    cache.say = lambda text: say({"compiles": True} if text == cache.COMPILES else {"warning": text})
+    process = Process(json.loads(sys.argv[1]))
+    try:
+        run_wall(process.run)
+    except* CrazyChoirError as errors:
+        first: BaseException = errors
+        while isinstance(first, BaseExceptionGroup):
+            first = first.exceptions[0]
+        say({"error": str(first), "kind": type(first).__name__})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""All robots of an instance in this process, over the communicator and its simulated network, in virtual time."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
+from crazychoir.routing.distributed.plain_loop import joined, team, warm
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.schedule import outcome
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.solve.simulate import Run, simulate
+from crazychoir.team.graph import named
+
+Team = Mapping[int, PickupDelivery]
+
+
+def solve_here(
+    instance: Instance,
+    *,
+    method: str = "columns",
+    loss: float = 0.0,
+    graph: str = "ring",
+    seed: int = 0,
+    settings: Settings | None = None,
+    watch: Callable[[Team], None] = lambda team: None,
+    run: Run = run_virtual,
+) -> dict[str, Any]:
+    """Solve it together; returns what `crazychoir solve --json` prints.
+
+    startup_s: until all laws are loaded, and compiled if they were not;  wall_s: from then on;  critical_path_s: sum
+    over the rounds of the slowest robot's CPU time;  run: run_virtual, or run_wall.
+    Raises InstanceError, SolverError, ConfigError.
+    """
+    began = time.perf_counter()
+    links = named(graph, instance.robots, seed)
+    warm(instance.local(0), method)
+    agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings)
+    started = time.perf_counter() - began
+    history = simulate(
+        agents, links, loss=loss, network={"delay": 0.0}, seed=seed, record=(), watch=watch, run=run,
+        channel="pickup_delivery",
+    )  # fmt: skip
+    solution = joined(instance, [agent.solution for agent in agents.values()])
+    figures = ("messages", "lost", "resent", "bytes", "wall_s", "critical_path_s")
+    measured = {name: getattr(history, name) for name in figures} | {"startup_s": started}
+    return solution.to_json() | outcome(instance, solution.routes) | measured

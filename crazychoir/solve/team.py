@@ -1,0 +1,178 @@
+"""A pickup-and-delivery team in processes of this machine, over Zenoh, in real time."""
+
+import json
+import secrets
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from crazychoir.bus.impairment.rules import Rule
+from crazychoir.config.network import changes
+from crazychoir.config.swarm_config import LOCAL
+from crazychoir.errors import ConfigError, ProcessFailed
+from crazychoir.files.private_folder import scratch_folder
+from crazychoir.launch.network import held_ports
+from crazychoir.numerics.kernel_cache import say_once, shared_by_children, tell
+from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.routing.distributed.plain_loop import joined
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.plan import Solution
+from crazychoir.routing.instance.schedule import outcome
+from crazychoir.solve.group import Ended, Group
+from crazychoir.team.graph import Graph, named, span
+
+START_DEADLINE = 300.0
+"""s until all processes have loaded their kernels, which are compiled at the first use, and found each other."""
+DEADLINE = 600.0
+"""s from GO to the plan."""
+
+Progress = dict[int, tuple[str, int, float | None]]
+Answer = tuple[int, dict[str, Any]]
+
+
+def solve_in_processes(
+    instance: Instance,
+    processes: int,
+    *,
+    method: str = METHODS[0],
+    loss: float = 0.0,
+    burst: float | None = None,
+    graph: str = "ring",
+    seed: int = 0,
+    settings: Settings | None = None,
+    deadline: float = DEADLINE,
+    watch: Callable[[Progress], None] | None = None,
+) -> dict[str, Any]:
+    """Solve it together, the robots spread over so many processes; returns what `crazychoir solve --json` prints.
+
+        critical_path_s = sum over the rounds k of (max_i c_ik + T_k)
+
+    c_ik: s, thread CPU of robot i in round k;  T_k: s, the same round once more, by the same processes, with the same
+    payloads and loss, and no computation: what a team with a computer a robot would have needed, for here many robots
+    share one. wall_s: from GO until the last robot has the plan;  startup_s: until GO;  cpu_s: of all
+    processes, from GO;  curve: [[s, m], ...], the cost of the best plan over time.
+    burst: messages that are lost in a row, in the mean; else each is lost by itself.
+    deadline: s, of the whole solution.
+    Raises InstanceError, ConfigError, and ProcessFailed if a process fails, ends, or says nothing in time.
+    """
+    began = time.perf_counter()
+    links = named(graph, instance.robots, seed)
+    if not 1 <= processes <= instance.robots:
+        raise ConfigError("processes", processes, f"1 to {instance.robots}, the robots of {instance.name}")
+    if method not in METHODS:
+        raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
+    losses = changes({"loss": loss, "burst": burst})
+    rule = Rule({name: value for name, value in losses.items() if value is not None})
+    parts = [part.tolist() for part in np.array_split(np.arange(instance.robots), processes)]
+    with scratch_folder("crazychoir-solve-") as folder:
+        file = folder / "instance.json"
+        file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
+        common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
+                  "settings": asdict(settings or Settings())}  # fmt: skip
+        common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
+        with (
+            held_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
+            shared_by_children(folder),
+            Group(_commands(parts, common | {"base": base})) as group,
+        ):
+            run = _Run(group, parts, watch or (lambda progress: None))
+            run.wait("ready", START_DEADLINE, "do not find each other")
+            started = time.perf_counter() - began
+            group.tell("go")
+            solved = run.wait("solved", deadline + 10.0, "have no plan")
+            group.tell("replay")
+            replayed = run.wait("replayed_s", deadline + 10.0, "do not repeat the rounds")
+            group.tell("end")
+    return _result(instance, links, solved, replayed) | {"startup_s": started, "processes": processes}
+
+
+class _Run:
+    """The answers of the processes, in order; raises what goes wrong as ProcessFailed."""
+
+    def __init__(self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]) -> None:
+        self._group, self._parts, self._watch = group, parts, watch
+        self._progress: Progress = {}
+
+    def wait(self, key: str, patience: float, complaint: str) -> list[Any]:
+        """This answer of every process."""
+        found: dict[int, Any] = {}
+        for number, answer in self._heard(patience, complaint):
+            if key in answer:
+                found[number] = answer[key]
+            if len(found) == len(self._parts):
+                return [found[number] for number in sorted(found)]
+        raise ProcessFailed("the team", "no answer")
+
+    def _heard(self, patience: float, complaint: str) -> Iterator[Answer]:
+        ends = time.perf_counter() + patience
+        while True:
+            try:
+                yield from map(self._look, self._group.answers(1, ends - time.perf_counter(), complaint))
+            except Ended as error:
+                raise ProcessFailed(f"robots {span(self._parts[error.number])}", str(error)) from None
+            except TimeoutError as error:
+                raise ProcessFailed("the team's processes", str(error)) from None
+
+    def _look(self, heard: Answer) -> Answer:
+        number, answer = heard
+        if "compiles" in answer:
+            say_once()
+        if "warning" in answer:
+            tell(answer["warning"])
+        if "error" in answer:
+            raise ProcessFailed(f"robots {span(self._parts[number])}", f"{answer['kind']}: {answer['error']}")
+        if "progress" in answer:
+            self._progress |= {int(i): tuple(values) for i, values in answer["progress"].items()}
+            self._watch(dict(sorted(self._progress.items())))
+        return heard
+
+
+def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
+    """One command a process; each listens on a port of its own and connects to those before it."""
+    swarm = f"solve-{secrets.token_hex(4)}"
+    endpoints = [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))] if len(parts) > 1 else [""]
+    commands = []
+    for p, mine in enumerate(parts):
+        own = {"mine": mine, "swarm": swarm, "process": f"{p}-{swarm}", "connect": endpoints[:p]}
+        own["listen"] = endpoints[p : p + 1] if len(parts) > 1 else []
+        commands.append([sys.executable, "-m", "crazychoir.solve.solver_process", json.dumps(common | own)])
+    return commands
+
+
+def _result(
+    instance: Instance, links: Graph, solved: list[dict[str, Any]], replayed: list[float]
+) -> dict[str, Any]:
+    """The team's result from those of its processes."""
+    solution = joined(instance, [Solution.from_json(raw) for part in solved for raw in part["solutions"]])
+    robots = [robot for part in solved for robot in part["robots"]]
+    steps = [max(times) for times in zip(*(part["steps"] for part in solved), strict=True)]
+    totals = {key: sum(robot[key] for robot in robots) for key in ("messages", "lost", "resent", "bytes")}
+    return solution.to_json() | outcome(instance, solution.routes) | totals | {
+        "wall_s": max(part["wall_s"] for part in solved),
+        "cpu_s": sum(part["cpu_s"] for part in solved),
+        "critical_path_s": critical_path(steps, max(replayed)),
+        "critical_cpu_s": sum(steps),
+        "exchange_s": max(replayed),
+        "diameter": links.diameter(),
+        "robots": robots,
+        "curve": best_so_far([point for part in solved for point in part["curve"]]),
+    }  # fmt: skip
+
+
+def critical_path(steps: list[float], exchange: float) -> float:
+    """s: sum_k max_i c_ik + sum_k T_k; the rounds without computation follow each other, so `exchange` is their sum."""
+    return sum(steps, exchange)
+
+
+def best_so_far(points: list[list[float]]) -> list[list[float]]:
+    """Of [s, m] of several processes those that were below all before."""
+    best: list[list[float]] = []
+    for point in sorted(points):
+        if not best or point[1] < best[-1][1]:
+            best.append(point)
+    return best

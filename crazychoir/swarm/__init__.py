@@ -1,1 +1,0 @@
-"""Who is in the swarm, and how its members talk in rounds."""

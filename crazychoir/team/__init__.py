@@ -1,0 +1,1 @@
+"""The drones that work together: graph, barrier, epochs and rounds."""

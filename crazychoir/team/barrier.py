@@ -1,0 +1,395 @@
+"""Who flies together: the start barrier, and the epochs that follow when members come and go.
+
+Every drone's heartbeat says who it is and whom it hears. The coordinator is the lowest live id. It issues
+GO(roster) as soon as all members are there and each edge works in both directions, or, at the start deadline,
+when enough are there. A member that is LOST or joins makes a new epoch in two steps: the coordinator asks those who
+stay to hold their rounds (HOLD), each answers with the first round that it has not sent (HELD), and the roster
+counts from a round that nobody has reached. A newer epoch wins.
+"""
+
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from typing import Final, Literal
+
+import msgspec
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.port import Port
+from crazychoir.bus.presence import SILENCE, Presence, PresenceMonitor
+from crazychoir.bus.reliable import Reliable
+from crazychoir.bus.topics import HEARTBEAT, ROSTER
+from crazychoir.errors import CodecError, Refused
+from crazychoir.runtime.clock import SECOND
+from crazychoir.team.graph import Graph
+from crazychoir.team.messages import Beat, Go, Roster
+from crazychoir.team.strangers import Strangers
+
+__all__ = ["Barrier", "Beat", "Roster"]
+
+POLL: Final = 0.02
+REMEMBERED: Final = 1000
+"""Changes of presence."""
+
+
+@lru_cache(maxsize=2048)  # all drones of a process hear the same beat, as bytes
+def _read(payload: bytes) -> Beat:
+    return Beat.of(decode(payload))
+
+
+class Barrier:
+    """One drone's part in forming and keeping the team; also tells the communicator who is lost.
+
+    start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
+    first round that is held (set by `Communicator.follow`; 0 where nobody exchanges);  listeners: called
+    with each new roster;  history: (s, id, presence) of the newest changes;  refused: why this drone cannot fly: the
+    others hear it and do not wait for it;  apart: the parts that have no way to each other, where all of the swarm
+    have one; else empty.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        graph: Graph,
+        *,
+        mission_hash: str,
+        version: str,
+        seed: int = 0,
+        start: int | Literal["all"] = "all",
+        start_deadline: float = 30.0,
+        lost_after: float = 5.0,
+    ) -> None:
+        self.port, self.graph = port, graph
+        self.mission_hash, self.version, self.seed = mission_hash, version, seed
+        self.start, self.start_deadline = start, start_deadline
+        self.id = port.address
+        self.roster: Roster | None = None
+        self.beats: dict[int, Beat] = {}
+        self.hold: Callable[[], int] = lambda: 0
+        self.listeners: list[Callable[[Roster], None]] = []
+        self.history: list[tuple[float, int, str]] = []
+        self.refused = ""
+        self.apart = ""
+        self._refusals: dict[int, str] = {}
+        self._others = tuple(j for j in graph.ids if j != self.id)
+        self._known = frozenset(self._others)
+        self._came: dict[int, float] = {}
+        self._lost: dict[int, None] = {}
+        self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash)
+        self._checksum = 0
+        self._calm: dict[int, bytes] = {}
+        self._settled_ns = 0
+        self._next: dict[int, int] = {}
+        self._held: dict[int, int] = {}
+        self._halves: dict[int, int] = {}
+        self._give_up_ns = 0
+        self._target = 0
+        self._beaten: tuple[Beat | None, bytes] = (None, b"")
+        self.monitor = PresenceMonitor(port, self._others, self._beat, lost_after)
+        self.monitor.listeners.append(self._changed)
+        self.reliable = Reliable(port)
+        self.reliable.listen(ROSTER, self._told)
+        port.handlers[HEARTBEAT.number] = self._heard
+
+    @property
+    def absent(self) -> tuple[int, ...]:
+        """Drones of the mission that are not in the team."""
+        here = self.roster.members if self.roster is not None else {}
+        return tuple(j for j in self.graph.ids if j not in here)
+
+    def lost(self, j: int) -> bool:
+        """Whether j is LOST, or has left."""
+        return j in self._lost or (self.roster is not None and j not in self.roster.members)
+
+    def coordinator(self) -> int:
+        """The lowest live id of those who are in an epoch; before the first, of all."""
+        if self.roster is None:
+            live = [j for j in self._others if self._present(j)]
+            return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
+        settling = self.port.bus.clock.now_ns() < self._settled_ns
+        known = self.roster.members if settling else {}  # who has not adopted it by then never will
+        lower = (j for j in self._others if j < self.id and self._present(j))
+        return next((j for j in lower if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)), self.id)
+
+    async def go(self) -> Roster:
+        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one; and at
+        once, with the reasons, when those who cannot fly leave too few.
+
+        Who coordinates may have come later, and waits for as long from then on.
+        """
+        clock = self.port.bus.clock
+        ends = clock.now() + self.start_deadline
+        while self.roster is None:
+            if self._strangers.are_more(self.beats):
+                raise Refused(f"drone {self.id}", self._strangers.text())
+            if len(self.graph.ids) - len(self._refusals) < self._fewest:
+                raise Refused(f"drone {self.id}", f"{self._refusals_text()} Mend that, or {self._fewer_text()}.")
+            first = self.coordinator()
+            if first == self.id:
+                self._coordinate(clock.now() >= ends)
+            patient = max(ends, self._came.get(first, 0.0) + self.start_deadline) + 1.0
+            if clock.now() > patient and self.roster is None:
+                raise Refused(f"drone {self.id}", self._absent_text())
+            await clock.sleep(POLL, drone=self.id)
+        return self.roster
+
+    # Forming --------------------------------------------------------------------------------------------------
+
+    def _coordinate(self, late: bool) -> None:
+        members = [j for j in self.graph.ids if j == self.id or self._present(j)]
+        enough = len(members) == len(self.graph.ids) or (late and self.start != "all" and len(members) >= self.start)
+        if enough and not self._deaf(members):
+            self._issue(self._incarnations(members), 1, 0)
+
+    def _deaf(self, members: list[int]) -> list[tuple[int, int]]:
+        """Pairs (i, j): i should hear j, along an edge or to or from the coordinator, and does not."""
+        hears = {j: self.beats[j].hears for j in members if j != self.id} | {self.id: tuple(self.beats)}
+        first = self.coordinator()
+        inside = self._restricted(members)
+        needed = {i: dict.fromkeys((*inside.in_neighbors(i), *((first,) if i != first else members))) for i in members}
+        return [(i, j) for i in members for j in needed[i] if j != i and j not in hears[i]]
+
+    def _incarnations(self, members: list[int]) -> dict[int, int]:
+        return {j: self.port.incarnation if j == self.id else self.beats[j].incarnation for j in members}
+
+    def _restricted(self, members: list[int]) -> Graph:
+        arcs = [arc for arc in self.graph.arcs if arc[0] in members and arc[1] in members]
+        return Graph.from_edges(tuple(members), arcs, directed=True)
+
+    def _issue(self, members: dict[int, int], epoch: int, first_round: int) -> None:
+        graph = self._restricted(sorted(members))
+        directed = not graph.is_undirected
+        edges = [list(arc) for arc in (graph.arcs if directed else graph.edges())]
+        roster = Roster(epoch, members, edges, directed, self.seed, first_round, self.mission_hash, self.version)
+        for j in members:
+            if j != self.id:
+                self._tell(j, roster)
+        self._adopt(roster)
+
+    def _tell(self, j: int, roster: Roster) -> None:
+        bus = self.port.bus
+        self.reliable.send(ROSTER, j, Go(roster, bus.impairment.age(bus.clock.now())).wire())
+
+    def _told(self, source: int, payload: bytes) -> None:
+        """A roster, [epoch] to hold for, or [epoch, first round that is held, members of the sender's roster...]."""
+        try:
+            told = msgspec.convert(decode(payload), Go | list[int])
+        except (CodecError, msgspec.ValidationError):
+            self.port.counters.malformed += 1
+            return
+        epoch = self.roster.epoch if self.roster is not None else 0
+        if isinstance(told, Go):
+            roster = told.roster
+            ours = roster.mission_hash == self.mission_hash and roster.members.get(self.id) == self.port.incarnation
+            if ours and roster.epoch > epoch:
+                self._adopt(roster, told.age)
+        elif len(told) == 1 and told[0] > epoch:
+            self._asked(source, told[0])
+        elif len(told) >= 2 and told[0] == self._target and self._next:
+            self._holds(source, told[1], dict(zip(told[2::2], told[3::2], strict=False)))
+
+    def _asked(self, source: int, target: int) -> None:
+        """Somebody asks to hold: who has a lower id than we coordinates, who has a higher one will hear of us."""
+        if source < self.id:
+            self._next = {}
+        elif self.coordinator() == self.id:
+            return
+        members = self.roster.members if self.roster is not None else {}
+        self.reliable.send(
+            ROSTER, source, encode([target, self.hold(), *(n for pair in members.items() for n in pair)])
+        )
+
+    def _adopt(self, roster: Roster, age: float = 0.0) -> None:
+        self.port.bus.impairment.begin(self.port.bus.clock.now(), age)
+        before = self.roster.members if self.roster is not None else {}
+        for j in self._others:
+            if j not in roster.members:
+                self.beats.pop(j, None)
+            elif roster.members[j] != before.get(j) or j not in self.graph.neighbors(self.id):
+                self._lost.pop(j, None)  # the coordinator knows better
+        self.roster, self._checksum = roster, roster.checksum
+        parts = roster.graph.parts()
+        said = " | ".join(" ".join(map(str, part)) for part in parts)
+        self.apart = f"graph in {len(parts)} parts: {said}" if len(parts) > len(self.graph.parts()) else ""
+        self._next, self._held, self._halves, self._target = {}, {}, {}, 0
+        self._settled_ns = self.port.bus.clock.now_ns() + int(SILENCE * SECOND)  # others adopt it, and watch fewer
+        for listener in self.listeners:
+            listener(roster)
+        self._watch()
+
+    def _watch(self) -> None:
+        """After the start: the coordinator watches all, the others their neighbours and it; all, if it is silent."""
+        self._calm.clear()
+        if self.roster is None:
+            return
+        first = self.roster.ids[0]
+        alive = self.monitor.state(first) is Presence.ALIVE
+        calm = first != self.id and alive and self.coordinator() == first  # it may have come back without a team
+        near = {*self.graph.neighbors(self.id), first} - {self.id}
+        self.monitor.watched = tuple(sorted(near)) if calm else self._others
+
+    # Keeping --------------------------------------------------------------------------------------------------
+
+    def _beat(self) -> bytes:
+        epoch = self.roster.epoch if self.roster else 0
+        hears = () if self.roster else tuple(j for j in self.monitor.watched if self._present(j))
+        mission = self.mission_hash.partition(":")[0] if self.roster else self.mission_hash
+        lost, texts = tuple(self._lost), (mission, self.refused)
+        beat = Beat(self.port.incarnation, epoch, self._checksum, hears, lost, *texts)
+        if beat != self._beaten[0]:
+            self._beaten = beat, encode(beat.wire())
+        return self._beaten[1]
+
+    def _heard(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        if self._calm.get(source) == payload:
+            return  # what it has said before, and all was well
+        try:
+            beat = _read(payload)
+        except (CodecError, TypeError, ValueError):
+            self.port.counters.malformed += 1
+            return
+        if not self._strangers.heard(source, beat.mission_hash) and source in self._known:
+            if beat.refused:
+                self._refusals[source] = beat.refused.removeprefix(f"drone {source}: ")
+                if self.roster is None:
+                    self.beats.pop(source, None)
+                return
+            self._refusals.pop(source, None)
+            known = self.beats.get(source)
+            self.beats[source] = beat
+            if known is None or known.incarnation != beat.incarnation:
+                self._came[source] = self.port.bus.clock.now()
+                if self.roster is not None and source == self.roster.ids[0]:
+                    self._watch()
+            if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
+                self.monitor.watched += (source,)  # who watches us shall hear us
+            theirs = bool(beat.epoch) and source < self.id
+            if self.roster is not None and not theirs and self.coordinator() == self.id:
+                self._review(source, beat, self.roster)
+            agreed = beat.epoch > 0 and beat.checksum == self._checksum and source in self.monitor.watched
+            if agreed and not (beat.lost or self._lost or self._next):
+                self._calm[source] = payload
+
+    def _review(self, source: int, beat: Beat, roster: Roster) -> None:
+        """As coordinator: take in what a member reports of others, and members that are new or new again."""
+        members = self._next or roster.members
+        if dead := self._dead((*beat.lost, *self._lost), roster):
+            self._without(dead, roster)
+        elif members.get(source) != beat.incarnation:
+            self._lost.pop(source, None)
+            self._propose({**members, source: beat.incarnation}, roster)
+        elif self._next and beat.epoch >= self._target:
+            self._propose(dict(self._next), roster)  # it has gone on with another, while we did not hear it
+        elif self._next and source not in self._held and beat.epoch:
+            self.reliable.send(ROSTER, source, encode([self._target]))
+        elif self._next:
+            return
+        elif beat.epoch < roster.epoch:
+            self._tell(source, roster)
+        elif beat.epoch > roster.epoch or beat.checksum != self._checksum:
+            self._propose(dict(members), roster)  # two coordinators have issued rosters, out of each other's sight
+
+    def _changed(self, j: int, state: Presence) -> None:
+        self.history.append((self.port.bus.clock.now(), j, state.value))
+        del self.history[:-REMEMBERED]
+        roster = self.roster
+        if state is Presence.LOST:
+            self._lost[j] = None
+            if roster is not None and self.coordinator() == self.id:
+                dead = self._dead(self._lost, roster)  # also who was lost while another one coordinated
+                if dead or j in (self._next or roster.members):
+                    self._without([j, *dead], roster)
+        elif state is Presence.ALIVE:
+            self._lost.pop(j, None)
+        self._watch()
+
+    def _dead(self, lost: Iterable[int], roster: Roster) -> list[int]:
+        """Those of the next roster who are said to be lost, and whom we do not hear either."""
+        members = self._next or roster.members
+        return [j for j in lost if j in members and j != self.id and not self._alive(j)]
+
+    def _without(self, gone: list[int], roster: Roster) -> None:
+        self._lost.update(dict.fromkeys(gone))
+        members = self._next or roster.members
+        self._propose({j: incarnation for j, incarnation in members.items() if j not in gone}, roster)
+
+    def _propose(self, members: dict[int, int], roster: Roster) -> None:
+        """Ask those who run already to hold their rounds."""
+        self._calm.clear()
+        self._next = dict(sorted(members.items()))
+        epochs = [self.beats[j].epoch for j in members if j in self.beats]
+        before, self._target = self._target, max([self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))])
+        if self._target > before:
+            self._held = {}  # who held for a lower one may have gone on since
+        self._held[self.id] = self.hold()
+        clock = self.port.bus.clock
+        self._give_up_ns = clock.now_ns() + int(self.monitor.lost_after * SECOND)
+        clock.call_at(self._give_up_ns, self._give_up, drone=self.id)
+        for j in self._running(roster):
+            if j not in self._held:
+                self.reliable.send(ROSTER, j, encode([self._target]))
+        self._conclude()
+
+    def _give_up(self) -> None:
+        """Go on without those who have not held for so long, and are not heard; there may be nobody else to hear."""
+        roster = self.roster
+        if roster is not None and self._next and self.port.bus.clock.now_ns() >= self._give_up_ns:
+            waited = [j for j in self._running(roster) if j not in self._held]
+            self._without(self._dead(waited, roster), roster)
+
+    def _holds(self, source: int, first: int, theirs: dict[int, int]) -> None:
+        """Source holds; one from another half of the team brings all of its half along."""
+        self._held[source] = first
+        if self.roster is not None and source not in self.roster.members:
+            new = {j: theirs[j] for j in theirs if j in self._others and j not in self._next}
+            self._halves.update(new)
+            for j in new:
+                self._lost.pop(j, None)  # its half knows better
+            if new:
+                self._propose({**self._next, **new}, self.roster)
+        self._conclude()
+
+    def _running(self, roster: Roster) -> list[int]:
+        """Those of the next roster who are in an epoch now, maybe in another half of the team."""
+        known = {**self._halves, **roster.members}
+        here = [j for j, incarnation in self._next.items() if known.get(j) == incarnation]
+        return here + [j for j in self._next if j not in here and j in self.beats and self.beats[j].epoch]
+
+    def _conclude(self) -> None:
+        """Issue the next roster when all who run hold their rounds; it counts from the highest round + 2."""
+        roster = self.roster
+        if roster is None or not self._next or any(j not in self._held for j in self._running(roster)):
+            return
+        held = [self._held[j] + 1 for j in self._running(roster)]
+        self._issue(self._next, self._target, max([roster.first_round, *held]))
+
+    def _alive(self, j: int) -> bool:
+        heard_ns = self.port.heard_ns.get(j)
+        return heard_ns is not None and self.port.bus.clock.now_ns() - heard_ns < SILENCE * SECOND
+
+    def _present(self, j: int) -> bool:
+        return j in self.beats and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT) and j not in self._lost
+
+    @property
+    def _fewest(self) -> int:
+        """How many must be there."""
+        return len(self.graph.ids) if self.start == "all" else self.start
+
+    def _fewer_text(self) -> str:
+        """How the others may fly without."""
+        do = "set start = n" if self.start == "all" else f"lower start = {self.start}"
+        return f"{do} in the swarm file"
+
+    def _refusals_text(self) -> str:
+        """Who cannot fly, and why."""
+        return " ".join(f"drone {j} cannot fly: {why.rstrip('.')}." for j, why in sorted(self._refusals.items()))
+
+    def _absent_text(self) -> str:
+        """Who is absent, who does not hear whom, whose mission is another one; what to do."""
+        here = [j for j in self.graph.ids if j == self.id or self._present(j)]
+        known = {*here, *self._strangers.missions, *self._refusals}
+        absent = [j for j in self._others if j not in known]
+        said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
+        said += [self._refusals_text()] if self._refusals else []
+        said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
+        said += [self._strangers.text()] if self._strangers.missions else []
+        return " ".join([*said, f"Start their agents, look at the network, or {self._fewer_text()}."])

@@ -1,0 +1,252 @@
+"""The paper's verbs: send, receive, asynchronous_receive, neighbors_exchange, as coroutines over lossy links."""
+
+import asyncio
+from math import inf
+from typing import Any, Final, Literal
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.topics import ROUND
+from crazychoir.errors import CodecError, PeerLost, RoundTimeout
+from crazychoir.runtime.clock import SECOND, wake
+from crazychoir.team.channel import HISTORY, MAX_RTO, MIN_RTO, Channel
+from crazychoir.team.rounds import AHEAD, CREDIT, CREDIT_EVERY, DATA, FAILED, FIN, FIN_TOO, PUSH, REPEAT, Rounds
+from crazychoir.types import Failure, PerNeighbor
+
+LINGER: Final = 2.0
+LAST_WORDS: Final = 32
+"""Times that what must not get lost is said to those who need not ask: at 50 % loss all are lost once in 4e9 times."""
+FAREWELLS: Final = 3
+"""Times that a channel's end is told to those who need not answer."""
+
+Policy = Literal["raise", "partial", "hold"]
+
+
+class Communicator(Rounds):
+    """One drone's part in the team's exchanges, on a graph that may be directed and may change with the round.
+
+    rounds: sent since the start;  ahead: messages dropped because they were too far ahead.
+    """
+
+    # The verbs ------------------------------------------------------------------------------------------------
+
+    async def neighbors_exchange(
+        self,
+        data: Any,
+        in_neighbors: tuple[int, ...] | None = None,
+        out_neighbors: tuple[int, ...] | None = None,
+        *,
+        channel: str = "main",
+        deadline: float | None = None,
+        policy: Policy = "raise",
+    ) -> dict[int, Any]:
+        """Send `data` to the out-neighbours and wait for the same round of every in-neighbour.
+
+        A `PerNeighbor` gives each neighbour its own payload. Returns {j: value} in increasing j.
+        policy: at the deadline raise RoundTimeout, return the `partial` set, or `hold` the last value of the silent.
+        After a RoundTimeout the next exchange goes on with the same round, whose message has already been sent.
+        Raises RoundTimeout, PeerLost, RosterChanged, CodecError, AgentFailed when a neighbour has said that it goes on
+        no more, and is not waited for as long as it may be silent, and ChannelEnded when a neighbour has closed the
+        channel before this round, unless we have closed it there too: such a round would never come.
+        """
+        ch = self._channels.get(channel) or self.open(channel)
+        k = ch.sending
+        if k == ch.receiving:
+            if k >= ch.limit or ch.changed is not None:
+                await self._admit(ch, self.deadline if deadline is None else deadline, policy == "raise")
+                k = ch.sending
+            if k >= ch.until:
+                self._look(ch, k)
+            self._send_round(ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA)
+        elif ch.receiving >= ch.until:
+            self._look(ch, ch.receiving)
+        return await self._collect(ch, ch.ins if in_neighbors is None else in_neighbors, deadline, policy)
+
+    async def send(
+        self,
+        data: Any,
+        neighbors: tuple[int, ...] | None = None,
+        *,
+        channel: str = "main",
+        deadline: float | None = None,
+    ) -> None:
+        """Send the next message of a channel; pairs with `receive` (one each a round) or `asynchronous_receive`.
+
+        Waits only for those who `receive` and are a whole history behind.
+        Raises RoundTimeout, PeerLost, RosterChanged.
+        """
+        ch = self._channels.get(channel) or self.open(channel)
+        if ch.sending >= ch.limit or ch.changed is not None:
+            await self._admit(ch, self.deadline if deadline is None else deadline, patient=False)
+        k = ch.sending
+        readers = self._epochs.at(ch.joinable, k).out_neighbors(self.id) if neighbors is None else neighbors
+        self._send_round(ch, data, readers, DATA if ch.receiving >= k else AHEAD)
+
+    async def receive(
+        self,
+        neighbors: tuple[int, ...] | None = None,
+        *,
+        channel: str = "main",
+        deadline: float | None = None,
+        policy: Policy = "raise",
+    ) -> dict[int, Any]:
+        """Wait for the next message of every neighbour."""
+        ch = self._channels.get(channel) or self.open(channel)
+        k = ch.receiving
+        wanted = self._epochs.at(ch.joinable, k).in_neighbors(self.id) if neighbors is None else neighbors
+        return await self._collect(ch, wanted, deadline, policy)
+
+    async def asynchronous_receive(
+        self, neighbors: tuple[int, ...] | None = None, *, channel: str = "main", max_age: float = inf
+    ) -> dict[int, Any]:
+        """The latest message of each neighbour that has one not older than `max_age` s; never waits."""
+        ch = self._channels.get(channel) or self.open(channel)
+        k = ch.sending
+        wanted = self._epochs.at(ch.joinable, k).in_neighbors(self.id) if neighbors is None else neighbors
+        oldest_ns = self._clock.now_ns() - max_age * SECOND
+        found = {j: ch.latest[j] for j in wanted if j in ch.latest}
+        return {j: self._decoded(payload) for j, (_, payload, born_ns) in found.items() if born_ns >= oldest_ns}
+
+    async def close(self, channel: str = "main", linger: float = LINGER) -> None:
+        """End a channel: tell the neighbours (FIN) and serve the late ones, until all have finished or say nothing.
+
+        linger: s without a question from those who have not finished. Who uses the channel again goes on with its
+        next round; all must have closed it in the same round.
+        """
+        ch = self.open(channel)
+        n = ch.closed_at = max(ch.sending, ch.receiving)
+        last = self._epochs.at(ch.joinable, max(n - 1, 0)).neighbors(self.id)
+        neighbors = tuple(dict.fromkeys([*last, *(j for _, readers in ch.sent.values() for j in readers)]))
+        ends, answers, attempt, due_ns = self._clock.now() + linger, ch.answers, 0, self._clock.now_ns()
+        while late := [j for j in neighbors if ch.finished.get(j, -1) < n and not self._absent(j)]:
+            if ch.answers != answers:
+                ends, answers = self._clock.now() + linger, ch.answers
+            if self._clock.now() >= ends or ch.changed is not None:
+                return
+            if self._clock.now_ns() >= due_ns:  # not at any news: of n neighbours each would then ask n times
+                self._control(ch, FIN_TOO, tuple(late), n, attempt)
+                attempt, due_ns = attempt + 1, self._clock.now_ns() + round(2 * MIN_RTO * SECOND)
+            await self._pause(ch, (due_ns - self._clock.now_ns()) / SECOND)
+        for again in range(attempt, attempt + FAREWELLS):
+            self._control(ch, FIN, neighbors, n, again)
+        ch.sent.clear()
+        ch.oldest = ch.sending
+
+    async def fail(self, word: Failure) -> None:
+        """Say to all neighbours that we go on no more: who waits for us now or later, on any channel, need not.
+
+        They get AgentFailed, of `word`, instead of RoundTimeout at their deadline.
+        """
+        payload, flags = encode(word), self._flags | AHEAD
+        for k in range(LAST_WORDS):
+            readers = self._epochs.at(False, k).out_neighbors(self.id)
+            self.port.send(ROUND, readers, payload, k, FAILED, flags)
+            await self._clock.sleep(MIN_RTO, drone=self.id)
+
+    # Sending --------------------------------------------------------------------------------------------------
+
+    def _send_round(self, ch: Channel, data: Any, to: tuple[int, ...], kind: int) -> None:
+        k = ch.sending
+        flags = self._flags | kind
+        if type(data) is PerNeighbor:
+            if lacking := [j for j in to if j not in data]:
+                where = f"drone {self.id}: channel {ch.name!r}"
+                raise CodecError(f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}")
+            payloads = {j: encode(data[j]) for j in to}
+            ch.sent[k] = (payloads, to)
+            for j, payload in payloads.items():
+                self.port.send(ROUND, (j,), payload, k, ch.name, flags)
+        else:
+            payload = encode(data)
+            ch.sent[k] = (payload, to)
+            self.port.send(ROUND, to, payload, k, ch.name, flags)
+        ch.sending = k + 1
+        self.rounds += 1
+
+    async def _admit(self, ch: Channel, seconds: float, patient: bool = True) -> None:
+        """Wait until the next round may be sent: no reader is a history behind, and no new epoch is being made.
+
+        Not patient: wait only for those who have asked for rounds.
+        """
+        ends, attempt = self._clock.now() + seconds, 0
+        while True:
+            if ch.changed is not None:
+                error, ch.changed = ch.changed, None
+                raise error
+            late = ch.trim(self._epochs.gone, not patient)
+            held = ch.joinable and ch.sending >= self._epochs.held
+            if not held and ch.sending < ch.oldest + HISTORY:
+                break
+            lost = [j for j in late if self.membership.lost(j)]
+            if lost and not ch.joinable:
+                raise PeerLost(self.id, lost, self.silence(lost))
+            if self._clock.now() >= ends:
+                raise RoundTimeout(self.id, ch.name, ch.oldest, late or ch.ins, seconds)
+            await self._pause(ch, MAX_RTO)
+            attempt += 1
+            for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
+                self._again(ch, ch.oldest, j, 2 * PUSH + attempt, REPEAT)
+        ch.limit = int(min(ch.oldest + HISTORY, self._epochs.held if ch.joinable else inf))
+
+    async def _pause(self, ch: Channel, seconds: float) -> None:
+        """Wait for news of a channel, at most some seconds."""
+        gate = ch.gate = asyncio.get_running_loop().create_future()
+        due_ns = self._clock.now_ns() + round(seconds * SECOND)
+        alarm = self._clock.call_at(due_ns, wake, gate, drone=self.id)
+        try:
+            await gate
+        finally:
+            ch.gate = None
+            alarm.cancel()
+
+    # Receiving ------------------------------------------------------------------------------------------------
+
+    async def _collect(
+        self, ch: Channel, wanted: tuple[int, ...], deadline: float | None, policy: Policy
+    ) -> dict[int, Any]:
+        k = ch.receiving
+        box = ch.inbox.get(k)
+        if box is None:
+            box = ch.inbox[k] = {}
+        missing = dict.fromkeys(wanted)
+        for j in box:
+            missing.pop(j, None)
+        if missing:
+            ch.strict = policy == "raise"
+            waiter = self._expect(ch, missing, self.deadline if deadline is None else deadline)
+            try:
+                await waiter
+            except (RoundTimeout, PeerLost):
+                if policy == "raise":
+                    raise
+            finally:
+                self._expected(ch)
+        elif not wanted:
+            await self._clock.sleep(0.0, drone=self.id)
+        del ch.inbox[k]
+        ch.receiving = k + 1
+        if not k % CREDIT_EVERY:
+            self._grant(ch, k, wanted)
+        if policy == "hold":
+            box = {j: ch.latest[j][1] for j in wanted if j in ch.latest} | box
+        heard = {}
+        try:
+            for j in wanted:
+                if j in box:
+                    heard[j] = decode(box[j])
+        except CodecError:
+            self.port.counters.malformed += 1
+            raise
+        return heard
+
+    def _grant(self, ch: Channel, k: int, wanted: tuple[int, ...]) -> None:
+        """Tell those who do not hear us how far we are."""
+        one_way = tuple(j for j in wanted if not ch.reads(k, j))
+        if one_way:
+            self._control(ch, CREDIT, one_way, k + 1)
+
+    def _decoded(self, payload: bytes) -> Any:
+        try:
+            return decode(payload)
+        except CodecError:
+            self.port.counters.malformed += 1
+            raise

@@ -1,0 +1,100 @@
+"""What holds from which epoch, and from which round, on: who is a member, and who talks to whom."""
+
+from collections.abc import Iterable
+from math import inf
+from typing import Final
+
+from crazychoir.team.graph import Graph, GraphSequence
+
+AnyGraph = Graph | GraphSequence
+KEPT: Final = 16
+"""Graphs of earlier epochs that are kept for channels that are not there yet."""
+
+
+class Epochs:
+    """The compositions of one team, as one member knows them.
+
+    epoch: number of the present one;  members: incarnation by id, empty before the first roster;  gone: who has left;
+    known: whose messages count;  born: newest incarnation and its first round, by id;  gaps: whether anybody is,
+    or was, `silent`;  since: first round of its joinable channels;  held: the first round that may not be sent until
+    the next epoch.
+    """
+
+    def __init__(self, graph: AnyGraph) -> None:
+        self.epoch = 0
+        self.members: dict[int, int] = {}
+        self.gone: dict[int, None] = {}
+        self.born: dict[int, tuple[int, float]] = {}
+        self.gaps = False
+        self.since = 0
+        self.held: float = inf
+        self.replace(graph)
+
+    def replace(self, graph: AnyGraph) -> None:
+        """Another graph, for all rounds."""
+        self.graph = self._whole = graph
+        self.ids = graph.ids
+        self.known = dict.fromkeys(graph.ids)
+        self._graphs: list[tuple[int, AnyGraph]] = [(0, graph)]
+
+    @property
+    def first(self) -> int:
+        """The first round of the present graph."""
+        return self._graphs[-1][0]
+
+    def at(self, joinable: bool, k: int) -> Graph:
+        """The graph of round k of a channel."""
+        if not joinable:
+            return self.graph.at(k)
+        return next((graph for first, graph in reversed(self._graphs) if first <= k), self._graphs[0][1]).at(k)
+
+    def until(self, joinable: bool, k: int) -> float:
+        """The first round after k that may have another graph."""
+        if any(isinstance(graph, GraphSequence) for _, graph in self._graphs):
+            return k + 1
+        return next((first for first, _ in self._graphs if first > k), inf) if joinable else inf
+
+    def hold(self, rounds: list[int]) -> int:
+        """Hold the rounds from the highest of these on; asked again, the answer is the same."""
+        if self.held == inf:
+            self.held = max(rounds, default=0)
+        return int(self.held)
+
+    def renew(self, members: dict[int, int], first_round: int) -> None:
+        """Members of an epoch: who was started again since it was last known begins with the epoch's first round."""
+        for j, incarnation in members.items():
+            if j not in self.born:
+                self.born[j] = incarnation, -inf
+            elif self.born[j][0] != incarnation:
+                self.born[j] = incarnation, first_round
+                self.gaps = True
+
+    def silent(self, j: int, k: float) -> bool:
+        """Whether nothing of j will come in round k: it has left, or was started again and begins later."""
+        return j in self.gone or (j in self.born and k < self.born[j][1])
+
+    def begin(
+        self, epoch: int, gone: Iterable[int], joined: Iterable[int], graph: Graph | None, first_round: int
+    ) -> None:
+        """A new epoch; its graph counts from `first_round` on."""
+        self.epoch, self.held = epoch, inf
+        self.gone.update(dict.fromkeys(gone))
+        self.gaps = self.gaps or bool(self.gone)
+        for j in joined:
+            self.gone.pop(j, None)
+        if graph is not None:
+            self.known.update(dict.fromkeys(graph.ids))
+            self.graph = graph if isinstance(self._whole, Graph) else among(self._whole, graph.ids)
+            earlier = [(first, old) for first, old in self._graphs if first < first_round]
+            self._graphs = [*earlier[-KEPT:], (first_round, self.graph)]
+
+
+def among(sequence: GraphSequence, ids: tuple[int, ...]) -> GraphSequence:
+    """The same sequence for these drones only."""
+    inside = dict.fromkeys(ids)
+    return GraphSequence(
+        tuple(
+            Graph.from_edges(ids, [arc for arc in graph.arcs if arc[0] in inside and arc[1] in inside], directed=True)
+            for graph in sequence.graphs
+        )
+    )

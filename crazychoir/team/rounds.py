@@ -1,0 +1,432 @@
+"""The engine under the communicator: channels, arrivals, answers and resends, across the epochs of a team.
+
+Rounds need no acknowledgement: who waits for round k resends its own message of round k every RTO to those that
+it misses, and who gets such a repeated message answers with its own of that round. Where only one direction of an
+edge exists, the waiting side asks (WANT) and the reading side grants credit (CREDIT), so that a sender never runs
+further ahead than its history. So the answer of a round algorithm does not depend on the loss.
+"""
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Iterable
+from math import inf
+from typing import Final, Protocol
+
+from crazychoir.bus.codec import decode
+from crazychoir.bus.port import Port
+from crazychoir.bus.topics import ROUND
+from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
+from crazychoir.runtime.clock import SECOND, Alarm, wake
+from crazychoir.team.barrier import Barrier, Roster
+from crazychoir.team.channel import HISTORY, Channel
+from crazychoir.team.epochs import AnyGraph, Epochs
+from crazychoir.team.graph import Graph
+from crazychoir.types import Failure
+
+DATA, REPEAT, AHEAD, WANT, CREDIT, FIN, FIN_TOO, GONE = range(8)
+"""Kinds: a round's message, from one who has finished all rounds before it; the same again, and I lack yours; a round's
+message that says nothing of its sender's progress; I lack yours; so far I am; I have finished; I have, have you?; I no
+longer have rounds before this one."""
+KIND_BITS: Final = 3
+KINDS: Final = (1 << KIND_BITS) - 1
+CREDIT_EVERY: Final = 16
+MAX_CHANNELS: Final = 256
+MAX_EARLY: Final = 256
+"""Messages of channels and epochs that are not ours yet: later ones push out earlier ones."""
+MAX_EARLY_BYTES: Final = 8192
+"""How large each of them may be; a larger one is resent until it counts."""
+MAX_ROUND: Final = 1 << 48
+PUSH: Final = 1 << 20
+"""Attempts from here on are those that nobody asked for."""
+FAILED: Final = "failed"
+"""The channel on which an agent says that it goes on no more, on any channel."""
+SWEEP: Final = 5_000_000
+"""ns between two looks at those who wait; all drones of a process look at the same instants."""
+
+
+class Membership(Protocol):
+    """Who of the neighbours is gone for good."""
+
+    def lost(self, j: int) -> bool:
+        """Whether j is LOST."""
+        ...
+
+
+class _Everybody:
+    def lost(self, j: int) -> bool:
+        return False
+
+
+class Rounds:
+    """One drone's channels.
+
+    rounds: sent since the start;  ahead: messages dropped because they were too far ahead.
+    """
+
+    def __init__(
+        self, port: Port, graph: AnyGraph, membership: Membership | None = None, deadline: float = 60.0
+    ) -> None:
+        self.port, self.deadline = port, deadline
+        self.id = port.address
+        self.membership: Membership = membership or _Everybody()
+        self.rounds = 0
+        self.ahead = 0
+        self._epochs = Epochs(graph)
+        self._flags = 0
+        self._known = self._epochs.known
+        self._clock = port.bus.clock
+        self._now_ns, self._heard_ns = self._clock.now_ns, port.heard_ns
+        self._made_ns = self._now_ns()
+        self._channels: dict[str, Channel] = {}
+        self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(maxlen=MAX_EARLY)
+        self._alarm: Alarm | None = None
+        self._due_ns = 0
+        port.handlers[ROUND.number] = self._arrived
+        self.open(FAILED, joinable=True)  # who goes on no more does so in no epoch
+
+    @property
+    def graph(self) -> AnyGraph:
+        """Who talks to whom in the newest epoch."""
+        return self._epochs.graph
+
+    @graph.setter
+    def graph(self, graph: AnyGraph) -> None:
+        self._epochs.replace(graph)
+        self._known = self._epochs.known
+        for ch in self._channels.values():
+            ch.until = 0
+
+    @property
+    def epoch(self) -> int:
+        """Number of the team's present composition."""
+        return self._epochs.epoch
+
+    def silence(self, lost: Iterable[int]) -> float:
+        """s since the last message of any kind from any of these; of who was never heard since these rounds began."""
+        return (self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)) / SECOND
+
+    # Channels and epochs --------------------------------------------------------------------------------------
+
+    def open(self, channel: str, joinable: bool = False) -> Channel:
+        """Open (or find) a channel: an algorithm instance with rounds of its own.
+
+        A `joinable` one goes on across epochs; a new member begins with the first round of its epoch.
+        """
+        ch = self._channels.get(channel)
+        if ch is None:
+            self._make_room(channel)
+            ch = self._begin(channel, joinable)
+            self._replay()
+        elif joinable and not ch.joinable:
+            if ch.used:
+                raise ConfigError(
+                    f"drone {self.id}: channel {channel!r}", "joinable", "open it as joinable before its first round"
+                )
+            ch = self._begin(channel, joinable)
+        return ch
+
+    def follow(self, barrier: Barrier) -> None:
+        """Take part in the epochs of this barrier's rosters, from the first on."""
+        self.membership = barrier
+        barrier.hold = self.hold
+        barrier.listeners.append(self.adopt)
+        if barrier.roster is not None:
+            self.adopt(barrier.roster)
+
+    def hold(self) -> int:
+        """Send no further round of a joinable channel until the next epoch; returns the first round that is held."""
+        held = self._epochs.hold([ch.sending for ch in self._channels.values() if ch.joinable])
+        for ch in self._channels.values():
+            ch.limit = min(ch.limit, held) if ch.joinable else ch.limit
+        return held
+
+    def adopt(self, roster: Roster) -> None:
+        """A roster is in force: joinable channels change to its graph at its first round."""
+        before = self._epochs.members
+        self._epochs.members = dict(roster.members)
+        if self.id not in before:
+            self._epochs.since = roster.first_round
+        joined = tuple(j for j, incarnation in roster.members.items() if before.get(j) != incarnation)
+        self._epochs.renew(roster.members, roster.first_round)
+        absent = tuple(j for j in self._epochs.ids if j not in roster.members)
+        self.leave(absent, roster.epoch, joined, graph=roster.graph, first_round=roster.first_round)
+
+    def leave(
+        self,
+        gone: tuple[int, ...],
+        epoch: int,
+        joined: tuple[int, ...] = (),
+        graph: Graph | None = None,
+        first_round: int = 0,
+    ) -> None:
+        """The team has a new epoch: `joinable` channels go on with those who stay, the others raise RosterChanged."""
+        self._epochs.begin(epoch, gone, joined, graph, first_round)
+        self._flags = epoch << KIND_BITS
+        for ch in list(self._channels.values()):
+            if ch.joinable:
+                self._go_on(ch, gone, joined)
+            else:
+                self._restart(ch, RosterChanged(self.id, epoch, joined, gone))
+        self._replay()
+
+    def _go_on(self, ch: Channel, gone: tuple[int, ...], joined: tuple[int, ...]) -> None:
+        ch.until, ch.limit = 0, ch.oldest
+        ch.forget((*gone, *joined))
+        for j in [j for j in ch.missing if self._epochs.silent(j, ch.receiving)]:
+            del ch.missing[j]
+        if not ch.missing:
+            wake_if(ch.waiter)
+        wake_if(ch.gate)
+
+    def _restart(self, ch: Channel, error: RosterChanged) -> None:
+        """The channel is a new one; whoever was in the middle of the old one learns it now or at its next verb."""
+        new = self._begin(ch.name, False)
+        if ch.waiter is not None and not ch.waiter.done():
+            fail(ch, error)
+        elif ch.gate is not None:
+            ch.changed = error
+            wake_if(ch.gate)
+        elif ch.used:
+            new.changed = error
+
+    def _begin(self, name: str, joinable: bool) -> Channel:
+        ch = self._channels[name] = Channel.beginning(name, joinable, self._epochs.since if joinable else 0)
+        return ch
+
+    def _make_room(self, channel: str) -> None:
+        used = len(self._channels) - (FAILED in self._channels)
+        if used >= MAX_CHANNELS:
+            closed = next((name for name, ch in self._channels.items() if ch.closed_at >= 0 and not ch.used), None)
+            if closed is None:
+                where = f"drone {self.id}: channel {channel!r}"
+                raise ConfigError(where, used, f"{MAX_CHANNELS} channels at once", "Close some.")
+            del self._channels[closed]
+
+    def _absent(self, j: int) -> bool:
+        return j in self._epochs.gone or self.membership.lost(j)
+
+    # Sending --------------------------------------------------------------------------------------------------
+
+    def _look(self, ch: Channel, k: int) -> None:
+        """Who are the neighbours in round k, and until which round."""
+        graph = self._epochs.at(ch.joinable, k)
+        ch.ins, ch.outs = graph.in_neighbors(self.id), graph.out_neighbors(self.id)
+        ch.until = self._epochs.until(ch.joinable, k)
+
+    def _again(self, ch: Channel, k: int, j: int, attempt: int, kind: int) -> None:
+        payload = ch.stored(k, j)
+        if payload is not None:
+            self.port.counters.resent += 1
+            self.port.send(ROUND, (j,), payload, k, ch.name, self._flags | kind, attempt)
+
+    def _control(self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0) -> None:
+        self.port.send(ROUND, to, b"", k, ch.name, self._flags | kind, attempt)
+
+    # Arriving -------------------------------------------------------------------------------------------------
+
+    def _arrived(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        ch = self._channels.get(channel)
+        kind = DATA
+        if ch is None or flags != self._flags or number >= MAX_ROUND or source not in self._known:
+            if not self._counts(ch, source, payload, number, channel, flags, age):
+                return
+            ch, kind = self._channels[channel], flags & KINDS
+            if kind > AHEAD:
+                self._controlled(ch, kind, source, number)
+                return
+        latest = ch.latest.get(source)
+        if latest is None or number >= latest[0]:
+            heard_ns = self._heard_ns[source]
+            ch.latest[source] = (number, payload, heard_ns - int(age * SECOND) if age else heard_ns)
+            if kind != AHEAD:
+                ch.progress[source] = number
+        if kind == REPEAT:
+            self._answer(ch, number, source)
+        k, inbox = ch.receiving, ch.inbox
+        if k <= number < k + HISTORY:
+            box = inbox.get(number)
+            if box is None:
+                box = inbox[number] = {}
+            if source not in box:
+                box[source] = payload
+                missing = ch.missing
+                if number == k and source in missing:
+                    del missing[source]
+                    if not missing:
+                        wake_if(ch.waiter)
+        elif number >= k:
+            self.ahead += 1
+
+    def _counts(
+        self, ch: Channel | None, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
+    ) -> bool:
+        """Whether a message counts that is no plain message of our epoch, or of nobody or no channel that we know.
+
+        One of a channel or an epoch that may be ours soon is kept; one of an earlier epoch never will.
+        """
+        if number >= MAX_ROUND or source not in self._known:
+            self.port.counters.malformed += 1
+            return False
+        epoch = flags >> KIND_BITS
+        if ch is not None and (ch.joinable or epoch == self._epochs.epoch):
+            return True
+        if epoch >= self._epochs.epoch and len(payload) <= MAX_EARLY_BYTES:
+            born_ns = self.port.heard_ns[source] - int(age * SECOND)
+            self._early.append((source, payload, number, channel, flags, born_ns))
+        return False
+
+    def _replay(self) -> None:
+        """What came before its channel or its epoch may count now."""
+        early = list(self._early)
+        self._early.clear()
+        for source, payload, number, channel, flags, born_ns in early:
+            age = (self.port.heard_ns[source] - born_ns) / SECOND
+            self._arrived(source, payload, number, channel, flags, age)
+
+    def _answer(self, ch: Channel, number: int, source: int) -> None:
+        """Source repeats a round: it lacks our message of it, or does not know that we have read its own.
+
+        A round after our end it will never get: it is told that we have ended.
+        """
+        if number >= ch.sending:
+            self._farewell(ch, number, source)
+            return
+        self._serve(ch, number, source)
+        if number + 1 < ch.receiving or not ch.reads(number, source):
+            self._control(ch, CREDIT, (source,), ch.receiving, ch.answers)
+
+    def _serve(self, ch: Channel, number: int, source: int) -> None:
+        """Say a round again. One that is no longer kept was read by all who were in the team then: it never comes."""
+        ch.answers += 1
+        if ch.joinable and number < ch.oldest:
+            self._control(ch, GONE, (source,), ch.oldest, ch.answers)
+        else:
+            self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
+
+    def _skip(self, ch: Channel, number: int, source: int) -> None:
+        """Wait no longer for rounds of source before this one, in which it took us for lost: of earlier epochs only."""
+        first = ch.kept[source] = max(min(number, self._epochs.first), ch.kept.get(source, 0))
+        if ch.receiving < first and source in ch.missing:
+            del ch.missing[source]
+            if not ch.missing:
+                wake_if(ch.waiter)
+
+    def _farewell(self, ch: Channel, number: int, source: int) -> None:
+        """Tell who asks for a round that comes after our end that we have ended; a question that no linger counts."""
+        if 0 <= ch.closed_at <= number and ch.closed_at >= ch.sending:
+            ch.told += 1
+            self._control(ch, FIN, (source,), ch.closed_at, PUSH + ch.told)
+
+    def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
+        if kind == GONE:
+            self._skip(ch, number, source)
+            return
+        if kind >= FIN:
+            ch.finished[source] = max(number, ch.finished.get(source, -1))
+            if kind == FIN_TOO and number <= ch.closed_at:
+                ch.answers += 1
+                self._control(ch, FIN, (source,), ch.closed_at, ch.answers)
+        else:
+            ch.pacing[source] = None
+        ch.progress[source] = max(min(number, ch.sending), ch.progress.get(source, 0))
+        if kind == WANT:
+            self._farewell(ch, number, source)
+            self._serve(ch, number, source)
+        wake_if(ch.gate)
+
+    # Looking after those who wait -----------------------------------------------------------------------------
+
+    def _expect(self, ch: Channel, missing: dict[int, None], seconds: float) -> "asyncio.Future[None]":
+        """Wait for the messages of these; `_expected` ends it."""
+        if ch.waiter is not None:
+            where = f"drone {self.id}: channel {ch.name!r}"
+            raise ConfigError(where, "two who wait on it", "one", "Give each algorithm a channel of its own.")
+        waiter = ch.waiter = self._clock.future()
+        epochs = self._epochs
+        if epochs.gaps or ch.kept:
+            k = ch.receiving if ch.joinable else inf
+            missing = {j: None for j in missing if not epochs.silent(j, k) and k >= ch.kept.get(j, 0)}
+            if not missing:
+                waiter.set_result(None)
+        ch.missing = missing
+        now_ns = ch.since_ns = self._now_ns()
+        ch.attempt = ch.resend_ns = 0
+        due_ns = ch.deadline_ns = now_ns + int(SECOND * seconds)
+        if self._alarm is None or due_ns < self._due_ns:
+            self._schedule(now_ns)
+        return waiter
+
+    def _expected(self, ch: Channel) -> None:
+        ch.waiter = None
+        if not ch.resend_ns:
+            ch.round_time *= 0.875  # quicker than a look
+        elif ch.attempt == 0:
+            ch.round_time += 0.125 * ((self._clock.now_ns() - ch.since_ns) / SECOND - ch.round_time)
+
+    def _schedule(self, now_ns: int) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
+        self._due_ns = min([now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in self._waiting())])
+        self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
+
+    def _sweep(self) -> None:
+        self._alarm = None
+        now_ns = self._clock.now_ns()
+        for ch in self._waiting():
+            lost = () if ch.joinable else tuple(j for j in ch.missing if self.membership.lost(j))
+            if lost:
+                fail(ch, PeerLost(self.id, lost, self.silence(lost)))
+            elif ch.strict and (word := self._failure(ch.missing)):
+                fail(ch, AgentFailed(word.agent, word.reason))
+            elif now_ns >= ch.deadline_ns:
+                seconds = (ch.deadline_ns - ch.since_ns) / SECOND
+                fail(ch, RoundTimeout(self.id, ch.name, ch.receiving, ch.missing, seconds))
+            elif not ch.resend_ns:
+                ch.resend_ns = ch.since_ns + int(SECOND * ch.rto(0))
+            elif now_ns >= ch.resend_ns:
+                if ch.strict and (ended := ch.ended()):
+                    fail(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
+                else:
+                    self._resend(ch, now_ns)
+        if self._waiting():
+            self._schedule(now_ns)
+
+    def _failure(self, missing: Iterable[int]) -> Failure | None:
+        """What the first of these has said on FAILED, if any has."""
+        said = self._channels[FAILED].latest
+        for j in missing:
+            if j in said:
+                with contextlib.suppress(CodecError):
+                    word = decode(said[j][1])
+                    return word if isinstance(word, Failure) else None
+        return None
+
+    def _waiting(self) -> list[Channel]:
+        """The channels on which somebody waits."""
+        return [ch for ch in self._channels.values() if ch.waiter is not None and not ch.waiter.done()]
+
+    def _resend(self, ch: Channel, now_ns: int) -> None:
+        """Whoever is missing may have sent and lost its message of this round, or may lack ours of the one before."""
+        ch.attempt += 1
+        ch.resend_ns = now_ns + int(SECOND * ch.rto(ch.attempt))
+        k = ch.receiving
+        for j in list(ch.missing):
+            if ch.reads(k - 1, j):
+                self._again(ch, k - 1, j, PUSH + ch.attempt, AHEAD)
+            if ch.reads(k, j):
+                self._again(ch, k, j, 2 * ch.attempt, REPEAT)
+            else:
+                self._control(ch, WANT, (j,), k, ch.attempt)
+
+
+def wake_if(waiter: "asyncio.Future[None] | None") -> None:
+    """Resolve a waiter, if there is one."""
+    if waiter is not None:
+        wake(waiter)
+
+
+def fail(ch: Channel, error: Exception) -> None:
+    """End the wait of a channel with an error."""
+    if ch.waiter is not None and not ch.waiter.done():
+        ch.waiter.set_exception(error)

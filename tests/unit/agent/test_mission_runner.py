@@ -1,0 +1,140 @@
+"""What a mission returns is checked once, and is the same for every reader."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from virtual_time import virtual
+
+from crazychoir.agent.mission_runner import FIT, LANDING_DEADLINE, GuidanceActor, checked
+from crazychoir.bus.codec import MAX_PAYLOAD
+from crazychoir.errors import Refused
+from crazychoir.guidance.member import PATIENCE
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import State
+
+
+class Lands:
+    """A pilot that is in the air until `down`, s; others keep it up until then, or nobody does."""
+
+    drone, held, mode, note, unreached = 4, False, Mode.LAND, "keeps clear of drone 2", False
+
+    def __init__(self, clock, down, kept_up):
+        self.clock, self._down, self._kept_up, self.cut_at = clock, down, kept_up, None
+
+    @property
+    def airborne(self):
+        return self.cut_at is None and self.clock.now() < self._down
+
+    @property
+    def clearance(self):
+        return SimpleNamespace(gave_way=self.clock.now() if self._kept_up else -1.0)
+
+    def remaining(self):
+        return 0.0
+
+    def cut(self, reason):
+        self.cut_at = self.clock.now()
+
+
+@virtual
+async def test_one_that_others_keep_up_is_never_cut(clock):
+    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=True)
+    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    assert pilot.cut_at is None
+    assert clock.now() == pytest.approx(3.0 * PATIENCE, abs=0.1)
+
+
+@virtual
+async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(clock):
+    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    assert pilot.cut_at == pytest.approx(LANDING_DEADLINE, abs=0.1)
+
+
+@virtual
+async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clock):
+    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    pilot.unreached = True
+    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    assert pilot.cut_at is None
+
+
+@virtual
+async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(clock):
+    monitor = SimpleNamespace(silent=False)
+    barrier = SimpleNamespace(monitor=monitor, refused="")
+    port = SimpleNamespace(bus=SimpleNamespace(clock=clock))
+    drone = SimpleNamespace(id=4, port=port, barrier=barrier, unfit=lambda: ["no such parameter", "battery at 3.1 V"])
+    config = SimpleNamespace(reached=(4,), radio=SimpleNamespace(connect_deadline=10.0))
+    with pytest.raises(Refused, match="no such parameter; battery"):
+        await GuidanceActor(drone, config, None)._until_fit()
+    assert clock.now() == pytest.approx(10.0 + FIT, abs=0.1)
+    assert (barrier.refused, monitor.silent) == ("no such parameter; battery at 3.1 V", False)
+
+
+def test_a_result_arrives_as_it_would_over_the_network():
+    result = checked({"far": np.float32(0.5), "n": np.int64(3), "by": {1: (2, 3)}, "at": np.arange(3.0)})
+    assert (result["success"], result["far"], result["n"], result["by"]) == (True, 0.5, 3, {1: [2, 3]})
+    assert (type(result["far"]), type(result["n"])) == (float, int)
+    assert isinstance(result["at"], np.ndarray)
+    assert not result["at"].flags.writeable
+    assert isinstance(checked({"me": State.at((1, 2, 3))})["me"], State)
+
+
+@pytest.mark.parametrize("yes", [True, np.True_, 1])
+@pytest.mark.parametrize("no", [False, np.False_, 0])
+def test_success_is_a_truth_value(yes, no):
+    assert checked({"success": yes})["success"] is True
+    assert checked({"success": no})["success"] is False
+
+
+@pytest.mark.parametrize("nothing", [None, {}])
+def test_nothing_is_a_success(nothing):
+    assert checked(nothing) == {"success": True}
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        ([1], "a list; allowed: a dictionary, or nothing"),
+        ({"success": "False"}, "success = 'False'; allowed: True or False"),
+        ({"success": np.array([True, False])}, "success = array"),
+        ({"seen": {1, 2}}, r"value\['seen'\]: found a set"),
+        ({"film": bytes(MAX_PAYLOAD)}, "bytes when encoded; allowed: "),
+    ],
+)
+def test_what_a_mission_may_not_return(returned, said):
+    with pytest.raises(TypeError, match=said):
+        checked(returned)
+
+
+class Stopped:
+    """A pilot whose motors were cut for this reason, empty: they were not."""
+
+    note, brought_down, at_fence, mode, airborne = "", "", 0, Mode.CUT, False
+    clearance, guard = SimpleNamespace(ticks=0), SimpleNamespace(latched="")
+
+    def __init__(self, cut_for):
+        self.cut_for = cut_for
+
+
+@pytest.mark.parametrize("cut_for", ["emergency stop", ""])
+def test_who_ends_a_mission_after_an_emergency_stop_is_not_its_reason(cut_for):
+    @virtual
+    async def check(clock):
+        actor = GuidanceActor(SimpleNamespace(id=4, pilot=Stopped(cut_for)), None, None)
+        actor.abort("Ctrl-C (SIGINT): landing")
+        assert actor.over == (cut_for or "Ctrl-C (SIGINT): landing")
+
+    check()
+
+
+@virtual
+async def test_what_has_broken_a_drone_is_said_once(clock):
+    drone = SimpleNamespace(id=4, pilot=Stopped(""), harm=lambda: "locked")
+    actor = GuidanceActor(drone, None, None)
+    refused = "drone 4: refused: locked"
+    assert actor._judged({"success": False, "reason": refused})["reason"] == refused
+    assert actor._judged({"success": False, "reason": "it fell"})["reason"] == "it fell; locked"
+    assert actor._judged({"success": False})["reason"] == "locked"

@@ -1,0 +1,66 @@
+"""What Zenoh says of connections that fail for a certificate, and what we make of it."""
+
+import logging
+
+import pytest
+
+from crazychoir.bus.network.handshakes import MOST, Overheard
+
+CONNECT = "zenoh::net::runtime::orchestrator: Unable to connect to configured peer tls/10.0.0.1:7460!"
+AT = "2026-11-25T02:25:06.566105Z  WARN acc-0 ThreadId(05) "
+LATE = AT + "zenoh_link_tls::unicast: certificate expired ({} seconds ago). Hint: increase the system open file limit."
+CARGO = "at /root/.cargo/git/checkouts/zenoh/io/zenoh-links/zenoh-link-tls/src/unicast.rs:226.. Retry in 1s."
+NONE = (
+    f"\x1b[2m{AT}\x1b[0m zenoh_link_tls::unicast: peer sent no certificates. Hint: increase the system open file limit."
+)
+ALERT = f"{AT} {CONNECT} received fatal alert: CertificateExpired {CARGO}"
+ISSUER = (
+    f"{AT} {CONNECT} Can not create a "
+    f"new TLS link bound to IpAddress(V4(Ipv4Addr([10, 0, 0, 1]))): invalid peer certificate: UnknownIssuer {CARGO}"
+)
+ABSENT = f"{AT} {CONNECT} Connection refused (os error 111) {CARGO}"
+
+
+@pytest.fixture
+def said(caplog):
+    caplog.set_level(logging.WARNING)
+    return lambda: [record.getMessage() for record in caplog.records]
+
+
+def test_who_is_turned_away_is_said_once(said):
+    heard = Overheard()
+    for seconds in range(2):
+        assert heard.line(NONE)
+        assert heard.line(LATE.format(seconds))
+    assert said() == [
+        "somebody connected and was turned away: peer sent no certificates. Nothing of it was read",
+        "somebody connected and was turned away: certificate expired (0 seconds ago). Nothing of it was read",
+    ]
+
+
+def test_who_turns_us_away_is_said_with_where_and_why(said):
+    heard = Overheard()
+    assert all(heard.line(text) for text in (ALERT, ISSUER, ALERT))
+    where = "tls/10.0.0.1:7460 and we do not accept each other's certificate: "
+    assert said() == [
+        f"{where}received fatal alert: CertificateExpired. See `crazychoir doctor`",
+        f"{where}invalid peer certificate: UnknownIssuer. See `crazychoir doctor`",
+    ]
+
+
+def test_who_is_not_there_yet_is_nothing_to_say(said):
+    assert Overheard().line(ABSENT)
+    assert said() == []
+
+
+def test_what_is_not_zenoh_s_is_left(said):
+    assert not Overheard().line("a mission prints")
+    assert not Overheard().line("")
+    assert said() == []
+
+
+def test_nobody_fills_the_log(said):
+    heard = Overheard()
+    for n in range(2 * MOST):
+        heard.line(f"{AT} zenoh_link_tls::unicast: reason {chr(n)}{n}. Hint: increase the system open file limit.")
+    assert len(said()) == MOST

@@ -1,0 +1,349 @@
+"""Peers, HELLO, endpoints and public copies, without a network."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from crazychoir.bus.clock_offset import Offset
+from crazychoir.bus.codec import encode
+from crazychoir.bus.network import endpoints
+from crazychoir.bus.network.access import Access
+from crazychoir.bus.network.hello import TIE, Hello
+from crazychoir.bus.network.peers import MAX_PEERS, NEW, Peer, Peers
+from crazychoir.bus.network.public_topics import as_json
+from crazychoir.bus.port import BODIES, EYES, OBSERVER, Bus, Interest
+from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.errors import CodecError, ConfigError, Refused
+from crazychoir.runtime.clock import Clock
+from crazychoir.types import FPQR, FullState, State, Status
+
+
+def hello(process: str = "b", drones: tuple[int, ...] = (1,), **changes: Any) -> Hello:
+    fields = {"host": "there", "incarnation": 2, "version": "1", "uptime": 1.0, "observers": []}
+    fields |= {"interests": [], "heard": ["a"], "stopped": False}
+    return Hello(process=process, drones=list(drones), **{**fields, **changes})
+
+
+class Still(Clock):
+    """Stands still until it is set."""
+
+    ns = 0
+
+    def now_ns(self) -> int:
+        return self.ns
+
+
+class Here:
+    """Process a with drone 0, and what it was told."""
+
+    def __init__(self, uptime: float = 0.0, agreed: dict[str, str] | None = None) -> None:
+        self.clock = Still()
+        self.bus = Bus(self.clock, process="a", host="here")
+        self.bus.port(0)
+        self.tokens: list[tuple[list[int], bool]] = []
+        self.refused: list[Refused] = []
+        self.peers = Peers(
+            self.bus, "s", 1, "1", None, lambda ids, there: self.tokens.append((ids, there)), self.refused.append,
+            agreed,
+        )  # fmt: skip
+        self.clock.ns = round(uptime * 1e9)
+
+    def hear(self, said: Hello, age: float = 0.0) -> bool:
+        peer = self.peers.came("there", said.process, "token") or self.peers.by_name[said.process]
+        return self.peers.greeted(peer, said.payload(), age)
+
+
+WORLD = hello("world", (), observers=[BODIES], agreed={"drones": "ab", "plant": "cd"})
+
+
+@pytest.mark.parametrize("uptime", [0.5, 60.0])
+def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(uptime, caplog) -> None:
+    here = Here(uptime, {"drones": "ab", "plant": "ef"})
+    here.hear(WORLD)
+    what = "process world on host there has another swarm file than this process, with another plant"
+    if uptime < 1.0:
+        assert [str(refused) for refused in here.refused] == [
+            f"swarm s: refused: {what}. Copy one file to every host, and start both again."
+        ]
+    else:
+        assert (here.refused, what in caplog.text) == ([], True), "who came later ends, and says so"
+    assert here.peers.directory == {}
+
+
+@pytest.mark.parametrize("said", [
+    WORLD, hello("b", (1,), agreed={"drones": "another", "plant": "ef"}), hello("observer", (), observers=[OBSERVER]),
+])  # fmt: skip
+def test_who_owns_nothing_is_judged_by_others_or_may_look_on(said) -> None:
+    here = Here(0.5, {"drones": "ab", "plant": "cd"})
+    here.hear(said)
+    assert here.refused == []
+    assert set(here.peers.directory) == set(said.addresses)
+
+
+@pytest.fixture
+def here() -> Here:
+    return Here()
+
+
+def test_a_peer_is_known_from_token_to_token(here: Here) -> None:
+    assert here.hear(hello(heard=[])) is True, "it does not know us"
+    assert here.hear(hello()) is False
+    assert here.peers.directory[1].process == "b"
+    assert here.peers.went("elsewhere", "b", "token") is None, "the token of another host"
+    assert here.peers.went("there", "b", "token") is not None
+    assert (here.peers.directory, here.peers.by_name) == ({}, {})
+    assert here.tokens == [([1], True), ([1], False)]
+
+
+def test_a_peer_is_there_while_one_of_its_tokens_is(here: Here) -> None:
+    here.hear(hello())
+    assert here.peers.came("there", "b", "another") is None
+    assert here.peers.came("elsewhere", "b", "a third, of another host") is None
+    assert here.peers.went("there", "b", "token") is None
+    assert here.peers.directory[1].process == "b"
+    assert here.peers.went("there", "b", "another") is not None
+    assert here.tokens == [([1], True), ([1], False)]
+
+
+def measure(here: Here, process: str, ahead: int, way: int) -> None:
+    """A clock is asked for, which is `ahead` ns; the answer comes after 2 `way`."""
+    sent = here.clock.ns
+    answer = Offset().hear(here.peers.by_name[process].offset.ask(sent), sent + ahead + way, sent + ahead + way)
+    here.clock.ns += 2 * way
+    here.peers.by_name[process].offset.hear(answer, here.clock.ns, here.clock.ns)
+
+
+def test_of_a_host_the_process_with_the_shortest_way_tells_its_clock(here: Here) -> None:
+    for name, host in (("b", "there"), ("c", "there"), ("d", "afar"), ("e", "here"), ("f", "afar")):
+        peer = here.peers.came(host, name, name)
+        here.peers.greeted(peer, hello(name, (), host=host, heard=["a"] if name != "f" else []).payload(), 0.0)
+    assert [peer.process for peer in here.peers.on_other_hosts] == ["b", "c", "d"], "e is of our host, f knows us not"
+    assert here.peers.offsets() == {}
+    for name, ahead, way in (("b", 1100, 200), ("c", 1000, 100), ("d", 5000, 300)):
+        measure(here, name, ahead, way)
+    found = here.peers.offsets()
+    assert list(found) == ["afar", "there"]
+    assert found["afar"] == pytest.approx((5e-6, 3e-7), abs=1e-12)
+    assert found["there"] == pytest.approx((1e-6, 1e-7), abs=1e-10)
+
+
+def test_a_process_that_is_started_anew_has_another_clock(here: Here) -> None:
+    here.hear(hello())
+    measure(here, "b", 1000, 100)
+    here.hear(hello(uptime=1.5))
+    assert here.peers.offsets() != {}
+    here.hear(hello(incarnation=3))
+    assert here.peers.offsets() == {}
+    measure(here, "b", 1000, 100)
+    here.peers.went("there", "b", "token")
+    here.hear(hello())
+    assert here.peers.offsets() == {}
+
+
+def test_hello_of_somebody_else_is_refused(here: Here) -> None:
+    peer = here.peers.came("there", "b", "token")
+    with pytest.raises(CodecError, match="sent by b on there"):
+        here.peers.greeted(peer, hello("c").payload(), 0.0)
+    assert peer.hello is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"drones": (OBSERVER,)}, {"observers": [3]}, {"observers": list(range(OBSERVER, OBSERVER + 17))}],
+)
+def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(here: Here, wrong: Any) -> None:
+    with pytest.raises(CodecError, match="HELLO"):
+        here.hear(hello(**wrong))
+    assert here.peers.directory == {}
+
+
+def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
+    """b says that it is there for longer, and at the console's address; the console is heard, and reads on."""
+    processes, looks = {"here": ("a",), "desk": (), "there": ("b",)}, OBSERVER + 5
+    here.peers.access = Access("s", "here", Path("k"), processes, {0: "here", 1: "there"}, ("desk",))
+    wants = [Interest("status", 0, looks)]
+    console = here.peers.came("desk", "observer-desk.1", "token")
+    said = hello("observer-desk.1", (), host="desk", observers=[looks], interests=wants)
+    here.peers.greeted(console, said.payload(), 0.0)
+    liar = here.peers.came("there", "b-1", "token")
+    for observers, interests in (([looks], [Interest("state", 0, looks)]), ([looks], []), ([], [])):
+        claims = hello("b-1", observers=observers, interests=interests, uptime=1e8)
+        here.peers.greeted(liar, claims.payload(), 0.0)
+        assert here.peers.directory[looks] is console
+    readers = here.bus.ports[0]._readers
+    assert (readers[STATUS.number].every, STATE.number in readers) == ([looks], False)
+
+
+def test_hello_of_a_process_on_another_host_is_refused(here: Here) -> None:
+    peer = here.peers.came("there", "b", "token")
+    with pytest.raises(CodecError, match="b on elsewhere, sent by b on there"):
+        here.peers.greeted(peer, hello("b", host="elsewhere").payload(), 0.0)
+    assert peer.hello is None
+
+
+def test_we_repeat_the_same_bytes_until_something_changes(here: Here) -> None:
+    payload, age = here.peers.hello()
+    here.clock.ns += 2_000_000_000
+    again, older = here.peers.hello()
+    assert again is payload
+    assert older - age == pytest.approx(2.0)
+    here.bus.port(7)
+    changed, age = here.peers.hello()
+    assert (Hello.of(changed).drones, Hello.of(changed).uptime, age) == ([0, 7], 2.0, 0.0)
+
+
+def test_the_later_of_two_gives_way(here: Here) -> None:
+    here.hear(hello(drones=(0,), uptime=1.0), age=0.5)
+    (refused,) = here.refused
+    assert str(refused) == (
+        "swarm s: refused: process b on host there flies drone(s) 0 too and has done so for 1.5 s. "
+        "Give this agent another --id, or stop that one."
+    )
+    here.hear(hello(drones=(0,), uptime=2.0))
+    assert len(here.refused) == 1, "once is enough"
+    senior = Here(uptime=5.0)
+    senior.hear(hello(drones=(0,), uptime=1.0))
+    assert (senior.refused, senior.peers.directory) == ([], {})
+
+
+@pytest.mark.parametrize("said", [hello(drones=(0,), uptime=1e8), WORLD], ids=["our drone", "another swarm file"])
+def test_who_has_run_for_a_while_is_ended_by_nobody(said, caplog) -> None:
+    """A host whose cable is back, or that says that it was first: somebody may fly by this process."""
+    here = Here(NEW, {"drones": "ab", "plant": "ef"})
+    here.hear(said, age=1e8)
+    assert (here.refused, here.peers.directory) == ([], {})
+    assert "it is refused" in caplog.text
+    young = Here(NEW - 0.1, {"drones": "ab", "plant": "ef"})
+    young.hear(said, age=1e8)
+    assert len(young.refused) == 1
+
+
+def test_who_was_refused_and_has_mended_it_is_one_of_us(here: Here) -> None:
+    here.hear(hello(drones=(0,), uptime=0.0), age=-0.5)
+    assert here.peers.by_name["b"].refusal
+    here.hear(hello(drones=(1,), uptime=1.0))
+    assert here.peers.by_name["b"].refusal == ""
+
+
+def test_the_later_of_two_owners_of_a_world_gives_way(here: Here) -> None:
+    here.bus.close(0)
+    for j in (BODIES + 3, 10_001):
+        here.bus.port(j)
+    here.hear(hello(drones=(), observers=[10_001], uptime=1.0))
+    assert here.refused == [], "observers may come in any number"
+    here.hear(hello(drones=(), observers=[BODIES + 3, BODIES + 4], uptime=1.0))
+    (refused,) = here.refused
+    assert "process b on host there owns the world of drone(s) 3 too" in str(refused)
+    assert "Stop one of them." in str(refused)
+
+
+def test_the_later_of_two_that_see_the_same_drones_gives_way(here: Here) -> None:
+    here.bus.close(0)
+    here.bus.port(EYES + 3)
+    here.hear(hello(drones=(), observers=[BODIES + 3, EYES + 4], uptime=1.0))
+    assert here.refused == [], "the owner of a world, or of a radio, is another one"
+    here.hear(hello(drones=(), observers=[EYES + 3, EYES + 4], uptime=1.0))
+    (refused,) = here.refused
+    assert "process b on host there owns the motion capture of drone(s) 3 too" in str(refused)
+
+
+@given(st.floats(0.0, TIE / 2), st.floats(0.0, TIE / 2), st.floats(0.0, 0.9 * TIE))
+def test_of_two_that_start_together_exactly_one_gives_way_or_both(ours: float, theirs: float, apart: float) -> None:
+    """The way of a HELLO takes `ours` or `theirs` s; b starts `apart` s after a."""
+    b_yields = hello("a").precedes("b", apart - ours)
+    a_yields = hello("b").precedes("a", -apart - theirs)
+    assert b_yields or a_yields
+    assert not a_yields, "a is the lesser name and was first"
+
+
+def test_a_third_party_believes_the_elder(here: Here) -> None:
+    here.hear(hello("young", (5,), uptime=1.0))
+    here.hear(hello("old", (5, 6), uptime=9.0))
+    assert [here.peers.directory[i].process for i in (5, 6)] == ["old", "old"]
+    here.peers.went("there", "old", "token")
+    assert here.peers.directory[5].process == "young"
+
+
+def test_interests_count_once_both_have_heard(here: Here) -> None:
+    sent: list[tuple[int, ...]] = []
+    here.bus.forwarder = type("F", (), {"forward": lambda self, topic, source, to, *rest: sent.append(tuple(to))})()
+    here.bus.ports[0].publish(STATUS, Status("landed"))
+    wish = [Interest("status", 0, 10_001)]
+    here.hear(hello(drones=(), observers=[10_001], interests=wish, heard=[]))
+    assert sent == []
+    here.hear(hello(drones=(), observers=[10_001], interests=wish))
+    here.hear(hello(drones=(), observers=[10_001], interests=wish, uptime=3.0))
+    assert sent == [(10_001,)], "the latched value, once"
+    here.peers.went("there", "b", "token")
+    here.bus.ports[0].publish(STATUS, Status("flying"))
+    assert sent == [(10_001,)]
+
+
+def test_only_sensible_interests_are_wanted() -> None:
+    rates = (0.0, 10.0, -1.0, float("nan"), float("inf"), 5e-324)
+    wishes = [Interest("state", 0, 10_001, rate) for rate in rates] + [Interest("state", 0, 3)]
+    assert [one.rate for one in hello(observers=[10_001], interests=wishes).wants()] == [0.0, 10.0]
+
+
+def test_an_emergency_stop_spreads_to_newcomers(here: Here) -> None:
+    here.hear(hello(stopped=True))
+    assert here.bus.stopped is True
+
+
+def test_peers_are_bounded(here: Here) -> None:
+    made = [here.peers.came("there", f"p{k}", "token") for k in range(MAX_PEERS + 5)]
+    assert sum(isinstance(peer, Peer) for peer in made) == MAX_PEERS
+
+
+@given(st.binary(max_size=200) | st.builds(encode, st.dictionaries(st.text(), st.integers(-9, 9) | st.text())))
+def test_nonsense_is_no_hello(payload: bytes) -> None:
+    with pytest.raises(CodecError):
+        Hello.of(payload)
+
+
+@pytest.mark.parametrize(
+    "wrong", ["bogus", "tcp/127.0.0.1", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7", "tcp/a b:7", "tcp/::1:7", ""]
+)
+def test_malformed_endpoints_are_named(wrong: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        endpoints.settings(["tcp/127.0.0.1:7460"], [wrong], 1.0)
+    assert str(caught.value) == (
+        f"connect endpoint: found {wrong}; allowed: tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; "
+        "also udp, tls, quic, ws. Look at base_port and [hosts] in the swarm file."
+    )
+
+
+def test_the_lease_is_for_other_hosts() -> None:
+    lease = "transport/link/tx/lease"
+    near, far = ["tcp/127.0.0.1:7460"], ["tcp/[::1]:7461", "tls/lab.local:7462?rel=1"]
+    assert endpoints.settings(near, far[:1], 1.0)[lease] == 10_000
+    assert endpoints.settings(near, far, 1.0)[lease] == 1_000
+
+
+def test_names_must_fit_into_keys() -> None:
+    endpoints.check_name("swarm", "lab-3.x_Y")
+    with pytest.raises(ConfigError, match=r"name of the swarm: found a/\*; allowed: 1 to 100 of"):
+        endpoints.check_name("swarm", "a/*")
+
+
+def test_public_copies_are_plain_json() -> None:
+    value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
+    assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0, "a": [0, 0, 0]}
+    assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"
+    assert json.loads(as_json(FullState.at([1, 2, 3], yaw=0.5)))["yaw"] == 0.5
+    command = json.loads(as_json(FPQR(np.array([0.3, 1, 2, 3]))))
+    assert command == {"thrust": 0.3, "flat": [0.3, 1, 2, 3]}, "whole, where not all its parts have names"
+
+
+def test_a_drone_that_was_started_again_is_not_gone_with_its_former_process(here):
+    here.hear(hello("old", drones=(1, 2), uptime=100.0))
+    here.hear(hello("new", drones=(1,), incarnation=3, uptime=0.1))
+    here.tokens.clear()
+    here.peers.went("there", "old", "token")
+    assert here.tokens == [([2], False)]
+    assert here.peers.directory[1].process == "new"

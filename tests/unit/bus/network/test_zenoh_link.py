@@ -1,0 +1,177 @@
+"""What a link does with what comes, without a network."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.network.access import Access
+from crazychoir.bus.network.flood_limit import BURST, PART
+from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.zenoh_link import BACKLOG, SLICE, SLICE_MOST_NS, SLICE_NS, ZenohLink, _speaker
+from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import LOG, STATE
+from crazychoir.runtime.clock import Clock
+
+OF_B = "choir/s/f/0-1/b/1-1/control"
+
+
+class Held(Clock):
+    """Goes on when it is told."""
+
+    ns = 0
+
+    def now_ns(self) -> int:
+        return self.ns
+
+
+async def link_of_a(access=None):
+    """Process 0-1 of host a with drone 0, and process 1-1 of b with drone 1, whose frames come at OF_B."""
+    bus = Bus(Held(), process="0-1", host="a")
+    bus.port(0)
+    link = ZenohLink(bus, "s", listen=[], connect=[], incarnation=1, version="1")
+    link.table.access = access
+    peer = link.table.came("b", "1-1", "token")
+    said = Hello("1-1", "b", 2, "1", 1.0, [1], [], [], ["0-1"], False)
+    link.table.greeted(peer, said.payload(), 0.0)
+    return link
+
+
+def frame(*messages):
+    return encode_frame(Frame("1-1", 2, STATE.klass, list(messages)))
+
+
+async def test_a_message_is_given_once_to_who_is_named_often():
+    link = await link_of_a()
+    heard = []
+    link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
+    link._frame(OF_B, frame(Envelope(LOG.number, 1, (0,) * 1000, 1, 0, 0.0, "", encode("x"))), 0)
+    assert len(heard) == 1
+
+
+async def test_frames_that_take_long_leave_the_loop_to_the_others():
+    link, read = await link_of_a(), []
+
+    def slowly(key, data, arrived_ns):
+        read.append(key)
+        link.bus.clock.ns += SLICE_NS
+
+    for k in range(5):
+        link._enqueue(slowly, str(k), b"")
+    link._drain()
+    assert read == ["0", "1"], "of SLICE that it might take"
+    assert SLICE > 5
+    link._queue.clear()
+
+
+async def test_who_is_behind_reads_for_as_long_as_the_loop_does_other_things():
+    link, read = await link_of_a(), []
+
+    def slowly(key, data, arrived_ns):
+        read.append(key)
+        link.bus.clock.ns += SLICE_NS // 2
+
+    for k in range(200):
+        link._enqueue(slowly, str(k), b"")
+    counts = []
+    for others_ns in (0, 0, 5 * SLICE_NS, 1000 * SLICE_NS):
+        link.bus.clock.ns += others_ns
+        before = len(read)
+        link._drain()
+        counts.append(len(read) - before)
+    assert counts == [3, 3, 11, 2 * SLICE_MOST_NS // SLICE_NS + 1]
+    link._queue.clear()
+    link._drain()
+    link.bus.clock.ns += 1000 * SLICE_NS
+    for k in range(10):
+        link._enqueue(slowly, str(k), b"")
+    read.clear()
+    link._drain()
+    assert len(read) == 3, "who has read all is not behind, however long ago that was"
+    link._queue.clear()
+
+
+def test_who_speaks_is_read_where_access_control_looks():
+    assert _speaker("choir/s/f/0-1/b/1-2/control") == ("b", "1-2")
+
+
+@pytest.mark.parametrize(
+    "key", ["choir/s/f/0-1/b/a/0-2/control", "choir/s/f/0-1/b/1-2", "choir/s/f/0-1/b/x/a/0-2/control"]
+)
+def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
+    assert _speaker(key) == ("", "")
+
+
+async def test_key_token_frame_and_message_must_name_one_sender():
+    """Access control holds a host to its keys alone."""
+    link = await link_of_a()
+    heard, counters = [], link.counters
+    link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
+    said = Envelope(LOG.number, 1, (0,), 1, 0, 0.0, "", encode("x"))
+    link._frame("choir/s/f/0-1/c/1-1/control", frame(said), 0)  # the name of a process of another host
+    link._frame("choir/s/f/0-1/b/1-2/control", frame(said), 0)  # of which there is no token
+    link._frame(OF_B, encode_frame(Frame("1-2", 2, STATE.klass, [said])), 0)
+    link.table.came("c", "2-1", "token")
+    other = Hello("2-1", "c", 2, "1", 1.0, [2], [], [], ["0-1"], False)
+    link.table.greeted(link.peers["2-1"], other.payload(), 0.0)
+    link._frame(OF_B, frame(Envelope(LOG.number, 2, (0,), 1, 0, 0.0, "", encode("x"))), 0)  # for drone 2, of c
+    assert (heard, counters.strangers) == ([], 4)
+    link._frame(OF_B, frame(said), 0)
+    assert len(heard) == 1
+
+
+async def test_a_stranger_with_another_s_name_is_not_answered():
+    access = Access("s", "a", Path("k"), {"a": ("0",), "b": ("1",)}, {0: "a", 1: "b"}, ("a",))
+    link = await link_of_a(access)
+    for process in ("0-2", "observer-a.1", "1-2"):
+        link._frame(f"choir/s/f/0-1/b/{process}/control", encode_frame(Frame(process, 2, STATE.klass, [])), 0)
+    assert link._estranged.due(gone_too=True) == ["1-2"]
+
+
+class Sample:
+    """As Zenoh gives it."""
+
+    kind = zenoh.SampleKind.PUT
+
+    def __init__(self, key, payload=b""):
+        self.key_expr, self.payload = key, zenoh.ZBytes(payload)
+
+
+@pytest.mark.parametrize(("size", "most"), [(1, BURST), (8 << 20, BURST * PART / (8 << 20))])
+async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(size, most):
+    link, payload = await link_of_a(), bytes(size)
+    for _ in range(2 * int(most)):
+        link._received(Sample(OF_B, payload))
+    assert len(link._queue) <= most
+    assert link.counters.flooded >= most - 1
+    link._queue.clear()
+
+
+async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(caplog):
+    link = await link_of_a()
+    for k in range(3 * BACKLOG):
+        link._token(Sample(f"choir/s/live/b/1-{k}"))
+    link._received(Sample("choir/s/f/0-1/c/2-1/control"))
+    assert link.counters.overflowed == 0
+    assert link.counters.flooded > BACKLOG
+    assert link._queue[-1][1] == "choir/s/f/0-1/c/2-1/control"
+    await asyncio.sleep(0)
+    assert caplog.text.count("host b floods us") == 1
+    link._queue.clear()
+
+
+async def test_handlers_that_fail_again_and_again_fill_no_disk(caplog):
+    link = await link_of_a()
+
+    def fails(key, data, arrived_ns):
+        raise ValueError(key)
+
+    for _ in range(1000):
+        link._enqueue(fails, "k", b"")
+    while link._queue:
+        link._drain()
+    assert link.counters.failed == 1000
+    assert caplog.text.count("was not taken") == 10

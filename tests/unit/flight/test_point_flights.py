@@ -1,0 +1,51 @@
+"""Flights that wait, and go on."""
+
+import numpy as np
+import pytest
+
+from crazychoir.config.tables import Flight
+from crazychoir.flight.point_flights import IN_VAIN, LONGEST_WAIT, Flights
+from crazychoir.planning.point_to_point import PointToPoint
+from crazychoir.safety.rules.guard import ROOM
+from crazychoir.types import FullState
+
+START, GOAL = FullState.at((0.0, 0.0, 1.0)), np.array([2.0, 0.0, 1.0])
+ASIDE = FullState.at((0.5, 1.0, 1.0))
+
+
+def flying(seconds=8.0):
+    flights = Flights(Flight(), ROOM, 2.0)
+    flights.go_to(START, GOAL, 0.0, seconds, 10.0)
+    return flights
+
+
+def test_a_plan_that_has_waited_in_vain_goes_on_to_its_place_from_another_start():
+    flights = flying()
+    assert not flights.resume(ASIDE, 11.0), "it has not waited"
+    assert flights.wait(IN_VAIN)
+    assert flights.remaining(11.0) == pytest.approx(7.0 + IN_VAIN)
+    assert flights.resume(ASIDE, 11.0)
+    assert isinstance(flights.plan, PointToPoint)
+    assert flights.sample(11.0).p == pytest.approx(ASIDE.p)
+    assert flights.sample(99.0).p == pytest.approx(GOAL)
+    assert (flights.remaining(11.0), flights.waited) == pytest.approx((7.0 + IN_VAIN, IN_VAIN)), "in its time"
+    assert not flights.resume(ASIDE, 11.0), "it has not waited since then"
+
+
+def test_what_a_new_start_costs_counts_as_waiting():
+    flights = flying(0.0)
+    whole = flights.remaining(10.0)
+    assert flights.wait(IN_VAIN)
+    late = 10.0 + whole
+    assert flights.resume(ASIDE, late)
+    assert flights.remaining(late) == pytest.approx(flights.waited)
+    assert flights.waited > IN_VAIN
+
+
+def test_only_flights_to_a_place_begin_anew_and_not_for_ever():
+    flights = flying()
+    flights.wait(LONGEST_WAIT)
+    assert not flights.resume(ASIDE, 11.0)
+    flights.brake(FullState.at((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), 11.0)
+    flights.wait(IN_VAIN)
+    assert not flights.resume(ASIDE, 12.0)

@@ -1,0 +1,181 @@
+"""A forgotten `await` is named with its call; and no reason is ever empty."""
+
+import asyncio
+import inspect
+from types import SimpleNamespace
+
+import pytest
+
+from crazychoir.agent.agent import Agent
+from crazychoir.agent.mission_runner import ended_by_operator, failure
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.errors import (
+    AgentFailed,
+    CrazyChoirError,
+    Refused,
+    spoken,
+)
+from crazychoir.guidance.awaited_call import Call
+from crazychoir.guidance.guidance import CFGuidance
+from crazychoir.guidance.member import UNSAID_OF, Interrupted, standing
+from crazychoir.planning.point_to_point import PointToPoint
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import FullState
+
+BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+PATH = PointToPoint(FullState.at([0.0, 0.0, 0.3]), [0.5, 0.0, 0.3], 0.0, 3.0)
+CALLS = {
+    "take_off": (0.3,), "go_to": ([0.1, 0.0, 0.3],), "fly": (PATH,), "land": (), "sleep": (0.1,), "rendezvous": (),
+    "wait_for_start": (), "optimize": (SimpleNamespace(done=True),), "send": (1,), "receive": (),
+    "asynchronous_receive": (), "neighbors_exchange": (1,),
+}  # fmt: skip
+"""Every verb of the mission API that is awaited, and what it is given."""
+
+
+class Does(CFGuidance):
+    """A mission that is one coroutine function of the test."""
+
+    def __init__(self, does):
+        self.does = does
+
+    async def helper(self):
+        """A coroutine function of a user."""
+        return 7
+
+    async def mission(self):
+        return await self.does(self)
+
+
+def result_of(does, drones=1):
+    async def main(clock):
+        mission = SimpleNamespace(guidance=lambda i, config: Does(does))
+        agent = Agent(clock, default_swarm(drones).replace(flight=BRISK), mission, tuple(range(drones)))
+        async with asyncio.timeout(300.0):
+            return (await agent.run())[0]
+
+    return run_virtual(main)
+
+
+def test_every_coroutine_function_of_the_mission_api_is_among_those_tried():
+    public = {name for name in dir(CFGuidance) if not name.startswith("_")}
+    functions = {
+        name: inspect.unwrap(getattr(CFGuidance, name)) for name in public if callable(getattr(CFGuidance, name))
+    }
+    coroutines = {name for name, function in functions.items() if inspect.iscoroutinefunction(function)}
+    assert coroutines - {"mission", "asked"} == {*CALLS}
+
+
+@pytest.mark.parametrize("verb", [*CALLS, "helper"])
+@pytest.mark.parametrize("flies", [False, True])
+def test_a_forgotten_await_is_named_with_its_line(verb, flies):
+    async def forgets(guidance):
+        if flies:
+            await guidance.take_off()
+        getattr(guidance, verb)(*CALLS.get(verb, ()))
+        line.append(inspect.currentframe().f_lineno - 1)
+        await guidance.sleep(0.1)
+        if flies:
+            await guidance.land()
+
+    line = []
+    result = result_of(forgets)
+    assert not result["success"]
+    words = (
+        f"{__file__}:{line[0]}: self.{verb}(...) was called without await, so it did nothing: write `await self.{verb}"
+    )
+    assert words in result["reason"]
+
+
+def test_a_take_off_without_await_is_the_reason_of_what_fails_after_it():
+    async def forgets(guidance):
+        guidance.take_off(0.3)
+        await guidance.go_to([0.1, 0.0, 0.3])
+
+    reason = result_of(forgets)["reason"]
+    assert "self.take_off(...) was called without await" in reason
+    assert "drone 0: on ground: it has not taken off" in reason
+
+
+def test_a_call_that_is_kept_and_never_awaited_is_named_too():
+    async def keeps(guidance):
+        await guidance.take_off()
+        guidance.kept = guidance.land()
+
+    assert "self.land(...) was called without await" in result_of(keeps)["reason"]
+
+
+def test_whatever_awaits_or_ends_a_call_on_purpose_is_no_mistake():
+    async def careful(guidance):
+        await guidance.take_off()
+        await asyncio.gather(guidance.sleep(0.1), guidance.helper())
+        await asyncio.wait_for(guidance.sleep(0.1), 1.0)
+        task = asyncio.create_task(guidance.sleep(60.0))
+        future = asyncio.ensure_future(guidance.helper())
+        async with asyncio.TaskGroup() as group:
+            group.create_task(guidance.sleep(0.1))
+        begun_late = asyncio.create_task(guidance.sleep(60.0))
+        begun_late.cancel()
+        guidance.sleep(1.0).close()
+        assert await future == 7
+        task.cancel()
+        await guidance.land()
+
+    assert result_of(careful) == {"success": True}
+
+
+async def one():
+    return 1
+
+
+def test_a_call_is_a_coroutine_for_whoever_looks():
+    calls = {}
+    call = Call(one(), "one", "a.py:3", calls)
+    assert asyncio.iscoroutine(call)
+    assert "one at a.py:3" in repr(call)
+    assert len(calls) == 1
+    assert asyncio.run(call) == 1
+    assert calls == {}
+
+
+def test_a_wrong_argument_is_an_error_of_the_line_that_gives_it():
+    async def wrong(guidance):
+        await guidance.sleep()
+
+    assert "TypeError" in result_of(wrong)["reason"]
+
+
+# Reasons -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("empty", ["", " ", "\n", None, "drone 0: on ground: ", "drone 0:"])
+def test_no_outcome_and_no_error_has_an_empty_reason(empty):
+    outcomes = [failure(empty)["reason"], spoken(empty, "it is not known"), str(Refused("drone 0", empty))]
+    outcomes += [Refused("drone 0", empty).reason, AgentFailed(1, empty).reason, str(AgentFailed(1, empty))]
+    outcomes += [str(Interrupted(empty or "")), str(CrazyChoirError(empty or "")), str(CrazyChoirError())]
+    for text in outcomes:
+        assert text.strip()
+        assert not text.strip().endswith(":"), text
+
+
+def test_a_reason_that_is_there_stays_as_it_is():
+    assert failure("lost")["reason"] == "lost"
+    assert str(Interrupted("drone 0: landing")) == "drone 0: landing"
+    assert ended_by_operator("landed on command")["reason"] == "landed on command"
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_what_a_drone_does_has_a_reason_in_every_mode(mode):
+    assert standing(SimpleNamespace(mode=mode, note="")) == f"{mode.value}: {UNSAID_OF[mode]}"
+    assert standing(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
+
+
+def test_a_mission_that_raises_an_error_without_words_has_a_reason():
+    async def says_nothing(guidance):
+        raise CrazyChoirError
+
+    async def fails(guidance):
+        return {"success": False, "reason": ""}
+
+    for does in (says_nothing, fails):
+        assert len(result_of(does)["reason"]) > 10

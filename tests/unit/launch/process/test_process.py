@@ -1,0 +1,63 @@
+"""Signals: what an operator insists on, and what only says that the parent has gone."""
+
+import os
+import signal
+
+import pytest
+
+from crazychoir.launch.process.process import _obey_signals
+from crazychoir.launch.process.signals import end_on_signals
+from crazychoir.runtime.clock import run_wall
+
+
+class Told:
+    """In an agent's place: what it is told."""
+
+    def __init__(self):
+        self.calls = []
+
+    def land_all(self, reason):
+        self.calls.append(("land", reason))
+
+    def cut_all(self, reason):
+        self.calls.append(("cut", reason))
+
+
+    def end(self, reason):
+        self.calls.append(("end", reason))
+
+    def abort(self, reason):
+        self.calls.append(("abort", reason))
+
+
+def told(number, times, obey=_obey_signals):
+    """What an agent, or a world, is told when its process gets a signal several times in a row."""
+
+    async def main(clock):
+        agent = Told()
+        obey(clock, agent)
+        for _ in range(times):
+            os.kill(os.getpid(), number)
+            await clock.sleep(0.02)
+        return agent.calls
+
+    return run_wall(main)
+
+
+@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C (SIGINT)"), (signal.SIGTERM, "SIGTERM")])
+def test_the_first_signal_lands_and_the_third_cuts(number, name):
+    assert told(number, 3) == [("land", f"{name}: landing"), ("cut", "third signal")]
+
+
+def test_however_often_the_parent_is_said_to_be_gone_the_drones_land():
+    """A killed parent of many threads sends it several times, as they die one after the other."""
+    assert told(signal.SIGHUP, 5) == [("land", "SIGHUP: landing")] * 5
+
+
+def test_a_world_ends_when_nobody_flies_and_at_once_if_an_operator_insists():
+    assert told(signal.SIGINT, 2, end_on_signals) == [("end", "Ctrl-C (SIGINT)"), ("abort", "a second signal")]
+    assert told(signal.SIGTERM, 1, end_on_signals) == [("end", "SIGTERM")]
+
+
+def test_a_world_lets_those_land_whose_parent_is_gone():
+    assert told(signal.SIGHUP, 3, end_on_signals) == [("end", "SIGHUP")] * 3

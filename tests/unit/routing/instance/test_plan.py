@@ -1,0 +1,42 @@
+import json
+from dataclasses import replace
+
+from crazychoir.routing.instance.plan import Plan, Route, Solution, Stop, digest_of
+
+ROUTE = Route.from_nodes(2, [1, 0, 3, 4], 3, 7.25)
+OTHER = Route.from_nodes(0, [2, 5], 3, 1.5)
+
+
+def test_nodes_become_stops():
+    assert ROUTE.stops == (Stop(1, "pickup"), Stop(0, "pickup"), Stop(0, "delivery"), Stop(1, "delivery"))
+    assert ROUTE.tasks == (0, 1)
+
+
+def test_the_order_of_routes_and_idle_robots_do_not_change_a_plan():
+    plan = Plan((ROUTE, OTHER, Route(1, (), 0.0)))
+    assert plan == Plan((OTHER, ROUTE))
+    assert (plan.cost, [r.robot for r in plan.routes]) == (8.75, [0, 2])
+
+
+def test_json_round_trip_and_digest():
+    plan = Plan((ROUTE, OTHER))
+    again = Plan.from_json(json.loads(json.dumps(plan.to_json())))
+    assert (again, again.digest) == (plan, plan.digest)
+    assert plan.digest == digest_of({2: ROUTE.digest, 0: OTHER.digest})
+    assert len(plan.digest) == 64
+
+
+def test_any_change_changes_the_digest():
+    plan = Plan((ROUTE, OTHER))
+    swapped = replace(ROUTE, stops=(ROUTE.stops[1], ROUTE.stops[0], *ROUTE.stops[2:]))
+    others = [Plan((swapped, OTHER)), Plan((replace(ROUTE, length=7.2500001), OTHER)), Plan((ROUTE,))]
+    assert len({plan.digest, *(p.digest for p in others), Plan((replace(ROUTE, robot=1), OTHER)).digest}) == 5
+
+
+def test_a_solution_is_one_json_object():
+    plan = Plan((ROUTE, OTHER))
+    solution = Solution(8.75, True, None, False, "resource", ("task prices",), 9, plan.digest, plan.routes)
+    raw = json.loads(json.dumps(solution.to_json()))
+    assert raw["lower_bound"] is None
+    assert raw["routes"][1]["stops"][0] == {"task": 1, "kind": "pickup"}
+    assert solution.plan == plan

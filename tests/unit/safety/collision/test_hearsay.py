@@ -1,0 +1,233 @@
+"""Who does not hear a drone is told of it by others."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.codec import encode
+from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import HEARSAY, SOUGHT, STATE
+from crazychoir.config.tables import Collision
+from crazychoir.control.gains import STANDARD
+from crazychoir.runtime.clock import SECOND
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.neighbour_table import BORN, GONE, HEARD, LOOK, SILENT, USABLE, Traffic
+from crazychoir.safety.rules.guard import Fence
+from crazychoir.types import FullState, State
+
+FENCE = Fence.box((-9.0, -9.0, 0.0), (9.0, 9.0, 3.0))
+HERE = (-1.0, 0.0, 1.0)
+
+
+class Team:
+    """Drones with their filters on one bus; 0 does not hear 1, which is elsewhere than it knows."""
+
+    def __init__(self, drones=4):
+        self.seconds = 0.0
+        self.bus = Bus(SimpleNamespace(now_ns=lambda: round(self.seconds * SECOND), now=lambda: self.seconds))
+        for i in range(drones):
+            self.bus.port(i)
+        self.filters = [self.filter_of(i, drones) for i in range(drones)]
+        self.asked = []
+        for i in range(drones):
+            self.spy(i)
+
+    def filter_of(self, i, drones):
+        traffic = Traffic(self.bus.ports[i], range(drones))
+        return CollisionFilter(Collision(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0)
+
+    def spy(self, i):
+        taken = self.bus.ports[i].handlers[SOUGHT.number]
+        self.bus.ports[i].handlers[SOUGHT.number] = lambda *message: (self.asked.append(i), taken(*message))
+
+    def row(self, i, j):
+        traffic = self.filters[i].traffic
+        return traffic.rows[traffic.ids.index(j)]
+
+    def say(self, j, p, to, v=(0.0, 0.0, 0.0)):
+        """Drone j says its state to some."""
+        for i in to:
+            self.filters[i].traffic.hear((j, State.at(p, v)), 0.0)
+
+    def fly(self, seconds, one=(3.0, 0.0, 1.0), hear_one=(2, 3)):
+        """Drone 0 flies towards 1, whom only some hear; all others hear each other ten times a second."""
+        acted = []
+        for _ in range(round(seconds / LOOK)):
+            self.seconds += LOOK
+            self.say(1, one, hear_one)
+            for j in range(2, len(self.filters)):
+                self.say(j, (0.0, float(j), 1.0), [i for i in range(len(self.filters)) if i != j])
+            me, to = State.at(HERE, (0.5, 0.0, 0.0)), FullState.at((1.0, 0.0, 1.0), (0.5, 0.0, 0.0)).flat
+            self.filters[0].look(self.seconds)
+            acted.append(self.filters[0].full_state(me, to, STANDARD.position, self.seconds))
+        return acted
+
+
+def test_who_is_not_heard_is_told_of_by_those_who_hear_it_and_does_not_count_as_heard():
+    team = Team()
+    team.say(1, (1.5, 0.0, 1.0), [0])
+    acted = team.fly(20.0)
+    assert not any(a is not None for a in acted[round(USABLE / LOOK) :]), "it knows where 1 is: away"
+    row = team.row(0, 1)
+    assert row[0] == 3.0
+    assert team.seconds - row[BORN] < 3.1, "newer than it could have come near since"
+    assert team.seconds - row[HEARD] == pytest.approx(20.0)
+    assert not team.filters[0].cut_off
+    assert set(team.asked) == {2, 3}
+
+
+def test_who_is_told_of_nobody_brakes_near_it_and_asks_until_it_is_gone():
+    team = Team()
+    team.say(1, (0.5, 0.0, 1.0), [0])
+    acted = team.fly(20.0, hear_one=())
+    brakes = [k * LOOK for k, a in enumerate(acted, start=1) if a is not None and a[0] < -0.5]
+    assert brakes[0] == pytest.approx(USABLE, abs=2 * LOOK)
+    assert brakes[-1] == pytest.approx(GONE, abs=2 * LOOK)
+    asked = len(team.asked)
+    assert 2 * 20 < asked < 2 * (10 + 2 * 10 + 10), "two others: in the first second, until it is gone, and then"
+    team.fly(5.0, hear_one=())
+    assert 0 < len(team.asked) - asked <= 2 * 5, "two others, once a second"
+
+
+def test_who_was_never_heard_or_counts_as_gone_is_known_when_somebody_hears_it():
+    team = Team()
+    team.fly(2.0)
+    assert team.row(0, 1)[0] == 3.0, "never heard"
+    team.fly(2.0 * GONE, hear_one=())
+    team.fly(2.0, one=(0.0, 0.5, 1.0))
+    assert team.row(0, 1)[1] == 0.5, "it was gone"
+
+
+def test_one_that_is_told_of_that_flies_at_it_is_avoided():
+    team = Team()
+    team.say(1, (3.0, 0.0, 1.0), [0])
+    acted = team.fly(4.0, one=(-0.4, 0.0, 1.0))
+    assert acted[-1][0] < -0.5
+
+
+def test_nobody_asks_while_all_are_heard_or_far_away():
+    team = Team()
+    team.fly(30.0, hear_one=(0, 2, 3))
+    assert team.asked == []
+    team.say(1, (30.0, 0.0, 1.0), [0])
+    team.fly(6.0, one=(30.0, 0.0, 1.0))
+    assert team.asked == [], "it cannot be near yet"
+    team.fly(20.0, one=(30.0, 0.0, 1.0))
+    assert team.seconds - team.row(0, 1)[BORN] < GONE, "nor when it counts as gone is it forgotten"
+
+
+def test_who_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
+    team = Team(6)
+    for j in range(1, 6):
+        team.say(j, (2.0, float(j), 1.0), [0])
+    team.seconds = SILENT + 0.1
+    for j in (1, 2, 3):
+        team.filters[0].traffic.told((j, State.at((2.0, float(j), 1.0))), 0.0)
+    team.say(4, (2.0, 4.0, 1.0), [0])
+    to = FullState.at(HERE).flat
+    team.filters[0].full_state(State.at(HERE), to, STANDARD.position, team.seconds)
+    assert team.filters[0].cut_off
+
+
+def test_only_what_is_new_is_told_with_its_age_and_that_of_the_way():
+    team, told = Team(), []
+    take = team.bus.ports[0].handlers[HEARSAY.number]
+    team.bus.ports[0].handlers[HEARSAY.number] = lambda *message: told.append(message)
+    ask = team.bus.ports[2].handlers[SOUGHT.number]
+    ask(0, encode([1, 0, 2, 99]), 1, "", 0, 0.0)
+    assert told == [], "it has never heard of 1"
+    team.say(1, (1.0, 0.0, 1.0), [2])
+    team.seconds = USABLE - 0.1
+    ask(0, encode([1, 99]), 2, "", 0, 0.0)
+    [(source, payload, *_)] = told
+    take(source, payload, 1, "", 0, 0.2)
+    assert team.row(0, 1)[BORN] == pytest.approx(-0.2)
+    team.seconds = USABLE + 0.1
+    ask(0, encode([1]), 3, "", 0, 0.0)
+    assert len(told) == 1
+
+
+def test_those_are_asked_that_are_heard_themselves():
+    team = Team(5)
+    team.say(1, (0.5, 0.0, 1.0), [0])
+    for _ in range(10):
+        team.seconds += LOOK
+        team.say(2, (5.0, 5.0, 1.0), [0])
+        for j in (3, 4):
+            team.filters[0].traffic.told((j, State.at((0.0, float(j), 1.0))), 0.0)
+        team.filters[0].full_state(State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds)
+        team.filters[0].look(team.seconds)
+    assert set(team.asked) == {2}
+
+
+def test_who_stood_on_the_floor_is_asked_for_seldom_in_the_end():
+    team = Team()
+    team.say(1, (0.5, 0.0, 0.02), [0])
+    team.fly(GONE, hear_one=())
+    asked = len(team.asked)
+    assert asked > 2 * 10
+    team.fly(5.0, hear_one=())
+    assert 0 < len(team.asked) - asked <= 2 * 5
+
+
+def test_all_that_are_heard_are_asked_in_turn_however_many_are_sought():
+    """0 hears 1 to 4, and of these 4 alone hears 8."""
+    team = Team(9)
+    for j in range(5, 9):
+        team.say(j, (0.5, 0.2 * j - 1.0, 1.0), [0])
+    for _ in range(60):
+        team.seconds += LOOK
+        for j in range(1, 5):
+            team.say(j, (0.0, float(j), 1.0), [0])
+        team.say(8, (5.0, 0.0, 1.0), [4])
+        team.filters[0].full_state(State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds)
+        team.filters[0].look(team.seconds)
+    assert team.row(0, 8)[0] == 5.0
+    assert team.seconds - team.row(0, 8)[BORN] < 3.5
+
+
+def test_who_hears_late_what_others_tell_earlier_hears_all_the_same():
+    team = Team()
+    for _ in range(50):
+        team.seconds += LOOK
+        team.filters[0].traffic.told((1, State.at((3.0, 0.0, 1.0))), 0.3)
+        team.filters[0].traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.4)
+    assert team.row(0, 1)[0] == 3.0
+    assert team.seconds - team.row(0, 1)[HEARD] == pytest.approx(0.4)
+
+
+GARBAGE = [b"", b"\xff", encode(None), encode(3.0), encode({1: 2}), encode([1] * 99), encode([np.zeros(3)])]
+
+
+@pytest.mark.parametrize(
+    ("topic", "payload"),
+    [
+        *((topic, payload) for topic in (SOUGHT, HEARSAY) for payload in GARBAGE),
+        *((HEARSAY, encode([said])) for said in (["a", 1, 2], [1, 2], [1, State.at(HERE), -1.0], [1, HERE, 0.1])),
+        *((HEARSAY, encode([[np.zeros(3), State.at(HERE), old]])) for old in (0.1, np.inf)),
+        *((SOUGHT, encode([said])) for said in ("1", True, 1.0, [1])),
+    ],
+)
+def test_what_is_no_message_is_counted_and_changes_nothing(topic, payload):
+    team = Team()
+    before = team.filters[0].traffic.rows.copy()
+    team.bus.ports[0].handlers[topic.number](2, payload, 1, "", 0, 0.0)
+    assert team.bus.ports[0].counters.malformed == 1
+    np.testing.assert_array_equal(team.filters[0].traffic.rows, before)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308, -1e9])
+@pytest.mark.parametrize("part", ["flat", "a"])
+def test_a_state_that_is_none_is_not_heard(part, bad):
+    """Numbers that overflow on the way would make a drone invisible."""
+    team = Team()
+    team.say(1, (0.0, 0.0, 1.0), [0])
+    before = team.filters[0].traffic.rows.copy()
+    flat, a = State.at((0.0, 0.0, 1.0)).flat, np.zeros(3)
+    (flat if part == "flat" else a)[0] = bad
+    team.filters[0].traffic.hear((1, State(flat, 0.0, a)), 0.0)
+    np.testing.assert_array_equal(team.filters[0].traffic.rows, before)
+    assert STATE.impaired
+    assert SOUGHT.impaired
+    assert HEARSAY.impaired, "the simulated network acts on them too"

@@ -1,0 +1,53 @@
+"""Worlds of robots that do not fly."""
+
+import numpy as np
+import pytest
+from robots import world_of
+
+from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.errors import ConfigError
+from crazychoir.simulation.common.world import KINDS
+from crazychoir.simulation.remote import SIZES
+from crazychoir.types import XYZ, Acc, Drive, Vel
+
+COMMANDS = {SINGLE: Vel(np.array([1.0, 0.0, 0.0, 0.0])), DOUBLE: Acc(np.ones(3)), UNICYCLE: Drive(np.array([1.0, 0.0]))}
+
+
+@pytest.mark.parametrize(("uri", "command"), COMMANDS.items())
+def test_it_obeys_its_own_kind_and_what_is_cut_stands_for_good(uri, command):
+    world = world_of(uri, [(0.0, 0.0, 0.5), (1.0, 0.0, 0.0)])
+    link = world.link(1, world.kind)
+    assert isinstance(command, KINDS[world.kind])
+    assert command.flat.shape == (SIZES[type(command)],)
+    with pytest.raises(ConfigError, match="fpqr"):
+        world.link(1, "fpqr")
+    link.send(command)
+    world.step()
+    assert world.state(1).p[0] > 1.0
+    assert world.state(0).p.tolist() == [0.0, 0.0, 0.5], "nobody has told it anything"
+    assert (world.resting(0), world.resting(1)) == (True, False)
+    before = world.state(1).v
+    link.send(type(command)(np.full(len(command.flat), np.nan)))
+    world.step()
+    assert np.all(np.isfinite(world.states))
+    assert world.state(1).v[0] >= before[0], "what is not finite counts for nothing"
+    link.cut()
+    world.step()
+    stands = world.state(1)
+    link.send(command)
+    world.step()
+    assert np.linalg.norm(stands.v) == 0.0
+    assert np.array_equal(world.state(1).flat, stands.flat)
+    assert (world.crashed, world.harm(1)) == ([], "")
+
+
+@pytest.mark.parametrize("uri", [SINGLE, DOUBLE])
+def test_a_velocity_and_an_acceleration_end_with_the_command_that_stops(uri):
+    world = world_of(uri)
+    link = world.link(0, world.kind)
+    link.send(COMMANDS[uri])
+    world.step()
+    link.send(XYZ("stop", np.zeros(5)))
+    world.step()
+    assert world.resting(0)
+    assert world.time == pytest.approx(0.02)

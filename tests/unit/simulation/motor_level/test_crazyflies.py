@@ -1,0 +1,72 @@
+import math
+
+import numpy as np
+import pytest
+
+from crazychoir.numerics.math3d import rotation
+from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
+from crazychoir.simulation.motor_level.air import Wind
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.onboard.laws import MotorForces
+
+
+def posed(world, ticks):
+    """Step, and show each drone to motion capture."""
+    for _ in range(ticks):
+        world.step()
+        for i, row in world.row.items():
+            world.onboard[i].external_pose(world.states[row, :3].copy(), world.states[row, 6:10].copy())
+
+
+@pytest.mark.parametrize("platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name)
+def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
+    tilt = math.radians(3.0)
+    world = CrazyflieWorld(
+        [4], np.array([[0.5, -0.5, 0.0]]), platform=platform, wind=Wind((0.3, 0.0, 0.0), 0.1),
+        floor_normal=(math.sin(tilt), 0.0, math.cos(tilt)),
+    )  # fmt: skip
+    drone = world.onboard[4]
+    posed(world, 50)
+    drone.arm()
+    posed(world, 150)
+    assert drone.take_off(0.5, 2.0) == 0
+    posed(world, 500)
+    np.testing.assert_allclose(world.states[0, :3], [0.5, -0.5, 0.5], atol=0.15)
+    assert world.vbat(4) < 4.1
+    assert drone.land(0.0, 2.0) == 0
+    posed(world, 500)
+    assert world.resting(4)
+    assert world.crashed == []
+    np.testing.assert_allclose(rotation(world.states[0, 6:10])[:, 2], [math.sin(tilt), 0, math.cos(tilt)], atol=1e-6)
+
+
+def test_a_drone_flies_the_same_alone_and_among_others():
+    def flown(ids):
+        p0 = np.array([[float(i), 0.0, 0.0] for i in ids])
+        world = CrazyflieWorld(ids, p0, downwash=False, seed=2)
+        posed(world, 30)
+        for i in ids:
+            world.onboard[i].arm()
+        posed(world, 30)
+        for i in ids:
+            assert world.onboard[i].take_off(0.4, 1.0) == 0
+        posed(world, 100)
+        return world.states[world.row[5]].copy()
+
+    alone = flown([5])
+    assert alone[2] > 0.05
+    np.testing.assert_array_equal(alone, flown([1, 2, 3, 4, 6, 7, 8, 9, 10, 5]))
+
+
+def test_a_users_law_flies_it_every_two_milliseconds():
+    world, calls = CrazyflieWorld([1], np.zeros((1, 3))), []
+
+    def law(setpoint, state, gyro, dt):
+        calls.append(dt)
+        return MotorForces(0.05, 0.05, 0.05, 0.05)
+
+    drone = world.onboard[1]
+    drone.register("mine", law)
+    drone.set("stabilizer.controller", "mine")
+    world.step()
+    assert calls == [0.002] * 5

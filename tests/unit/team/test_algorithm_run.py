@@ -1,0 +1,215 @@
+"""An algorithm that cannot go on at one agent ends at all of them, soon, with who it was and why."""
+
+import asyncio
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.port import Bus
+from crazychoir.errors import AgentFailed, ChannelEnded, PeerLost, SolverError
+from crazychoir.optimization.algorithms import asymm
+from crazychoir.optimization.algorithms.asymm import ASYMM
+from crazychoir.optimization.problems.smooth import Smooth
+from crazychoir.runtime.clock import run_virtual
+from crazychoir.team.algorithm_run import Pace, run_algorithm
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import complete, path, ring
+from crazychoir.types import Failure
+
+
+class Counting:
+    """So many rounds; in one of them it may fail."""
+
+    def __init__(self, rounds, fails_at=-1, asynchronous=False):
+        self.rounds, self.fails_at, self.asynchronous, self.k = rounds, fails_at, asynchronous, 0
+
+    @property
+    def done(self):
+        return self.k >= self.rounds
+
+    def message(self):
+        return self.k
+
+    def step(self, heard):
+        if self.k == self.fails_at:
+            raise SolverError("its local problem, row 1", "infeasible, b = -1")
+        self.k += 1
+
+
+class Missing:
+    """The membership after some s: these are lost."""
+
+    def __init__(self, clock, ids, since):
+        self.clock, self.ids, self.since = clock, ids, since
+
+    def lost(self, j):
+        return j in self.ids and self.clock.now() > self.since
+
+
+def endings(agents, graph, loss=0.0, lost=(), seed=1, pace=None, **options):
+    """What each of `agents` ends with, None if with nothing, and the s until the last has; others never begin."""
+
+    async def part(communicator, algorithm, ends):
+        try:
+            await run_algorithm(communicator, algorithm, pace=pace, **options)
+            if not getattr(algorithm, "asynchronous", False):
+                await communicator.close()
+        except Exception as error:  # noqa: BLE001 - what it is is what the tests look at
+            ends[communicator.id] = error
+
+    async def main(clock):
+        bus, ends = Bus(clock, Impairment(seed, [Rule({"loss": loss, "delay": 0.001})])), dict.fromkeys(agents)
+        membership = Missing(clock, lost, 1.0)
+        members = {i: Communicator(bus.port(i), graph, membership) for i in graph.ids}
+        await asyncio.gather(*(part(members[i], agent, ends) for i, agent in agents.items()))
+        return ends, clock.now()
+
+    return run_virtual(main)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+@pytest.mark.parametrize("graph", [path(6), ring(6, directed=True)])
+def test_who_is_lost_is_named_at_all_long_before_the_deadline(graph, loss):
+    found, seconds = endings({i: Counting(99) for i in range(5)}, graph, loss, lost=(5,))
+    assert isinstance(found.pop(graph.out_neighbors(5)[0]), PeerLost)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 5)}
+    assert seconds < 8.0
+
+
+def test_who_ends_in_an_earlier_round_is_named_at_all():
+    agents = {i: Counting(3 if i == 0 else 9) for i in range(5)}
+    found, seconds = endings(agents, path(5), loss=0.3)
+    assert found.pop(0) is None
+    assert isinstance(found.pop(1), ChannelEnded)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 0)}
+    assert seconds < 10.0
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends_these_too(loss):
+    agents = {i: Counting(30, 29 if i == 2 else -1, asynchronous=True) for i in range(4)}
+    found, _ = endings(agents, complete(4), loss, pace=Pace((0.01, 0.02)))
+    assert isinstance(found.pop(2), SolverError)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 2)}
+
+
+# Coroutines that exchange by themselves ---------------------------------------------------------------------------
+
+
+def exchanging(graph, loss, policy="raise"):
+    """Each exchanges in a loop of its own; agent 2 raises, and says so, and who hears it hands it on."""
+
+    async def part(communicator):
+        try:
+            for k in range(40):
+                if communicator.id == 2 and k == 5:
+                    raise ValueError("my own trouble")
+                await communicator.neighbors_exchange(k, deadline=3.0, policy=policy)
+        except Exception as error:  # noqa: BLE001 - what it is is what the tests look at
+            word = (error.agent, error.reason) if isinstance(error, AgentFailed) else (communicator.id, str(error))
+            await communicator.fail(Failure(*word))
+            return error
+
+    async def main(clock):
+        bus = Bus(clock, Impairment(1, [Rule({"loss": loss, "delay": 0.001})]))
+        return await asyncio.gather(*(part(Communicator(bus.port(i), graph)) for i in graph.ids)), clock.now()
+
+    return run_virtual(main)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+@pytest.mark.parametrize("graph", [path(6), ring(6, directed=True), complete(6)])
+def test_who_says_that_it_goes_on_no_more_is_not_waited_for(graph, loss):
+    found, seconds = exchanging(graph, loss)
+    assert isinstance(found.pop(2), ValueError)
+    assert {(type(error), error.agent, error.reason) for error in found} == {(AgentFailed, 2, "my own trouble")}
+    assert seconds < 2.5
+
+
+def test_who_asks_for_those_alone_that_come_goes_on_without_it():
+    found, _ = exchanging(path(4), 0.0, policy="partial")
+    assert [type(error) for error in found] == [type(None), type(None), ValueError, type(None)]
+
+
+# The asynchronous method of multipliers: its agents wait for each other -------------------------------------------
+
+
+def contradictory(graph):
+    """x <= -1 and x >= 1, at two agents."""
+    rows = {2: Smooth(lambda x: x + 1.0, lambda x: np.eye(1)), 4: Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1))}
+    return {
+        i: ASYMM(
+            i, graph.neighbors(i), graph.diameter(), [1.0 * i],
+            Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)), inequalities=rows.get(i),
+        )
+        for i in graph.ids
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_nobody_is_done_while_another_one_may_still_fail(seed):
+    graph = path(5)
+    found, seconds = endings(contradictory(graph), graph, loss=0.4, seed=seed, pace=Pace(seed=seed))
+    assert None not in found.values()
+    assert any(isinstance(error, SolverError) for error in found.values())
+    for error in found.values():
+        assert "from that of agent" in str(error)
+        assert "after 25 epochs" in str(error)
+    assert seconds < 300.0
+
+
+BOWL = Smooth(lambda x: x @ x, lambda x: 2 * x)
+
+
+def multipliers(graph, function=BOWL):
+    return {i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0], function) for i in graph.ids}
+
+
+def test_who_waits_for_a_neighbour_that_is_lost_ends_all():
+    graph = path(4)
+    agents = multipliers(graph)
+    del agents[3]
+    found, seconds = endings(agents, graph, loss=0.3, lost=(3,))
+    assert isinstance(found.pop(2), PeerLost)
+    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 3)}
+    assert seconds < 8.0
+
+
+def test_a_cost_without_a_minimum_is_named_after_so_many_steps(monkeypatch):
+    """f_i(x) = -20 x: no coupling holds the team back."""
+    monkeypatch.setattr(asymm, "MOST_STEPS", 200)
+    graph = path(3)
+    fall = Smooth(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
+    found, _ = endings(multipliers(graph, fall), graph)
+    assert any(isinstance(error, SolverError) for error in found.values())
+    assert all("epoch 0: |grad L| = " in str(error) and "steps, at x = [" in str(error) for error in found.values())
+
+
+class Hearing(Counting):
+    """Fails as soon as it hears all, if it sends such; each sends what it is told to."""
+
+    def __init__(self, sends, asynchronous):
+        super().__init__(99, asynchronous=asynchronous)
+        self.sends = sends
+
+    def message(self):
+        return self.sends
+
+    def step(self, heard):
+        if len(heard) == 7 and type(self.sends) in (int, list):
+            raise KeyError("x")
+
+
+@pytest.mark.parametrize("asynchronous", [False, True])
+def test_what_a_failing_step_had_heard_is_told_the_rarest_first(asynchronous):
+    sent = [0, np.zeros((2, 3)), np.zeros((2, 3)), *[np.zeros(2, bool)] * 3, None, 1.5]
+    found, _ = endings({i: Hearing(sends, asynchronous) for i, sends in enumerate(sent)}, complete(8))
+    said = "None from 6, float from 7, float64 (2, 3) from 1, 2, bool (2,) from 3, 4, 5"
+    assert any(str(error).endswith(f"); it had heard {said}") for error in found.values())
+
+
+def test_of_many_senders_some_are_told():
+    found, _ = endings({i: Hearing([[i]], False) for i in range(8)}, complete(8))
+    assert str(found[0]).endswith("; it had heard list of 1 from 1, 2, 3, 4 and 3 more")

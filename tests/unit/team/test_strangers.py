@@ -1,0 +1,74 @@
+"""Who has another mission, and who of two camps is refused."""
+
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.team.strangers import CODE, SETTLE, Strangers, difference
+
+
+def told(story) -> None:
+    async def main(clock: Clock) -> None:
+        await story(clock)
+
+    run_virtual(main)
+
+
+def test_the_smaller_camp_is_refused_and_of_equals_the_one_without_the_lowest_id():
+    async def story(clock: Clock) -> None:
+        camp = Strangers(clock, 1, 4, "ours")
+        assert not camp.are_more([])
+        assert camp.heard(2, "other")
+        assert not camp.heard(3, "ours")
+        assert not camp.are_more([3])
+        assert camp.heard(0, "other")
+        assert camp.are_more([3]), "two and two, and 0 is theirs"
+        assert camp.heard(0, "third")
+        assert not camp.are_more([3])
+
+    told(story)
+
+
+def test_one_who_has_changed_to_our_mission_is_a_stranger_no_more():
+    async def story(clock: Clock) -> None:
+        camp = Strangers(clock, 1, 2, "ours")
+        camp.heard(0, "other")
+        assert camp.are_more([])
+        assert camp.text().startswith("its swarm file or mission (ours) is not that of drone 0 (other). Copy one")
+        assert not camp.heard(0, "ours")
+        assert camp.missions == {}
+        assert not camp.are_more([0])
+
+    told(story)
+
+
+def test_who_has_not_heard_everybody_waits_before_it_judges():
+    async def story(clock: Clock) -> None:
+        camp = Strangers(clock, 1, 9, "ours")
+        camp.heard(0, "other")
+        assert not camp.are_more([])
+        await clock.sleep(SETTLE + 0.01)
+        assert camp.are_more([])
+
+    told(story)
+
+
+def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_itself_they_differ():
+    config = default_swarm(3)
+
+    def hashed(config, code="00"):
+        return f"{config.digest()}:{config.digests()}{code}"
+
+    other = config.replace(graph="complete", flight={"speed_limit": 2.0}, base_port=8000, network={"loss": 0.5})
+    assert difference(hashed(config), hashed(config)) == []
+    assert difference(hashed(config), hashed(other)) == ["graph", "flight"]
+    assert difference(hashed(config), hashed(config, "01")) == [CODE]
+    assert difference(hashed(config), hashed(config)[:-2]) == [], "of another version, with other keys"
+    assert difference(hashed(config), "ours") == []
+
+    async def story(clock: Clock) -> None:
+        camp = Strangers(clock, 1, 2, hashed(config))
+        assert not camp.heard(0, config.digest()), "after GO only the whole is said"
+        assert camp.heard(0, hashed(other))
+        whole = f"({config.digest()}) is not that of drone 0 ({other.digest()}, which has another graph, flight). Copy"
+        assert whole in camp.text()
+
+    told(story)
