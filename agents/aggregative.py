@@ -20,13 +20,12 @@ from crazychoir.guidance.aggregative import Defence, Defender
 from crazychoir.guidance.mission_options import Duration, Period, Spot, Spots, given, require_none
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import SETTLE, TimedFlight
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.team.graph import Graph, metropolis
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 Results = dict[int, dict[str, Any]]
 INTRUDER = "intruder"

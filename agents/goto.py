@@ -17,12 +17,11 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Coordinate, given, require_each, require_none
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import TimedFlight
-from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.recording.analysis.tracks import draw_ways
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Vec
 
 Results = dict[int, dict[str, Any]]
 CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))

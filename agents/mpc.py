@@ -18,9 +18,9 @@ from crazychoir.config.tables import Acceleration, Drone, Speed, Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Duration, Spot, given, own
 from crazychoir.guidance.mpc import Motion, MPCGuidance
-from crazychoir.numerics.math3d import Vec
 from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.safety.rules.guard import EDGE
+from crazychoir.types import Vec
 
 Results = dict[int, dict[str, Any]]
 MARGIN = 0.05

@@ -15,8 +15,8 @@ from crazychoir.config.tables import Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Place, given, require_none
 from crazychoir.guidance.timed import TargetList
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.recording.analysis.tracks import draw_ways
+from crazychoir.types import Mat, Vec
 
 Results = dict[int, dict[str, Any]]
 TARGETS = ((0.8, 0.0, 1.0), (0.8, 0.8, 1.3), (0.0, 0.8, 1.0), (-0.4, 0.4, 0.6), (0.0, 0.0, 1.0))

@@ -42,13 +42,13 @@ __all__ = [
 _ROOM_OF = {
     "CrazyChoirError": "errors",
     "CFDistributedFeedback": "guidance.feedback",
-    "CFGuidance": "guidance.base",
-    "PDVRPGuidance": "guidance.pickup_delivery",
-    "Communicator": "swarm.communicator",
-    "SwarmConfig": "swarm.config",
-    "Graph": "swarm.graph",
-    "GraphSequence": "swarm.graph",
-    "Round": "swarm.round",
+    "CFGuidance": "guidance.guidance",
+    "PDVRPGuidance": "guidance.delivery.pickup_delivery",
+    "Communicator": "team.communicator",
+    "SwarmConfig": "config.swarm_config",
+    "Graph": "team.graph",
+    "GraphSequence": "team.graph",
+    "Round": "team.round",
     **dict.fromkeys(("FPQR", "Acceleration", "FullState", "Goto", "PerNeighbor", "Pose", "State", "Velocity"), "types"),
 }
 
@@ -57,7 +57,11 @@ user_folders.prepare_matplotlib()  # before a mission imports it
 if not TYPE_CHECKING:  # with it, a type checker would take every name for one of ours
 
     def __getattr__(name: str) -> object:
-        """A public name, from its room (PEP 562)."""
+        """Return a public name from its room, or the version (PEP 562)."""
+        if name == "__version__":
+            from importlib.metadata import version
+
+            return version(__name__)
         if name not in _ROOM_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         value = globals()[name] = getattr(import_module(f"{__name__}.{_ROOM_OF[name]}"), name)

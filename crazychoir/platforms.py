@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY, Vec
+from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.types import Vec
 
 Three = tuple[float, float, float]
 MOST_TURN = 32767.0

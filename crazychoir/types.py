@@ -13,6 +13,9 @@ import numpy.typing as npt
 
 Vec = npt.NDArray[np.float64]
 Mat = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Words = npt.NDArray[np.uint64]
+Bools = npt.NDArray[np.bool_]
 Point = Sequence[float] | Vec
 STILL: Vec = np.zeros(3)
 """The acceleration of who is not known to accelerate."""
@@ -265,22 +268,25 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
 
 
 class Plan(Wire, frozen=True, array_like=True, gc=False):
-    """What a drone that flies by its planner on board will fly, said to all others that do.
-
-    way: (k, 25), see safety/collision/agreed/paths.py, (0, 25) on the ground;  since: s, it has been flown;  offer: the way
-    that it wants to fly instead, (0, 25) if none;  due: s, until that would begin;  number: of the offer, in its upper
-    bits the incarnation of who offers;  agreed: by drone, the number of its offer that may be flown as far as this one
-    is concerned, -1 for none; whoever is not in it is not known to fly;  awaits: (3,) m, world, where it wants to
-    rest, and cannot come to, (0,) if there is no such place.
-    """
+    """The path of a drone with a planner on board, sent to all other drones that have one."""
 
     way: Mat
+    """(k, 25): the path that it flies, see safety/collision/agreed/paths.py; (0, 25) on the ground."""
     since: float
+    """Seconds since it began to fly that path."""
     offer: Mat
+    """(k, 25): the path that it wants to fly instead; (0, 25) without one."""
     due: float
+    """Seconds until the offered path would begin."""
     number: int
+    """Number of the offer. Its upper bits are the incarnation of the sender."""
     agreed: dict[int, int]
+    """By drone id: the number of the offer that the sender has granted, -1 for none.
+
+    A drone that is missing here is not known to fly.
+    """
     awaits: Vec
+    """(3,) m, world: where it wants to rest but finds no room; (0,) if there is no such place."""
 
 
 class Failure(Wire, frozen=True, array_like=True, gc=False):

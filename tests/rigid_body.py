@@ -5,7 +5,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from crazychoir.numerics.math3d import GRAVITY, kernel, memory
+from crazychoir.numerics.kernels import kernel, memory
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard

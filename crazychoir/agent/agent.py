@@ -22,6 +22,7 @@ from crazychoir.config.checks import LIGHTWEIGHT, limit_area
 from crazychoir.config.link_loss import TILTED, crowded, inset
 from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import AGREED
 from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
@@ -144,9 +145,16 @@ class Agent:
     def _drone(self, i: int) -> Drone:
         config, port = self.config, self.bus.ports[i]
         barrier = Barrier(
-            port, self._graph, mission_hash=self._digest, version=VERSION, seed=config.seed, start=config.start,
-            start_deadline=self._start_deadline, lost_after=config.lost_after,
-        )  # fmt: skip
+            port,
+            self._graph,
+            mission_hash=self._digest,
+            version=VERSION,
+            agreed_keys=AGREED,
+            seed=config.seed,
+            start=config.start,
+            start_deadline=self._start_deadline,
+            lost_after=config.lost_after,
+        )
         communicator = Communicator(port, self._graph)
         communicator.follow(barrier)
         barrier.listeners.append(partial(self._tell_apart, barrier))

@@ -13,13 +13,13 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Collision
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.path_checks import inside, require_inside
-from crazychoir.numerics.math3d import Mat
 from crazychoir.planning.drawing.drawing import Pen, drawing
 from crazychoir.planning.drawing.drawing_file import DrawingFile, parse_drawing, read_drawing
 from crazychoir.planning.drawing.stroke import csv_of, thinned
 from crazychoir.planning.drawing.svg import svg_of
 from crazychoir.planning.feasibility import Limits, check, peaks, references
 from crazychoir.planning.piecewise import Piecewise
+from crazychoir.types import Mat
 
 Offset = tuple[float, float, float]
 """From one drone to the next, m, world."""

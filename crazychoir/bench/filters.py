@@ -19,7 +19,6 @@ from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.numerics.math3d import (
     GRAVITY,
-    Vec,
     conjugate,
     exponential,
     logarithm,
@@ -29,7 +28,7 @@ from crazychoir.numerics.math3d import (
     yaw_of,
 )
 from crazychoir.platforms import PAPER
-from crazychoir.types import Pose
+from crazychoir.types import Pose, Vec
 
 RATES = (50, 100, 240)  # Hz
 SEEDS = (1, 2, 3)

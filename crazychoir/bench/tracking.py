@@ -21,14 +21,13 @@ from crazychoir.control.gains import Gains
 from crazychoir.control.margin import Plant
 from crazychoir.control.position import FlatnessPositionCtrl
 from crazychoir.guidance.mission import load
-from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.figure import Figure, circle, eight
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.engines import worlds
-from crazychoir.types import Command, FullState, State
+from crazychoir.types import Command, FullState, State, Vec
 
 TICK = 0.01
 SETTLE = 4.0

@@ -15,12 +15,13 @@ import numpy as np
 from rich.table import Table
 
 from crazychoir.errors import Refused
-from crazychoir.numerics.math3d import GRAVITY, Mat
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.motors import MotorWorld
+from crazychoir.types import Mat
 
 COUNTS = (100, 1000)
 TICK = 0.01

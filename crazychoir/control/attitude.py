@@ -6,9 +6,10 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.control.gains import STANDARD, Gains, Tuned
-from crazychoir.numerics.math3d import Vec, clip, columns, dot, kernel, memory, vector
+from crazychoir.numerics.kernels import kernel, memory, vector
+from crazychoir.numerics.math3d import clip, columns, dot
 from crazychoir.platforms import PAPER, Platform
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 ATTITUDE_ON_BOARD = 6.0  # 1/s, kp of the firmware's roll and pitch control
 MOST_ANGLE = 1.0  # rad, of a roll or pitch that is asked for

@@ -9,8 +9,9 @@ from crazychoir.control.attitude import AttitudeControl
 from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.position import PositionControl
 from crazychoir.control.senders import CommunicationHandler
-from crazychoir.numerics.math3d import Vec, columns, exponential, finite, kernel, memory, real, vector
-from crazychoir.types import STILL, Command, Reference, State
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import columns, exponential, finite
+from crazychoir.types import STILL, Command, Reference, State, Vec
 
 EARLY = 1e-4  # s that a tick may be early for the next look at the position: clocks and cameras jitter
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec
 from crazychoir.platforms import Platform
+from crazychoir.types import Vec
 
 Axes = tuple[float, float, float]
 HOLD = 0.005  # s, half a tick at 100 Hz: the delay of holding commands

@@ -4,8 +4,8 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec, yaw_of
-from crazychoir.types import Acceleration, FullState, Reference, State
+from crazychoir.numerics.math3d import yaw_of
+from crazychoir.types import Acceleration, FullState, Reference, State, Vec
 
 _NOWHERE = State.at((0.0, 0.0, 0.0))
 

@@ -7,23 +7,10 @@ import numpy as np
 
 from crazychoir.control.gains import FORMATION, STANDARD, Gains, Tuned
 from crazychoir.control.trim import Trim
-from crazychoir.numerics.math3d import (
-    GRAVITY,
-    Triple,
-    Vec,
-    clip,
-    columns,
-    dot,
-    finite,
-    flat_attitude,
-    flat_rates,
-    kernel,
-    memory,
-    real,
-    vector,
-)
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import GRAVITY, Triple, clip, columns, dot, finite, flat_attitude, flat_rates
 from crazychoir.platforms import PAPER, Platform
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 GAINS = 13  # of Gains.position, before those of Platform.flat in the figures of the kernels
 DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d rad/s in the axes of R_d (3)

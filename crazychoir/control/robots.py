@@ -16,9 +16,9 @@ from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.senders import AccSender, CommunicationHandler, DriveSender, VelSender
 from crazychoir.control.trim import Trim
 from crazychoir.control.unicycle import UnicycleCtrl
-from crazychoir.numerics.math3d import Vec, saturate, wrap, yaw_of
+from crazychoir.numerics.math3d import saturate, wrap, yaw_of
 from crazychoir.platforms import PAPER
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 SILENT = 0.1
 

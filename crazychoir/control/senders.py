@@ -4,8 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Vec, Vel
 
 STOP = XYZ("stop", np.zeros(5))
 

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import GRAVITY, Vec, clip, columns, kernel, memory, real, vector
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import GRAVITY, clip, columns
+from crazychoir.types import Vec
 
 MOST_THRUST = 0.25  # share of the thrust: old propellers, a low battery, a wrong mass; not a wrong thrust map
 MOST_TRIM = 0.6  # m/s2: an attitude that is 3.5 degrees off

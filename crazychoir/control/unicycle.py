@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec, clip, saturate, wrap, yaw_of
-from crazychoir.types import State
+from crazychoir.numerics.math3d import clip, saturate, wrap, yaw_of
+from crazychoir.types import State, Vec
 
 STANDS = 1e-3
 """m/s: a reference that is slower is a pose to come to."""

@@ -7,8 +7,9 @@ import numpy as np
 from crazychoir.control.controller import EARLY, CrazyflieController
 from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.senders import CommunicationHandler
-from crazychoir.numerics.math3d import GRAVITY, Vec, finite, kernel, memory, real, vector, wrap
-from crazychoir.types import Command, Reference, State
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import GRAVITY, finite, wrap
+from crazychoir.types import Command, Reference, State, Vec
 
 VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt
 POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity

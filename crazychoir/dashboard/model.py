@@ -14,9 +14,8 @@ from crazychoir.config.checks import limit_area
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.recent_loss import Lately, share
-from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.mailbox import Call
-from crazychoir.types import FullState, LinkStatus, State, Status
+from crazychoir.types import FullState, LinkStatus, State, Status, Vec
 
 RATE, SELDOM, LINKS = 30.0, 10.0, 4.0
 """Hz, of states; of references; of how radios reach their drones."""

@@ -6,24 +6,9 @@ import numpy as np
 
 from crazychoir.filters.motion import RATE_LAG, STANDING, Commanded, fly, stands
 from crazychoir.filters.velocity import ROUNDING, SOONEST, lateness, readable
-from crazychoir.numerics.math3d import (
-    Mat,
-    Triple,
-    Vec,
-    clip,
-    conjugate,
-    exponential,
-    finite,
-    kernel,
-    logarithm,
-    memory,
-    product,
-    real,
-    table,
-    unit,
-    vector,
-)
-from crazychoir.types import Pose, State
+from crazychoir.numerics.kernels import kernel, memory, real, table, vector
+from crazychoir.numerics.math3d import Triple, clip, conjugate, exponential, finite, logarithm, product, unit
+from crazychoir.types import Mat, Pose, State, Vec
 
 GATE = 25.0  # chi-square of 3 degrees of freedom: beyond it is one good pose of 65 000
 SLACK_P, SLACK_ANGLE = 0.002, 0.035  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone

@@ -5,20 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.numerics.math3d import (
-    GRAVITY,
-    Triple,
-    Vec,
-    columns,
-    dot,
-    exponential,
-    kernel,
-    memory,
-    product,
-    real,
-    unit,
-    vector,
-)
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, exponential, product, unit
+from crazychoir.types import Vec
 
 STEP = 0.01  # s, of the integration at most
 RATE_LAG = 0.05  # s, from a commanded body rate to that of the drone, delays of command and measurement included

@@ -2,8 +2,7 @@
 
 from typing import Protocol
 
-from crazychoir.numerics.math3d import Vec
-from crazychoir.types import Pose, State
+from crazychoir.types import Pose, State, Vec
 
 
 class StateFilter(Protocol):

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from crazychoir.filters.motion import ConstantVelocity, Motion, coast
-from crazychoir.numerics.math3d import Vec, conjugate, kernel, logarithm, memory, product, real, unit, vector
-from crazychoir.types import Pose, State
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import conjugate, logarithm, product, unit
+from crazychoir.types import Pose, State, Vec
 
 
 @kernel(vector)

@@ -3,11 +3,11 @@
 import math
 
 from crazychoir.flight.point_flights import LONGEST_WAIT, Flights
-from crazychoir.numerics.math3d import Vec, yaw_of
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.safety.collision.agreed.planned import Future, PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.types import Acceleration, FullState, State
+from crazychoir.types import Acceleration, FullState, State, Vec
 
 BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
 """m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far

@@ -11,9 +11,8 @@ from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.platforms import MOST_TURN, Platform
-from crazychoir.types import FullState, State
+from crazychoir.types import FullState, Mat, State, Vec
 
 SEEN = 0.1
 """s, the age of a state beyond which it is a prediction, of which the controllers learn nothing."""

@@ -4,13 +4,13 @@ import numpy as np
 
 from crazychoir.config.tables import Flight
 from crazychoir.flight.goals import require_setpoint
-from crazychoir.numerics.math3d import GRAVITY, Vec, yaw_of
+from crazychoir.numerics.math3d import GRAVITY, yaw_of
 from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.platforms import Platform
 from crazychoir.safety.rules.guard import INSET, Fence
-from crazychoir.types import FullState, State
+from crazychoir.types import FullState, State, Vec
 
 DETOUR, PARKING = 2.0, 4.0
 """A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""

@@ -13,10 +13,9 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.timed import Way
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
 from crazychoir.planning.smoothing import Smoother
-from crazychoir.types import FullState, Heard, State
+from crazychoir.types import FullState, Heard, Mat, State, Vec
 
 CHANNEL = "aggregative"
 SPEED_SHARE, ACCELERATION_SHARE = 0.5, 0.9

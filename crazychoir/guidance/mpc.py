@@ -11,9 +11,8 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.timed import Way
-from crazychoir.numerics.math3d import Vec
 from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, SequentialMPC, integrators
-from crazychoir.types import FullState, Heard, State
+from crazychoir.types import FullState, Heard, State, Vec
 
 log = logging.getLogger(__name__)
 CHANNEL = "mpc"

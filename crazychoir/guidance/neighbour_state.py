@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from crazychoir.bus.topics import STATE
-from crazychoir.numerics.math3d import Vec, kernel, memory, real, vector
+from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import STILL, State
+from crazychoir.types import STILL, State, Vec
 
 SPREAD = 10.0  # steps within which a law is told what the velocities so far have lacked
 NOTHING = 1e-7  # m; less is not owed

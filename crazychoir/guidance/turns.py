@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from crazychoir.flight.pilot import Pilot
-from crazychoir.numerics.math3d import Vec
 from crazychoir.safety.collision.filter import STANDING
 from crazychoir.safety.collision.neighbour_table import BORN, USABLE
 from crazychoir.safety.rules.guard import EDGE, Fence
+from crazychoir.types import Vec
 
 NEAR, AROUND = 0.5, 0.75
 """m from a place, in the plane: who flies within wants it too, it may be; who waits for it does so outside."""

@@ -19,10 +19,9 @@ from crazychoir.config.checks import TOUCHING
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import LAW
 from crazychoir.guidance.mission import Mission, has
-from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Call
-from crazychoir.types import State, Status
+from crazychoir.types import State, Status, Vec
 
 SETTLED = 0.01
 """m, from the goal: a formation is settled when every drone stays within it."""

@@ -12,7 +12,8 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.mocap.mounting import turned
-from crazychoir.numerics.math3d import Mat, Vec, conjugate, logarithm, product, rotation
+from crazychoir.numerics.math3d import conjugate, logarithm, product, rotation
+from crazychoir.types import Mat, Vec
 
 STILL, STEADY = 0.01, math.radians(1.0)
 """m, rad: who moves by more is not at rest."""

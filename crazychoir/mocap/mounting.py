@@ -6,7 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec, conjugate, exponential, kernel, product, unit, vector
+from crazychoir.numerics.kernels import kernel, vector
+from crazychoir.numerics.math3d import conjugate, exponential, product, unit
+from crazychoir.types import Vec
 
 
 @kernel(vector, vector, vector)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from crazychoir.mocap.frames import Frame
-from crazychoir.numerics.math3d import Vec
+from crazychoir.types import Vec
 
 FAR = 0.3
 """m from its home beyond which a drone is not taken to stand there."""

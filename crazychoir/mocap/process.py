@@ -18,12 +18,11 @@ from crazychoir.mocap.system import SystemSource
 from crazychoir.mocap.view import Blur, RateLimit, View
 from crazychoir.mocap.virtual import VirtualSource
 from crazychoir.mocap.watch import Watch
-from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import Body, Pose
+from crazychoir.types import Body, Pose, Vec
 
 log = logging.getLogger(__name__)
 LOOKS = 4.0

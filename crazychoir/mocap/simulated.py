@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtri
 
-from crazychoir.numerics.math3d import Mat, Vec, exponential, kernel, matrix, product, real, table, vector
-from crazychoir.types import Pose
+from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
+from crazychoir.numerics.math3d import exponential, product
+from crazychoir.types import Mat, Pose, Vec
 
 
 @kernel(matrix, matrix, real, real, vector, table)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.mocap.frames import Frame
-from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.throttle import Throttle
+from crazychoir.types import Vec
 
 WINDOW = 2.0
 """s over which rates are averaged."""

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.optimization.problems.quadratic import MovingProgram, Polyhedron
 from crazychoir.optimization.rounds.messages import INTEGER, malformed, parts
+from crazychoir.types import Mat, Vec
 
 DEAR = 1e4
 """Price of being out of reach by 1: beyond what it is worth to anybody."""

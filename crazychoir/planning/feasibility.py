@@ -7,8 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY, Mat, Vec, dot, flat_attitude, flat_rates, kernel, matrix, table
+from crazychoir.numerics.kernels import kernel, matrix, table
+from crazychoir.numerics.math3d import GRAVITY, dot, flat_attitude, flat_rates
 from crazychoir.planning.trajectory import Trajectory, setpoints
+from crazychoir.types import Mat, Vec
 
 RATE = 200.0  # Hz, of the instants that are looked at
 LEAST = 200  # instants, of a short trajectory

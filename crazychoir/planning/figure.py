@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Triple, Vec, kernel, memory, real, vector
-from crazychoir.types import FullState
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import Triple
+from crazychoir.types import FullState, Vec
 
 Yaw = float | Literal["along"]
 GIVEN, ALONG = 0.0, 1.0  # kinds of yaw

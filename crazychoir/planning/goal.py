@@ -6,12 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.feasibility import Limits, check, references
 from crazychoir.planning.landing import Landing
 from crazychoir.planning.piecewise import Piecewise, joined
 from crazychoir.planning.point_to_point import PointToPoint, duration_for, stopping
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Vec
 
 LIMITS = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
 

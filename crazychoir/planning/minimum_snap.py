@@ -7,12 +7,11 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.feasibility import Limits, check, check_references, keeps
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.scaling import slowdown
 from crazychoir.planning.spline import checked_places, chord_times, spline
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact for snap^2, of degree 6
 FASTEST, GROWTH, TRIES = 0.5, 1.03, 70  # times the time from rest to rest, where an end moves: up to 3.8

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat
+from crazychoir.types import Mat
 
 CSV = "a readable CSV file, UTF-8"
 UNITS = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "m/s2", "m/s²", "m/s^3", "m/s3", "m/s³")

@@ -7,8 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec, kernel, matrix, memory, real, table, vector, wrap
-from crazychoir.types import FullState
+from crazychoir.numerics.kernels import kernel, matrix, memory, real, table, vector
+from crazychoir.numerics.math3d import wrap
+from crazychoir.types import FullState, Mat, Vec
 
 DEGREE = 7
 FACTORIALS = np.array([math.factorial(n) for n in range(DEGREE + 1)], dtype=float)

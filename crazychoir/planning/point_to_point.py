@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Vec, wrap
+from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.polynomial import Polynomial7th
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Vec
 
 PEAK_SPEED = 35.0 / 16.0  # of a rest-to-rest flight of 1 m in 1 s
 PEAK_ACCELERATION = 84.0 * math.sqrt(5.0) / 25.0  # the same, m/s2

@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Vec, kernel, real, table, vector, wrap
+from crazychoir.numerics.kernels import kernel, real, table, vector
+from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.piecewise import DEGREE, Piecewise
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Vec
 
 
 @kernel(vector, vector, real, table)

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY, Mat, Vec
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.planning.feasibility import THRUST, Limits, demands, references
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 SLOWEST = 1e4  # times as long: what does not keep the limits then never does
 GETS_UP = 2.0  # s in which what was stopped on its way gets its own pace again

@@ -5,8 +5,7 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 SLOPE, CURVE = 0.4481, 0.3750
 """Integrals of |h'| and |h''|, h(t) = t^3 e^-t / 6 the answer of the filter to a pulse, w = 1."""

@@ -5,9 +5,9 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec, wrap
+from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.piecewise import DEGREE, FACTORIALS, Piecewise
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 DERIVATIVES = {3: 1, 5: 2, 7: 3}  # how many of v, a, j a spline of that degree can be given at an end
 NAMES = ("velocity", "acceleration", "jerk")

@@ -6,9 +6,8 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 MOST_SETPOINTS = 1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
-from crazychoir.numerics.math3d import Mat
 from crazychoir.planning.number_table import TableError, check_increasing, read_table, write_table
 from crazychoir.planning.piecewise import DEGREE, Piecewise
 from crazychoir.planning.spline import spline, unwrapped
 from crazychoir.planning.trajectory import Trajectory, setpoints
+from crazychoir.types import Mat
 
 PLACE = ("t", "x", "y", "z")
 YAW = ("yaw",)

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec, wrap
+from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory
+from crazychoir.types import Mat, Vec
 
 MOST_PIECES = 31  # of 132 bytes: 4096 bytes of trajectory memory (Crazyflie firmware)
 INSTANTS = 33  # of each piece at which the fit is judged

@@ -6,10 +6,9 @@ from functools import partial
 from crazychoir.bus.port import EYES, Bus
 from crazychoir.bus.topics import BODY, POSE
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.numerics.math3d import Vec
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.identity.takeoff_check import LONGEST, Ascent, Track, tilt
-from crazychoir.types import Body, Pose
+from crazychoir.types import Body, Pose, Vec
 
 RATE = 50.0
 """Hz, at which bodies are looked at, and not their drones told of it."""

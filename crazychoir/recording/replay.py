@@ -12,13 +12,12 @@ from scipy.interpolate import CubicHermiteSpline
 from crazychoir.bus.topics import TRUTH
 from crazychoir.config.checks import REPLAY
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.trajectory_file import read_samples
 from crazychoir.recording.mcap.odometry import into_world
 from crazychoir.recording.mcap.reading import read
 from crazychoir.simulation.common.truth import Truth
 from crazychoir.simulation.common.world import KINDS, Link, WorldSetup, not_flown
-from crazychoir.types import Command
+from crazychoir.types import Command, Mat, Vec
 
 NEAR = 0.1
 """m, of a drone's home from where its recording begins."""

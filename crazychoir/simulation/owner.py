@@ -5,13 +5,12 @@ from typing import Protocol
 
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import BODY, POSE, TRUTH
-from crazychoir.numerics.math3d import Mat
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, WORLD
 from crazychoir.simulation.common.world import Link, World
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.telemetry import Telemetry
-from crazychoir.types import Body, Pose
+from crazychoir.types import Body, Mat, Pose
 
 MOST_CATCH_UP = 20
 """Steps of a world that was late: simulated drones go on falling while nobody computes."""

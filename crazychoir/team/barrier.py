@@ -7,7 +7,7 @@ stay to hold their rounds (HOLD), each answers with the first round that it has 
 counts from a round that nobody has reached. A newer epoch wins.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import Final, Literal
 
@@ -39,6 +39,7 @@ def _read(payload: bytes) -> Beat:
 class Barrier:
     """One drone's part in forming and keeping the team; also tells the communicator who is lost.
 
+    agreed_keys: keys of the swarm file that the mission hash holds one by one
     start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
     first round that is held (set by `Communicator.follow`; 0 where nobody exchanges);  listeners: called
     with each new roster;  history: (s, id, presence) of the newest changes;  refused: why this drone cannot fly: the
@@ -53,6 +54,7 @@ class Barrier:
         *,
         mission_hash: str,
         version: str,
+        agreed_keys: Sequence[str] = (),
         seed: int = 0,
         start: int | Literal["all"] = "all",
         start_deadline: float = 30.0,
@@ -74,7 +76,7 @@ class Barrier:
         self._known = frozenset(self._others)
         self._came: dict[int, float] = {}
         self._lost: dict[int, None] = {}
-        self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash)
+        self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash, agreed_keys)
         self._checksum = 0
         self._calm: dict[int, bytes] = {}
         self._settled_ns = 0

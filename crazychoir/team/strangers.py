@@ -1,9 +1,8 @@
 """Drones under the same swarm's name whose swarm file or mission is another one: who of them is refused."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Final
 
-from crazychoir.config.tables import AGREED
 from crazychoir.runtime.clock import SECOND, Clock
 
 SETTLE: Final = 2.0
@@ -13,24 +12,32 @@ COPY: Final = "Copy one swarm file and one mission to every host."
 CODE: Final = "the text of the mission"
 
 
-def difference(ours: str, theirs: str) -> list[str]:
-    """In which keys of the swarm file two mission hashes differ; [] where one of them does not say, or by chance."""
+def difference(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
+    """Return the keys of the swarm file in which two mission hashes differ.
+
+    keys: the keys that each hash holds two hex digits of, in their order.
+    Returns [] where a hash holds no keys, other keys, or agrees by chance.
+    """
     (_, _, a), (_, _, b) = ours.partition(":"), theirs.partition(":")
-    names = (*AGREED, CODE)
+    names = (*keys, CODE)
     if len(a) != 2 * len(names) or len(b) != len(a):
         return []
     return [name for k, name in enumerate(names) if a[2 * k : 2 * k + 2] != b[2 * k : 2 * k + 2]]
 
 
-def _told(theirs: str, ours: str) -> str:
-    differs = difference(ours, theirs)
+def _told(theirs: str, ours: str, keys: Sequence[str]) -> str:
+    differs = difference(ours, theirs, keys)
     return theirs.partition(":")[0] + (f", which has another {', '.join(differs)}" if differs else "")
 
 
 class Strangers:
-    """What drone `id`, one of `team` drones, has heard of other missions."""
+    """What drone `id`, one of `team` drones, has heard of other missions.
 
-    def __init__(self, clock: Clock, id: int, team: int, mission_hash: str) -> None:
+    keys: keys of the swarm file that the mission hash holds one by one.
+    """
+
+    def __init__(self, clock: Clock, id: int, team: int, mission_hash: str, keys: Sequence[str] = ()) -> None:
+        self.keys = keys
         self.clock, self.id, self.team, self.mission_hash = clock, id, team, mission_hash
         self.missions: dict[int, str] = {}
         self._judge_ns = 0
@@ -55,5 +62,6 @@ class Strangers:
     def text(self) -> str:
         """What to tell the user of them, and in what they differ."""
         ours, whole = self.mission_hash, self.mission_hash.partition(":")[0]
-        others = ", ".join(f"drone {j} ({_told(theirs, ours)})" for j, theirs in sorted(self.missions.items()))
+        missions = sorted(self.missions.items())
+        others = ", ".join(f"drone {j} ({_told(theirs, ours, self.keys)})" for j, theirs in missions)
         return f"its swarm file or mission ({whole}) is not that of {others}. {COPY}"

@@ -1,4 +1,4 @@
-"""crazychoir/bus/impairment/random_draws.py: the Gilbert-Elliott chain, computed block by block, is the chain walked step by step."""
+"""The Gilbert-Elliott chain of bus/impairment/random_draws.py equals the chain walked step by step."""
 
 import numpy as np
 import pytest

@@ -8,7 +8,8 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from crazychoir.numerics.math3d import GRAVITY, kernel, rotation, rotation_from_flat
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY, rotation, rotation_from_flat
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard import attitude, estimator, lee, loop, mellinger, mixing, planner, polynomial
 from crazychoir.simulation.onboard.onboard import Onboard

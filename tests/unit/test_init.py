@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,15 @@ def test_type_checkers_see_the_same_names():
     assert seen == {name: getattr(crazychoir, name).__module__ for name in crazychoir.__all__}
 
 
+def test_the_version_is_that_of_the_distribution():
+    assert crazychoir.__version__ == version("crazychoir")
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "crazychoir", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"crazychoir {crazychoir.__version__}\n"
+
+
 def test_the_package_alone_imports_no_numerics():
     found = python("import crazychoir, sys; print(sorted({name.split('.')[0] for name in sys.modules}))")
     assert "numpy" not in found
@@ -56,7 +66,7 @@ def test_a_light_name_imports_no_kernels():
 
 
 def test_simulated_worlds_import_the_engines_that_they_have():
-    found = python("import crazychoir.worlds, sys; print(sorted(sys.modules))")
+    found = python("import crazychoir.agent.worlds, sys; print(sorted(sys.modules))")
     assert "'crazychoir.simulation.lightweight.integrator'" in found
     assert "'crazychoir.simulation.motor_level.air'" not in found
     assert "'crazychoir.simulation.onboard'" not in found

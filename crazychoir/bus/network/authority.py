@@ -24,9 +24,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import today
-from crazychoir.security import DAYS
 
 AUTHORITY = "authority"
+DAYS = 825
+"""For which a certificate is good."""
 CERTIFICATE, KEY, ROOT = "certificate.pem", "key.pem", "authority.pem"
 SLACK = datetime.timedelta(minutes=5)
 """By which the clocks of two hosts may differ when a certificate is new."""

@@ -6,10 +6,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.table import Table
 
+from crazychoir.bus.network.authority import DAYS
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import STDOUT, fail, write_json
-from crazychoir.security import DAYS
 
 app = typer.Typer(help="Certificates: who may take part in a swarm of several hosts.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Option("--folder", help="Where they are; in swarm files: security.keys.")]

@@ -111,7 +111,8 @@ def steps(
     if package is not None:  # pip leaves what is there of the same version
         again = f"{install} --force-reinstall --no-deps {shlex.quote(what)}"
         yield Step("installed anew", (*SSH, at, again), INSTALL)
-    laws = f"{FOLDER}/venv/bin/python -c 'import crazychoir.launch.process.process'"  # else its agents, who start at once, wait
+    # Compile the kernels once, before the agents of the host start together and wait for them.
+    laws = f"{FOLDER}/venv/bin/python -c 'import crazychoir.launch.process.process'"
     yield Step("laws compiled", (*SSH, at, laws), INSTALL)
 
 

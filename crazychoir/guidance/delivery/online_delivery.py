@@ -31,11 +31,10 @@ from crazychoir.guidance.tasks.task_book import LARGEST, Place, Task
 from crazychoir.guidance.tasks.task_source import Event, TaskSource
 from crazychoir.guidance.tasks.team_news import PERIOD, UNREACHED, Key, TeamNews
 from crazychoir.guidance.tasks.together import given_up, run_together, unless
-from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.point_to_point import duration_for
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Stop
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Vec
 
 log = logging.getLogger(__name__)
 POLL = 0.05

@@ -9,9 +9,9 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.delivery_checks import require_flown
 from crazychoir.guidance.delivery.site import Site
-from crazychoir.numerics.math3d import Vec
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
 from crazychoir.routing.instance.instance import Instance
+from crazychoir.types import Vec
 
 FLOWN = ("end", "service_time", "penalty", "recharge")
 """Of what `require_flown` looks for."""

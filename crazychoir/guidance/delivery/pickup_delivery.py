@@ -7,11 +7,11 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Member
-from crazychoir.numerics.math3d import Vec
 from crazychoir.routing.distributed.pickup_delivery import METHODS, PickupDelivery
 from crazychoir.routing.distributed.plain_loop import warm
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Route, Solution, Stop
+from crazychoir.types import Vec
 
 DEADLINE = 120.0
 """s for one round: the slowest neighbour prices its routes in it."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.tasks.task_book import Place, Task
-from crazychoir.numerics.math3d import Vec
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.safety.rules.guard import EDGE
 from crazychoir.team.graph import span
+from crazychoir.types import Vec
 
 
 @dataclass(frozen=True)

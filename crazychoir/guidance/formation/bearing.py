@@ -11,8 +11,8 @@ from crazychoir.control.margin import REQUIRED
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation.modes import LEVEL, Chain, age_margin, mode_margin, slowest_mode, slowest_normalised
 from crazychoir.guidance.formation.shapes import Shape
-from crazychoir.numerics.math3d import Mat, Vec, projector
-from crazychoir.types import Point
+from crazychoir.numerics.math3d import projector
+from crazychoir.types import Mat, Point, Vec
 
 Neighbors = Mapping[int, Collection[int]]
 Law = Literal["paper", "normalised"]

@@ -12,14 +12,13 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import require_feasible
 from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Length, Period, Ramp, own
 from crazychoir.guidance.path_checks import inside
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning import feasibility
 from crazychoir.planning.drawing.drawing import Pen, drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import circle
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.types import FullState, Heard, Point, State
+from crazychoir.types import FullState, Heard, Mat, Point, State, Vec
 
 SETTLING = 20.0
 """s of the law, to form up where leaders stand."""

@@ -7,7 +7,7 @@ from scipy.optimize import nnls
 
 from crazychoir.errors import Refused
 from crazychoir.guidance.formation.shapes import Shape
-from crazychoir.numerics.math3d import Mat, Vec
+from crazychoir.types import Mat, Vec
 
 Edges = Iterable[tuple[int, int]]
 FLEXIBLE = 1e-6

@@ -8,7 +8,7 @@ import numpy as np
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.formation.leader import places
-from crazychoir.numerics.math3d import Vec
+from crazychoir.types import Vec
 
 CLEAR = 0.35
 """m between two starts, seen from above: more than the collision filter keeps."""

@@ -5,7 +5,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import Mat, Vec, kernel, matrix, memory, vector
+from crazychoir.numerics.kernels import kernel, matrix, memory, vector
+from crazychoir.types import Mat, Vec
 
 Rows = npt.NDArray[np.int64]
 

@@ -11,7 +11,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import Mat, kernel, table
+from crazychoir.numerics.kernels import kernel, table
+from crazychoir.types import Mat
 
 Ints = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

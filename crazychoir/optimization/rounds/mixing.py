@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import kernel, memory, real, vector
+from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.optimization.rounds.iteration import Iteration
 from crazychoir.optimization.rounds.messages import NUMBER, like, parts
 from crazychoir.team.graph import Graph, GraphSequence, Weights, metropolis

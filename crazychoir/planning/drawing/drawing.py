@@ -11,14 +11,13 @@ from scipy.interpolate import splev, splprep
 from scipy.spatial import cKDTree
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.drawing.stroke import checked, split
 from crazychoir.planning.feasibility import Limits, peaks, references
 from crazychoir.planning.piecewise import Piecewise, joined
 from crazychoir.planning.point_to_point import PointToPoint, duration_for
 from crazychoir.planning.scaling import slowdown
 from crazychoir.planning.spline import spline
-from crazychoir.types import FullState
+from crazychoir.types import FullState, Mat, Vec
 
 STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
 DENSE = 0.002  # m, of the places by which the deviation is measured

@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat
 from crazychoir.planning.drawing.stroke import parse_strokes, read_strokes
 from crazychoir.planning.drawing.svg import parse_picture, read_picture
+from crazychoir.types import Mat
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.planning.number_table import TableError, parse_table, read_table
+from crazychoir.types import Mat, Vec
 
 COLUMNS = ("stroke", "t", "x", "y")
 

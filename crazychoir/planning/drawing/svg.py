@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat
 from crazychoir.planning.drawing.svg_document import READABLE, Element, read_document
 from crazychoir.planning.drawing.svg_reader import DRAWN, MOST_POINTS, Reader
+from crazychoir.types import Mat
 
 __all__ = ["MOST_POINTS", "SCALE", "Picture", "parse_picture", "parse_svg", "read_picture", "read_svg", "svg_of"]
 

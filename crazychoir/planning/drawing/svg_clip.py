@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Mat
+from crazychoir.types import Mat
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat
 from crazychoir.planning.drawing.svg_clip import Clip, corners_of
 from crazychoir.planning.drawing.svg_document import DEEPEST_NESTING, Element, quoted, shortened
 from crazychoir.planning.drawing.svg_path import COMMANDS, PathDataError, PathSizeError, Places, strokes_of
@@ -33,6 +32,7 @@ from crazychoir.planning.drawing.svg_style import (
     is_painted,
     is_visible,
 )
+from crazychoir.types import Mat
 
 TOLERANCE = 0.002
 """m between a curve and the straight lines that are flown."""

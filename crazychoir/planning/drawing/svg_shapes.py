@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from svgpathtools import parse_transform
 
-from crazychoir.numerics.math3d import Mat
 from crazychoir.planning.drawing.svg_document import Element, quoted
+from crazychoir.types import Mat
 
 Size = tuple[float, float]
 """Width and height of a viewport, in its own units."""

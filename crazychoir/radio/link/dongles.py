@@ -13,8 +13,8 @@ from typing import Any
 from cflib.crtp import radiodriver
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.survey.survey_radio import PLUG
 
+PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
 PAUSE = 0.05
 """s until a dongle is asked again that has answered nothing."""
 ANSWERS = 0.002

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec
+from crazychoir.types import Vec
 
 _BITS, _HALF = 9, 0.5**0.5
 _MOST = (1 << _BITS) - 1

@@ -13,9 +13,9 @@ import numpy as np
 
 from crazychoir.config.uris import parse_uri
 from crazychoir.errors import ConfigError
+from crazychoir.radio.link.dongles import PLUG
 from crazychoir.radio.link.round_trips import ECHO, FORM
 from crazychoir.radio.protocol.crtp import LINK
-from crazychoir.radio.survey.survey_radio import PLUG
 
 PATIENCE = 0.2
 """s after which an echo is lost."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from crazychoir.config.uris import RADIO, parse_uri
 from crazychoir.errors import ConfigError, Refused
+from crazychoir.radio.link.dongles import PLUG
 from crazychoir.radio.survey.survey import Sample
 
 NULL = (0xFF,)
@@ -24,7 +25,6 @@ PATIENT = 15
 """Retries of each of them: the most that the dongle allows."""
 ROUNDS = 5
 """How often a drone is looked for where it may be."""
-PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
 RESTART = "Switch it off and on: it starts on its own channel."
 
 

@@ -12,11 +12,12 @@ import numpy as np
 from crazychoir.bus.json_view import plain
 from crazychoir.errors import CodecError, CrazyChoirError
 from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
-from crazychoir.numerics.math3d import Mat, Vec, product, quaternion_of_yaw
+from crazychoir.numerics.math3d import product, quaternion_of_yaw
 from crazychoir.radio.virtual.control import LARGEST
 from crazychoir.radio.virtual.faults import Faults
 from crazychoir.radio.virtual.port import Address, opened, waiting
 from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.types import Mat, Vec
 
 SHOWN = 4000
 """Characters of an error."""

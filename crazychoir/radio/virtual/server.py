@@ -9,7 +9,7 @@ import numpy as np
 
 from crazychoir.bus.json_view import plain
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.numerics.math3d import Vec, yaw_of
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.radio.virtual.air import Air, Dongle
 from crazychoir.radio.virtual.cameras import Cameras, seen
 from crazychoir.radio.virtual.drone import Identity, VirtualCrazyflie
@@ -20,6 +20,7 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.simulation.motor_level.battery import OPEN_CIRCUIT
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.types import Vec
 
 AT_ONCE, BEHIND = 10, 50
 """Steps of the world that a late server makes up for in one pass, and from which on it gives up and lets them go."""

@@ -9,9 +9,8 @@ from crazychoir.routing.distributed.clusters import Cluster, Stops, tasks_of
 from crazychoir.routing.distributed.robot_profile import restricted
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import MAKESPAN, VEHICLES
-from crazychoir.routing.pricing.labels import Ints
 from crazychoir.routing.search.search import search
-from crazychoir.types import Vec
+from crazychoir.types import Ints, Vec
 
 
 def reoptimize(

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.routing.instance.instance import LocalProblem
-from crazychoir.routing.pricing.labels import Ints
-from crazychoir.types import Mat, Vec
+from crazychoir.types import Ints, Mat, Vec
 
 Stops = Mapping[int, Sequence[int]]
 """Nodes of each robot's route, see vehicle.py; of robots that stay, nothing or an empty list."""

@@ -14,8 +14,8 @@ from crazychoir.routing.distributed.master import Pool, Routes, fewest, partitio
 from crazychoir.routing.distributed.member import Member
 from crazychoir.routing.distributed.packing import packed, unpacked
 from crazychoir.routing.instance.plan import sha256
-from crazychoir.routing.pricing.labels import Ints
 from crazychoir.routing.pricing.route_table import Column
+from crazychoir.types import Ints
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.member import Member
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
 from crazychoir.routing.distributed.proof import Assignment
-from crazychoir.routing.pricing.labels import Ints
-from crazychoir.types import Vec
+from crazychoir.types import Ints, Vec
 
 POSITIVE = 1e-6
 """A share above this asks for service."""

@@ -10,7 +10,7 @@ from crazychoir.optimization.rounds.agreement import flood
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.member import Member, reach
 from crazychoir.routing.instance.instance import PUBLIC, LocalProblem, Tasks, kinds
-from crazychoir.routing.pricing.labels import Ints
+from crazychoir.types import Ints
 
 TOLD = tuple(f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC)
 """What the flood tells of each robot."""

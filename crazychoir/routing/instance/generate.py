@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.labels import Ints
-from crazychoir.types import Mat
+from crazychoir.types import Ints, Mat
 
 TRIES = 10_000
 

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.instance.vehicle import SLACK, Vehicle
 from crazychoir.routing.pricing.label_setting import bits_of
-from crazychoir.routing.pricing.labels import SPREAD, Ints, Words, grow_labels
+from crazychoir.routing.pricing.labels import SPREAD, grow_labels
 from crazychoir.routing.pricing.route_table import Column, of_one_set
-from crazychoir.types import Mat, Vec
+from crazychoir.types import Ints, Mat, Vec, Words
 
 MOST_LABELS = 3_000_000
 """Of one half."""

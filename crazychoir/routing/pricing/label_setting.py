@@ -6,8 +6,8 @@ import numpy as np
 
 from crazychoir.routing.instance.vehicle import MAKESPAN, SLACK, TOTAL, Vehicle
 from crazychoir.routing.pricing.label_setting_windows import grow_fronts
-from crazychoir.routing.pricing.labels import Flags, Ints, Words, grow_labels
-from crazychoir.types import Vec
+from crazychoir.routing.pricing.labels import grow_labels
+from crazychoir.types import Bools, Ints, Vec, Words
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class FinalLabels:
     _label: Ints
     _last: Ints
     _parent: Ints
-    _again: Flags | None
+    _again: Bools | None
 
     @property
     def count(self) -> Ints:

@@ -8,10 +8,10 @@ bound of what may follow, is no less than the best route's so far.
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.pricing.label_setting_windows import COST, LEFT, TIME, TRIP, as_good, in_time, rehashed, row_of
-from crazychoir.routing.pricing.labels import ONE, Flags, Ints, Words, after, begin, doubled, listed, slot_of
-from crazychoir.types import Mat, Vec
+from crazychoir.routing.pricing.labels import ONE, after, begin, doubled, listed, slot_of
+from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 
 @kernel()
@@ -21,8 +21,8 @@ def _part_of(words: Words, a: int, b: int) -> bool:
 
 
 @kernel()
-def _enter(table: Ints, gone: Words, state: Mat, level: Ints, chain: Ints, dead: Flags, k: int, new: int,
-           by: Flags) -> bool:  # fmt: skip
+def _enter(table: Ints, gone: Words, state: Mat, level: Ints, chain: Ints, dead: Bools, k: int, new: int,
+           by: Bools) -> bool:  # fmt: skip
     """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
     mine, n = row_of(state, new), table[k]
     while n >= 0:
@@ -82,7 +82,7 @@ def _promise(
 
 
 @kernel()
-def _thin(guide: Vec, dead: Flags, first: int, count: int, width: int) -> bool:
+def _thin(guide: Vec, dead: Bools, first: int, count: int, width: int) -> bool:
     """Of the labels from `first` on, let the `width` most promising live; returns whether one went."""
     alive = np.zeros(count - first)
     n = 0
@@ -101,10 +101,10 @@ def _thin(guide: Vec, dead: Flags, first: int, count: int, width: int) -> bool:
 
 @kernel(nogil=True)
 def grow_priced(
-    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Flags,
-    prices: Vec, into: Vec, order: Ints, memory: Words, by: Flags, capacity: float, limit: float, limit_again: float,
+    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Bools,
+    prices: Vec, into: Vec, order: Ints, memory: Words, by: Bools, capacity: float, limit: float, limit_again: float,
     trips: int, best: float, most: int, width: int,
-) -> tuple[float, Ints, Vec, Ints, Ints, Flags, bool]:  # fmt: skip
+) -> tuple[float, Ints, Vec, Ints, Ints, Bools, bool]:  # fmt: skip
     """The least reduced cost of a route that is not empty, and less than `best`; without the fixed cost.
 
     prices: (m,);  into: (2m + 2,) m, the shortest way into each node;  order: (m,) tasks, those first whose price is

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
-from crazychoir.routing.pricing.labels import Flags, Ints, Words, after, begin, doubled, inside, listed, slot_of
-from crazychoir.types import Mat, Vec
+from crazychoir.numerics.kernels import kernel
+from crazychoir.routing.pricing.labels import after, begin, doubled, inside, listed, slot_of
+from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 ROUNDING = 1e-11
 """m and s: labels that differ by less differ by rounding; far below SLACK."""
@@ -24,7 +24,7 @@ def row_of(state: Mat, n: int) -> Any:
 
 
 @kernel()
-def as_good(a: Any, b: Any, by: Flags) -> bool:
+def as_good(a: Any, b: Any, by: Bools) -> bool:
     """Whether a label of state a is as good as one of state b in all that counts."""
     return bool(
         (not by[COST] or a[COST] <= b[COST] + ROUNDING)
@@ -35,8 +35,8 @@ def as_good(a: Any, b: Any, by: Flags) -> bool:
 
 
 @kernel()
-def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead: Flags, k: int, new: int,
-         by: Flags) -> bool:  # fmt: skip
+def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead: Bools, k: int, new: int,
+         by: Bools) -> bool:  # fmt: skip
     """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
     mine, n = row_of(state, new), table[k]
     while n >= 0:
@@ -56,7 +56,7 @@ def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead:
 
 
 @kernel()
-def rehashed(size: int, keys: Words, last: Ints, head: Flags, count: int) -> Ints:
+def rehashed(size: int, keys: Words, last: Ints, head: Bools, count: int) -> Ints:
     """A table of `size` places that holds the heads of chains among the first `count` labels."""
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
@@ -87,9 +87,9 @@ def in_time(
 
 @kernel(nogil=True)
 def grow_fronts(
-    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Flags,
-    by: Flags, capacity: float, limit: float, limit_again: float, trips: int, most: int
-) -> tuple[Words, Ints, Mat, Ints, Flags, Flags, bool]:  # fmt: skip
+    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Bools,
+    by: Bools, capacity: float, limit: float, limit_again: float, trips: int, most: int
+) -> tuple[Words, Ints, Mat, Ints, Bools, Bools, bool]:  # fmt: skip
     """All labels that no other dominates, in breadth-first order.
 
     Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,):

@@ -7,14 +7,10 @@ the shorter can be part of a shortest route, so only it is kept. Sets are two wo
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from crazychoir.numerics.math3d import kernel
-from crazychoir.types import Mat, Vec
+from crazychoir.numerics.kernels import kernel
+from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
-Words = npt.NDArray[np.uint64]
-Ints = npt.NDArray[np.int64]
-Flags = npt.NDArray[np.bool_]
 ONE = np.uint64(1)
 SPREAD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9))
 SHIFT = np.uint64(29)
@@ -87,7 +83,7 @@ def after(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]
 
 
 @kernel()
-def begin(keys: Words, held: Vec, load: Vec, aboard: Flags) -> None:
+def begin(keys: Words, held: Vec, load: Vec, aboard: Bools) -> None:
     """Label 0: at the start, with the goods that are aboard."""
     for j in range(len(load)):
         if aboard[j]:
@@ -112,7 +108,7 @@ def _in_reach(rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: flo
 
 @kernel(nogil=True)
 def grow_labels(
-    distance: Mat, rest: Mat, home: Vec, load: Vec, aboard: Flags, capacity: float, limit: float, far: float, most: int
+    distance: Mat, rest: Mat, home: Vec, load: Vec, aboard: Bools, capacity: float, limit: float, far: float, most: int
 ) -> tuple[Words, Ints, Vec, Ints, bool]:
     """All undominated labels, in breadth-first order: keys (n, 4), last (n,), length (n,), parent (n,), complete.
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from crazychoir.routing.instance.vehicle import SLACK, Vehicle
 from crazychoir.routing.pricing.label_setting_priced import grow_priced
-from crazychoir.routing.pricing.labels import Flags, Ints, Words
 from crazychoir.routing.pricing.route_table import Column, of_one_set, shortest_route
-from crazychoir.types import Vec
+from crazychoir.types import Bools, Ints, Vec, Words
 
 MOST_LABELS = 1_000_000
 WIDTH = 200
@@ -108,7 +107,7 @@ class _Problem:
             best.setdefault(tuple(sorted(v - m for v in nodes if m <= v < 2 * m)), nodes)
         return best
 
-    def _nodes(self, label: int, last: Ints, parent: Ints, again: Flags) -> list[int]:
+    def _nodes(self, label: int, last: Ints, parent: Ints, again: Bools) -> list[int]:
         m, nodes = self._whole.tasks, []
         while label > 0:
             part, at = divmod(int(last[label]), len(self._chosen))

@@ -8,8 +8,8 @@ import numpy as np
 from crazychoir.errors import InstanceError, SolverError
 from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, Vehicle
 from crazychoir.routing.pricing.label_setting import FinalLabels, bits_of, final_labels
-from crazychoir.routing.pricing.labels import MOST_TASKS, Ints, Words, reduced_costs
-from crazychoir.types import Vec
+from crazychoir.routing.pricing.labels import MOST_TASKS, reduced_costs
+from crazychoir.types import Ints, Vec, Words
 
 MOST_LABELS = 3_000_000
 """Of one table, some 350 MB while it is made; of 20 robots with 40 tasks within 25 m one may need two millions."""

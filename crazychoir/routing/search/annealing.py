@@ -4,12 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.search.recreate import recreate, take_back
 from crazychoir.routing.search.route_pool import remember
 from crazychoir.routing.search.ruin import begin_step, draw, empty, ruin
-from crazychoir.routing.search.tours import OPTIONS, Fleet, Ints, Tours, Words, feasible, refresh
-from crazychoir.types import Vec
+from crazychoir.routing.search.tours import OPTIONS, Fleet, Tours, feasible, refresh
+from crazychoir.types import Ints, Vec, Words
 
 LEVELS = 1024
 COOLER = 0.9955128609158502

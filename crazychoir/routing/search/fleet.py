@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.routing.instance.vehicle import MAKESPAN, SLACK, TOTAL, VEHICLES, Vehicle
-from crazychoir.routing.search.tours import Fleet, Ints
-from crazychoir.types import Mat, Vec
+from crazychoir.routing.search.tours import Fleet
+from crazychoir.types import Ints, Mat, Vec
 
 TIE_BREAK = 1e-3
 """Weight of the second value of an objective, and of the total where only the makespan is minimised, when annealing."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.search.tours import OPTIONS, begins, way
 
 ABOARD = 1e-9

@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.search.insertion import cheapest
 from crazychoir.routing.search.ruin import draw, touch
-from crazychoir.routing.search.tours import OPTIONS, Bools, Ints, Tours, Words, insert, refresh
-from crazychoir.types import Mat, Vec
+from crazychoir.routing.search.tours import OPTIONS, Tours, insert, refresh
+from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 BLINK = 0.05
 """How often the cheapest place is not seen."""

@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
-from crazychoir.routing.search.tours import Fleet, Ints, Tours, Words
-from crazychoir.types import Vec
+from crazychoir.numerics.kernels import kernel
+from crazychoir.routing.search.tours import Fleet, Tours
+from crazychoir.types import Ints, Vec, Words
 
 PLACES = 4096
 """Routes that are kept, at most; a power of two."""

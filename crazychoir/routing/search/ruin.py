@@ -4,8 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
-from crazychoir.routing.search.tours import OPTIONS, Bools, Ints, Tours, Words, drop, feasible
+from crazychoir.numerics.kernels import kernel
+from crazychoir.routing.search.tours import OPTIONS, Tours, drop, feasible
+from crazychoir.types import Bools, Ints, Words
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))

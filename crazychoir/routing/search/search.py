@@ -13,8 +13,8 @@ from crazychoir.routing.search.recreate import Memory
 from crazychoir.routing.search.route_pool import Pool
 from crazychoir.routing.search.ruin import Step
 from crazychoir.routing.search.set_partitioning import assemble
-from crazychoir.routing.search.tours import Bools, Tours, Words
-from crazychoir.types import Vec
+from crazychoir.routing.search.tours import Tours
+from crazychoir.types import Bools, Vec, Words
 
 HOT = 0.5
 """First temperature, as a share of the median distance of a task alone."""

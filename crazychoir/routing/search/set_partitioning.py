@@ -8,8 +8,8 @@ import numpy as np
 
 from crazychoir.optimization.problems.linear import quiet_highs
 from crazychoir.routing.search.route_pool import Pool
-from crazychoir.routing.search.tours import Bools, Fleet, Ints, Tours, refresh
-from crazychoir.types import Vec
+from crazychoir.routing.search.tours import Fleet, Tours, refresh
+from crazychoir.types import Bools, Ints, Vec
 
 MOST = 250
 """Routes that are left to the integer program, at most."""

@@ -6,12 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import kernel
-from crazychoir.types import Mat, Vec
+from crazychoir.numerics.kernels import kernel
+from crazychoir.types import Bools, Ints, Mat, Vec
 
-Ints = npt.NDArray[np.int64]
-Words = npt.NDArray[np.uint64]
-Bools = npt.NDArray[np.bool_]
 Box = npt.NDArray[np.float64]
 # Pieces of the search: inlined, and without counting of references, which took four fifths of the time of an insertion.
 # They make no arrays.

@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import Triple, dot, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import Triple, dot
 
 EVEN = 0.05
 """m/s: of drones that hardly move each takes half."""

@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import Triple, dot, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import Triple, dot
 from crazychoir.safety.collision.barrier import approach
 
 

@@ -2,7 +2,9 @@
 
 import math
 
-from crazychoir.numerics.math3d import Triple, Vec, dot, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import Triple, dot
+from crazychoir.types import Vec
 
 HARDEST = 4.0
 """m/s2, of what is turned at most."""

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from crazychoir.config.tables import Collision
-from crazychoir.numerics.math3d import Triple, Vec, clip, dot, kernel, memory, real, table, vector
+from crazychoir.numerics.kernels import kernel, memory, real, table, vector
+from crazychoir.numerics.math3d import Triple, clip, dot
 from crazychoir.safety.collision.barrier import approach, barrier, part
 from crazychoir.safety.collision.cells import cell
 from crazychoir.safety.collision.deadlock import Side, turned
@@ -25,7 +26,7 @@ from crazychoir.safety.collision.neighbour_table import (
 from crazychoir.safety.collision.projection import nearest
 from crazychoir.safety.collision.relayed_states import Hearsay
 from crazychoir.safety.rules.guard import Fence
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 MOST = 16
 """Others that count at most, the nearest."""

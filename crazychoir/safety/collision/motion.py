@@ -2,7 +2,9 @@
 
 import math
 
-from crazychoir.numerics.math3d import GRAVITY, Triple, Vec, columns, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY, Triple, columns
+from crazychoir.types import Vec
 
 STEEPEST = 0.3
 """Of z_b along the vertical, at least: a drone on its side accelerates sideways by no more than this says."""

@@ -2,7 +2,9 @@
 
 import math
 
-from crazychoir.numerics.math3d import Triple, Vec, dot, kernel, memory, table, vector
+from crazychoir.numerics.kernels import kernel, memory, table, vector
+from crazychoir.numerics.math3d import Triple, dot
+from crazychoir.types import Vec
 
 PARALLEL = 1e-9
 """Squared sine of the angle between two planes, below which they count as parallel."""

@@ -1,7 +1,7 @@
 """Whether motion capture sees the drone that it says, before it is armed: by places and headings.
 
-A drone at rest, level, is like any other: what it does in the air is looked at again, see safety/identity/takeoff_check.py. Poses are
-those of drones, with how the body is mounted taken off.
+A drone at rest and level looks like any other, so safety/identity/takeoff_check.py checks again in the air. Poses are
+those of the drones: the mounting of each marker body is already removed.
 """
 
 import math
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec, columns, dot, wrap, yaw_of
-from crazychoir.types import Pose
+from crazychoir.numerics.math3d import columns, dot, wrap, yaw_of
+from crazychoir.types import Pose, Vec
 
 PLACE, ANGLE = 0.05, math.radians(5.0)
 """m, rad: more than this between what a drone says of itself and what is seen of it keeps it on the ground."""

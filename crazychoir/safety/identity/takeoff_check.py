@@ -15,7 +15,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import Vec
+from crazychoir.types import Vec
 
 Complex = npt.NDArray[np.complex128]
 NOISE, SHARE = math.radians(0.25), 0.2

@@ -10,10 +10,10 @@ from crazychoir.config.checks import AROUND
 from crazychoir.config.flight_room import EDGE as EDGE
 from crazychoir.config.flight_room import flight_room
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, kernel, matrix, memory, real, vector
+from crazychoir.numerics.kernels import kernel, matrix, memory, real, vector
 from crazychoir.planning.point_to_point import STOP
 from crazychoir.runtime.throttle import Throttle as Throttle
-from crazychoir.types import Point, State, Vec
+from crazychoir.types import Mat, Point, State, Vec
 
 
 class Action(IntEnum):

@@ -6,8 +6,9 @@ import numpy as np
 
 from crazychoir.config.tables import Flight
 from crazychoir.control.gains import Gains
-from crazychoir.numerics.math3d import Triple, Vec, clip, dot, kernel, memory, real, vector
-from crazychoir.types import Acceleration, FullState, State
+from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.math3d import Triple, clip, dot
+from crazychoir.types import Acceleration, FullState, State, Vec
 
 
 @kernel()

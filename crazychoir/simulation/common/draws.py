@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 
 Keys = npt.NDArray[np.uint64]
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from crazychoir.numerics.math3d import Vec, rotation
-from crazychoir.types import Command, State
+from crazychoir.numerics.math3d import rotation
+from crazychoir.types import Command, State, Vec
 
 
 class Rated(Protocol):

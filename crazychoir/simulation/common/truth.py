@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec, kernel, matrix, memory
+from crazychoir.numerics.kernels import kernel, matrix, memory
 from crazychoir.platforms import Platform
-from crazychoir.types import Pose, State
+from crazychoir.types import Mat, Pose, State, Vec
 
 
 @kernel(matrix, memory)

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat
 from crazychoir.platforms import Platform
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Pose, State, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Mat, Pose, State, Vel
 
 KINDS: dict[str, tuple[type[Any], ...]] = {
     "fpqr": (FPQR,), "frpy": (FRPY,), "vel": (Vel, XYZ), "xyz": (XYZ,),

@@ -6,26 +6,14 @@ from typing import Literal
 
 import numpy as np
 
-from crazychoir.numerics.math3d import (
-    GRAVITY,
-    Mat,
-    Triple,
-    Vec,
-    clip,
-    columns,
-    dot,
-    kernel,
-    matrix,
-    memory,
-    real,
-    table,
-    vector,
-)
+from crazychoir.numerics.kernels import kernel, matrix, memory, real, table, vector
+from crazychoir.numerics.math3d import GRAVITY, Triple, clip, columns, dot
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.simulation.common.links import EulerRatesLink, SimulatedLink
 from crazychoir.simulation.common.logs import LIGHT
 from crazychoir.simulation.common.truth import Truth
 from crazychoir.simulation.common.world import not_flown
+from crazychoir.types import Mat, Vec
 
 THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
 SILENCE = 0.5

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec, yaw_of
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.simulation.common.truth import Truth
 from crazychoir.simulation.common.world import WorldSetup, not_flown
-from crazychoir.types import XYZ, Command
+from crazychoir.types import XYZ, Command, Vec
 
 SILENCE = 0.5
 """s without a command after which such a robot stands still."""

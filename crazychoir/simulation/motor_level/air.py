@@ -7,8 +7,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import Triple, Vec, clip, kernel, matrix, memory, vector
+from crazychoir.numerics.kernels import kernel, matrix, memory, vector
+from crazychoir.numerics.math3d import Triple, clip
 from crazychoir.simulation.common.draws import Keys, normals
+from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

@@ -2,7 +2,9 @@
 
 import math
 
-from crazychoir.numerics.math3d import Vec, clip, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import clip
+from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

@@ -6,7 +6,9 @@ so their drag turns the body clockwise. The drones lie in the blocks of `lanes`.
 
 import math
 
-from crazychoir.numerics.math3d import GRAVITY, Vec, clip, columns, dot, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY, clip, columns, dot
+from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

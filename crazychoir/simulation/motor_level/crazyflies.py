@@ -6,19 +6,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from crazychoir.numerics.math3d import (
-    Mat,
-    Vec,
-    exponential,
-    kernel,
-    matrix,
-    memory,
-    product,
-    rotation,
-    table,
-    vector,
-    yaw_of,
-)  # fmt: skip
+from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector  # fmt: skip
+from crazychoir.numerics.math3d import exponential, product, rotation, yaw_of  # fmt: skip
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.draws import Keys
 from crazychoir.simulation.common.mismatch import built
@@ -34,7 +23,7 @@ from crazychoir.simulation.onboard.logs import TABLE, read
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
-from crazychoir.types import Pose
+from crazychoir.types import Mat, Pose, Vec  # fmt: skip
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

@@ -5,8 +5,10 @@ A drone that stands slips about its z axis alone, when its rotors turn it harder
 
 import math
 
-from crazychoir.numerics.math3d import GRAVITY, Triple, Vec, columns, dot, exponential, kernel, product
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, exponential, product
 from crazychoir.simulation.motor_level.body import near_floor
+from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import GRAVITY, Vec, clip, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY, clip
 from crazychoir.simulation.common.draws import Keys, normals
+from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

@@ -13,8 +13,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import Mat, Vec, kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.platforms import Platform
+from crazychoir.types import Mat, Vec
 
 Number = TypeVar("Number", np.float64, np.uint64)
 

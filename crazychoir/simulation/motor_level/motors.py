@@ -8,20 +8,8 @@ import numba
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import (
-    GRAVITY,
-    Mat,
-    Triple,
-    Vec,
-    exponential,
-    kernel,
-    matrix,
-    memory,
-    product,
-    rotation,
-    table,
-    vector,
-)  # fmt: skip
+from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector  # fmt: skip
+from crazychoir.numerics.math3d import GRAVITY, Triple, exponential, product, rotation  # fmt: skip
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.draws import Keys, stream, uniform
 from crazychoir.simulation.common.truth import Truth
@@ -30,6 +18,7 @@ from crazychoir.simulation.motor_level.battery import drain
 from crazychoir.simulation.motor_level.body import fly, obey
 from crazychoir.simulation.motor_level.floor import stand
 from crazychoir.simulation.motor_level.imu import Imu, measure
+from crazychoir.types import Mat, Vec  # fmt: skip
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.simulation.mujoco.model import HIGHEST, SCENE, WIDEST, body_name
 from crazychoir.simulation.mujoco.shape import Colour
+from crazychoir.types import Mat, Vec
 
 Image = npt.NDArray[np.uint8]
 AWAY = -1000.0

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.platforms import Platform
 from crazychoir.simulation.motor_level.body import ROTOR_HEIGHT
+from crazychoir.types import Mat, Vec
 
 HEIGHT = 0.029
 """m, of a drone that stands (Bitcraze's data sheet)."""

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
@@ -18,6 +17,7 @@ from crazychoir.simulation.motor_level.motors import H
 from crazychoir.simulation.mujoco.model import ACCELEROMETER, FLOOR, SCENE, SENSORS, body_name, model_of
 from crazychoir.simulation.mujoco.shape import Shape, crazyflie, shape_of
 from crazychoir.simulation.mujoco.wrench import impel, place, settle, touch
+from crazychoir.types import Mat, Vec
 
 SLOW = 0.05
 """m/s: one that touches something and is slower stands."""

@@ -10,23 +10,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.math3d import (
-    GRAVITY,
-    Mat,
-    Triple,
-    Vec,
-    columns,
-    dot,
-    exponential,
-    kernel,
-    matrix,
-    memory,
-    product,
-    table,
-    unit,
-    vector,
-)  # fmt: skip
+from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector  # fmt: skip
+from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, exponential, product, unit  # fmt: skip
 from crazychoir.simulation.motor_level.lanes import LANES, SX, Blocks, blocks
+from crazychoir.types import Mat, Vec  # fmt: skip
 
 Rows = npt.NDArray[np.int64]
 numbers = numba.types.Array(numba.int64, 1, "C", readonly=True)

@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import Triple, clip, columns, dot, flat_attitude, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import Triple, clip, columns, dot, flat_attitude
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Record
 
 Axes = tuple[Triple, Triple, Triple]

@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import clip, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import clip
 from crazychoir.platforms import MOST_TURN
 from crazychoir.simulation.onboard import pid
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, LEGACY, VELOCITY, Record

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Vec
 from crazychoir.simulation.onboard.laws import PERIOD, Answer, ForceTorque, Legacy, Setpoint
 from crazychoir.simulation.onboard.units import FULL
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 CONTROLLERS = ("Pid", "Mellinger", "Lee")
 

@@ -5,8 +5,9 @@ Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them; pitch pos
 
 import math
 
-from crazychoir.numerics.math3d import Vec, kernel, real, vector
+from crazychoir.numerics.kernels import kernel, real, vector
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Fleet, Record, rows, whole
+from crazychoir.types import Vec
 
 NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3
 """Priorities of who gives set-points: nobody, the planner, the radio, an external receiver."""

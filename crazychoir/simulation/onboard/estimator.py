@@ -6,21 +6,10 @@ one of position and velocity an axis, one of the attitude, with the firmware's n
 
 import math
 
-from crazychoir.numerics.math3d import (
-    GRAVITY,
-    Vec,
-    columns,
-    conjugate,
-    exponential,
-    finite,
-    kernel,
-    logarithm,
-    product,
-    real,
-    unit,
-    vector,
-)
+from crazychoir.numerics.kernels import kernel, real, vector
+from crazychoir.numerics.math3d import GRAVITY, columns, conjugate, exponential, finite, logarithm, product, unit
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
+from crazychoir.types import Vec
 
 INITIAL_XY, INITIAL_Z, INITIAL_V, INITIAL_ATTITUDE = 100.0, 1.0, 0.01, 0.01  # standard deviations: m, m, m/s, rad
 MS = 1e-3

@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Vec
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, MOTORS, Record
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
 PERIOD = 0.002

@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot
 from crazychoir.simulation.onboard.attitude import DT, Axes, error, errors, rates, shortened, wanted
 from crazychoir.simulation.onboard.record import DISABLE, FORCE_TORQUE, Record
 

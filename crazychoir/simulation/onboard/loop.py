@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import GRAVITY, kernel, real
+from crazychoir.numerics.kernels import kernel, real
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.simulation.onboard import cascade, estimator, lee, mellinger, mixing, planner, supervisor
 from crazychoir.simulation.onboard.commander import leveled
 from crazychoir.simulation.onboard.record import LEE, MELLINGER, PID, Fleet, Record, rows, whole

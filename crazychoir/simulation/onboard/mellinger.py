@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import GRAVITY, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.simulation.onboard.attitude import DT, clamp, error, errors, rates, wanted
 from crazychoir.simulation.onboard.record import DISABLE, LEGACY, Record
 

@@ -5,7 +5,7 @@ Motors in a cross: 0 front right, 1 back right, 2 back left, 3 front left; 0 and
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, Record
 
 FULL = 65535.0

@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import Vec
 from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard import (
     bezier,
@@ -35,7 +34,7 @@ from crazychoir.simulation.onboard.record import (
     fleet,
 )
 from crazychoir.simulation.onboard.units import FULL, roll_pitch_yaw_rate_raw, thrust_raw
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
 MOST_PIECES = MEMORY // PIECE

@@ -2,7 +2,8 @@
 
 import math
 
-from crazychoir.numerics.math3d import clip, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import clip
 from crazychoir.simulation.onboard.record import Record
 
 # Butterworth low-pass of order 2, 20 Hz at 100 Hz: b0, b1 = 2 b0, b2 = b0; a1, a2.

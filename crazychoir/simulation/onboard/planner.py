@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import GRAVITY, Triple, dot, flat_attitude, kernel, real
+from crazychoir.numerics.kernels import kernel, real
+from crazychoir.numerics.math3d import GRAVITY, Triple, dot, flat_attitude
 from crazychoir.simulation.onboard.commander import HIGH_LEVEL, clear
 from crazychoir.simulation.onboard.polynomial import (
     AXES,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.record import PIECE
 
 F = np.float32

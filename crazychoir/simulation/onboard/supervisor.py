@@ -1,6 +1,6 @@
 """The supervisor: whether motors may turn, what happens when set-points end, when the drone lies on its back."""
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.commander import HIGH_LEVEL, NOBODY
 from crazychoir.simulation.onboard.planner import IDLE, finished
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole

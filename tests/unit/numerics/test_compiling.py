@@ -10,7 +10,7 @@ import pytest
 
 from crazychoir.numerics.compiling import LATER
 from crazychoir.numerics.kernel_cache import COMPILES
-from crazychoir.numerics.math3d import kernel, real, vector
+from crazychoir.numerics.kernels import kernel, real, vector
 
 NOT_RIGID = """
 name = "path"

@@ -22,10 +22,11 @@ import crazychoir.filters.kalman
 import crazychoir.simulation.motor_level.crazyflies  # noqa: F401 - their kernels, and all that they import, are looked at
 from crazychoir.numerics import kernel_cache as cache
 from crazychoir.numerics.kernel_cache import Kept, Untold, _Store
-from crazychoir.numerics.math3d import clip, kernel
+from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import clip
 
 PIECES = """
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 FACTOR = 3.0
 
 @kernel()
@@ -35,7 +36,7 @@ def scaled(x):
 LAW = """
 import numba
 import pieces
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 
 @kernel(numba.float64)
 def law(x):

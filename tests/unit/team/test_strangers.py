@@ -1,6 +1,7 @@
 """Who has another mission, and who of two camps is refused."""
 
 from crazychoir.config.swarm_config import default_swarm
+from crazychoir.config.tables import AGREED
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team.strangers import CODE, SETTLE, Strangers, difference
 
@@ -58,14 +59,14 @@ def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_i
         return f"{config.digest()}:{config.digests()}{code}"
 
     other = config.replace(graph="complete", flight={"speed_limit": 2.0}, base_port=8000, network={"loss": 0.5})
-    assert difference(hashed(config), hashed(config)) == []
-    assert difference(hashed(config), hashed(other)) == ["graph", "flight"]
-    assert difference(hashed(config), hashed(config, "01")) == [CODE]
-    assert difference(hashed(config), hashed(config)[:-2]) == [], "of another version, with other keys"
-    assert difference(hashed(config), "ours") == []
+    assert difference(hashed(config), hashed(config), AGREED) == []
+    assert difference(hashed(config), hashed(other), AGREED) == ["graph", "flight"]
+    assert difference(hashed(config), hashed(config, "01"), AGREED) == [CODE]
+    assert difference(hashed(config), hashed(config)[:-2], AGREED) == [], "of another version, with other keys"
+    assert difference(hashed(config), "ours", AGREED) == []
 
     async def story(clock: Clock) -> None:
-        camp = Strangers(clock, 1, 2, hashed(config))
+        camp = Strangers(clock, 1, 2, hashed(config), AGREED)
         assert not camp.heard(0, config.digest()), "after GO only the whole is said"
         assert camp.heard(0, hashed(other))
         whole = f"({config.digest()}) is not that of drone 0 ({other.digest()}, which has another graph, flight). Copy"

@@ -13,12 +13,11 @@ import numpy as np
 
 from crazychoir.bus.port import ANY, Port
 from crazychoir.bus.topics import PLAN
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.collision.agreed.paths import PIECE
 from crazychoir.safety.collision.neighbour_table import USABLE
-from crazychoir.types import Plan
+from crazychoir.types import Mat, Plan, Vec
 
 REPEAT = 0.05
 """s between two messages without news."""

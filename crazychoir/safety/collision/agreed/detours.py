@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import E3, Mat, Vec
+from crazychoir.numerics.math3d import E3
 from crazychoir.safety.collision.agreed.paths import braking, end, flight, hold, leaves, moving, seconds
 from crazychoir.safety.collision.agreed.rest_goal import NEAR, Aim
 from crazychoir.safety.rules.guard import INSET, Fence
+from crazychoir.types import Mat, Vec
 
 DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """s, after it has come to rest."""

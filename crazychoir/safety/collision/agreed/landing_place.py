@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Mat, Vec
 from crazychoir.safety.rules.guard import INSET, Fence
+from crazychoir.types import Mat, Vec
 
 RADII, ANGLES = 0.1 * np.arange(21), np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 """m and rad, around the place where it is."""

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Mat, Vec, kernel, matrix, real, vector
+from crazychoir.numerics.kernels import kernel, matrix, real, vector
 from crazychoir.safety.collision.agreed.paths import braking, hold, moving, place, seconds
+from crazychoir.types import Mat, Vec
 
 STEP = 0.05
 """s between two looks: at 2 m/s of relative speed a distance of 0.3 m is seen 4 mm too large at most."""

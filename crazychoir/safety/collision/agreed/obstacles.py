@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec
 from crazychoir.safety.collision.agreed.agreement import Agreement, Other
 from crazychoir.safety.collision.agreed.landing_place import nearest_free
 from crazychoir.safety.collision.agreed.meeting import Meeting
@@ -12,7 +11,7 @@ from crazychoir.safety.collision.agreed.paths import end
 from crazychoir.safety.collision.filter import BODY, STANDING
 from crazychoir.safety.collision.neighbour_table import BORN, SLOW, SOON, USABLE, Traffic
 from crazychoir.safety.rules.guard import Fence
-from crazychoir.types import State
+from crazychoir.types import State, Vec
 
 RESTS = 0.3
 """m/s, below which a low drone stands."""

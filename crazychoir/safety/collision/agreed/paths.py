@@ -8,8 +8,10 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Mat, Triple, Vec, kernel, matrix, memory, real, vector
+from crazychoir.numerics.kernels import kernel, matrix, memory, real, vector
+from crazychoir.numerics.math3d import Triple
 from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERATION, PEAK_SPEED, SHORTEST
+from crazychoir.types import Mat, Vec
 
 PIECE = 25
 GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16

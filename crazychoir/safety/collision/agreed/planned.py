@@ -12,7 +12,6 @@ import numpy as np
 
 from crazychoir.bus.port import Port
 from crazychoir.config.tables import Collision
-from crazychoir.numerics.math3d import Vec
 from crazychoir.safety.collision.agreed.agreement import NO_WAY, NOWHERE, Agreement
 from crazychoir.safety.collision.agreed.detours import Detours
 from crazychoir.safety.collision.agreed.meeting import Meeting
@@ -23,7 +22,7 @@ from crazychoir.safety.collision.filter import BODY
 from crazychoir.safety.collision.neighbour_table import USABLE, Traffic
 from crazychoir.safety.collision.relayed_states import Hearsay
 from crazychoir.safety.rules.guard import Fence
-from crazychoir.types import FullState, State
+from crazychoir.types import FullState, State, Vec
 
 PERIOD = 0.1
 """s between two looks at what could be flown."""

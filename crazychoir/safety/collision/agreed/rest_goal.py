@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import Vec
 from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
+from crazychoir.types import Vec
 
 NEAR = 0.05
 """m from the goal that counts as there."""

@@ -69,5 +69,6 @@ def test_matplotlib_is_imported_only_to_draw():
     import subprocess
     import sys
 
-    code = "import crazychoir.routing.instance.picture, crazychoir.routing.distributed.plain_loop, sys; sys.exit('matplotlib' in sys.modules)"
+    modules = "crazychoir.routing.instance.picture, crazychoir.routing.distributed.plain_loop"
+    code = f"import {modules}, sys; sys.exit('matplotlib' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)

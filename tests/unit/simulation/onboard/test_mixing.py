@@ -4,7 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from crazychoir.numerics.math3d import kernel
+from crazychoir.numerics.kernels import kernel
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, PLATFORMS
 from crazychoir.simulation.onboard import mixing
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, fleet

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from crazychoir.numerics.math3d import kernel, vector
+from crazychoir.numerics.kernels import kernel, vector
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard import cascade, pid
 from crazychoir.simulation.onboard.onboard import Onboard
