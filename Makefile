@@ -41,8 +41,9 @@ test: $(VENV)/.installed-test  ## all tests but the campaigns, with ruff, mypy a
 	$(BIN)/python -m pytest -v --durations=12 -m "real_time and not slow"; real_time=$$?; \
 	wait $$beside; computing=$$?; cat out/computing.txt; exit $$((real_time | computing))
 
-check: $(VENV)/.installed-test  ## ruff, mypy --strict and the import contract alone: seconds
+check: $(VENV)/.installed-test  ## ruff, its layout, mypy --strict and the import contract alone: seconds
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 

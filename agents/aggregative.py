@@ -17,7 +17,14 @@ from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.tables import Hertz, Share, Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
-from crazychoir.guidance.mission_options import Duration, Period, Spot, Spots, given, require_none
+from crazychoir.guidance.mission_options import (
+    Duration,
+    Period,
+    Spot,
+    Spots,
+    given,
+    require_none,
+)
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import SETTLE, TimedFlight
 from crazychoir.planning.feasibility import Limits
@@ -42,9 +49,14 @@ TRANSIENT = 4.0
 Weight = Annotated[float, Meta(ge=0, le=1000)]
 Weights = Annotated[
     tuple[Weight, Weight, Weight],
-    Meta(description="weights [intruder, target, team], each 0 to 1000", examples=[[1.0, 1.0, 1.0]]),
+    Meta(
+        description="weights [intruder, target, team], each 0 to 1000",
+        examples=[[1.0, 1.0, 1.0]],
+    ),
 ]
-Legs = Annotated[int, Meta(ge=1, le=100, description="a number of legs, 1 to 100", examples=[3])]
+Legs = Annotated[
+    int, Meta(ge=1, le=100, description="a number of legs, 1 to 100", examples=[3])
+]
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -79,7 +91,8 @@ class Observed(CFGuidance):
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """A defender, or an intruder that flies or is observed."""
-    options, drone = given(config, Options), config.drone(i)
+    options = given(config, Options)
+    drone = config.drone(i)
     if drone.role != INTRUDER:
         law = defender(i, config, options)
         law.duration = duration(config)
@@ -92,10 +105,18 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 def defender(i: int, config: SwarmConfig, options: Options) -> Defender:
     """Drone i, with its own intruder and the weights of the team's graph."""
     team = mates(config)
-    defence, flying = Defence(np.array(options.target), *options.weights), intruders(config)
+    defence = Defence(np.array(options.target), *options.weights)
+    flying = intruders(config)
     k = team.ids.index(i)
     intruder = flying[k] if flying else np.array(options.intruders[k])
-    return Defender(team.neighbors(i), defence, intruder, metropolis(team)[i], options.step_size, options.round_rate)
+    return Defender(
+        team.neighbors(i),
+        defence,
+        intruder,
+        metropolis(team)[i],
+        options.step_size,
+        options.round_rate,
+    )
 
 
 def defenders(config: SwarmConfig) -> list[int]:
@@ -111,23 +132,38 @@ def intruders(config: SwarmConfig) -> list[int]:
 def mates(config: SwarmConfig) -> Graph:
     """The graph of the defenders alone."""
     team = defenders(config)
-    return Graph.from_edges(team, [(a, b) for a, b in config.graph().edges() if a in team and b in team])
+    return Graph.from_edges(
+        team, [(a, b) for a, b in config.graph().edges() if a in team and b in team]
+    )
 
 
 def duration(config: SwarmConfig) -> float:
     """s of the law: until the intruders have stood for a while."""
     options = given(config, Options)
-    return options.legs * options.leg + 4.0 + SETTLE if intruders(config) else options.duration
+    return (
+        options.legs * options.leg + 4.0 + SETTLE
+        if intruders(config)
+        else options.duration
+    )
 
 
 def round_of(i: int, config: SwarmConfig) -> Piecewise:
     """An intruder's legs, from its home to the next one's, and on."""
-    options, flight, team = given(config, Options), config.flight, intruders(config)
-    z, k = flight.ground + flight.takeoff_height, team.index(i)
-    places = [[*config.drone(team[(k + n) % len(team)]).home[:2], z] for n in range(options.legs + 1)]
+    options = given(config, Options)
+    flight = config.flight
+    team = intruders(config)
+    z = flight.ground + flight.takeoff_height
+    k = team.index(i)
+    places = [
+        [*config.drone(team[(k + n) % len(team)]).home[:2], z]
+        for n in range(options.legs + 1)
+    ]
     goals = [[options.leg * n, *places[n], 0.0] for n in range(1, options.legs + 1)]
     limits = Limits(
-        v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=config.fence.min, high=config.fence.max
+        v_max=flight.speed_limit,
+        a_max=flight.acceleration_limit,
+        low=config.fence.min,
+        high=config.fence.max,
     )
     way = timed_goals(FullState.at(places[0]), np.array(goals), limits)
     require_inside(way, config, f"swarm {config.name}: drone {i}")
@@ -148,24 +184,51 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Each defender has an intruder, which it hears if it flies; the defenders are connected without the intruders."""
-    options, team, flying = given(config, Options), defenders(config), intruders(config)
+    options = given(config, Options)
+    team = defenders(config)
+    flying = intruders(config)
     require_none(config)
-    where, graph = f"swarm {config.name}", config.graph()
+    where = f"swarm {config.name}"
+    graph = config.graph()
     many = len(flying) if flying else len(options.intruders)
     if many != len(team):
-        what = 'drones with role = "intruder"' if flying else "places in mission_options.intruders"
-        raise ConfigError(f"{where}: intruders", f"{many} {what}", f"{len(team)}: one for each defender")
+        what = (
+            'drones with role = "intruder"'
+            if flying
+            else "places in mission_options.intruders"
+        )
+        raise ConfigError(
+            f"{where}: intruders",
+            f"{many} {what}",
+            f"{len(team)}: one for each defender",
+        )
     if not graph.is_undirected or not mates(config).is_connected:
-        found = "a directed graph" if not graph.is_undirected else f"defenders {team} are not connected by themselves"
-        raise ConfigError(f"{where}: graph", found, "an undirected graph that joins all defenders", "Add an edge.")
+        found = (
+            "a directed graph"
+            if not graph.is_undirected
+            else f"defenders {team} are not connected by themselves"
+        )
+        raise ConfigError(
+            f"{where}: graph",
+            found,
+            "an undirected graph that joins all defenders",
+            "Add an edge.",
+        )
     for i, j in zip(team, flying, strict=False):
         if j not in graph.in_neighbors(i):
             do = f"Add the edge [{i}, {j}]."
-            raise ConfigError(f"{where}: graph", f"no edge {i}-{j}", "defenders hear their intruders", do)
+            raise ConfigError(
+                f"{where}: graph",
+                f"no edge {i}-{j}",
+                "defenders hear their intruders",
+                do,
+            )
     intruder, target, together = options.weights
     if min(intruder + target, intruder + together) <= 0.0:
         allowed = "intruder + target above 0 and intruder + team above 0: else there is no one optimum"
-        raise ConfigError(f"{where}: mission_options.weights", list(options.weights), allowed)
+        raise ConfigError(
+            f"{where}: mission_options.weights", list(options.weights), allowed
+        )
     for j in flying:
         round_of(j, config)
     if not flying:
@@ -174,20 +237,29 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def _require_inside(config: SwarmConfig, places: dict[int, Vec]) -> None:
-    low, high = config.fence.min, config.fence.max
+    low = config.fence.min
+    high = config.fence.max
     for i, p in places.items():
         if not (np.all(p >= low) and np.all(p <= high)):
             found = f"drone {i} would end at {np.round(p, 2).tolist()}"
             do = "Move target or intruders, or widen [fence]."
-            raise ConfigError(f"swarm {config.name}: mission_options", found, "places inside [fence]", do)
+            raise ConfigError(
+                f"swarm {config.name}: mission_options",
+                found,
+                "places inside [fence]",
+                do,
+            )
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Where the defenders are at the optimum, if the intruders stand still; else nothing."""
-    options, team = given(config, Options), defenders(config)
+    options = given(config, Options)
+    team = defenders(config)
     if intruders(config) or len(options.intruders) != len(team):
         return {}
-    best = Defence(np.array(options.target), *options.weights).optimum(np.array(options.intruders))
+    best = Defence(np.array(options.target), *options.weights).optimum(
+        np.array(options.intruders)
+    )
     height = config.flight.ground + config.flight.takeoff_height
     return {i: np.array([*p, height]) for i, p in zip(team, best, strict=True)}
 
@@ -196,33 +268,53 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """How far the defenders were from the optimum, at the end and on the way, and how late they followed it."""
     team = defenders(config)
     if away := [i for i in team if "way" not in results.get(i, {})]:
-        return {"success": False, "reasons": dict.fromkeys(away, "it has not defended to the end")}
+        return {
+            "success": False,
+            "reasons": dict.fromkeys(away, "it has not defended to the end"),
+        }
     t, flown, wanted = ways(config, results)
     far = np.linalg.norm(flown - wanted, axis=2)
     moving = t > TRANSIENT
-    moves = bool(moving.any()) and float(np.ptp(wanted[moving], axis=0).max()) > TOLERANCE
+    moves = (
+        bool(moving.any()) and float(np.ptp(wanted[moving], axis=0).max()) > TOLERANCE
+    )
     late = lag(t, flown, wanted) if moves else 0.0
     reasons = {
         i: f"{end:.3f} m from its place between intruder and target at the end, allowed {TOLERANCE} m"
-        for i, end in zip(team, far[-1].tolist(), strict=True) if end > TOLERANCE
-    }  # fmt: skip
+        for i, end in zip(team, far[-1].tolist(), strict=True)
+        if end > TOLERANCE
+    }
     if late > LATEST:
         reasons[team[0]] = f"the defenders follow {late:.2f} s late, allowed {LATEST} s"
     return {
         "success": not reasons,
         "reasons": reasons,
-        "places": {i: np.round(p, 3).tolist() for i, p in zip(team, flown[-1], strict=True)},
-        "optimum": {i: np.round(p, 3).tolist() for i, p in zip(team, wanted[-1], strict=True)},
+        "places": {
+            i: np.round(p, 3).tolist() for i, p in zip(team, flown[-1], strict=True)
+        },
+        "optimum": {
+            i: np.round(p, 3).tolist() for i, p in zip(team, wanted[-1], strict=True)
+        },
         "final_error_m": float(far[-1].max()),
         "rounds_made": min(results[i]["rounds"] for i in team),
-        **({"lag_s": late, "following_rms_m": float(np.sqrt(np.mean(far[moving] ** 2)))} if moves else {}),
+        **(
+            {
+                "lag_s": late,
+                "following_rms_m": float(np.sqrt(np.mean(far[moving] ** 2))),
+            }
+            if moves
+            else {}
+        ),
     }
 
 
 def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
     """Times (T,) s of the law; where the defenders were and where they were to be then, (T, N, 2) m each."""
-    options, team = given(config, Options), defenders(config)
-    rows = min(min(len(results[i]["way"]), len(results[i]["intruder_way"])) for i in team)
+    options = given(config, Options)
+    team = defenders(config)
+    rows = min(
+        min(len(results[i]["way"]), len(results[i]["intruder_way"])) for i in team
+    )
     flown = np.array([np.array(results[i]["way"])[:rows, 1:3] for i in team])
     seen = np.array([np.array(results[i]["intruder_way"])[:rows, 1:3] for i in team])
     defence = Defence(np.array(options.target), *options.weights)
@@ -232,7 +324,8 @@ def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
 
 def lag(t: Vec, flown: Mat, wanted: Mat) -> float:
     """s by which `flown` is late after the transient: the shift of `wanted` (T, N, 2), at t (T,), that fits it best."""
-    shifts, inner = np.arange(0.0, 3.0, 0.02), t > TRANSIENT
+    shifts = np.arange(0.0, 3.0, 0.02)
+    inner = t > TRANSIENT
     series = wanted.reshape(len(t), -1).T
 
     def misfit(shift: float) -> float:

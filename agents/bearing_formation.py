@@ -24,7 +24,14 @@ from crazychoir.guidance.formation.leader import LeaderOptions
 from crazychoir.guidance.formation.modes import Chain
 from crazychoir.guidance.formation.scattering import Scatter, scattered
 from crazychoir.guidance.formation.shapes import Shape
-from crazychoir.guidance.mission_options import Gain, Length, Places, Spreads, given, require_each
+from crazychoir.guidance.mission_options import (
+    Gain,
+    Length,
+    Places,
+    Spreads,
+    given,
+    require_each,
+)
 from crazychoir.numerics.math3d import projector
 from crazychoir.platforms import platform
 from crazychoir.recording.analysis.tracks import draw_tracks
@@ -38,7 +45,9 @@ BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
 that they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
 TOLERANCE = 0.01
 """m from its place at the end of the law: a drone that is farther away has not formed up."""
-LawName = Annotated[Law, Meta(description='"normalised" or "paper"', examples=["paper"])]
+LawName = Annotated[
+    Law, Meta(description='"normalised" or "paper"', examples=["paper"])
+]
 Letter = Annotated[Literal["S", "C"], Meta(description='"S" or "C"', examples=["S"])]
 
 
@@ -85,11 +94,22 @@ class BearingFormation(CFDistributedFeedback):
     """
 
     def __init__(
-        self, i: int, shape: Shape, neighbors: Iterable[int], law: Law = "normalised", kp: float = 8.0, kv: float = 4.5,
-        in_height: float = 1.0, moving: bool = False, gains: Gains = AGILE,
-    ) -> None:  # fmt: skip
-        self.neighbors, self.gains = tuple(neighbors), gains
-        weights: dict[int, Any] = {j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors}
+        self,
+        i: int,
+        shape: Shape,
+        neighbors: Iterable[int],
+        law: Law = "normalised",
+        kp: float = 8.0,
+        kv: float = 4.5,
+        in_height: float = 1.0,
+        moving: bool = False,
+        gains: Gains = AGILE,
+    ) -> None:
+        self.neighbors = tuple(neighbors)
+        self.gains = gains
+        weights: dict[int, Any] = {
+            j: projector(np.subtract(shape[j], shape[i])) for j in self.neighbors
+        }
         if law == "normalised":
             total = sum(weights.values())
             weights = {j: np.linalg.solve(total, p) for j, p in weights.items()}
@@ -97,9 +117,16 @@ class BearingFormation(CFDistributedFeedback):
             share = np.array([[1.0], [1.0], [in_height]])
             weights = {j: share * p for j, p in weights.items()}
         # The law as one product, u = W (x_i, x_j, ..., a_j, ...), with states x (13,) of which p and v count.
-        blocks = [np.pad(np.kron([kp, kv], w), ((0, 0), (0, 7))) for w in weights.values()]
-        parts = [-sum(blocks), *blocks, *(weights.values() if law == "normalised" else ())]
-        self.W, self.a_counts = np.hstack(parts), law == "normalised"
+        blocks = [
+            np.pad(np.kron([kp, kv], w), ((0, 0), (0, 7))) for w in weights.values()
+        ]
+        parts = [
+            -sum(blocks),
+            *blocks,
+            *(weights.values() if law == "normalised" else ()),
+        ]
+        self.W = np.hstack(parts)
+        self.a_counts = law == "normalised"
         self.paired = self.a_counts and not moving
 
     def height(self) -> float | None:
@@ -118,11 +145,17 @@ class BearingFormation(CFDistributedFeedback):
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """The law of drone i: a leader's or a follower's."""
-    options, law = given(config, Options), chosen(config)
+    options = given(config, Options)
+    law = chosen(config)
     if config.drone(i).leader:
         return leader.leader_of(i, config, options)
     follower = BearingFormation(
-        i, shape(config), neighbors(config)[i], moving=moving(config), gains=gains(config), **law._asdict()
+        i,
+        shape(config),
+        neighbors(config)[i],
+        moving=moving(config),
+        gains=gains(config),
+        **law._asdict(),
     )
     follower.duration = leader.duration_of(config, options)
     follower.rest = REST if law.law == "paper" else 0.0
@@ -132,12 +165,19 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
 def chosen(config: SwarmConfig) -> Chosen:
     """What is not given depends on the law and on what flies."""
     options = given(config, Options)
-    kp, kv, in_height = bearing.KP_NORMALISED, bearing.KV_NORMALISED, 1.0
+    kp = bearing.KP_NORMALISED
+    kv = bearing.KV_NORMALISED
+    in_height = 1.0
     if options.law == "paper" and on_motors(config):
-        kp, kv, in_height = bearing.KP_ON_MOTORS, bearing.KV_ON_MOTORS, bearing.IN_HEIGHT
+        kp = bearing.KP_ON_MOTORS
+        kv = bearing.KV_ON_MOTORS
+        in_height = bearing.IN_HEIGHT
     elif options.law == "paper":
-        kp, kv = bearing.KP, bearing.KV
-    return Chosen(options.law, options.kp or kp, options.kv or kv, options.in_height or in_height)
+        kp = bearing.KP
+        kv = bearing.KV
+    return Chosen(
+        options.law, options.kp or kp, options.kv or kv, options.in_height or in_height
+    )
 
 
 def gains(config: SwarmConfig) -> Gains:
@@ -167,35 +207,65 @@ def shape(config: SwarmConfig) -> Shape:
     if options.shape is not None:
         require_each(config, options.shape, "shape")
         return options.shape
-    return shapes.SQUARE if config.ids == tuple(shapes.SQUARE) else {drone.id: drone.home for drone in config.drones}
+    return (
+        shapes.SQUARE
+        if config.ids == tuple(shapes.SQUARE)
+        else {drone.id: drone.home for drone in config.drones}
+    )
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
     """Four: the paper's square.  30: a grid of 0.6 m, leaders at its corners.  11: a letter, led by its ends."""
     match drones or 4:
         case 4:
-            return _swarm("bearing", shapes.SQUARE, shapes.SQUARE_EDGES, (0, 1), {"scatter": [1.0, 1.0, 0.5]})
+            return _swarm(
+                "bearing",
+                shapes.SQUARE,
+                shapes.SQUARE_EDGES,
+                (0, 1),
+                {"scatter": [1.0, 1.0, 0.5]},
+            )
         case 11:
             places = shapes.letter("S", 3.0)
             extra = {"scatter": [0.3, 0.3, 0.2], "letter": "S", "size": 3.0}
-            return _swarm("letter", places, shapes.nearest_edges(places, 31), (0, 1), extra)
+            return _swarm(
+                "letter", places, shapes.nearest_edges(places, 31), (0, 1), extra
+            )
         case 30:
             extra = {"scatter": [0.2, 0.2, 0.2]}
             places = shapes.grid(6, 5, 0.6)
             given = {"shape": {str(i): list(p) for i, p in places.items()}}
-            return _swarm("grid", places, shapes.grid_edges(6, 5), shapes.corners(6, 5), extra | given)
-    raise ConfigError("--drones", drones, "4 (a square), 11 (a letter) or 30 (a grid)", "Or write a swarm file.")
+            return _swarm(
+                "grid",
+                places,
+                shapes.grid_edges(6, 5),
+                shapes.corners(6, 5),
+                extra | given,
+            )
+    raise ConfigError(
+        "--drones",
+        drones,
+        "4 (a square), 11 (a letter) or 30 (a grid)",
+        "Or write a swarm file.",
+    )
 
 
 def _swarm(
-    name: str, places: Shape, edges: list[list[int]], leaders: tuple[int, ...], extra: dict[str, Any]
+    name: str,
+    places: Shape,
+    edges: list[list[int]],
+    leaders: tuple[int, ...],
+    extra: dict[str, Any],
 ) -> SwarmConfig:
     return SwarmConfig.of(
         {
             "name": name,
             "mission": "bearing_formation",
             "edges": edges,
-            "drones": [{"id": i, "home": [*p[:2], 0.0], "leader": i in leaders} for i, p in places.items()],
+            "drones": [
+                {"id": i, "home": [*p[:2], 0.0], "leader": i in leaders}
+                for i, p in places.items()
+            ],
             "flight": {"speed_limit": 2.0, "acceleration_limit": 4.0},
             "plant": {"rate_lag": 0.0, "command_delay": 0.0},
             "collision": BRISK,
@@ -212,7 +282,9 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Where the law is at rest with the leaders where they are at last."""
     at_last = leader.leaders_at_last(config, given(config, Options))
-    return bearing.equilibrium(shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()})
+    return bearing.equilibrium(
+        shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()}
+    )
 
 
 def neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
@@ -223,31 +295,57 @@ def neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Refuses a graph on which the shape is not held by its bearings, or which needs minutes; leaders' paths too."""
-    slowest = max((platform(drone.platform) for drone in config.drones), key=lambda found: found.rotor.lag)
-    chain = Chain.of_motors(gains(config), slowest) if on_motors(config) else Chain(gains(config))
+    slowest = max(
+        (platform(drone.platform) for drone in config.drones),
+        key=lambda found: found.rotor.lag,
+    )
+    chain = (
+        Chain.of_motors(gains(config), slowest)
+        if on_motors(config)
+        else Chain(gains(config))
+    )
     report = check_formation(
-        shape(config), neighbors(config), list(leader.leaders_of(config)), **chosen(config)._asdict(),
-        moving=moving(config), chain=chain, force=force,
-    )  # fmt: skip
+        shape(config),
+        neighbors(config),
+        list(leader.leaders_of(config)),
+        **chosen(config)._asdict(),
+        moving=moving(config),
+        chain=chain,
+        force=force,
+    )
     leader.require_flyable(config, given(config, Options))
     return list(report.warnings)
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Every drone is in its place at the end of the law, by its own estimate; who is not, or did not hear, is named."""
-    goals, reasons = goal(config), {}
+    goals = goal(config)
+    reasons = {}
     for i, result in results.items():
-        far = float(np.linalg.norm(goals[i] - result["place"])) if "place" in result else 0.0
+        far = (
+            float(np.linalg.norm(goals[i] - result["place"]))
+            if "place" in result
+            else 0.0
+        )
         if far > TOLERANCE:
-            reasons[i] = f"{far:.3f} m from its place at the end of the law, allowed {TOLERANCE} m{_deaf(result)}"
+            reasons[i] = (
+                f"{far:.3f} m from its place at the end of the law, allowed {TOLERANCE} m{_deaf(result)}"
+            )
     return {"success": not reasons, "reasons": reasons}
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """What was flown, from above."""
-    draw_tracks(results, path, leaders=list(leader.leaders_of(config)), edges=config.graph().edges())
+    draw_tracks(
+        results,
+        path,
+        leaders=list(leader.leaders_of(config)),
+        edges=config.graph().edges(),
+    )
 
 
 def _deaf(result: dict[str, Any]) -> str:
-    unheard = ", ".join(f"drone {j} for {seconds:.2f} s" for j, seconds in result["unheard_s"].items())
+    unheard = ", ".join(
+        f"drone {j} for {seconds:.2f} s" for j, seconds in result["unheard_s"].items()
+    )
     return f"; did not hear {unheard}" if unheard else ""

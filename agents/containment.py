@@ -16,7 +16,11 @@ from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation import leader
 from crazychoir.guidance.formation.leader import LeaderOptions
 from crazychoir.guidance.formation.modes import Chain, mode_margin
-from crazychoir.guidance.formation.rigidity import distance_to_hull, grounded_laplacian, require_led
+from crazychoir.guidance.formation.rigidity import (
+    distance_to_hull,
+    grounded_laplacian,
+    require_led,
+)
 from crazychoir.guidance.mission_options import Gain, given
 from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.runtime.clock import SECOND
@@ -27,7 +31,10 @@ TOLERANCE = 0.02
 """m: a follower that is farther outside of the hull has not come in."""
 
 
-Edges = Annotated[Literal["static", "random"], Meta(description='"static" or "random"', examples=["random"])]
+Edges = Annotated[
+    Literal["static", "random"],
+    Meta(description='"static" or "random"', examples=["random"]),
+]
 
 
 class Options(LeaderOptions, frozen=True, kw_only=True):
@@ -54,9 +61,22 @@ class Containment(CFDistributedFeedback):
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), for single integrators.
     """
 
-    def __init__(self, i: int, neighbors: tuple[int, ...], kp: float, kv: float, share: float, seed: int) -> None:
-        self.neighbors, self.kp, self.kv, self.share = neighbors, kp, kv, share
-        self.keys = {j: (draws.key(seed, i, j), draws.key(seed, j, i)) for j in neighbors}
+    def __init__(
+        self,
+        i: int,
+        neighbors: tuple[int, ...],
+        kp: float,
+        kv: float,
+        share: float,
+        seed: int,
+    ) -> None:
+        self.neighbors = neighbors
+        self.kp = kp
+        self.kv = kv
+        self.share = share
+        self.keys = {
+            j: (draws.key(seed, i, j), draws.key(seed, j, i)) for j in neighbors
+        }
 
     def height(self) -> float | None:
         """Of its options, so that it may start elsewhere than in the plane."""
@@ -65,19 +85,26 @@ class Containment(CFDistributedFeedback):
     def step(self, me: State, heard: Heard) -> Acceleration:
         """The law, over those edges that count in this tick."""
         clock = self.member.clock
-        return self.pulled(me, heard, (clock.epoch_ns + clock.now_ns()) // round(SECOND / self.rate))
+        return self.pulled(
+            me, heard, (clock.epoch_ns + clock.now_ns()) // round(SECOND / self.rate)
+        )
 
     def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
         """The law in tick k."""
-        u, weight = np.zeros(3), 1.0 / (len(self.neighbors) * self.share**2)
+        u = np.zeros(3)
+        weight = 1.0 / (len(self.neighbors) * self.share**2)
         for j in self.neighbors:
             if j in heard and self.counts(j, k):
-                u -= weight * (self.kp * (me.p - heard[j].p) + self.kv * (me.v - heard[j].v))
+                u -= weight * (
+                    self.kp * (me.p - heard[j].p) + self.kv * (me.v - heard[j].v)
+                )
         return Acceleration(u)
 
     def counts(self, j: int, k: int) -> bool:
         """Whether both ends of this edge have chosen it in tick k."""
-        return all(draws.draw(key, k, 0) < self.share * draws.ONE for key in self.keys[j])
+        return all(
+            draws.draw(key, k, 0) < self.share * draws.ONE for key in self.keys[j]
+        )
 
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
@@ -85,7 +112,14 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     options = given(config, Options)
     if config.drone(i).leader:
         return leader.leader_of(i, config, options)
-    law = Containment(i, config.graph().in_neighbors(i), options.kp, options.kv, share(options), config.seed)
+    law = Containment(
+        i,
+        config.graph().in_neighbors(i),
+        options.kp,
+        options.kv,
+        share(options),
+        config.seed,
+    )
     law.duration = leader.duration_of(config, options)
     return law
 
@@ -108,7 +142,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "name": "containment",
             "mission": "containment",
             "edges": edges,
-            "drones": [{"id": i, "home": [*p, 0.0], "leader": i < 4} for i, p in enumerate(inner + outer)],
+            "drones": [
+                {"id": i, "home": [*p, 0.0], "leader": i < 4}
+                for i, p in enumerate(inner + outer)
+            ],
         }
     )
 
@@ -118,44 +155,80 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
     leaders = leader.leaders_at_last(config, given(config, Options))
     l_ff, l_fl = grounded_laplacian(_neighbors(config), leaders)
     p = -np.linalg.solve(l_ff, l_fl @ np.array([leaders[i] for i in sorted(leaders)]))
-    return leaders | dict(zip((i for i in config.ids if i not in leaders), p, strict=True))
+    return leaders | dict(
+        zip((i for i in config.ids if i not in leaders), p, strict=True)
+    )
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Refuses followers that no leader reaches, gains that are not stable, and what leaders cannot fly."""
-    options, leaders = given(config, Options), leader.leaders_of(config)
+    options = given(config, Options)
+    leaders = leader.leaders_of(config)
     if len(leaders) == len(config.ids):
-        raise Refused("containment", "every drone is a leader. Name only those that are not to be led.")
+        raise Refused(
+            "containment",
+            "every drone is a leader. Name only those that are not to be led.",
+        )
     require_led(_neighbors(config), leaders)
     _require_stable(config, options, leaders)
     leader.require_flyable(config, options)
     return []
 
 
-def _require_stable(config: SwarmConfig, options: Options, leaders: dict[int, Vec]) -> None:
+def _require_stable(
+    config: SwarmConfig, options: Options, leaders: dict[int, Vec]
+) -> None:
     """Refuse gains that would not be stable if all edges counted in each tick: so it is for a while, now and then."""
     chosen = share(options)
-    kp, kv = options.kp / chosen**2, options.kv / chosen**2
-    eigenvalues = np.abs(np.linalg.eigvals(grounded_laplacian(_neighbors(config), leaders)[0])).tolist()
+    kp = options.kp / chosen**2
+    kv = options.kv / chosen**2
+    eigenvalues = np.abs(
+        np.linalg.eigvals(grounded_laplacian(_neighbors(config), leaders)[0])
+    ).tolist()
     both = 2 * eigenvalues, [n < len(eigenvalues) for n in range(2 * len(eigenvalues))]
     if mode_margin(*both, kp, kv, Chain()) <= 0.0:
-        of, do = (f" over share^2 = {chosen**2:.3g}", ", or raise share") if chosen < 1.0 else ("", "")
+        of, do = (
+            (f" over share^2 = {chosen**2:.3g}", ", or raise share")
+            if chosen < 1.0
+            else ("", "")
+        )
         text = f"kp = {options.kp:g}, kv = {options.kv:g}{of} are unstable behind the attitude loop. Lower them{do}."
         raise Refused("containment", text)
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Every follower has come into the hull of the leaders' places."""
-    flown = {i: np.array(result["place"]) for i, result in results.items() if "place" in result}
+    flown = {
+        i: np.array(result["place"])
+        for i, result in results.items()
+        if "place" in result
+    }
     corners = [flown[i] for i in leader.leaders_of(config) if i in flown]
-    outside = {i: distance_to_hull(corners, p) for i, p in flown.items() if not config.drone(i).leader and corners}
-    reasons = {i: f"{far:.3f} m outside of the leaders' hull" for i, far in outside.items() if far > TOLERANCE}
-    return {"outside_m": max(outside.values(), default=None), "success": not reasons, "reasons": reasons}
+    outside = {
+        i: distance_to_hull(corners, p)
+        for i, p in flown.items()
+        if not config.drone(i).leader and corners
+    }
+    reasons = {
+        i: f"{far:.3f} m outside of the leaders' hull"
+        for i, far in outside.items()
+        if far > TOLERANCE
+    }
+    return {
+        "outside_m": max(outside.values(), default=None),
+        "success": not reasons,
+        "reasons": reasons,
+    }
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """What was flown, from above."""
-    draw_tracks(results, path, leaders=list(leader.leaders_of(config)), edges=config.graph().edges())
+    draw_tracks(
+        results,
+        path,
+        leaders=list(leader.leaders_of(config)),
+        edges=config.graph().edges(),
+    )
 
 
 def _neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:

@@ -14,7 +14,13 @@ from msgspec import Meta
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.config.tables import Height, Speed, Table
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.mission_options import Duration, Length, Offset, given, require_none
+from crazychoir.guidance.mission_options import (
+    Duration,
+    Length,
+    Offset,
+    given,
+    require_none,
+)
 from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import FullState, Heard, State, Vec
 
@@ -54,7 +60,10 @@ class Straight(CFDistributedFeedback):
     """p_d(t) = a + min(speed t, |b - a|) w,  w = (b - a) / |b - a|: it knows of nobody."""
 
     def __init__(self, start: Vec, goal: Vec, speed: float, duration: float) -> None:
-        self.start, self.goal, self.speed, self.duration = start, goal, speed, duration
+        self.start = start
+        self.goal = goal
+        self.speed = speed
+        self.duration = duration
         self.far = float(np.linalg.norm(goal - start))
         self.way = (goal - start) / self.far
         self.steps = 0
@@ -74,7 +83,10 @@ class Straight(CFDistributedFeedback):
             self.arrived = t
         gone = self.speed * t
         on_its_way = gone < self.far
-        return FullState.at(self.start + min(gone, self.far) * self.way, on_its_way * self.speed * self.way)
+        return FullState.at(
+            self.start + min(gone, self.far) * self.way,
+            on_its_way * self.speed * self.way,
+        )
 
     async def mission(self) -> dict[str, Any]:
         """Up, across, down; arrived_s: s of the law, after which it stayed at its goal, None: never."""
@@ -89,13 +101,16 @@ def guidance(i: int, config: SwarmConfig) -> Straight:
 
 def places(config: SwarmConfig) -> tuple[dict[int, Vec], dict[int, Vec]]:
     """Starts and goals, (3,) m each, by drone."""
-    options, n = given(config, Options), len(config.ids)
+    options = given(config, Options)
+    n = len(config.ids)
     draw = np.random.default_rng(config.seed)
     starts = _circle(draw, n, options, 0.0)
     goals = _circle(draw, n, options, np.pi)
     if options.pattern == "permutation":
         goals = starts[_deranged(draw, n)]
-    return dict(zip(config.ids, starts, strict=True)), dict(zip(config.ids, goals, strict=True))
+    return dict(zip(config.ids, starts, strict=True)), dict(
+        zip(config.ids, goals, strict=True)
+    )
 
 
 def _circle(draw: np.random.Generator, n: int, options: Options, turn: float) -> Vec:
@@ -106,10 +121,17 @@ def _circle(draw: np.random.Generator, n: int, options: Options, turn: float) ->
     for _ in range(1000):
         heights = draw.uniform(options.low, options.high, n)
         found = np.column_stack([flat + draw.uniform(-off, off, (n, 2)), heights])
-        apart = np.linalg.norm((found[:, None] - found[None]) * SCALE, axis=2) + 9.0 * np.eye(n)
+        apart = np.linalg.norm(
+            (found[:, None] - found[None]) * SCALE, axis=2
+        ) + 9.0 * np.eye(n)
         if apart.min() >= APART:
             return found
-    raise ConfigError("mission_options.radius", options.radius, f"room for {n} drones", "Take a larger one.")
+    raise ConfigError(
+        "mission_options.radius",
+        options.radius,
+        f"room for {n} drones",
+        "Take a larger one.",
+    )
 
 
 def _deranged(draw: np.random.Generator, n: int) -> list[int]:
@@ -125,12 +147,33 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     n = drones or 30
     radius = max(3.0, 0.6 * n / (2.0 * np.pi))
     rows = [
-        {"id": k, "home": [float(k), 0.0, 0.0], "uri": "sim://motors", "platform": "cf21"} for k in range(n)
-    ]  # fmt: skip
-    fence = {"min": [-radius - 1.0, -radius - 1.0, 0.0], "max": [max(n, radius) + 1.0, radius + 1.0, 3.0]}
-    raw = {"name": "crossing", "mission": "crossing", "graph": "ring", "drones": rows, "fence": fence}
+        {
+            "id": k,
+            "home": [float(k), 0.0, 0.0],
+            "uri": "sim://motors",
+            "platform": "cf21",
+        }
+        for k in range(n)
+    ]
+    fence = {
+        "min": [-radius - 1.0, -radius - 1.0, 0.0],
+        "max": [max(n, radius) + 1.0, radius + 1.0, 3.0],
+    }
+    raw = {
+        "name": "crossing",
+        "mission": "crossing",
+        "graph": "ring",
+        "drones": rows,
+        "fence": fence,
+    }
     return scatter(
-        SwarmConfig.of(raw | {"network": {"loss": 0.1, "burst": 4.0}, "mission_options": {"radius": float(radius)}})
+        SwarmConfig.of(
+            raw
+            | {
+                "network": {"loss": 0.1, "burst": 4.0},
+                "mission_options": {"radius": float(radius)},
+            }
+        )
     )
 
 
@@ -138,7 +181,10 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
     """The same swarm with its homes below the starts that its seed gives."""
     starts, _ = places(config)
     ground = config.flight.ground
-    rows = [msgspec.to_builtins(drone) | {"home": [*starts[drone.id][:2].tolist(), ground]} for drone in config.drones]
+    rows = [
+        msgspec.to_builtins(drone) | {"home": [*starts[drone.id][:2].tolist(), ground]}
+        for drone in config.drones
+    ]
     return config.replace(drones=rows)
 
 
@@ -148,16 +194,26 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     options = given(config, Options)
     require_none(config)
     if options.low > options.high:
-        raise ConfigError(f"{where}.low", options.low, f"at most high = {options.high:g}")
+        raise ConfigError(
+            f"{where}.low", options.low, f"at most high = {options.high:g}"
+        )
     for which, found in zip(("start", "goal"), places(config), strict=True):
         for i, p in found.items():
             if np.any(p < config.fence.min) or np.any(p > config.fence.max):
-                raise ConfigError(f"{where}: {which} of drone {i}", p.round(2).tolist(), "inside [fence]", "Widen it.")
+                raise ConfigError(
+                    f"{where}: {which} of drone {i}",
+                    p.round(2).tolist(),
+                    "inside [fence]",
+                    "Widen it.",
+                )
     if options.pattern != "antipodal" or len(config.ids) <= CROWD:
         return []
     crowd = f"{len(config.ids)} drones fly through one point at once; {CROWD} have been tried, and a hundred met there"
     if not force:
-        raise Refused("crossing", f'{crowd}. Take pattern = "permutation" in [mission_options], or --force.')
+        raise Refused(
+            "crossing",
+            f'{crowd}. Take pattern = "permutation" in [mission_options], or --force.',
+        )
     return [crowd]
 
 
@@ -169,9 +225,17 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """When the last one was there; who never was has failed."""
     times = {i: result.get("arrived_s") for i, result in results.items()}
-    late = {i: f"never stayed within {ARRIVED} m of its goal" for i, time in times.items() if time is None}
+    late = {
+        i: f"never stayed within {ARRIVED} m of its goal"
+        for i, time in times.items()
+        if time is None
+    }
     arrived = [time for time in times.values() if time is not None]
-    return {"success": not late, "reasons": late, "arrived_s": max(arrived) if arrived and not late else None}
+    return {
+        "success": not late,
+        "reasons": late,
+        "arrived_s": max(arrived) if arrived and not late else None,
+    }
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:

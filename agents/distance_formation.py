@@ -16,7 +16,13 @@ from crazychoir.guidance.formation.leader import LeaderOptions
 from crazychoir.guidance.formation.modes import Chain, mode_margin
 from crazychoir.guidance.formation.rigidity import require_rigid
 from crazychoir.guidance.formation.scattering import Scatter, scattered
-from crazychoir.guidance.mission_options import Gain, Places, Spreads, given, require_each
+from crazychoir.guidance.mission_options import (
+    Gain,
+    Places,
+    Spreads,
+    given,
+    require_each,
+)
 from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
@@ -51,8 +57,13 @@ class DistanceFormation(CFDistributedFeedback):
 
     gains = AGILE
 
-    def __init__(self, d: Mapping[int, float], k: float, kv: float, height: float | None) -> None:
-        self.d, self.k, self.kv, self.level = dict(d), k, kv, height
+    def __init__(
+        self, d: Mapping[int, float], k: float, kv: float, height: float | None
+    ) -> None:
+        self.d = dict(d)
+        self.k = k
+        self.kv = kv
+        self.level = height
 
     def height(self) -> float | None:
         """Of its options, so that it may start elsewhere."""
@@ -62,10 +73,14 @@ class DistanceFormation(CFDistributedFeedback):
         """The law; who does not hear all its neighbours hovers."""
         if len(heard) < len(self.d):
             return None
-        u, axes = np.zeros(3), 3 if self.level is None else 2
+        u = np.zeros(3)
+        axes = 3 if self.level is None else 2
         for j, d in self.d.items():
             gap = (heard[j].p - me.p)[:axes]
-            u[:axes] += self.k * (gap @ gap - d * d) * gap + self.kv * (heard[j].v - me.v)[:axes]
+            u[:axes] += (
+                self.k * (gap @ gap - d * d) * gap
+                + self.kv * (heard[j].v - me.v)[:axes]
+            )
         if self.level is not None:
             u[2] = HEIGHT[0] * (self.level - me.p[2]) - HEIGHT[1] * me.v[2]
         return Acceleration(u)
@@ -73,11 +88,17 @@ class DistanceFormation(CFDistributedFeedback):
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """The law of drone i: a leader's or a follower's."""
-    options, places = given(config, Options), shape(config)
+    options = given(config, Options)
+    places = shape(config)
     if config.drone(i).leader:
         return leader.leader_of(i, config, options)
-    d = {j: float(np.linalg.norm(places[i] - places[j])) for j in config.graph().neighbors(i)}
-    level = config.flight.ground + config.flight.takeoff_height if flat(config) else None
+    d = {
+        j: float(np.linalg.norm(places[i] - places[j]))
+        for j in config.graph().neighbors(i)
+    }
+    level = (
+        config.flight.ground + config.flight.takeoff_height if flat(config) else None
+    )
     law = DistanceFormation(d, options.k, options.kv, level)
     law.duration = leader.duration_of(config, options)
     return law
@@ -103,14 +124,20 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     if n < 5:
         raise ConfigError("--drones", drones, "5 or more")
     radius = max(1.0, 0.16 * n)
-    places = [[radius * np.cos(2 * np.pi * k / n), radius * np.sin(2 * np.pi * k / n), 1.0] for k in range(n)]
+    places = [
+        [radius * np.cos(2 * np.pi * k / n), radius * np.sin(2 * np.pi * k / n), 1.0]
+        for k in range(n)
+    ]
     rounded = {str(k): [round(float(x), 4) for x in p] for k, p in enumerate(places)}
     return SwarmConfig.of(
         {
             "name": "distances",
             "mission": "distance_formation",
             "edges": [[k, (k + step) % n] for k in range(n) for step in (1, 2)],
-            "drones": [{"id": k, "home": [*rounded[str(k)][:2], 0.0], "leader": k < 2} for k in range(n)],
+            "drones": [
+                {"id": k, "home": [*rounded[str(k)][:2], 0.0], "leader": k < 2}
+                for k in range(n)
+            ],
             "mission_options": {"shape": rounded, "scatter": [0.3, 0.3, 0.2]},
         }
     )
@@ -126,35 +153,54 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
     A directed graph too: only where both ends of an edge pull does the law go down a gradient.
     """
-    options, leaders = given(config, Options), leader.leaders_of(config)
+    options = given(config, Options)
+    leaders = leader.leaders_of(config)
     if not config.graph().is_undirected:
-        raise ConfigError(f"swarm {config.name}: graph", "a directed graph", "an undirected one")
+        raise ConfigError(
+            f"swarm {config.name}: graph", "a directed graph", "an undirected one"
+        )
     axes = 2 if flat(config) else 3
-    r = require_rigid({i: p[:axes] for i, p in shape(config).items()}, config.graph().edges(), leaders)
+    r = require_rigid(
+        {i: p[:axes] for i, p in shape(config).items()}, config.graph().edges(), leaders
+    )
     stiffest = 2.0 * options.k * float(np.linalg.norm(r, 2) ** 2)
     heard = [len(config.graph().neighbors(i)) for i in config.ids if i not in leaders]
     for damping in (options.kv * min(heard) * 0.5, options.kv * max(heard)):
         if mode_margin([1.0], [True], stiffest, damping, Chain(AGILE)) <= 0.0:
             text = f"k = {options.k:g}, kv = {options.kv:g}: its stiffest mode, {stiffest:.1f} 1/s2, is unstable"
-            raise Refused("distance formation", f"{text} behind the attitude loop. Lower k, or raise kv.")
+            raise Refused(
+                "distance formation",
+                f"{text} behind the attitude loop. Lower k, or raise kv.",
+            )
     leader.require_flyable(config, options)
     return []
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Every distance is what it should be at the end of the law, by the drones' own estimates."""
-    at, places = {i: r["place"] for i, r in results.items() if "place" in r}, shape(config)
+    at = {i: r["place"] for i, r in results.items() if "place" in r}
+    places = shape(config)
     axes = 2 if flat(config) else 3
-    off, reasons = 0.0, {}
+    off = 0.0
+    reasons = {}
     for i, j in config.graph().edges():
         if i in at and j in at:
-            found, wanted = (np.linalg.norm(np.subtract(p[i], p[j])[:axes]) for p in (at, places))
+            found, wanted = (
+                np.linalg.norm(np.subtract(p[i], p[j])[:axes]) for p in (at, places)
+            )
             off = max(off, abs(float(found - wanted)))
             if abs(found - wanted) > TOLERANCE:
-                reasons[i] = f"{found:.3f} m from drone {j} at the end of the law, {wanted:.3f} m wanted"
+                reasons[i] = (
+                    f"{found:.3f} m from drone {j} at the end of the law, {wanted:.3f} m wanted"
+                )
     return {"distance_error_m": off, "success": not reasons, "reasons": reasons}
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """What was flown, from above."""
-    draw_tracks(results, path, leaders=list(leader.leaders_of(config)), edges=config.graph().edges())
+    draw_tracks(
+        results,
+        path,
+        leaders=list(leader.leaders_of(config)),
+        edges=config.graph().edges(),
+    )

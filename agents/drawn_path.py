@@ -26,7 +26,9 @@ Results = dict[int, dict[str, Any]]
 WORD = Path(__file__).parent / "data" / "casy.csv"
 TOLERANCE = 0.03
 """m between what is flown and the path that was drawn, at most."""
-Timing = Annotated[Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])]
+Timing = Annotated[
+    Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])
+]
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -48,7 +50,8 @@ class Writer(CFGuidance):
     """Flies a drawing."""
 
     def __init__(self, drawn: Drawing) -> None:
-        self.drawn, self.way = drawn, Way()
+        self.drawn = drawn
+        self.way = Way()
 
     async def mission(self) -> dict[str, Any]:
         """Up, along the drawing, home, down."""
@@ -65,20 +68,31 @@ class Writer(CFGuidance):
 
 def drawn(config: SwarmConfig, i: int) -> Drawing:
     """What drone i flies: the drawing, its middle over the drone's home; no jerk that its attitude cannot follow."""
-    options, flight, home = given(config, Options), config.flight, config.drone(i).home
+    options = given(config, Options)
+    flight = config.flight
+    home = config.drone(i).home
     strokes = read_drawing(options.drawing).strokes
     places = np.vstack([stroke[:, -2:] for stroke in strokes])
     middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
     placed = [
-        np.column_stack([stroke[:, :-2], home[:2] + options.scale * (stroke[:, -2:] - middle)]) for stroke in strokes
+        np.column_stack(
+            [stroke[:, :-2], home[:2] + options.scale * (stroke[:, -2:] - middle)]
+        )
+        for stroke in strokes
     ]
     pen = Pen(
-        height=flight.ground + flight.takeoff_height, lift=options.lift, yaw=options.yaw, timing=options.timing
+        height=flight.ground + flight.takeoff_height,
+        lift=options.lift,
+        yaw=options.yaw,
+        timing=options.timing,
     )
     limits = Limits(
-        v_max=flight.speed_limit, a_max=flight.acceleration_limit, j_max=STANDARD.kr[0] * flight.acceleration_limit,
-        low=config.fence.min, high=config.fence.max,
-    )  # fmt: skip
+        v_max=flight.speed_limit,
+        a_max=flight.acceleration_limit,
+        j_max=STANDARD.kr[0] * flight.acceleration_limit,
+        low=config.fence.min,
+        high=config.fence.max,
+    )
     planned = drawing(placed, pen, limits)
     require_inside(planned.path, config, "drawing")
     return planned
@@ -119,16 +133,24 @@ def _checked(config: SwarmConfig, i: int) -> Drawing:
     try:
         return drawn(config, i)
     except ConfigError as error:
-        raise ConfigError(f"drone {i}: {error.where}", error.found, error.allowed, error.do, error.problem) from error
+        raise ConfigError(
+            f"drone {i}: {error.where}",
+            error.found,
+            error.allowed,
+            error.do,
+            error.problem,
+        ) from error
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """How the drawing is flown, and whether what was flown is the drawing."""
-    flown, off = drawn(config, config.ids[0]), {i: written(config, i, results.get(i, {})) for i in config.ids}
+    flown = drawn(config, config.ids[0])
+    off = {i: written(config, i, results.get(i, {})) for i in config.ids}
     reasons = {
         i: f"{1e3 * far:.0f} mm from its drawing, allowed {1e3 * TOLERANCE:.0f} mm"
-        for i, far in off.items() if not far <= TOLERANCE
-    }  # fmt: skip
+        for i, far in off.items()
+        if not far <= TOLERANCE
+    }
     return {
         "success": not reasons,
         "reasons": reasons,
@@ -142,13 +164,18 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 def written(config: SwarmConfig, i: int, result: dict[str, Any]) -> float:
     """m, the Hausdorff distance of what drone i has flown and its path: no place is off, and none is left out."""
-    way, path = np.array(result.get("way", [])), drawn(config, i).path
+    way = np.array(result.get("way", []))
+    path = drawn(config, i).path
     if len(way) < 2:
         return float("inf")
     wanted = path.samples(np.arange(0.0, path.duration, 0.02))[:, 0:3]
     t = np.arange(0.0, way[-1, 0], 0.02)
     flown = CubicSpline(way[:, 0], way[:, 1:4])(t)
-    return float(max(cKDTree(wanted).query(flown)[0].max(), cKDTree(flown).query(wanted)[0].max()))
+    return float(
+        max(
+            cKDTree(wanted).query(flown)[0].max(), cKDTree(flown).query(wanted)[0].max()
+        )
+    )
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:

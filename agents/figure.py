@@ -11,15 +11,28 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.tables import Table
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission_options import Laps, Length, Period, Ramp, Yaw, given, require_none
+from crazychoir.guidance.mission_options import (
+    Laps,
+    Length,
+    Period,
+    Ramp,
+    Yaw,
+    given,
+    require_none,
+)
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.planning import feasibility
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import Figure, circle, eight
 
 Results = dict[int, dict[str, Any]]
-Kind = Annotated[Literal["circle", "eight"], Meta(description='"circle" or "eight"', examples=["eight"])]
-YawRate = Annotated[float, Meta(ge=-20, le=20, description="a rate in rad/s, -20 to 20", examples=[0.5])]
+Kind = Annotated[
+    Literal["circle", "eight"],
+    Meta(description='"circle" or "eight"', examples=["eight"]),
+]
+YawRate = Annotated[
+    float, Meta(ge=-20, le=20, description="a rate in rad/s, -20 to 20", examples=[0.5])
+]
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -42,11 +55,14 @@ class Flown(CFGuidance):
     """Flies one figure."""
 
     def __init__(self, home: tuple[float, float, float], options: Options) -> None:
-        self.home, self.options = home, options
+        self.home = home
+        self.options = options
 
     async def mission(self) -> dict[str, Any]:
         """Up, to the start of the figure, along it, home, down."""
-        flight = figure(self.home, self.member.config.flight.takeoff_height, self.options)
+        flight = figure(
+            self.home, self.member.config.flight.takeoff_height, self.options
+        )
         await self.take_off()
         await self.rendezvous()
         await self.fly(flight)
@@ -57,9 +73,20 @@ class Flown(CFGuidance):
 
 def figure(home: tuple[float, float, float], height: float, options: Options) -> Figure:
     """The figure over a home, at a height m above it."""
-    center, size = (home[0], home[1], home[2] + height), options.size
-    rest = options.period, options.laps, options.ramp or None, options.yaw, options.yaw_rate
-    return circle(center, size, *rest) if options.figure == "circle" else eight(center, size, 0.5 * size, *rest)
+    center = (home[0], home[1], home[2] + height)
+    size = options.size
+    rest = (
+        options.period,
+        options.laps,
+        options.ramp or None,
+        options.yaw,
+        options.yaw_rate,
+    )
+    return (
+        circle(center, size, *rest)
+        if options.figure == "circle"
+        else eight(center, size, 0.5 * size, *rest)
+    )
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
@@ -73,15 +100,22 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     given(config, Options)
     require_none(config)
     limits = Limits(
-        v_max=config.flight.speed_limit, a_max=config.flight.acceleration_limit,
-        low=config.fence.min, high=config.fence.max,
-    )  # fmt: skip
+        v_max=config.flight.speed_limit,
+        a_max=config.flight.acceleration_limit,
+        low=config.fence.min,
+        high=config.fence.max,
+    )
     for i in config.ids:
         try:
             feasibility.check(_figure(config, i), limits)
             require_inside(_figure(config, i), config, "trajectory")
         except ConfigError as error:
-            raise ConfigError(f"{where}: drone {i}: {error.where}", error.found, error.allowed, error.do) from error
+            raise ConfigError(
+                f"{where}: drone {i}: {error.where}",
+                error.found,
+                error.allowed,
+                error.do,
+            ) from error
     return []
 
 
@@ -107,8 +141,12 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
 
 def _path(config: SwarmConfig, i: int) -> np.ndarray:
     flight = _figure(config, i)
-    return np.array([flight.sample(t).p for t in np.linspace(0.0, flight.duration, 500)])
+    return np.array(
+        [flight.sample(t).p for t in np.linspace(0.0, flight.duration, 500)]
+    )
 
 
 def _figure(config: SwarmConfig, i: int) -> Figure:
-    return figure(config.drone(i).home, config.flight.takeoff_height, given(config, Options))
+    return figure(
+        config.drone(i).home, config.flight.takeoff_height, given(config, Options)
+    )

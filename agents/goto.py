@@ -14,7 +14,12 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.tables import Id, Table
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission_options import Coordinate, given, require_each, require_none
+from crazychoir.guidance.mission_options import (
+    Coordinate,
+    given,
+    require_each,
+    require_none,
+)
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import TimedFlight
 from crazychoir.planning.feasibility import Limits
@@ -60,11 +65,15 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 
 def flight(i: int, config: SwarmConfig) -> Piecewise:
     """From above the home to each goal in its time; raises ConfigError if that is beyond the limits or the fence."""
-    home, limits = config.drone(i).home, config.flight
+    home = config.drone(i).home
+    limits = config.flight
     start = FullState.at((*home[:2], limits.ground + limits.takeoff_height))
     rows = [[*row, 0.0] for row in goals(config)[i]]
     room = Limits(
-        v_max=limits.speed_limit, a_max=limits.acceleration_limit, low=config.fence.min, high=config.fence.max
+        v_max=limits.speed_limit,
+        a_max=limits.acceleration_limit,
+        low=config.fence.min,
+        high=config.fence.max,
     )
     try:
         way = timed_goals(start, np.array(rows), room)
@@ -93,7 +102,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         {
             "name": "crossing",
             "mission": "goto",
-            "drones": [{"id": i, "home": [INSIDE * x, INSIDE * y, 0.0]} for i, (x, y) in enumerate(CORNERS)],
+            "drones": [
+                {"id": i, "home": [INSIDE * x, INSIDE * y, 0.0]}
+                for i, (x, y) in enumerate(CORNERS)
+            ],
             "flight": {"takeoff_height": 0.5},
             "fence": {"min": [-2.0, -2.0, 0.0], "max": [2.0, 2.0, 2.5]},
         }
@@ -104,19 +116,28 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Each drone has goals, and can be there in time; says where two flights meet if nothing keeps them apart."""
     require_none(config)
     if not given(config, Options).goals and len(config.ids) != len(CORNERS):
-        raise ConfigError(f"swarm {config.name}: drones", len(config.ids), f"{len(CORNERS)}, or mission_options.goals")
+        raise ConfigError(
+            f"swarm {config.name}: drones",
+            len(config.ids),
+            f"{len(CORNERS)}, or mission_options.goals",
+        )
     require_each(config, goals(config), "goals")
     gap, i, j, t = nearest(config)
     if gap >= NEAR or config.collision.method != "off":
         return []
-    return [f"drones {i} and {j} are planned {gap:.2f} m from each other at {t:.1f} s, and the collision filter is off"]
+    return [
+        f"drones {i} and {j} are planned {gap:.2f} m from each other at {t:.1f} s, and the collision filter is off"
+    ]
 
 
 def nearest(config: SwarmConfig) -> tuple[float, int, int, float]:
     """m, the least distance of two planned flights, whose, and when, s of the law; inf for one drone."""
     flights = {i: flight(i, config) for i in config.ids}
     t = np.arange(0.0, max(way.duration for way in flights.values()), 0.05)
-    p = {i: way.samples(np.minimum(t, way.duration))[:, 0:3] for i, way in flights.items()}
+    p = {
+        i: way.samples(np.minimum(t, way.duration))[:, 0:3]
+        for i, way in flights.items()
+    }
     worst = (float("inf"), config.ids[0], config.ids[0], 0.0)
     for i, j in combinations(config.ids, 2):
         gaps = np.linalg.norm(p[i] - p[j], axis=1)
@@ -133,12 +154,18 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """How far each drone was from each of its goals at its time."""
     errors = {i: results.get(i, {}).get("mark_errors_m", []) for i in config.ids}
-    reasons = {i: text for i in config.ids if (text := _late(errors[i], goals(config)[i]))}
+    reasons = {
+        i: text for i in config.ids if (text := _late(errors[i], goals(config)[i]))
+    }
     return {
         "success": not reasons,
         "reasons": reasons,
-        "goal_errors_m": {i: [round(error, 4) for error in row] for i, row in errors.items()},
-        "tracking_rms_m": {i: results.get(i, {}).get("tracking_rms_m") for i in config.ids},
+        "goal_errors_m": {
+            i: [round(error, 4) for error in row] for i, row in errors.items()
+        },
+        "tracking_rms_m": {
+            i: results.get(i, {}).get("tracking_rms_m") for i in config.ids
+        },
     }
 
 
@@ -154,4 +181,6 @@ def _late(errors: list[float], rows: tuple[Row, ...]) -> str:
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways from above, and their heights."""
     heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
-    draw_ways(path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config))
+    draw_ways(
+        path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config)
+    )

@@ -22,7 +22,10 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 
 def swarm(drones: int | None = None) -> SwarmConfig:
     """One at each end, and for each a goal at the other end."""
-    goals = {str(i): [[START, *ENDS[i], HEIGHT], [ARRIVAL, *ENDS[1 - i], HEIGHT]] for i in range(len(ENDS))}
+    goals = {
+        str(i): [[START, *ENDS[i], HEIGHT], [ARRIVAL, *ENDS[1 - i], HEIGHT]]
+        for i in range(len(ENDS))
+    }
     return SwarmConfig.of(
         {
             "name": "exchange",
@@ -35,4 +38,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     )
 
 
-check, goal, report, picture = goto.check, goto.goal, goto.report, goto.picture
+check = goto.check
+goal = goto.goal
+report = goto.report
+picture = goto.picture

@@ -30,10 +30,16 @@ class IntegratorContainment(CFDistributedFeedback):
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), 1972-1975.
     """
 
-    rate, duration = 25.0, 12.0
+    rate = 25.0
+    duration = 12.0
 
-    def __init__(self, leader: bool, inertia: bool, k: float = 0.6, c: float = 2.0) -> None:
-        self.leader, self.inertia, self.k, self.c = leader, inertia, k, c
+    def __init__(
+        self, leader: bool, inertia: bool, k: float = 0.6, c: float = 2.0
+    ) -> None:
+        self.leader = leader
+        self.inertia = inertia
+        self.k = k
+        self.c = c
 
     async def mission(self) -> dict[str, Any]:
         """As any law, with the way that it was: rows [t s of the law, x, y m], one a step."""
@@ -62,7 +68,14 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         {"id": i, "home": [*p, 0.5], "uri": uri, "leader": i < len(LEADERS)}
         for i, (p, uri) in enumerate(zip(LEADERS + FOLLOWERS, uris, strict=True))
     ]
-    return SwarmConfig.of({"name": "integrators", "mission": "integrators", "edges": EDGES, "drones": robots})
+    return SwarmConfig.of(
+        {
+            "name": "integrators",
+            "mission": "integrators",
+            "edges": EDGES,
+            "drones": robots,
+        }
+    )
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
@@ -77,21 +90,31 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """p_f = - L_ff^-1 L_fl p_l for the followers, where they stand for the leaders."""
-    ids, graph = config.ids, config.graph()
-    laplacian = np.array([[-1.0 if j in graph.in_neighbors(i) else 0.0 for j in ids] for i in ids])
+    ids = config.ids
+    graph = config.graph()
+    laplacian = np.array(
+        [[-1.0 if j in graph.in_neighbors(i) else 0.0 for j in ids] for i in ids]
+    )
     laplacian -= np.diag(laplacian.sum(axis=1))
     leads = np.array([config.drone(i).leader for i in ids])
     places = np.array([config.drone(i).home for i in ids])
     follow = ~leads
-    places[follow] = -np.linalg.solve(laplacian[follow][:, follow], laplacian[follow][:, leads] @ places[leads])
+    places[follow] = -np.linalg.solve(
+        laplacian[follow][:, follow], laplacian[follow][:, leads] @ places[leads]
+    )
     return dict(zip(ids, places, strict=True))
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Every follower is where the leaders' places put it."""
-    goals, off = goal(config), {}
+    goals = goal(config)
+    off = {}
     for i, result in results.items():
-        far = float(np.linalg.norm(goals[i] - result["place"])) if "place" in result else 0.0
+        far = (
+            float(np.linalg.norm(goals[i] - result["place"]))
+            if "place" in result
+            else 0.0
+        )
         if far > TOLERANCE:
             off[i] = f"{far:.3f} m from its equilibrium, allowed {TOLERANCE} m"
     return {"success": not off, "reasons": off}
@@ -99,6 +122,16 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways from above, and how far each was from its equilibrium."""
-    ways, goals = {i: np.array(results[i]["way"]) for i in config.ids}, goal(config)
-    far = {i: np.linalg.norm(way[:, 1:3] - goals[i][0:2], axis=1) for i, way in ways.items()}
-    draw_ways(path, {i: way.tolist() for i, way in ways.items()}, far, "m from its equilibrium", goals)
+    ways = {i: np.array(results[i]["way"]) for i in config.ids}
+    goals = goal(config)
+    far = {
+        i: np.linalg.norm(way[:, 1:3] - goals[i][0:2], axis=1)
+        for i, way in ways.items()
+    }
+    draw_ways(
+        path,
+        {i: way.tolist() for i, way in ways.items()},
+        far,
+        "m from its equilibrium",
+        goals,
+    )

@@ -31,11 +31,35 @@ SLOW = 0.25
 
 
 Reach = Annotated[
-    float, Meta(gt=MARGIN, le=100, description=f"m, more than {MARGIN} m, which plans leave, to 100", examples=[0.35])
+    float,
+    Meta(
+        gt=MARGIN,
+        le=100,
+        description=f"m, more than {MARGIN} m, which plans leave, to 100",
+        examples=[0.35],
+    ),
 ]
-Step = Annotated[float, Meta(ge=0.1, le=2, description="a time in s, 0.1 to 2", examples=[0.4])]
-Horizon = Annotated[int, Meta(ge=3, le=50, description="3 steps or more, to start and to stop, to 50", examples=[10])]
-Jerk = Annotated[float, Meta(gt=0, le=1000, description="a jerk in m/s3, above 0, at most 1000", examples=[4.0])]
+Step = Annotated[
+    float, Meta(ge=0.1, le=2, description="a time in s, 0.1 to 2", examples=[0.4])
+]
+Horizon = Annotated[
+    int,
+    Meta(
+        ge=3,
+        le=50,
+        description="3 steps or more, to start and to stop, to 50",
+        examples=[10],
+    ),
+]
+Jerk = Annotated[
+    float,
+    Meta(
+        gt=0,
+        le=1000,
+        description="a jerk in m/s3, above 0, at most 1000",
+        examples=[4.0],
+    ),
+]
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -64,11 +88,15 @@ class DroneOptions(Table, frozen=True, kw_only=True):
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """Drone i, from its home to its goal, in the fence."""
-    options, drone = given(config, Options), config.drone(i)
+    options = given(config, Options)
+    drone = config.drone(i)
     goal = goal_of(config, drone)
-    low, high = np.array(config.fence.min[:2]) + EDGE - goal, np.array(config.fence.max[:2]) - EDGE - goal
+    low = np.array(config.fence.min[:2]) + EDGE - goal
+    high = np.array(config.fence.max[:2]) - EDGE - goal
     neighbors = config.graph().neighbors(i)
-    law = MPCGuidance(goal, motion(config, drone), low, high, options.reach - MARGIN, neighbors)
+    law = MPCGuidance(
+        goal, motion(config, drone), low, high, options.reach - MARGIN, neighbors
+    )
     law.duration = options.duration
     return law
 
@@ -77,13 +105,19 @@ def motion(config: SwarmConfig, drone: Drone) -> Motion:
     """What the drone can."""
     options = given(config, Options)
     speed = own(config, drone, DroneOptions).speed or options.speed
-    return Motion(options.step, options.horizon, speed, options.acceleration, options.jerk)
+    return Motion(
+        options.step, options.horizon, speed, options.acceleration, options.jerk
+    )
 
 
 def goal_of(config: SwarmConfig, drone: Drone) -> Vec:
     """(2,) m."""
     goal = own(config, drone, DroneOptions).goal
-    return np.array(goal) if goal is not None else np.add(drone.home[:2], given(config, Options).shift)
+    return (
+        np.array(goal)
+        if goal is not None
+        else np.add(drone.home[:2], given(config, Options).shift)
+    )
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -95,19 +129,35 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "mission": "mpc",
             "graph": "path" if n > 1 else "empty",
             "drones": [
-                {"id": i, "home": [-1.5, round(0.6 * (i - 0.5 * (n - 1)), 3), 0.0], **slow}
-                for i, slow in enumerate([{"options": {"speed": SLOW}} if i == 2 else {} for i in range(n)])
+                {
+                    "id": i,
+                    "home": [-1.5, round(0.6 * (i - 0.5 * (n - 1)), 3), 0.0],
+                    **slow,
+                }
+                for i, slow in enumerate(
+                    [{"options": {"speed": SLOW}} if i == 2 else {} for i in range(n)]
+                )
             ],
-            "fence": {"min": [-3.0, -0.3 * n - 2.0, 0.0], "max": [3.0, 0.3 * n + 2.0, 2.5]},
+            "fence": {
+                "min": [-3.0, -0.3 * n - 2.0, 0.0],
+                "max": [3.0, 0.3 * n + 2.0, 2.5],
+            },
         }
     )
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The options make a problem that is feasible where the drones start: at rest, in the fence, as near as allowed."""
-    options, where, graph = given(config, Options), f"swarm {config.name}", config.graph()
+    options = given(config, Options)
+    where = f"swarm {config.name}"
+    graph = config.graph()
     if not graph.is_undirected or not graph.is_connected:
-        raise ConfigError(f"{where}: graph", "one-way or in parts", "undirected and connected", "Add an edge.")
+        raise ConfigError(
+            f"{where}: graph",
+            "one-way or in parts",
+            "undirected and connected",
+            "Add an edge.",
+        )
     for drone in config.drones:
         _require_possible(config, drone)
     _require_near(config, options.reach - MARGIN)
@@ -116,12 +166,22 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 def _require_possible(config: SwarmConfig, drone: Drone) -> None:
     """Raise ConfigError for a goal outside the fence, and for more speed than [flight] has."""
-    where, low, high = f"swarm {config.name}: drone {drone.id}", config.fence.min, config.fence.max
+    where = f"swarm {config.name}: drone {drone.id}"
+    low = config.fence.min
+    high = config.fence.max
     place = goal_of(config, drone)
-    if np.any(place < np.array(low[:2]) + EDGE) or np.any(place > np.array(high[:2]) - EDGE):
+    if np.any(place < np.array(low[:2]) + EDGE) or np.any(
+        place > np.array(high[:2]) - EDGE
+    ):
         allowed = f"a goal inside [fence], {EDGE} m from its edge"
-        raise ConfigError(f"{where}: goal", place.tolist(), allowed, "Change mission_options.shift, or widen [fence].")
-    speed, most = motion(config, drone).speed, config.flight.speed_limit / 2**0.5
+        raise ConfigError(
+            f"{where}: goal",
+            place.tolist(),
+            allowed,
+            "Change mission_options.shift, or widen [fence].",
+        )
+    speed = motion(config, drone).speed
+    most = config.flight.speed_limit / 2**0.5
     if speed > most:
         allowed = f"at most {most:.2f} m/s: flight.speed_limit on a diagonal"
         raise ConfigError(f"{where}: speed", speed, allowed)
@@ -129,44 +189,71 @@ def _require_possible(config: SwarmConfig, drone: Drone) -> None:
 
 def _require_near(config: SwarmConfig, reach: float) -> None:
     """Raise ConfigError for neighbours that are too far ahead of each other before they start."""
-    left = {drone.id: goal_of(config, drone) - drone.home[:2] for drone in config.drones}
+    left = {
+        drone.id: goal_of(config, drone) - drone.home[:2] for drone in config.drones
+    }
     for i, j in config.graph().edges():
         ahead = float(np.abs(left[i] - left[j]).max())
         if ahead > reach:
             where = f"swarm {config.name}: drone {i}: goal"
             found = f"{ahead:.2f} m more or less to go than drone {j}, in x or in y"
             do = "Move goals or homes, or raise mission_options.reach: the plans are infeasible at the start."
-            raise ConfigError(where, found, f"at most {reach:.2f} m: mission_options.reach less {MARGIN} m", do)
+            raise ConfigError(
+                where,
+                found,
+                f"at most {reach:.2f} m: mission_options.reach less {MARGIN} m",
+                do,
+            )
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """The goals."""
     height = config.flight.ground + config.flight.takeoff_height
-    return {drone.id: np.array([*goal_of(config, drone), height]) for drone in config.drones}
+    return {
+        drone.id: np.array([*goal_of(config, drone), height]) for drone in config.drones
+    }
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Whether all are at their goals, and how far neighbours were ahead of each other on the way."""
-    goals, reasons = goal(config), {}
+    goals = goal(config)
+    reasons = {}
     for i in config.ids:
         if "way" not in results.get(i, {}):
             return {"success": False, "reasons": {i: "it has not flown to the end"}}
         far = float(np.linalg.norm(goals[i][:2] - results[i]["place"][:2]))
         if far > TOLERANCE:
-            reasons[i] = f"{far:.3f} m from its goal at the end, allowed {TOLERANCE} m; {results[i]['why'] or 'slow'}"
+            reasons[i] = (
+                f"{far:.3f} m from its goal at the end, allowed {TOLERANCE} m; {results[i]['why'] or 'slow'}"
+            )
     ahead, pair = most_ahead(config, results)
     reach = given(config, Options).reach
     if ahead > reach:
-        reasons[pair[0]] = f"{ahead:.3f} m ahead of or behind drone {pair[1]}, allowed {reach} m"
-    count = {name: {i: results[i][name] for i in config.ids} for name in ("solved", "loosened", "kept", "infeasible")}
-    return {"success": not reasons, "reasons": reasons, "reach_m": reach, "most_ahead_m": ahead, **count}
+        reasons[pair[0]] = (
+            f"{ahead:.3f} m ahead of or behind drone {pair[1]}, allowed {reach} m"
+        )
+    count = {
+        name: {i: results[i][name] for i in config.ids}
+        for name in ("solved", "loosened", "kept", "infeasible")
+    }
+    return {
+        "success": not reasons,
+        "reasons": reasons,
+        "reach_m": reach,
+        "most_ahead_m": ahead,
+        **count,
+    }
 
 
 def most_ahead(config: SwarmConfig, results: Results) -> tuple[float, tuple[int, int]]:
     """m by which a drone was at most ahead of a neighbour, in x or in y, and who."""
     rows = min(len(results[i]["way"]) for i in config.ids)
-    left = {i: np.array(results[i]["way"])[:rows, 1:3] - goal_of(config, config.drone(i)) for i in config.ids}
-    graph, worst = config.graph(), (0.0, (config.ids[0], config.ids[0]))
+    left = {
+        i: np.array(results[i]["way"])[:rows, 1:3] - goal_of(config, config.drone(i))
+        for i in config.ids
+    }
+    graph = config.graph()
+    worst = (0.0, (config.ids[0], config.ids[0]))
     for i, j in combinations(config.ids, 2):
         if j in graph.neighbors(i):
             worst = max(worst, (float(np.abs(left[i] - left[j]).max()), (i, j)))
@@ -176,5 +263,14 @@ def most_ahead(config: SwarmConfig, results: Results) -> tuple[float, tuple[int,
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways, and how far each still had to go."""
     shown = {i: np.array(results[i]["way"]) for i in config.ids}
-    left = {i: np.linalg.norm(rows[:, 1:3] - goal_of(config, config.drone(i)), axis=1) for i, rows in shown.items()}
-    draw_ways(path, {i: results[i]["way"] for i in config.ids}, left, "still to go [m]", goal(config))
+    left = {
+        i: np.linalg.norm(rows[:, 1:3] - goal_of(config, config.drone(i)), axis=1)
+        for i, rows in shown.items()
+    }
+    draw_ways(
+        path,
+        {i: results[i]["way"] for i in config.ids},
+        left,
+        "still to go [m]",
+        goal(config),
+    )

@@ -11,7 +11,11 @@ import numpy as np
 from crazychoir.config.reader import read
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.delivery.delivery_checks import require_flown, require_servable, require_used
+from crazychoir.guidance.delivery.delivery_checks import (
+    require_flown,
+    require_servable,
+    require_used,
+)
 from crazychoir.guidance.delivery.delivery_options import Appearance, DeliveryOptions
 from crazychoir.guidance.delivery.delivery_picture import draw_flown
 from crazychoir.guidance.delivery.online_delivery import OnlinePDVRPGuidance, Options
@@ -22,7 +26,12 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.team.graph import span
 
 Results = dict[int, dict[str, Any]]
-FLIGHT = {"takeoff_height": 0.4, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
+FLIGHT = {
+    "takeoff_height": 0.4,
+    "speed_limit": 1.5,
+    "acceleration_limit": 3.0,
+    "landing_speed": 0.6,
+}
 ROOM, DOCK = 5.0, 0.8
 """m: goods lie in a square, the drones stand outside, on two of its sides."""
 DONE = Fate.DELIVERED.value, Fate.CANCELLED.value
@@ -39,7 +48,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     n = 10 if drones is None else drones
     rows = [(k // 2, k % 2) for k in range(n)]
     gap = ROOM / max(1, (n - 1) // 2)
-    homes = [[round(gap * column, 3), -DOCK if side == 0 else ROOM + DOCK, 0.0] for column, side in rows]
+    homes = [
+        [round(gap * column, 3), -DOCK if side == 0 else ROOM + DOCK, 0.0]
+        for column, side in rows
+    ]
     return SwarmConfig.of(
         {
             "name": "online",
@@ -47,7 +59,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "drones": [{"id": i, "home": home} for i, home in enumerate(homes)],
             "graph": "k-regular:4" if n > 5 else "complete",
             "flight": FLIGHT,
-            "fence": {"min": [-2.0, -DOCK - 1.0, 0.0], "max": [ROOM + 2.0, ROOM + DOCK + 1.0, 3.0]},
+            "fence": {
+                "min": [-2.0, -DOCK - 1.0, 0.0],
+                "max": [ROOM + 2.0, ROOM + DOCK + 1.0, 3.0],
+            },
             "lost_after": 2.0,
         }
     )
@@ -55,7 +70,12 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def given(config: SwarmConfig) -> DeliveryOptions:
     """[mission_options]; raises ConfigError that names the key."""
-    return read(config.mission_options, DeliveryOptions, f"swarm {config.name}", "mission_options")
+    return read(
+        config.mission_options,
+        DeliveryOptions,
+        f"swarm {config.name}",
+        "mission_options",
+    )
 
 
 def instance(config: SwarmConfig) -> Instance:
@@ -66,7 +86,9 @@ def instance(config: SwarmConfig) -> Instance:
 
 def drawn(config: SwarmConfig) -> Instance:
     """`tasks` goods in the square, loads 1 or 2, capacities 2 to 4, each robot capable of three in four."""
-    draw, n, m = np.random.default_rng(config.seed), len(config.ids), given(config).tasks
+    draw = np.random.default_rng(config.seed)
+    n = len(config.ids)
+    m = given(config).tasks
     points = draw.uniform(0.0, ROOM, size=(2 * m, 2))
     capacity = draw.integers(2, 4, size=n, endpoint=True)
     mask = draw.random((n, m)) < 0.75
@@ -88,7 +110,14 @@ def known(config: SwarmConfig) -> list[Task]:
     """The tasks of the instance: all know them at the start."""
     tasks = instance(config).tasks
     return [
-        Task(j, 0, False, _place(tasks.pickup[j]), _place(tasks.delivery[j]), float(tasks.load[j]))
+        Task(
+            j,
+            0,
+            False,
+            _place(tasks.pickup[j]),
+            _place(tasks.delivery[j]),
+            float(tasks.load[j]),
+        )
         for j in range(len(tasks))
     ]
 
@@ -98,14 +127,22 @@ def events(config: SwarmConfig) -> list[Event]:
     tasks = {task.id: task for task in known(config)}
     found = []
     for row in _appearing(config):
-        task = Task(len(tasks), 0, False, row.pickup, row.delivery, row.load, row.robots)
+        task = Task(
+            len(tasks), 0, False, row.pickup, row.delivery, row.load, row.robots
+        )
         tasks[task.id] = task
         found.append(Event(row.t, task, row.heard_by))
     for n, cancel in enumerate(given(config).cancel):
         if cancel.task not in tasks:
             where = f"swarm {config.name}: mission_options.cancel[{n}].task"
             do = "Mend the number; tasks that appear are numbered after those of the start, in their order."
-            raise ConfigError(where, cancel.task, f"there are {span(tasks)}", do, "there is no such task")
+            raise ConfigError(
+                where,
+                cancel.task,
+                f"there are {span(tasks)}",
+                do,
+                "there is no such task",
+            )
         gone = msgspec.structs.replace(tasks[cancel.task], cancelled=True)
         found.append(Event(cancel.t, gone, cancel.heard_by))
     return found
@@ -116,11 +153,21 @@ def _appearing(config: SwarmConfig) -> tuple[Appearance, ...]:
     options = given(config)
     if "appear" in config.mission_options or options.instance is not None:
         return options.appear
-    draw, n = np.random.default_rng([config.seed, 1]), options.later
-    times, points = draw.uniform(3.0, 20.0, size=(n, 1)), draw.uniform(0.0, ROOM, size=(n, 2, 2))
-    hears = [draw.choice(config.ids, size=min(3, len(config.ids)), replace=False).tolist() for _ in range(n)]
+    draw = np.random.default_rng([config.seed, 1])
+    n = options.later
+    times = draw.uniform(3.0, 20.0, size=(n, 1))
+    points = draw.uniform(0.0, ROOM, size=(n, 2, 2))
+    hears = [
+        draw.choice(config.ids, size=min(3, len(config.ids)), replace=False).tolist()
+        for _ in range(n)
+    ]
     return tuple(
-        Appearance(t=float(t[0]), pickup=_place(p[0]), delivery=_place(p[1]), heard_by=tuple(who))
+        Appearance(
+            t=float(t[0]),
+            pickup=_place(p[0]),
+            delivery=_place(p[1]),
+            heard_by=tuple(who),
+        )
         for t, p, who in zip(times, points, hears, strict=True)
     )
 
@@ -140,50 +187,89 @@ def options(config: SwarmConfig) -> Options:
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The drones stand where the instance says, and each task can be served."""
-    chosen, where = given(config), f"swarm {config.name}: mission_options"
+    chosen = given(config)
+    where = f"swarm {config.name}: mission_options"
     require_used(config.mission_options, where)
     problem = instance(config)
     require_flown(problem, f"{where}.instance")
     if config.ids != tuple(range(problem.robots)):
-        raise ConfigError(f"swarm {config.name}: drones", list(config.ids), f"0 to {problem.robots - 1}")
+        raise ConfigError(
+            f"swarm {config.name}: drones",
+            list(config.ids),
+            f"0 to {problem.robots - 1}",
+        )
     if not config.graph().is_undirected:
-        raise ConfigError(f"swarm {config.name}: graph", "a directed graph", "an undirected one")
+        raise ConfigError(
+            f"swarm {config.name}: graph", "a directed graph", "an undirected one"
+        )
     for i, home in enumerate(problem.home):
         stands = np.array(config.drone(i).home[:2])
         if np.linalg.norm(stands - home[:2]) > 0.05:
-            raise ConfigError(f"swarm {config.name}: drones[{i}].home", stands.tolist(), f"{home.tolist()}")
-    require_servable(options(config).site, known(config), _appearing(config), chosen, where)
+            raise ConfigError(
+                f"swarm {config.name}: drones[{i}].home",
+                stands.tolist(),
+                f"{home.tolist()}",
+            )
+    require_servable(
+        options(config).site, known(config), _appearing(config), chosen, where
+    )
     return []
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """What has become of each task, by those who have seen the end; and why one was not served."""
-    ended = {i: r for i, r in sorted(results.items()) if "tasks" in r and r.get("success")}
+    ended = {
+        i: r for i, r in sorted(results.items()) if "tasks" in r and r.get("success")
+    }
     stops = [stop for r in results.values() for stop in r.get("served", [])]
     delivered = sorted(stop["task"] for stop in stops if stop["kind"] == "delivery")
     first = next(iter(ended.values()), {})
-    fates, why = first.get("tasks", {}), first.get("unserved", {})
-    count = {fate.value: sum(value[0] == fate.value for value in fates.values()) for fate in Fate}
-    undone = {j: _undone(fate, robot, why.get(j)) for j, (fate, robot) in fates.items() if fate not in DONE}
+    fates = first.get("tasks", {})
+    why = first.get("unserved", {})
+    count = {
+        fate.value: sum(value[0] == fate.value for value in fates.values())
+        for fate in Fate
+    }
+    undone = {
+        j: _undone(fate, robot, why.get(j))
+        for j, (fate, robot) in fates.items()
+        if fate not in DONE
+    }
     twice = [j for j in delivered if delivered.count(j) > 1]
-    wrong = [f"task {j}: {text}" for j, text in undone.items()] + [f"task {j}: delivered twice" for j in {*twice}]
-    wrong += [f"drone {i} tells of other ends of the tasks" for i, r in ended.items() if r["tasks"] != fates]
+    wrong = [f"task {j}: {text}" for j, text in undone.items()] + [
+        f"task {j}: delivered twice" for j in {*twice}
+    ]
+    wrong += [
+        f"drone {i} tells of other ends of the tasks"
+        for i, r in ended.items()
+        if r["tasks"] != fates
+    ]
     return {
         "success": bool(fates) and not wrong,
         "reasons": {next(iter(ended)): "; ".join(wrong)} if wrong else {},
-        "tasks": {"total": len(fates), **{name: number for name, number in count.items() if number}},
+        "tasks": {
+            "total": len(fates),
+            **{name: number for name, number in count.items() if number},
+        },
         "undone": undone,
         "twice": twice,
-        "plannings": max((len(r.get("plannings_s", [])) for r in results.values()), default=0),
+        "plannings": max(
+            (len(r.get("plannings_s", [])) for r in results.values()), default=0
+        ),
         "fallbacks": first.get("fallbacks", []),
-        "longest_wait_s": max((r.get("longest_wait_s", 0.0) for r in results.values()), default=0.0),
+        "longest_wait_s": max(
+            (r.get("longest_wait_s", 0.0) for r in results.values()), default=0.0
+        ),
     }
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """What was flown: ways, tasks, and who was lost."""
     told = [*known(config), *(event.task for event in events(config))]
-    places = {"pickup": {task.id: task.pickup for task in told}, "delivery": {task.id: task.delivery for task in told}}
+    places = {
+        "pickup": {task.id: task.pickup for task in told},
+        "delivery": {task.id: task.delivery for task in told},
+    }
     for result in results.values():
         for stop in result.get("served", []):  # of operators' tasks, too
             places[stop["kind"]].setdefault(stop["task"], _place(stop["place"]))
@@ -192,7 +278,11 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
     draw_flown(
         path,
         {drone.id: _place(drone.home) for drone in config.drones},
-        {i: np.array(r["way"], float) for i, r in sorted(results.items()) if len(r.get("way", [])) > 1},
+        {
+            i: np.array(r["way"], float)
+            for i, r in sorted(results.items())
+            if len(r.get("way", [])) > 1
+        },
         places["pickup"],
         places["delivery"],
         [int(j) for j in found["undone"]],

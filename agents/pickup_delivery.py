@@ -19,18 +19,27 @@ from crazychoir.routing.instance.plan import Plan, Route
 
 Results = dict[int, dict[str, Any]]
 DEMO = Path(__file__).parent / "data" / "lab6.json"
-FLIGHT = {"takeoff_height": 0.5, "speed_limit": 0.8, "acceleration_limit": 2.0, "landing_speed": 0.4}
+FLIGHT = {
+    "takeoff_height": 0.5,
+    "speed_limit": 0.8,
+    "acceleration_limit": 2.0,
+    "landing_speed": 0.4,
+}
 
 
 def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
     """Robot i, with its own part of the instance."""
     options = given(config)
-    return PDVRPGuidance(instance(config).local(i), options.method, options.service_time)
+    return PDVRPGuidance(
+        instance(config).local(i), options.method, options.service_time
+    )
 
 
 def given(config: SwarmConfig) -> PickupOptions:
     """[mission_options]; raises ConfigError that names the key."""
-    return read(config.mission_options, PickupOptions, f"swarm {config.name}", "mission_options")
+    return read(
+        config.mission_options, PickupOptions, f"swarm {config.name}", "mission_options"
+    )
 
 
 def instance(config: SwarmConfig) -> Instance:
@@ -41,15 +50,21 @@ def instance(config: SwarmConfig) -> Instance:
 def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
     """A drone at each home of the instance, in a ring."""
     homes = [[*home, 0.0][:3] for home in Instance.load(path).home.tolist()]
-    low, high = np.min(homes, axis=0) - 3.0, np.max(homes, axis=0) + 3.0
+    low = np.min(homes, axis=0) - 3.0
+    high = np.max(homes, axis=0) + 3.0
     return SwarmConfig.of(
         {
             "name": "pickup",
             "mission": "pickup_delivery",
             "mission_options": {"instance": str(path)},
-            "drones": [{"id": i, "home": [*home[:2], 0.0]} for i, home in enumerate(homes)],
+            "drones": [
+                {"id": i, "home": [*home[:2], 0.0]} for i, home in enumerate(homes)
+            ],
             "flight": FLIGHT,
-            "fence": {"min": [*low[:2].tolist(), 0.0], "max": [*high[:2].tolist(), 3.0]},
+            "fence": {
+                "min": [*low[:2].tolist(), 0.0],
+                "max": [*high[:2].tolist(), 3.0],
+            },
         }
     )
 
@@ -57,7 +72,12 @@ def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """The drones stand where the instance says, and can fly all that it asks for."""
     options = given(config)
-    require_ready(config, instance(config), options.method, f"swarm {config.name}: mission_options.instance")
+    require_ready(
+        config,
+        instance(config),
+        options.method,
+        f"swarm {config.name}: mission_options.instance",
+    )
     return []
 
 
@@ -70,7 +90,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     found = violations(problem, plan) if plan else []
     reasons = _unflown(results)
     if found and not reasons:
-        reasons = dict.fromkeys(results, f"the plan of the team is wrong: {'; '.join(found)}")
+        reasons = dict.fromkeys(
+            results, f"the plan of the team is wrong: {'; '.join(found)}"
+        )
     return {
         "success": plan is not None and not found and not reasons,
         "reasons": reasons,
@@ -94,7 +116,10 @@ def _unflown(results: Results) -> dict[int, str]:
 
 
 def _shown(stops: list[dict[str, Any]]) -> str:
-    names = [stop["kind"] if stop["kind"] == "recharge" else f"{stop['kind']} {stop['task']}" for stop in stops]
+    names = [
+        stop["kind"] if stop["kind"] == "recharge" else f"{stop['kind']} {stop['task']}"
+        for stop in stops
+    ]
     return ", ".join(names) or "nothing"
 
 

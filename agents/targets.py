@@ -19,11 +19,21 @@ from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Mat, Vec
 
 Results = dict[int, dict[str, Any]]
-TARGETS = ((0.8, 0.0, 1.0), (0.8, 0.8, 1.3), (0.0, 0.8, 1.0), (-0.4, 0.4, 0.6), (0.0, 0.0, 1.0))
+TARGETS = (
+    (0.8, 0.0, 1.0),
+    (0.8, 0.8, 1.3),
+    (0.0, 0.8, 1.0),
+    (-0.4, 0.4, 0.6),
+    (0.0, 0.0, 1.0),
+)
 SPACING = 2.0
 Targets = Annotated[
     tuple[Place, ...],
-    Meta(min_length=1, description="one place [x, y, z] or more, in m, within 1000 m", examples=[[[0.8, 0.0, 1.0]]]),
+    Meta(
+        min_length=1,
+        description="one place [x, y, z] or more, in m, within 1000 m",
+        examples=[[[0.8, 0.0, 1.0]]],
+    ),
 ]
 
 
@@ -60,7 +70,8 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """There are targets, all of them inside the fence."""
     require_none(config)
-    low, high = config.fence.min, config.fence.max
+    low = config.fence.min
+    high = config.fence.max
     a, b = room_of(config)
     for i in config.ids:
         places = targets(i, config)
@@ -68,7 +79,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
             if not (np.all(place >= a) and np.all(place <= b)):
                 where = f"swarm {config.name}: mission_options.targets[{k}]"
                 allowed = f"inside [fence], {list(low)} to {list(high)} m"
-                raise ConfigError(where, f"{place.tolist()} of drone {i}", allowed, "Move it, or widen [fence].")
+                raise ConfigError(
+                    where,
+                    f"{place.tolist()} of drone {i}",
+                    allowed,
+                    "Move it, or widen [fence].",
+                )
     return []
 
 
@@ -82,12 +98,21 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     reached = {i: results.get(i, {}).get("reached_s", []) for i in config.ids}
     many = len(targets(config.ids[0], config))
     reasons = {
-        i: f"reached {len(times)} of {many} targets" for i, times in reached.items() if len(times) < many
-    }  # fmt: skip
-    return {"success": not reasons, "reasons": reasons, "targets": many, "reached_s": reached}
+        i: f"reached {len(times)} of {many} targets"
+        for i, times in reached.items()
+        if len(times) < many
+    }
+    return {
+        "success": not reasons,
+        "reasons": reasons,
+        "targets": many,
+        "reached_s": reached,
+    }
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways from above, and their heights."""
     heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
-    draw_ways(path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config))
+    draw_ways(
+        path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config)
+    )

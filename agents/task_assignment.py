@@ -29,7 +29,9 @@ NOBODY = (1 << 62,)
 """Robots of a task that no robot may do: an id that there is not."""
 SAME = 1e-9
 """m, by which the team's cost of a table may differ from that of a central solver: rounding of sums."""
-Times = Annotated[int, Meta(ge=1, le=1000, description="a number of times, 1 to 1000", examples=[8])]
+Times = Annotated[
+    int, Meta(ge=1, le=1000, description="a number of times, 1 to 1000", examples=[8])
+]
 
 
 class Options(Table, frozen=True, kw_only=True):
@@ -45,7 +47,9 @@ class Options(Table, frozen=True, kw_only=True):
 def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
     """Robot i."""
     options = given(config)
-    return TaskAssignmentGuidance(Work(lambda count: drawn(config, count), options.generations))
+    return TaskAssignmentGuidance(
+        Work(lambda count: drawn(config, count), options.generations)
+    )
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -71,12 +75,16 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def given(config: SwarmConfig) -> Options:
     """[mission_options]; raises ConfigError that names the key."""
-    return read(config.mission_options, Options, f"swarm {config.name}", "mission_options")
+    return read(
+        config.mission_options, Options, f"swarm {config.name}", "mission_options"
+    )
 
 
 def drawn(config: SwarmConfig, count: int) -> list[Task]:
     """The first `count` tasks of the seed: x, y of a task, then for each robot whether it may do it."""
-    draw, chance = np.random.RandomState(config.seed), given(config).chance  # the generator of the original
+    # the generator of the original
+    draw = np.random.RandomState(config.seed)
+    chance = given(config).chance
     tasks = []
     for j in range(count):
         place = (float(draw.uniform(-REACH, REACH)), float(draw.uniform(-REACH, REACH)))
@@ -89,27 +97,55 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Tasks fit into the fence, and messages go both ways."""
     given(config)
     if not config.graph().is_undirected:
-        raise ConfigError(f"swarm {config.name}: graph", "a directed graph", "an undirected one")
-    low, high = np.array(config.fence.min[:2]), np.array(config.fence.max[:2])
+        raise ConfigError(
+            f"swarm {config.name}: graph", "a directed graph", "an undirected one"
+        )
+    low = np.array(config.fence.min[:2])
+    high = np.array(config.fence.max[:2])
     if np.any(low > -REACH) or np.any(high < REACH):
-        where, box = f"swarm {config.name}: fence", f"{low.tolist()} to {high.tolist()}"
-        raise ConfigError(where, box, f"tasks lie in the square from -{REACH:g} to {REACH:g} m", "Widen it.")
+        where = f"swarm {config.name}: fence"
+        box = f"{low.tolist()} to {high.tolist()}"
+        raise ConfigError(
+            where,
+            box,
+            f"tasks lie in the square from -{REACH:g} to {REACH:g} m",
+            "Widen it.",
+        )
     return []
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Tasks done, by generation; the cost of each table beside that of a central solver; what was left, and why."""
-    pairs = [(task, generation) for result in results.values() for task, generation in result.get("done", [])]
-    tables = [joined(number, rows, pairs) for number, rows in sorted(_by_number(results).items())]
+    pairs = [
+        (task, generation)
+        for result in results.values()
+        for task, generation in result.get("done", [])
+    ]
+    tables = [
+        joined(number, rows, pairs)
+        for number, rows in sorted(_by_number(results).items())
+    ]
     done = [task for task, _ in pairs]
     ended = [result for result in results.values() if result.get("success")]
-    why = [text for table in tables if (text := table["infeasible"])][-1:] or ["nobody was left to do it"]
+    why = [text for table in tables if (text := table["infeasible"])][-1:] or [
+        "nobody was left to do it"
+    ]
     left = {j: why[0] for result in ended for j in result["open"]}
     wrong = [f"task {j}: done twice" for j in dict.fromkeys(done) if done.count(j) > 1]
-    wrong += [f"generation {t['number']}: {t['cost']} m, {t['optimum']} m is possible" for t in tables if gap(t) > SAME]
-    wrong += [f"task {j} was not done: {why[0]}" for j in left if may_be_done(config, j)]
+    wrong += [
+        f"generation {t['number']}: {t['cost']} m, {t['optimum']} m is possible"
+        for t in tables
+        if gap(t) > SAME
+    ]
+    wrong += [
+        f"task {j} was not done: {why[0]}" for j in left if may_be_done(config, j)
+    ]
     return {
-        "tasks": {"done": len(done), "left": len(left), "infeasible": sum(bool(t["infeasible"]) for t in tables)},
+        "tasks": {
+            "done": len(done),
+            "left": len(left),
+            "infeasible": sum(bool(t["infeasible"]) for t in tables),
+        },
         "served_by_generation": [len(table["served"]) for table in tables],
         "worst_cost_gap_m": max(map(gap, tables), default=0.0),
         "tables": tables,
@@ -129,16 +165,22 @@ def _by_number(results: Results) -> dict[int, dict[int, dict[str, Any]]]:
     return found
 
 
-def joined(number: int, rows: dict[int, dict[str, Any]], done: list[Pair]) -> dict[str, Any]:
+def joined(
+    number: int, rows: dict[int, dict[str, Any]], done: list[Pair]
+) -> dict[str, Any]:
     """One generation, of all its robots; optimum: by a central solver, None where robots are gone with their costs."""
     first = next(iter(rows.values()))
-    costs = np.array([[np.inf if c is None else c for c in row["costs"]] for row in rows.values()])
+    costs = np.array(
+        [[np.inf if c is None else c for c in row["costs"]] for row in rows.values()]
+    )
     whole = list(rows) == first["team"]
     return {
         "number": number,
         "filled": first["filled"],
         "tasks": first["tasks"],
-        "assigned": {i: row["mine"] for i, row in rows.items() if row["mine"] is not None},
+        "assigned": {
+            i: row["mine"] for i, row in rows.items() if row["mine"] is not None
+        },
         "cost": first["cost"],
         "optimum": optimum(costs) if whole else None,
         "infeasible": first["infeasible"],
@@ -153,7 +195,9 @@ def optimum(costs: Mat) -> float | None:
     if costs.size == 0:
         return None
     allowed = np.isfinite(costs)
-    dear = 1.0 + 2.0 * float(costs[allowed].sum())  # dearer than all allowed pairs together
+    dear = 1.0 + 2.0 * float(
+        costs[allowed].sum()
+    )  # dearer than all allowed pairs together
     chosen = linear_sum_assignment(np.where(allowed, costs, dear))
     return float(np.where(allowed, costs, 0.0)[chosen].sum())
 
@@ -171,8 +215,22 @@ def may_be_done(config: SwarmConfig, j: int) -> bool:
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways from above, over the tasks, grey; and how far each robot was from its task."""
     ways = {i: results[i]["way"] for i in config.ids if results.get(i, {}).get("way")}
-    left = {i: np.array([row[3] for row in way], dtype=float) for i, way in ways.items()}
+    left = {
+        i: np.array([row[3] for row in way], dtype=float) for i, way in ways.items()
+    }
     ways = {i: [row[:3] for row in way] for i, way in ways.items()}
-    tables = [table for result in results.values() for table in result.get("tables", [])]
-    tasks = {j: place for table in tables for j, place in zip(table["tasks"], table["places"], strict=True)}
-    draw_ways(path, ways, left, "m from its task", seen={j: [[0.0, *place]] for j, place in tasks.items()})
+    tables = [
+        table for result in results.values() for table in result.get("tables", [])
+    ]
+    tasks = {
+        j: place
+        for table in tables
+        for j, place in zip(table["tasks"], table["places"], strict=True)
+    }
+    draw_ways(
+        path,
+        ways,
+        left,
+        "m from its task",
+        seen={j: [[0.0, *place]] for j, place in tasks.items()},
+    )

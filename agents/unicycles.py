@@ -28,7 +28,8 @@ class Formation(CFDistributedFeedback):
     Source: consensus with offsets, Ren & Beard 2008, Distributed Consensus in Multi-vehicle Cooperative Control, 3.
     """
 
-    rate, duration = 25.0, 16.0
+    rate = 25.0
+    duration = 16.0
 
     def __init__(self, i: int, corners: dict[int, Vec], k: float = 0.8) -> None:
         self.k, self.to = k, {j: corner - corners[i] for j, corner in corners.items()}
@@ -58,7 +59,12 @@ def corners(config: SwarmConfig) -> dict[int, Vec]:
     if n == len(CORNERS):
         return dict(zip(config.ids, np.array(CORNERS), strict=True))
     angles = 2.0 * np.pi * np.arange(n) / n
-    polygon = 0.5 * SIDE / np.sin(np.pi / max(n, 2)) * np.column_stack([np.cos(angles), np.sin(angles)])
+    polygon = (
+        0.5
+        * SIDE
+        / np.sin(np.pi / max(n, 2))
+        * np.column_stack([np.cos(angles), np.sin(angles)])
+    )
     return dict(zip(config.ids, polygon, strict=True))
 
 
@@ -66,10 +72,24 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     """Four robots, or more on a wide circle, in a ring graph, looking wherever they look."""
     n = len(STARTS) if drones is None else drones
     angles = 2.0 * np.pi * np.arange(n) / n
-    starts = STARTS if n == len(STARTS) else (2.5 * np.column_stack([np.cos(angles), np.sin(angles)])).round(3).tolist()
-    robots = [{"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": UNICYCLE} for i, p in enumerate(starts)]
+    starts = (
+        STARTS
+        if n == len(STARTS)
+        else (2.5 * np.column_stack([np.cos(angles), np.sin(angles)])).round(3).tolist()
+    )
+    robots = [
+        {"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": UNICYCLE}
+        for i, p in enumerate(starts)
+    ]
     flight = {"speed_limit": 0.5}
-    return SwarmConfig.of({"name": "unicycles", "mission": "unicycles", "drones": robots, "flight": flight})
+    return SwarmConfig.of(
+        {
+            "name": "unicycles",
+            "mission": "unicycles",
+            "drones": robots,
+            "flight": flight,
+        }
+    )
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
@@ -82,17 +102,38 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Each is in its corner, seen from where the middle of all has come to."""
     wanted = corners(config)
-    offsets = {i: np.array(result["place"][:2]) - wanted[i] for i, result in results.items() if "place" in result}
+    offsets = {
+        i: np.array(result["place"][:2]) - wanted[i]
+        for i, result in results.items()
+        if "place" in result
+    }
     middle = np.mean(list(offsets.values()), axis=0) if offsets else np.zeros(2)
-    errors = {i: float(np.linalg.norm(offset - middle)) for i, offset in offsets.items()}
-    off = {i: f"{far:.3f} m from its corner, allowed {TOLERANCE} m" for i, far in errors.items() if far > TOLERANCE}
-    return {"worst_error_m": max(errors.values(), default=0.0), "success": not off, "reasons": off}
+    errors = {
+        i: float(np.linalg.norm(offset - middle)) for i, offset in offsets.items()
+    }
+    off = {
+        i: f"{far:.3f} m from its corner, allowed {TOLERANCE} m"
+        for i, far in errors.items()
+        if far > TOLERANCE
+    }
+    return {
+        "worst_error_m": max(errors.values(), default=0.0),
+        "success": not off,
+        "reasons": off,
+    }
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
     """The ways from above, and how far each was from where its corner came to be."""
-    ways, wanted = {i: np.array(results[i]["way"]) for i in config.ids}, corners(config)
+    ways = {i: np.array(results[i]["way"]) for i in config.ids}
+    wanted = corners(config)
     middle = np.mean([way[-1, 1:3] - wanted[i] for i, way in ways.items()], axis=0)
     goals = {i: corner + middle for i, corner in wanted.items()}
     far = {i: np.linalg.norm(way[:, 1:3] - goals[i], axis=1) for i, way in ways.items()}
-    draw_ways(path, {i: way.tolist() for i, way in ways.items()}, far, "m from its corner", goals)
+    draw_ways(
+        path,
+        {i: way.tolist() for i, way in ways.items()},
+        far,
+        "m from its corner",
+        goals,
+    )

@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from crazychoir.team.communicator import Communicator
     from crazychoir.team.graph import Graph, GraphSequence
     from crazychoir.team.round import Round
-    from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State, Velocity
+    from crazychoir.types import (
+        FPQR,
+        Acceleration,
+        FullState,
+        Goto,
+        PerNeighbor,
+        Pose,
+        State,
+        Velocity,
+    )
 
 __all__ = [
     "FPQR",
@@ -49,7 +58,19 @@ _ROOM_OF = {
     "Graph": "team.graph",
     "GraphSequence": "team.graph",
     "Round": "team.round",
-    **dict.fromkeys(("FPQR", "Acceleration", "FullState", "Goto", "PerNeighbor", "Pose", "State", "Velocity"), "types"),
+    **dict.fromkeys(
+        (
+            "FPQR",
+            "Acceleration",
+            "FullState",
+            "Goto",
+            "PerNeighbor",
+            "Pose",
+            "State",
+            "Velocity",
+        ),
+        "types",
+    ),
 }
 
 user_folders.prepare_matplotlib()  # before a mission imports it
@@ -64,7 +85,9 @@ if not TYPE_CHECKING:  # with it, a type checker would take every name for one o
             return version(__name__)
         if name not in _ROOM_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = globals()[name] = getattr(import_module(f"{__name__}.{_ROOM_OF[name]}"), name)
+        value = globals()[name] = getattr(
+            import_module(f"{__name__}.{_ROOM_OF[name]}"), name
+        )
         return value
 
     def __dir__() -> list[str]:

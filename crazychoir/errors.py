@@ -1,21 +1,21 @@
 """The exception tree.
 
-    CrazyChoirError
-    ├── ConfigError(ValueError)            a swarm file, an option or a mission is wrong: where, found, allowed, do
-    │   └── InstanceError                  a pickup-and-delivery instance is wrong or infeasible
-    ├── CodecError(ValueError)             a value cannot be encoded, or bytes cannot be decoded
-    ├── RoundTimeout(TimeoutError)         a round of an exchange is not complete at its deadline
-    ├── ChannelEnded(RuntimeError)         a neighbour has ended an exchange in an earlier round than we
-    ├── PeerLost(ConnectionError)          a member of the swarm is gone for longer than `lost_after`
-    ├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
-    ├── LinkFailed(ConnectionError)        the way to a drone could not be opened, or does not do what it is asked
-    ├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
-    ├── SolverError(RuntimeError)          an optimisation problem could not be solved: agent, status
-    ├── AgentFailed(RuntimeError)          an agent of a distributed algorithm has failed, and with it the team
-    ├── ProcessFailed(RuntimeError)        a process that solves or measures has failed, ended, or says nothing
-    ├── Hung(RuntimeError)                 the watchdog interrupted code that kept the event loop
-    ├── Deadlock(RuntimeError)             virtual time: everybody waits and no timer is set
-    └── Livelock(RuntimeError)             virtual time: the clock stands still
+CrazyChoirError
+├── ConfigError(ValueError)            a swarm file, an option or a mission is wrong: where, found, allowed, do
+│   └── InstanceError                  a pickup-and-delivery instance is wrong or infeasible
+├── CodecError(ValueError)             a value cannot be encoded, or bytes cannot be decoded
+├── RoundTimeout(TimeoutError)         a round of an exchange is not complete at its deadline
+├── ChannelEnded(RuntimeError)         a neighbour has ended an exchange in an earlier round than we
+├── PeerLost(ConnectionError)          a member of the swarm is gone for longer than `lost_after`
+├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
+├── LinkFailed(ConnectionError)        the way to a drone could not be opened, or does not do what it is asked
+├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
+├── SolverError(RuntimeError)          an optimisation problem could not be solved: agent, status
+├── AgentFailed(RuntimeError)          an agent of a distributed algorithm has failed, and with it the team
+├── ProcessFailed(RuntimeError)        a process that solves or measures has failed, ended, or says nothing
+├── Hung(RuntimeError)                 the watchdog interrupted code that kept the event loop
+├── Deadlock(RuntimeError)             virtual time: everybody waits and no timer is set
+└── Livelock(RuntimeError)             virtual time: the clock stands still
 """
 
 import contextlib
@@ -42,10 +42,20 @@ class ConfigError(CrazyChoirError, ValueError):
     is wrong with `found`, it reads "where = found: problem; allowed. do".
     """
 
-    def __init__(self, where: str, found: object, allowed: str, do: str = "", problem: str = "") -> None:
-        self.where, self.found, self.allowed, self.do, self.problem = where, found, allowed, do, problem
+    def __init__(
+        self, where: str, found: object, allowed: str, do: str = "", problem: str = ""
+    ) -> None:
+        self.where = where
+        self.found = found
+        self.allowed = allowed
+        self.do = do
+        self.problem = problem
         shown = found if isinstance(found, str) else repr(found)
-        said = f"{where} = {shown}: {problem}; {allowed}" if problem else f"{where}: found {shown}; allowed: {allowed}"
+        said = (
+            f"{where} = {shown}: {problem}; {allowed}"
+            if problem
+            else f"{where}: found {shown}; allowed: {allowed}"
+        )
         super().__init__(f"{said}. {do}".rstrip())
 
 
@@ -65,9 +75,19 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
     """A round is incomplete at its deadline; `missing` names the silent neighbours, `do` says what to do about it."""
 
     def __init__(
-        self, drone: int, channel: str, k: int, missing: Iterable[int], seconds: float, do: str = IN_FLIGHT
+        self,
+        drone: int,
+        channel: str,
+        k: int,
+        missing: Iterable[int],
+        seconds: float,
+        do: str = IN_FLIGHT,
     ) -> None:
-        self.drone, self.channel, self.k, self.missing, self.seconds = drone, channel, k, tuple(missing), seconds
+        self.drone = drone
+        self.channel = channel
+        self.k = k
+        self.missing = tuple(missing)
+        self.seconds = seconds
         names = ", ".join(str(j) for j in self.missing)
         super().__init__(
             f"drone {drone}: channel {channel!r}, round {k}: nothing from neighbour(s) {names} within {seconds:g} s. "
@@ -76,15 +96,25 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
 
     def simulated(self) -> "RoundTimeout":
         """The same of a team that does not fly."""
-        return RoundTimeout(self.drone, self.channel, self.k, self.missing, self.seconds, SIMULATED)
+        return RoundTimeout(
+            self.drone, self.channel, self.k, self.missing, self.seconds, SIMULATED
+        )
 
 
 class ChannelEnded(CrazyChoirError, RuntimeError):
     """The awaited round will never come: neighbours have ended the channel before it; `ended` is {j: its rounds}."""
 
-    def __init__(self, drone: int, channel: str, k: int, ended: Mapping[int, int]) -> None:
-        self.drone, self.channel, self.k, self.ended = drone, channel, k, dict(ended)
-        who = ", ".join(f"drone {j} has ended it after {n} round(s), 0 to {n - 1}" for j, n in self.ended.items())
+    def __init__(
+        self, drone: int, channel: str, k: int, ended: Mapping[int, int]
+    ) -> None:
+        self.drone = drone
+        self.channel = channel
+        self.k = k
+        self.ended = dict(ended)
+        who = ", ".join(
+            f"drone {j} has ended it after {n} round(s), 0 to {n - 1}"
+            for j, n in self.ended.items()
+        )
         super().__init__(
             f"drone {drone}: channel {channel!r}, round {k}: {who}; all must end in the same round. "
             "Let `done` follow from what all know alike, such as the number of rounds or an agreed value."
@@ -95,7 +125,9 @@ class PeerLost(CrazyChoirError, ConnectionError):
     """Members of the swarm are gone for longer than `lost_after`. seconds: since the last message of any of them."""
 
     def __init__(self, drone: int, lost: Iterable[int], seconds: float) -> None:
-        self.drone, self.lost, self.seconds = drone, tuple(lost), seconds
+        self.drone = drone
+        self.lost = tuple(lost)
+        self.seconds = seconds
         names = ", ".join(str(j) for j in self.lost)
         super().__init__(
             f"drone {drone}: lost drone(s) {names}: silent for {seconds:.3g} s. "
@@ -106,8 +138,13 @@ class PeerLost(CrazyChoirError, ConnectionError):
 class RosterChanged(CrazyChoirError, RuntimeError):
     """The team has changed in the middle of an algorithm that is not `joinable`."""
 
-    def __init__(self, drone: int, epoch: int, joined: Iterable[int], left: Iterable[int]) -> None:
-        self.drone, self.epoch, self.joined, self.left = drone, epoch, tuple(joined), tuple(left)
+    def __init__(
+        self, drone: int, epoch: int, joined: Iterable[int], left: Iterable[int]
+    ) -> None:
+        self.drone = drone
+        self.epoch = epoch
+        self.joined = tuple(joined)
+        self.left = tuple(left)
         super().__init__(
             f"drone {drone}: epoch {epoch}: joined {list(self.joined)}, left {list(self.left)}. "
             "Start the algorithm again from round 0 with the new team."
@@ -118,7 +155,8 @@ class LinkFailed(CrazyChoirError, ConnectionError):
     """The way to a drone fails; `uri` says which, `reason` why."""
 
     def __init__(self, uri: str, reason: str) -> None:
-        self.uri, self.reason = uri, reason
+        self.uri = uri
+        self.reason = reason
         super().__init__(f"{uri}: {reason}")
 
 
@@ -134,7 +172,8 @@ class SolverError(CrazyChoirError, RuntimeError):
     """An optimisation problem could not be solved."""
 
     def __init__(self, where: str, status: str) -> None:
-        self.where, self.status = where, status
+        self.where = where
+        self.status = status
         super().__init__(f"{where}: the solver ended with status {status}")
 
 
@@ -143,14 +182,17 @@ class AgentFailed(CrazyChoirError, RuntimeError):
 
     def __init__(self, agent: int, reason: str) -> None:
         self.agent, self.reason = agent, spoken(reason, UNSAID)
-        super().__init__(f"agent {agent} has failed, and with it the team: {self.reason}")
+        super().__init__(
+            f"agent {agent} has failed, and with it the team: {self.reason}"
+        )
 
 
 class ProcessFailed(CrazyChoirError, RuntimeError):
     """A process that was started to solve or to measure has failed; `who` says which, `reason` why."""
 
     def __init__(self, who: str, reason: str) -> None:
-        self.who, self.reason = who, reason
+        self.who = who
+        self.reason = reason
         super().__init__(f"{who}: {reason}")
 
 
@@ -169,7 +211,9 @@ class Livelock(CrazyChoirError, RuntimeError):
     """Virtual time: very many loop passes without the clock moving."""
 
 
-_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+_LIBRARIES = tuple(
+    {sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")}
+)
 
 
 def is_library(file: str | PathLike[str]) -> bool:
@@ -197,7 +241,12 @@ def exit_of(end: SystemExit, what: str) -> ConfigError:
     place = raised_at(end)
     allowed = "code that returns, or raises an exception"
     do = "Remove the call: the process belongs to crazychoir, and drones may fly in it."
-    return ConfigError(f"{place.filename}:{place.lineno}", f"{what} called {exit_call(end)}", allowed, do)
+    return ConfigError(
+        f"{place.filename}:{place.lineno}",
+        f"{what} called {exit_call(end)}",
+        allowed,
+        do,
+    )
 
 
 @contextlib.contextmanager

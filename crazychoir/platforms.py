@@ -106,10 +106,20 @@ class Platform:
     @property
     def flat(self) -> Vec:
         """(9,) for the kernels: mass, drag (3), max_thrust, max_rate (3), max_landing_speed."""
-        return np.array([self.mass, *self.drag, self.max_thrust, *self.max_rate, self.max_landing_speed])
+        return np.array(
+            [
+                self.mass,
+                *self.drag,
+                self.max_thrust,
+                *self.max_rate,
+                self.max_landing_speed,
+            ]
+        )
 
 
-HOVER_ROTOR_SPEEDS = 4 * 1862.1  # rad/s, sum of four rotors carrying 27 g: Förster's thrust and speed maps
+HOVER_ROTOR_SPEEDS = (
+    4 * 1862.1
+)  # rad/s, sum of four rotors carrying 27 g: Förster's thrust and speed maps
 IDENTIFIED = (
     "identified in the drone-models package 0.1.0 (learnsyslab, MIT): mass, inertia, arm, drag, curves and lag of the "
     "rotors; the firmware's constants and voltage curve: crazyflie-firmware, August 2026; rates and landing speed: "
@@ -149,24 +159,52 @@ B500 = Rotor(
     voltage=(-0.0140589, 0.0426527, 0.00183278, 0.0020577),
 )
 
-OLD_THRUST_MAP = 42_000 / 0.39  # of a bare Crazyflie 2.1: measured by the authors of CrazyChoir
+OLD_THRUST_MAP = (
+    42_000 / 0.39
+)  # of a bare Crazyflie 2.1: measured by the authors of CrazyChoir
 CF20 = Firmware(
-    mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00735086,
+    mass=0.029,
+    arm=0.046,
+    thrust_max=0.12,
+    thrust_min=0.0128,
+    thrust_to_torque=0.00735086,
     old_thrust_map=OLD_THRUST_MAP,
-)  # fmt: skip
-CF21_PLUS = Firmware(mass=0.029, arm=0.046, thrust_max=0.12, thrust_min=0.0128, thrust_to_torque=0.00699289)
-CF21_THRUST = Firmware(mass=0.0325, arm=0.046, thrust_max=0.18, thrust_min=0.0192, thrust_to_torque=0.00516486)
+)
+CF21_PLUS = Firmware(
+    mass=0.029,
+    arm=0.046,
+    thrust_max=0.12,
+    thrust_min=0.0128,
+    thrust_to_torque=0.00699289,
+)
+CF21_THRUST = Firmware(
+    mass=0.0325,
+    arm=0.046,
+    thrust_max=0.18,
+    thrust_min=0.0192,
+    thrust_to_torque=0.00516486,
+)
 CF21_BRUSHLESS = Firmware(
-    mass=0.0393, arm=0.050, thrust_max=0.2, thrust_min=0.02136, thrust_to_torque=0.00569279, needs_arming=True,
-    rate_pid=(200.0, 400.0, 2.5), low=3.35,
-)  # fmt: skip
+    mass=0.0393,
+    arm=0.050,
+    thrust_max=0.2,
+    thrust_min=0.02136,
+    thrust_to_torque=0.00569279,
+    needs_arming=True,
+    rate_pid=(200.0, 400.0, 2.5),
+    low=3.35,
+)
 
 PAPER = Platform(
     name="paper",
     mass=0.027,
     inertia=(16.571710e-6, 16.655602e-6, 29.261652e-6),
     arm=0.03253,
-    drag=(9.1785e-7 * HOVER_ROTOR_SPEEDS, 9.1785e-7 * HOVER_ROTOR_SPEEDS, 10.311e-7 * HOVER_ROTOR_SPEEDS),
+    drag=(
+        9.1785e-7 * HOVER_ROTOR_SPEEDS,
+        9.1785e-7 * HOVER_ROTOR_SPEEDS,
+        10.311e-7 * HOVER_ROTOR_SPEEDS,
+    ),
     max_thrust=0.48,
     rotor=L250,
     firmware=CF20,
@@ -222,7 +260,13 @@ CRAZYFLIE_21_BRUSHLESS = Platform(
 )
 PLATFORMS = {
     row.name: row
-    for row in (PAPER, CRAZYFLIE_21, CRAZYFLIE_21_PLUS, CRAZYFLIE_21_THRUST, CRAZYFLIE_21_BRUSHLESS)
+    for row in (
+        PAPER,
+        CRAZYFLIE_21,
+        CRAZYFLIE_21_PLUS,
+        CRAZYFLIE_21_THRUST,
+        CRAZYFLIE_21_BRUSHLESS,
+    )
 }
 """The table, by name; the swarm file names a row with `platform`."""
 

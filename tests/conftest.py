@@ -30,14 +30,21 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if not worker:
         return
-    laws = [compile_routing, *(partial(import_module, name) for name in modules_with_laws())]
+    laws = [
+        compile_routing,
+        *(partial(import_module, name) for name in modules_with_laws()),
+    ]
     for compile_law in reversed(laws) if int(worker.removeprefix("gw")) % 2 else laws:
         compile_law()
 
 
 def modules_with_laws() -> list[str]:
     files = sorted((REPOSITORY / "crazychoir").rglob("*.py"))
-    return [".".join(file.relative_to(REPOSITORY).with_suffix("").parts) for file in files if LAW in file.read_text()]
+    return [
+        ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)
+        for file in files
+        if LAW in file.read_text()
+    ]
 
 
 def compile_routing() -> None:
@@ -51,10 +58,15 @@ def compile_routing() -> None:
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """`-m "real_time ..."` imports the files alone that have such tests: importing all takes many seconds."""
-    if not config.option.markexpr.startswith("real_time") or collection_path.suffix != ".py":
+    if (
+        not config.option.markexpr.startswith("real_time")
+        or collection_path.suffix != ".py"
+    ):
         return None
     text = collection_path.read_text()
-    named = collection_path.name.startswith("test_") and ("real_time" in text or "compiled" in text)
+    named = collection_path.name.startswith("test_") and (
+        "real_time" in text or "compiled" in text
+    )
     return None if named else True
 
 
@@ -74,7 +86,9 @@ def _starts_agents(item: pytest.Item) -> bool:
     return "compiled" in getattr(item, "fixturenames", ())
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)  # the time of waiting is not the test's: outside of its timeout
+@pytest.hookimpl(
+    wrapper=True, tryfirst=True
+)  # the time of waiting is not the test's: outside of its timeout
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """One test in real time at once on this machine, whoever runs tests beside us: they would load its processors."""
     if item.get_closest_marker("real_time") is None:
@@ -100,7 +114,9 @@ def reference_data() -> Callable[[str], Path]:
     def folder(name: str) -> Path:
         path = REFERENCE_DATA / name
         if not path.is_dir():
-            pytest.skip(f"reference data is not part of the repository: no folder {path}")
+            pytest.skip(
+                f"reference data is not part of the repository: no folder {path}"
+            )
         return path
 
     return folder

@@ -36,7 +36,12 @@ class Receiver:
     def exchange(self, packet):
         """A packet arrives; what rides back on its acknowledgement."""
         if packet[:2] == bytes([0xFF, SAFELINK]):
-            self._safe, self._expects, self._sent, self._payload = bool(packet[2]), 0, 1, b""
+            self._safe, self._expects, self._sent, self._payload = (
+                bool(packet[2]),
+                0,
+                1,
+                b"",
+            )
             return packet
         head = packet[0]
         if not self._safe or head >> 3 & 1 == self._expects:
@@ -80,7 +85,9 @@ class FakeDongle:
 
     def _require(self):
         if not self.there:
-            raise usb.core.USBError("No such device (it may have been disconnected)", -4, 19)
+            raise usb.core.USBError(
+                "No such device (it may have been disconnected)", -4, 19
+            )
 
     def set_configuration(self, number):
         self._require()

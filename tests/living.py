@@ -29,7 +29,13 @@ class Member:
 class Team:
     """Drones that can be killed and started again; on several hosts, drone i is on `buses[i % len(buses)]`."""
 
-    def __init__(self, clock: Clock, graph: Graph, buses: list[Bus], sequence: GraphSequence | None = None) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        graph: Graph,
+        buses: list[Bus],
+        sequence: GraphSequence | None = None,
+    ) -> None:
         self.clock, self.graph, self.sequence = clock, graph, sequence
         self.buses, self.bus = buses, buses[0]
         self.members: dict[int, Member] = {}
@@ -37,9 +43,13 @@ class Team:
     def bus_of(self, i: int) -> Bus:
         return self.buses[i % len(self.buses)]
 
-    def start(self, i: int, incarnation: int = 1, mission: str = "abc", **options: Any) -> Barrier:
+    def start(
+        self, i: int, incarnation: int = 1, mission: str = "abc", **options: Any
+    ) -> Barrier:
         port = self.bus_of(i).port(i, incarnation)
-        barrier = Barrier(port, self.graph, mission_hash=mission, version="1", **options)
+        barrier = Barrier(
+            port, self.graph, mission_hash=mission, version="1", **options
+        )
         communicator = Communicator(port, self.sequence or self.graph)
         communicator.follow(barrier)
         member = self.members[i] = Member(barrier, communicator)
@@ -55,7 +65,9 @@ class Team:
     def kill(self, i: int) -> None:
         for task in self.members.pop(i).tasks:
             task.cancel()
-        self.bus_of(i).ports.pop(i).send = lambda *message: None  # what it has yet to repeat dies with it
+        self.bus_of(i).ports.pop(i).send = lambda *message: (
+            None
+        )  # what it has yet to repeat dies with it
 
     def rosters(self) -> dict[int, Roster | None]:
         return {i: member.barrier.roster for i, member in self.members.items()}
@@ -68,10 +80,14 @@ async def formed(barriers: list[Barrier]) -> Roster:
 
 
 def team(
-    graph: Graph, story: Callable[[Team], Awaitable[Any]], rules: list[Rule] | None = None,
-    partitions: list[Partition] | None = None, seed: int = 1, sequence: GraphSequence | None = None,
+    graph: Graph,
+    story: Callable[[Team], Awaitable[Any]],
+    rules: list[Rule] | None = None,
+    partitions: list[Partition] | None = None,
+    seed: int = 1,
+    sequence: GraphSequence | None = None,
     ahead: tuple[float, ...] = (),
-) -> Any:  # fmt: skip
+) -> Any:
     """Run a story of them.
 
     ahead: s that the clock of each host is ahead; none: all are in one process.
@@ -101,13 +117,23 @@ async def settled(t: Team, epoch: int, seconds: float = 20.0) -> Roster:
     while t.clock.now() < ends:
         rosters = list(t.rosters().values())
         first = rosters[0]
-        if first is not None and first.epoch >= epoch and all(roster == first for roster in rosters):
+        if (
+            first is not None
+            and first.epoch >= epoch
+            and all(roster == first for roster in rosters)
+        ):
             return first
         await t.clock.sleep(0.05)
     raise AssertionError(f"no agreement: {t.rosters()}")
 
 
-def counting(t: Team, i: int, heard: dict[int, list[tuple[int, ...]]], until: float, pace: float = 0.0) -> Any:
+def counting(
+    t: Team,
+    i: int,
+    heard: dict[int, list[tuple[int, ...]]],
+    until: float,
+    pace: float = 0.0,
+) -> Any:
     """Exchange the round's number until some time; keeps by round whom it heard."""
 
     async def life() -> None:
@@ -127,5 +153,11 @@ def counting(t: Team, i: int, heard: dict[int, list[tuple[int, ...]]], until: fl
 
 def as_graph_says(graph: Graph, k: int, heard: dict[int, Any], gone: int = -1) -> bool:
     """Whether all members of a graph heard in round k just their neighbours (one who is gone may be missing)."""
-    needed = {i: tuple(j for j in graph.in_neighbors(i) if j != gone) for i in graph.ids if i != gone}
-    return {i: tuple(j for j in js if j != gone) for i, js in heard[k].items() if i != gone} == needed
+    needed = {
+        i: tuple(j for j in graph.in_neighbors(i) if j != gone)
+        for i in graph.ids
+        if i != gone
+    }
+    return {
+        i: tuple(j for j in js if j != gone) for i, js in heard[k].items() if i != gone
+    } == needed

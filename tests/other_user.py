@@ -14,7 +14,14 @@ import pytest
 UNKNOWN_USER = 12345
 """A user whom the system does not know, as in a container with `--user`."""
 NEEDED = "needs Linux, root, and setpriv and unshare of util-linux"
-HOMELESS = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "NUMBA_CACHE_DIR", "MPLCONFIGDIR")
+HOMELESS = (
+    "HOME",
+    "XDG_CACHE_HOME",
+    "XDG_CONFIG_HOME",
+    "XDG_RUNTIME_DIR",
+    "NUMBA_CACHE_DIR",
+    "MPLCONFIGDIR",
+)
 """Variables that a service without a home does not have."""
 
 
@@ -40,7 +47,10 @@ def in_own_namespace(*options: str) -> list[str]:
 def can_run(*words: str) -> bool:
     if os.getuid() != 0 or shutil.which(words[0]) is None:
         return False
-    return subprocess.run([*words, "true"], capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run([*words, "true"], capture_output=True, check=False).returncode
+        == 0
+    )
 
 
 def require(*words: str) -> None:
@@ -50,7 +60,9 @@ def require(*words: str) -> None:
 
 def homeless(**changes: str) -> dict[str, str]:
     """Return this environment without the variables that name folders of a user, and with changes."""
-    return {name: value for name, value in os.environ.items() if name not in HOMELESS} | changes
+    return {
+        name: value for name, value in os.environ.items() if name not in HOMELESS
+    } | changes
 
 
 @contextlib.contextmanager

@@ -18,13 +18,19 @@ def costs(count, n, seed):
 def problems(data, bound=1.0):
     """min sum_i x'P_i x + q_i'x, |x_k| <= bound: one a pair (P_i, q_i)."""
     x = cp.Variable(len(data[0][1]))
-    return [CostCoupled(i, x, cp.quad_form(x, P) + q @ x, [x <= bound, x >= -bound]) for i, (P, q) in enumerate(data)]
+    return [
+        CostCoupled(i, x, cp.quad_form(x, P) + q @ x, [x <= bound, x >= -bound])
+        for i, (P, q) in enumerate(data)
+    ]
 
 
 def optimum(parts):
     """(n,) of all together, by cvxpy."""
     x = parts[0].x
-    problem = cp.Problem(cp.Minimize(sum(part.objective for part in parts)), [c for p in parts for c in p.constraints])
+    problem = cp.Problem(
+        cp.Minimize(sum(part.objective for part in parts)),
+        [c for p in parts for c in p.constraints],
+    )
     problem.solve(solver=cp.CLARABEL)
     return np.atleast_1d(x.value).copy()
 
@@ -32,4 +38,6 @@ def optimum(parts):
 def recorded(folder, name):
     """A recorded run: its data, and the problems it was of."""
     data = json.loads((folder / f"{name}.json").read_text())
-    return data, problems([(np.array(P), np.array(q)) for P, q in zip(data["P"], data["q"], strict=True)])
+    return data, problems(
+        [(np.array(P), np.array(q)) for P, q in zip(data["P"], data["q"], strict=True)]
+    )

@@ -16,7 +16,11 @@ from crazychoir.simulation.onboard.record import OUT_OF_TREE, rows, whole
 @kernel()
 def slope(s, f, m, out):
     thrust, a, k = f[0] + f[1] + f[2] + f[3], m[4], m[5]
-    torque = (a * (-f[0] - f[1] + f[2] + f[3]), a * (-f[0] + f[1] + f[2] - f[3]), k * (-f[0] + f[1] - f[2] + f[3]))
+    torque = (
+        a * (-f[0] - f[1] + f[2] + f[3]),
+        a * (-f[0] + f[1] + f[2] - f[3]),
+        k * (-f[0] + f[1] - f[2] + f[3]),
+    )
     x, y, z, w, p, q, r = s[6], s[7], s[8], s[9], s[10], s[11], s[12]
     acceleration = thrust / m[0]
     out[0], out[1], out[2] = s[3], s[4], s[5]
@@ -60,12 +64,21 @@ class Body:
         self.platform, self.poses = platform, poses
         self.onboard = Onboard(platform)
         self.onboard.place(p, yaw)
-        self.s = np.array([*p, 0, 0, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2), 0, 0, 0], dtype=float)
+        self.s = np.array(
+            [*p, 0, 0, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2), 0, 0, 0], dtype=float
+        )
         self.f = np.zeros(4)
         self.force = np.array([0.0, 0.0, GRAVITY])
         f, r = platform.firmware, platform.rotor
         self.figures = np.array(
-            [platform.mass, *platform.inertia, platform.arm, f.thrust_to_torque, f.thrust_max, r.lag]
+            [
+                platform.mass,
+                *platform.inertia,
+                platform.arm,
+                f.thrust_to_torque,
+                f.thrust_max,
+                r.lag,
+            ]
         )
 
     @property

@@ -11,7 +11,17 @@ def world_of(uri, homes=((0.0, 0.0, 0.0),), yaws=(0.0,), dt=0.01):
     """The world of this uri with robots at these places."""
     n = len(homes)
     yaws = tuple(yaws) * n if len(yaws) < n else tuple(yaws)
-    setup = WorldSetup(tuple(range(n)), (uri,) * n, tuple(homes), yaws, (PAPER,) * n, {}, (0.0, 0.0, 0.0), 0, dt)
+    setup = WorldSetup(
+        tuple(range(n)),
+        (uri,) * n,
+        tuple(homes),
+        yaws,
+        (PAPER,) * n,
+        {},
+        (0.0, 0.0, 0.0),
+        0,
+        dt,
+    )
     return OURS[uri].load()(setup)
 
 

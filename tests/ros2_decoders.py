@@ -15,7 +15,9 @@ Read = list[tuple[str, str, int, dict[str, Any]]]
 
 def decoded(kind: str, schema: str, message: bytes) -> dict[str, Any]:
     """The fields of one message, as both decoders find them."""
-    decode = DecoderFactory().decoder_for("cdr", Schema(1, schema.encode(), "ros2msg", kind))
+    decode = DecoderFactory().decoder_for(
+        "cdr", Schema(1, schema.encode(), "ros2msg", kind)
+    )
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema, kind))
     one, other = fields(decode(message)), fields(store.deserialize_cdr(message, kind))
@@ -37,7 +39,12 @@ def by_rosbags(path: Path) -> Read:
     """A whole file, by rosbags, with the types that the file itself defines."""
     with AnyReader([path]) as reader:
         return [
-            (connection.topic, connection.msgtype, time, fields(reader.deserialize(data, connection.msgtype)))
+            (
+                connection.topic,
+                connection.msgtype,
+                time,
+                fields(reader.deserialize(data, connection.msgtype)),
+            )
             for connection, time, data in reader.messages()
         ]
 
@@ -51,4 +58,6 @@ def fields(value: Any) -> Any:
     names = getattr(type(value), "__slots__", None) or getattr(value, "__dict__", None)
     if not names:
         return value
-    return {name: fields(getattr(value, name)) for name in names if not name.startswith("_")}
+    return {
+        name: fields(getattr(value, name)) for name in names if not name.startswith("_")
+    }

@@ -13,9 +13,19 @@ from scipy.optimize import linprog
 DIGITS = 6
 """Powers of ten of a row and of a column, from -DIGITS to DIGITS."""
 FAMILIES = (
-    "dense", "degenerate", "sparse", "any right-hand side", "any cost", "redundant rows", "free variables",
-    "rows of zeros", "tiny or huge right-hand side", "equal columns", "nothing to do", "columns without rows",
-)  # fmt: skip
+    "dense",
+    "degenerate",
+    "sparse",
+    "any right-hand side",
+    "any cost",
+    "redundant rows",
+    "free variables",
+    "rows of zeros",
+    "tiny or huge right-hand side",
+    "equal columns",
+    "nothing to do",
+    "columns without rows",
+)
 STATUS = {0: "optimal", 2: "infeasible", 3: "unbounded"}
 
 
@@ -64,14 +74,19 @@ def truth(c, A, b):
     if linprog(0.0 * c, A_eq=A, b_eq=b / size).status:
         return "infeasible", np.nan
     central = linprog(c, A_eq=A, b_eq=b / size)
-    return STATUS[3 if central.status in (3, 4) else central.status], size * (central.fun or 0.0)
+    return STATUS[3 if central.status in (3, 4) else central.status], size * (
+        central.fun or 0.0
+    )
 
 
 def _program(family, chance):
     m = int(chance.integers(1, 7))
     n = int(chance.integers(1, 13))
     A = chance.normal(size=(m, n))
-    if family in ("degenerate", "equal columns", "redundant rows") and chance.random() < 0.7:
+    if (
+        family in ("degenerate", "equal columns", "redundant rows")
+        and chance.random() < 0.7
+    ):
         A = chance.integers(-1, 3, (m, n)).astype(float)
     if family == "sparse":
         A = A * (chance.random((m, n)) < 0.4)

@@ -24,11 +24,29 @@ CLOCKS = frozenset(
     }
 )
 # Measuring what code costs: the clock and the command lines. Elsewhere a measured duration could steer a result.
-STOPWATCHES = frozenset({"time.perf_counter", "time.perf_counter_ns", "time.process_time", "time.process_time_ns"})
+STOPWATCHES = frozenset(
+    {
+        "time.perf_counter",
+        "time.perf_counter_ns",
+        "time.process_time",
+        "time.process_time_ns",
+    }
+)
 
 SET_TYPES = ("set", "frozenset", "AbstractSet", "Set", "MutableSet")
 SET_METHODS = ("union", "intersection", "difference", "symmetric_difference")
-TAKES_IN_ORDER = ("list", "tuple", "iter", "enumerate", "zip", "map", "filter", "reversed", "next", "sum")
+TAKES_IN_ORDER = (
+    "list",
+    "tuple",
+    "iter",
+    "enumerate",
+    "zip",
+    "map",
+    "filter",
+    "reversed",
+    "next",
+    "sum",
+)
 SET_OPERATORS = (ast.BitOr, ast.BitAnd, ast.Sub, ast.BitXor)
 
 
@@ -39,8 +57,14 @@ def forbidden_clocks(source: str, banned: frozenset[str]) -> list[str]:
     found = []
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
-            found += [f"{node.lineno}: {name}" for name in _from_imports(node) if name in banned]
-        elif isinstance(node, ast.Attribute) and (name := _dotted(node, names)) in banned:
+            found += [
+                f"{node.lineno}: {name}"
+                for name in _from_imports(node)
+                if name in banned
+            ]
+        elif (
+            isinstance(node, ast.Attribute) and (name := _dotted(node, names)) in banned
+        ):
             found.append(f"{node.lineno}: {name}")
     return found
 
@@ -50,7 +74,9 @@ def _imported_names(tree: ast.AST) -> dict[str, str]:
     names: dict[str, str] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            names |= {a.asname: a.name for a in node.names if a.asname}  # others keep their name
+            names |= {
+                a.asname: a.name for a in node.names if a.asname
+            }  # others keep their name
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= {a.asname or a.name: f"{node.module}.{a.name}" for a in node.names}
     return names
@@ -70,11 +96,18 @@ def set_iterations(source: str) -> list[str]:
     """`line: expression` of each place that takes the elements of a set in their order, which is the hash order."""
     tree = ast.parse(source)
     sets = _Sets()
-    for _ in range(2):  # a name may be assigned from a name that is found to be a set later in the file
+    for _ in range(
+        2
+    ):  # a name may be assigned from a name that is found to be a set later in the file
         for node in ast.walk(tree):
             sets.learn(node)
-    found = [e for node in ast.walk(tree) for e in _taken_in_order(node) if sets.holds(e)]
-    return [f"{e.lineno}: {ast.unparse(e)}" for e in sorted(found, key=lambda e: (e.lineno, e.col_offset))]
+    found = [
+        e for node in ast.walk(tree) for e in _taken_in_order(node) if sets.holds(e)
+    ]
+    return [
+        f"{e.lineno}: {ast.unparse(e)}"
+        for e in sorted(found, key=lambda e: (e.lineno, e.col_offset))
+    ]
 
 
 @dataclass
@@ -87,7 +120,11 @@ class _Sets:
         if isinstance(node, ast.AnnAssign) and _is_set_type(node.annotation):
             self.names.add(ast.unparse(node.target))
             self.names.add(f"self.{ast.unparse(node.target)}")  # a field of a class
-        elif isinstance(node, ast.arg) and node.annotation and _is_set_type(node.annotation):
+        elif (
+            isinstance(node, ast.arg)
+            and node.annotation
+            and _is_set_type(node.annotation)
+        ):
             self.names.add(node.arg)
         elif isinstance(node, ast.Assign) and self.holds(node.value):
             self.names |= {ast.unparse(target) for target in node.targets}
@@ -101,11 +138,15 @@ class _Sets:
                 return True
             case ast.Call(func=ast.Name(id="set" | "frozenset")):
                 return True
-            case ast.Call(func=ast.Attribute(value=value, attr=attr)) if attr in SET_METHODS:
+            case ast.Call(func=ast.Attribute(value=value, attr=attr)) if (
+                attr in SET_METHODS
+            ):
                 return True
             case ast.Call(func=ast.Attribute(value=value, attr="copy")):
                 return self.holds(value)
-            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, SET_OPERATORS):
+            case ast.BinOp(left=left, op=op, right=right) if isinstance(
+                op, SET_OPERATORS
+            ):
                 return any(self.holds(side) or _is_keys(side) for side in (left, right))
             case ast.IfExp(body=body, orelse=orelse):
                 return self.holds(body) or self.holds(orelse)
@@ -121,7 +162,11 @@ def _is_set_type(annotation: ast.expr) -> bool:
 
 def _is_keys(e: ast.expr) -> bool:
     """`d.keys()`: a dictionary view is in order, but its differences and unions are sets."""
-    return isinstance(e, ast.Call) and isinstance(e.func, ast.Attribute) and e.func.attr in ("keys", "items")
+    return (
+        isinstance(e, ast.Call)
+        and isinstance(e.func, ast.Attribute)
+        and e.func.attr in ("keys", "items")
+    )
 
 
 def _taken_in_order(node: ast.AST) -> Iterator[ast.expr]:
@@ -129,13 +174,21 @@ def _taken_in_order(node: ast.AST) -> Iterator[ast.expr]:
     match node:
         case ast.For(iter=e) | ast.AsyncFor(iter=e) | ast.YieldFrom(value=e):
             yield e
-        case ast.ListComp(generators=parts) | ast.GeneratorExp(generators=parts) | ast.DictComp(generators=parts):
+        case (
+            ast.ListComp(generators=parts)
+            | ast.GeneratorExp(generators=parts)
+            | ast.DictComp(generators=parts)
+        ):
             yield from (part.iter for part in parts)
-        case ast.List(elts=parts) | ast.Tuple(elts=parts) | ast.Call(args=parts) if any(map(_is_starred, parts)):
+        case ast.List(elts=parts) | ast.Tuple(elts=parts) | ast.Call(args=parts) if any(
+            map(_is_starred, parts)
+        ):
             yield from (part.value for part in parts if isinstance(part, ast.Starred))
         case ast.Call(func=ast.Name(id=name), args=args) if name in TAKES_IN_ORDER:
             yield from args
-        case ast.Call(func=ast.Attribute(attr="join" | "extend" | "fromkeys"), args=args):
+        case ast.Call(
+            func=ast.Attribute(attr="join" | "extend" | "fromkeys"), args=args
+        ):
             yield from args
         case ast.Call(func=ast.Attribute(value=e, attr="pop"), args=[]):
             yield e

@@ -13,16 +13,25 @@ def run_team(agents, graph, most=2000):
     for k in range(most):
         if all(agent.done for agent in agents.values()):
             return k
-        assert not any(agent.done for agent in agents.values()), f"round {k}: some have ended"
+        assert not any(agent.done for agent in agents.values()), (
+            f"round {k}: some have ended"
+        )
         messages = {i: agent.message() for i, agent in agents.items()}
         errors = {}
         for i, agent in agents.items():
             try:
-                agent.step({j: decode(encode(_for(i, messages[j]))) for j in graph.at(k).in_neighbors(i)})
+                agent.step(
+                    {
+                        j: decode(encode(_for(i, messages[j])))
+                        for j in graph.at(k).in_neighbors(i)
+                    }
+                )
             except CrazyChoirError as error:
                 errors[i] = error
         if errors:
-            assert len(errors) == len(agents), f"round {k}: only {sorted(errors)} failed: {errors}"
+            assert len(errors) == len(agents), (
+                f"round {k}: only {sorted(errors)} failed: {errors}"
+            )
             raise errors[min(errors)]
     raise AssertionError(f"no end in {most} rounds")
 

@@ -6,7 +6,11 @@ bytes to the end.
 
 LINK = (
     ("an echo", "fc 00 11 22", ["fc 00 11 22"]),
-    ("who is there", "fd 00", ["fd 42 69 74 63 72 61 7a 65 20 43 72 61 7a 79 66 6c 69 65" + " 00" * 12]),
+    (
+        "who is there",
+        "fd 00",
+        ["fd 42 69 74 63 72 61 7a 65 20 43 72 61 7a 79 66 6c 69 65" + " 00" * 12],
+    ),
     ("a sink", "fe 01 02", []),
     ("a packet that says nothing", "ff", []),
 )
@@ -30,7 +34,11 @@ LOG = (
     ("append acc.y", "5d 07 01 77 01 00", ["5d 07 01 00"]),
     ("append to what is not there", "5d 07 09 77 01 00", ["5d 07 09 02"]),
     ("append no such variable", "5d 07 01 77 ff 7f", ["5d 07 01 02"]),
-    ("append five floats more: 28 bytes", "5d 07 01" + " 77 01 00" * 5, ["5d 07 01 07"]),
+    (
+        "append five floats more: 28 bytes",
+        "5d 07 01" + " 77 01 00" * 5,
+        ["5d 07 01 07"],
+    ),
     ("start", "5d 03 01 0a", ["5d 03 01 00"]),
     ("start in ms", "5d 08 01 0a 00", ["5d 08 01 00"]),
     ("start what is not there", "5d 03 09 0a", ["5d 03 09 02"]),
@@ -38,13 +46,19 @@ LOG = (
     ("delete", "5d 02 01", ["5d 02 01 00"]),
     ("delete again", "5d 02 01", ["5d 02 01 02"]),
     ("no such command", "5d 63 01", ["5d 63 01 08"]),
-    *((f"block {n} of 16", f"5d 06 {n:02x} 77 00 00", [f"5d 06 {n:02x} 00"]) for n in range(1, 17)),
+    *(
+        (f"block {n} of 16", f"5d 06 {n:02x} 77 00 00", [f"5d 06 {n:02x} 00"])
+        for n in range(1, 17)
+    ),
     ("a 17th", "5d 06 11 77 00 00", ["5d 06 11 0c"]),
 )
 PARAM = (
     ("how many", "2c 03", ["2c 03 .. .. .. .. .. .."]),
-    ("the first: activeMarker.back, uint8", "2c 02 00 00",
-     ["2c 02 00 00 08 61 63 74 69 76 65 4d 61 72 6b 65 72 00 62 61 63 6b 00"]),
+    (
+        "the first: activeMarker.back, uint8",
+        "2c 02 00 00",
+        ["2c 02 00 00 08 61 63 74 69 76 65 4d 61 72 6b 65 72 00 62 61 63 6b 00"],
+    ),
     ("beyond the last", "2c 02 ff 7f", ["2c 02"]),
     ("read activeMarker.back", "2d 00 00", ["2d 00 00 00 03"]),
     ("read what there is not", "2d ff 7f", ["2d ff 7f 02"]),
@@ -58,28 +72,57 @@ PARAM = (
     ("its default, of version 1", "2f 06 00 00", ["2f 06 00 00 03"]),
     ("store one that is not persistent", "2f 03 00 00", ["2f 03 00 00 02"]),
     ("its state", "2f 04 00 00", ["2f 04 00 00 02"]),
-    ("set by name", "2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 08 80",
-     ["2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 00"]),
-    ("by name, of another type", "2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 06 00 00 00 00",
-     ["2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 16"]),
-    ("by name, one that is read-only", "2f 00 64 65 63 6b 00 62 63 46 6c 6f 77 32 00 08 01",
-     ["2f 00 64 65 63 6b 00 62 63 46 6c 6f 77 32 00 0d"]),
-    ("no such name", "2f 00 6e 6f 00 6f 6e 65 00 08 01", ["2f 00 6e 6f 00 6f 6e 65 00 02"]),
-)  # fmt: skip
+    (
+        "set by name",
+        "2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 08 80",
+        ["2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 00"],
+    ),
+    (
+        "by name, of another type",
+        "2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 06 00 00 00 00",
+        ["2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 16"],
+    ),
+    (
+        "by name, one that is read-only",
+        "2f 00 64 65 63 6b 00 62 63 46 6c 6f 77 32 00 08 01",
+        ["2f 00 64 65 63 6b 00 62 63 46 6c 6f 77 32 00 0d"],
+    ),
+    (
+        "no such name",
+        "2f 00 6e 6f 00 6f 6e 65 00 08 01",
+        ["2f 00 6e 6f 00 6f 6e 65 00 02"],
+    ),
+)
 MEMORY = (
     ("how many", "4c 01", ["4c 01 07"]),
-    ("the first, an EEPROM of 8192 bytes", "4c 02 00", ["4c 02 00 00 00 20 00 00" + " 00" * 8]),
-    ("the third, trajectories in 4096 bytes", "4c 02 02", ["4c 02 02 12 00 10 00 00" + " 00" * 8]),
+    (
+        "the first, an EEPROM of 8192 bytes",
+        "4c 02 00",
+        ["4c 02 00 00 00 20 00 00" + " 00" * 8],
+    ),
+    (
+        "the third, trajectories in 4096 bytes",
+        "4c 02 02",
+        ["4c 02 02 12 00 10 00 00" + " 00" * 8],
+    ),
     ("one that there is not", "4c 02 63", ["4c 02 63 00 00 00 00 00" + " 00" * 8]),
     ("write 4 bytes at 8", "4e 02 08 00 00 00 01 02 03 04", ["4e 02 08 00 00 00 00"]),
     ("read them", "4d 02 08 00 00 00 04", ["4d 02 08 00 00 00 00 01 02 03 04"]),
     ("write across the end", "4e 02 fe 0f 00 00 01 02 03", ["4e 02 fe 0f 00 00 05"]),
     ("read across the end", "4d 02 fe 0f 00 00 03", ["4d 02 fe 0f 00 00 05"]),
     ("read from what there is not", "4d 63 00 00 00 00 01", ["4d 63 00 00 00 00 05"]),
-    ("the tester's bytes are their addresses", "4d 03 fe 00 00 00 03", ["4d 03 fe 00 00 00 00 fe ff 00"]),
+    (
+        "the tester's bytes are their addresses",
+        "4d 03 fe 00 00 00 03",
+        ["4d 03 fe 00 00 00 00 fe ff 00"],
+    ),
 )
 SUPERVISOR = (
-    ("all bits: can arm, armed, arms itself, can fly, plan ended", "9c 0c", ["9c 8c 0f 02"]),
+    (
+        "all bits: can arm, armed, arms itself, can fly, plan ended",
+        "9c 0c",
+        ["9c 8c 0f 02"],
+    ),
     ("one of them: can fly", "9c 04", ["9c 84 01"]),
     ("one of them: flying", "9c 05", ["9c 85 00"]),
     ("no such request", "9c 20", []),
@@ -90,25 +133,44 @@ SUPERVISOR = (
     ("an emergency stop says nothing", "9d 03", []),
 )
 HIGH_LEVEL = (
-    ("a take-off is echoed in three bytes, 0: done", "8c 07 00 00 00 00 3f 00 00 00 00 01 00 00 80 3f",
-     ["8c 07 00 00 00"]),
-    ("another: it flies already", "8c 07 00 00 00 00 3f 00 00 00 00 01 00 00 80 3f", ["8c 07 00 00 01"]),
+    (
+        "a take-off is echoed in three bytes, 0: done",
+        "8c 07 00 00 00 00 3f 00 00 00 00 01 00 00 80 3f",
+        ["8c 07 00 00 00"],
+    ),
+    (
+        "another: it flies already",
+        "8c 07 00 00 00 00 3f 00 00 00 00 01 00 00 80 3f",
+        ["8c 07 00 00 01"],
+    ),
     ("go_to", "8c 0c 00 01 00" + " 00" * 16 + " 00 00 80 3f", ["8c 0c 00 01 00"]),
-    ("one for another group: nobody is meant, so all is well", "8c 03 02", ["8c 03 02 00 00"]),
+    (
+        "one for another group: nobody is meant, so all is well",
+        "8c 03 02",
+        ["8c 03 02 00 00"],
+    ),
     ("the group's mask", "8c 00 02", ["8c 00 02 00 00"]),
     ("stop, for this group", "8c 03 02", ["8c 03 02 00 00"]),
     ("define a trajectory", "8c 06 01 01 00 00 00 00 00 01", ["8c 06 01 01 00"]),
     ("one of too high a number", "8c 06 63 01 00 00 00 00 00 01", ["8c 06 63 01 08"]),
-    ("start what is not defined", "8c 0d 00 00 00 00 05 00 00 80 3f", ["8c 0d 00 00 08"]),
+    (
+        "start what is not defined",
+        "8c 0d 00 00 00 00 05 00 00 80 3f",
+        ["8c 0d 00 00 08"],
+    ),
     ("no such command", "8c 63", ["8c 63 00 00 08"]),
-)  # fmt: skip
+)
 LOCALIZATION = (
     ("a position says nothing", "6c" + " 00" * 12, []),
     ("a pose says nothing", "6d 08" + " 00" * 24 + " 00 00 80 3f", []),
     ("packed poses say nothing", "6d 09 e7 01 00 02 00 03 00 00 00 00 c0", []),
     ("packed positions say nothing", "6e e7 01 00 02 00 03 00", []),
     ("lighthouses are made persistent", "6d 0b 01 00 00 00", ["6d 0b 01"]),
-    ("a packet of the local positioning is not sent on", "6d 02 07 01 02", ["6d 02 07 00"]),
+    (
+        "a packet of the local positioning is not sent on",
+        "6d 02 07 01 02",
+        ["6d 02 07 00"],
+    ),
 )
 COMMANDER = (
     ("set-points say nothing", "3c" + " 00" * 14, []),
@@ -121,6 +183,14 @@ SILENT = (
     ("nor does a port that there is not", "ac 01", []),
 )
 ALL = {
-    "link": LINK, "platform": PLATFORM, "log": LOG, "param": PARAM, "memory": MEMORY, "supervisor": SUPERVISOR,
-    "high_level": HIGH_LEVEL, "localization": LOCALIZATION, "commander": COMMANDER, "silent": SILENT,
-}  # fmt: skip
+    "link": LINK,
+    "platform": PLATFORM,
+    "log": LOG,
+    "param": PARAM,
+    "memory": MEMORY,
+    "supervisor": SUPERVISOR,
+    "high_level": HIGH_LEVEL,
+    "localization": LOCALIZATION,
+    "commander": COMMANDER,
+    "silent": SILENT,
+}

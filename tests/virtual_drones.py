@@ -16,9 +16,15 @@ class Hangar:
         hall = on_a_grid(1, 19850, ())
         (row,) = hall.drones
         row = structs.replace(row, platform=platform, yaw=yaw, home=(0.0, 0.0, height))
-        self.world = replace(hall, drones=(row,)).world(0, identity.get("release", RELEASE))
+        self.world = replace(hall, drones=(row,)).world(
+            0, identity.get("release", RELEASE)
+        )
         self.onboard = self.world.onboard[0]
-        self.drone = VirtualCrazyflie(self.onboard, Identity(**identity), lambda: self.world.states[0, :3].tolist())
+        self.drone = VirtualCrazyflie(
+            self.onboard,
+            Identity(**identity),
+            lambda: self.world.states[0, :3].tolist(),
+        )
         self.told, self.said = told, []
 
     def send(self, name, *values):
@@ -32,7 +38,9 @@ class Hangar:
             if name is not None and k % period == 0:
                 self.send(name, *values)
             if self.told and k % 2 == 0:
-                self.onboard.external_pose(self.state[:3].copy(), self.state[6:10].copy())
+                self.onboard.external_pose(
+                    self.state[:3].copy(), self.state[6:10].copy()
+                )
             self.world.step()
             self.said += self.drone.pass_time()
         return self

@@ -12,12 +12,18 @@ def virtual(test: Callable[[Clock], Coroutine[Any, Any, None]]) -> Callable[[], 
 
     async def main(clock: Clock) -> None:
         unheard: list[dict[str, Any]] = []
-        asyncio.get_running_loop().set_exception_handler(lambda loop, context: unheard.append(context))
+        asyncio.get_running_loop().set_exception_handler(
+            lambda loop, context: unheard.append(context)
+        )
         await test(clock)
         assert unheard == []
 
     def run() -> None:
         run_virtual(main)
 
-    run.__name__, run.__doc__, run.__module__ = test.__name__, test.__doc__, test.__module__
+    run.__name__, run.__doc__, run.__module__ = (
+        test.__name__,
+        test.__doc__,
+        test.__module__,
+    )
     return run

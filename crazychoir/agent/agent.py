@@ -59,7 +59,16 @@ log = logging.getLogger(__name__)
 RESTARTED = 20.0
 """s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
 QUERIES = ("param_get", "task_list", "overview", "ping", WATCHED)
-VERBS = (*ORDERS, "go-to", "fly", "impair", "param_set", "task_add", "task_cancel", *QUERIES)
+VERBS = (
+    *ORDERS,
+    "go-to",
+    "fly",
+    "impair",
+    "param_set",
+    "task_add",
+    "task_cancel",
+    *QUERIES,
+)
 """What operators may ask of a drone; QUERIES change nothing."""
 
 
@@ -73,7 +82,9 @@ class StatusActor(Actor):
 
     async def run(self) -> None:
         """Publish on change of the clock."""
-        async for _ in self.drone.port.bus.clock.ticks(STATUS.rate, drone=self.drone.id):
+        async for _ in self.drone.port.bus.clock.ticks(
+            STATUS.rate, drone=self.drone.id
+        ):
             self.drone.port.publish(STATUS, self.drone.status())
 
 
@@ -83,7 +94,9 @@ class Pacemaker(Actor):
     name = "pacemaker"
 
     def __init__(self, clock: Clock, pilots: list[Pilot], rate: float) -> None:
-        self.clock, self.pilots, self.rate = clock, pilots, rate
+        self.clock = clock
+        self.pilots = pilots
+        self.rate = rate
 
     async def run(self) -> None:
         """One look a period."""
@@ -112,7 +125,11 @@ class Agent:
         start_deadline: float | None = None,
         alone: bool = True,
     ) -> None:
-        self.clock, self.config, self.mission, self.ids, self.trace = clock, config, mission, ids, trace
+        self.clock = clock
+        self.config = config
+        self.mission = mission
+        self.ids = ids
+        self.trace = trace
         host = config.drone(ids[0]).host or socket.gethostname().split(".")[0]
         self.bus = Bus(clock, impairment_of(config), process, host)
         self.bus.tap = trace.message if trace else None
@@ -124,10 +141,14 @@ class Agent:
         if alone and config.reached:
             raise _not_simulated(config)
         self.owned = () if alone else tuple(i for i in ids if i in config.elsewhere)
-        self.owners = owners(self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace)
+        self.owners = owners(
+            self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace
+        )
         self._owner_of = {i: owner for owner in self.owners for i in owner.world.ids}
         self._graph = config.graph()
-        self._start_deadline = config.start_deadline if start_deadline is None else start_deadline
+        self._start_deadline = (
+            config.start_deadline if start_deadline is None else start_deadline
+        )
         self._digest = mission_hash(config, mission)
         self._remotes = {i: self._remote(i) for i in self.owned}
         self._radios: list[RadioWatch] = []
@@ -135,7 +156,9 @@ class Agent:
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
         patience = 0.0 if alone else config.flight.dead_man
-        self.dead_man = DeadMan(clock, patience, self._flies, self.land_all) if patience else None
+        self.dead_man = (
+            DeadMan(clock, patience, self._flies, self.land_all) if patience else None
+        )
         self.supervisor = Supervisor(clock, f"process {process}", self._shared_failed)
         self.services: list[Actor] = []
         self._guidances: dict[int, GuidanceActor] = {}
@@ -143,7 +166,8 @@ class Agent:
         self._steering = {i: Steering(drone) for i, drone in self.drones.items()}
 
     def _drone(self, i: int) -> Drone:
-        config, port = self.config, self.bus.ports[i]
+        config = self.config
+        port = self.bus.ports[i]
         barrier = Barrier(
             port,
             self._graph,
@@ -160,44 +184,81 @@ class Agent:
         barrier.listeners.append(partial(self._tell_apart, barrier))
         fence = self._fence(i)
         own_pose = i in config.reached and i not in config.seen
-        chosen, rate = self._controls(i), config.radio.log_rate if own_pose else config.mocap.rate
-        seen = filter_of(config.control_of(i).filter, chosen, config.flight.ground, rate)
+        chosen = self._controls(i)
+        rate = config.radio.log_rate if own_pose else config.mocap.rate
+        seen = filter_of(
+            config.control_of(i).filter, chosen, config.flight.ground, rate
+        )
         link, harm = self._body(i, chosen.sender.kind)
         seen_at = config.source(POSE, i) if i in self.owned else i
         limit = Fence.box(*limit_area(config))
         collision = self._collision(i, chosen)
-        reached: Reached = "no" if i not in config.reached else "own" if own_pose else "seen"
-        pilot = Pilot(port, link, config.flight, fence, rate, chosen, seen, seen_at, collision, limit, reached)
+        reached: Reached = (
+            "no" if i not in config.reached else "own" if own_pose else "seen"
+        )
+        pilot = Pilot(
+            port,
+            link,
+            config.flight,
+            fence,
+            rate,
+            chosen,
+            seen,
+            seen_at,
+            collision,
+            limit,
+            reached,
+        )
         if i in self._remotes:
             remote = self._remotes[i]
-            remote.found_flying, pilot.turning, pilot.unheard = pilot.take_over, remote.flying, remote.unheard
+            remote.found_flying = pilot.take_over
+            pilot.turning = remote.flying
+            pilot.unheard = remote.unheard
             pilot.unfit, remote.found_cut = remote.problems, partial(self._found_cut, i)
         if reached != "no":
             firmware = platform(config.drone(i).platform).firmware
             watch = RadioWatch(port, config.source(LINK, i), pilot.guard, firmware)
-            pilot.unfit, pilot.turning, pilot.astray = watch.problems, watch.turning, watch.astray
+            pilot.unfit = watch.problems
+            pilot.turning = watch.turning
+            pilot.astray = watch.astray
             self._radios.append(watch)
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         guidance.foresee(Member(i, config, self.clock, communicator, pilot))
         drone = Drone(
-            i, port, barrier, communicator, pilot, guidance, supervisor, harm, self._sensors(i), pilot.unfit
-        )  # fmt: skip
+            i,
+            port,
+            barrier,
+            communicator,
+            pilot,
+            guidance,
+            supervisor,
+            harm,
+            self._sensors(i),
+            pilot.unfit,
+        )
         CommandServer(port, partial(self._execute, drone), partial(self._stop, drone))
         return drone
 
     def _fence(self, i: int) -> Fence:
         """Where drone i flies: [fence]; inside it, if the radio that streams to it may fail."""
-        config, fence = self.config, self.config.fence
+        config = self.config
+        fence = self.config.fence
         sender = sender_of(config, i)
         if i not in config.reached or sender not in TILTED:
             return Fence.box(fence.min, fence.max)
         margin = inset(config, sender)
-        here = [j for j in config.reached if config.drone(j).host == config.drone(i).host]
+        here = [
+            j for j in config.reached if config.drone(j).host == config.drone(i).host
+        ]
         alike = [j for j in here if sender_of(config, j) == sender]
         if margin.problem and i == alike[0]:  # one of them says it
-            log.warning("drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem)
-        streamed = {j: kind for j in config.reached if (kind := sender_of(config, j)) in TILTED}
+            log.warning(
+                "drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem
+            )
+        streamed = {
+            j: kind for j in config.reached if (kind := sender_of(config, j)) in TILTED
+        }
         if near := crowded(config, i, streamed):
             log.warning("drone %d (%s): %s", i, sender, near)
         (a, b, c), (d, e, f) = fence.min, fence.max
@@ -205,48 +266,78 @@ class Agent:
         return Fence.box((a + x, b + x, c), (d - x, e - x, f))
 
     def _remote(self, i: int) -> RemoteLink:
-        port, reached = self.bus.ports[i], self.config.reached
+        port = self.bus.ports[i]
+        reached = self.config.reached
         dongle = next((k for k, ids in self.config.dongles.items() if i in ids), 0)
         owner = f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})"
         return RemoteLink(port, owner, RESTARTED) if i in reached else RemoteLink(port)
 
     def _controls(self, i: int) -> Controls:
-        drone, plant = self.config.drone(i), self.config.plant
+        drone = self.config.drone(i)
+        plant = self.config.plant
         if drone.uri in ROBOTS:
             return ROBOTS[drone.uri][1](self.config.flight)
         kind: PlantKind = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
         where = f"control of drone {i}"
         row = self.config.control_of(i)
-        return controls(row, platform(drone.platform), kind, plant.rate_lag, plant.command_delay, where)
+        return controls(
+            row,
+            platform(drone.platform),
+            kind,
+            plant.rate_lag,
+            plant.command_delay,
+            where,
+        )
 
-    def _collision(self, i: int, chosen: Controls) -> CollisionFilter | PlannedFlights | None:
+    def _collision(
+        self, i: int, chosen: Controls
+    ) -> CollisionFilter | PlannedFlights | None:
         """What keeps drone i clear of the others; None: it is off, or it does not fly, or alone."""
-        config, flight = self.config, self.config.flight
+        config = self.config
+        flight = self.config.flight
         flying = [j for j in config.ids if config.drone(j).uri not in ROBOTS]
         if config.collision.method == "off" or i not in flying or len(flying) == 1:
             return None
         planners = tuple(j for j in flying if config.control_of(j).sender in ON_BOARD)
-        fence = Fence.box(config.fence.min, config.fence.max).with_floor(max(config.fence.min[2], flight.ground))
+        fence = Fence.box(config.fence.min, config.fence.max).with_floor(
+            max(config.fence.min[2], flight.ground)
+        )
         a_max = braking(flight, chosen.platform, HEIGHT_SHARE * HEADROOM)
-        traffic, v_max, ground = Traffic(self.bus.ports[i], flying, planners), flight.speed_limit, flight.ground
+        traffic = Traffic(self.bus.ports[i], flying, planners)
+        v_max = flight.speed_limit
+        ground = flight.ground
         self._see(traffic, i)
         if i in planners:
             return PlannedFlights(
-                self.bus.ports[i], config.collision, traffic, planners, fence.with_floor(ground + LOWEST), a_max,
-                v_max, ground,
-            )  # fmt: skip
+                self.bus.ports[i],
+                config.collision,
+                traffic,
+                planners,
+                fence.with_floor(ground + LOWEST),
+                a_max,
+                v_max,
+                ground,
+            )
         return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
     def _see(self, traffic: Traffic, i: int) -> None:
         """Of drones that a radio reaches, their owners tell whether it does, and the cameras where they are."""
         for j in self.config.reached:
             if j != i:
-                call = Call(self.clock, partial(traffic.linked, j), f"drone {i} knows the link of {j}")
-                self.bus.subscribe(LINK, self.config.source(LINK, j), i, call, LINK.rate)
+                call = Call(
+                    self.clock,
+                    partial(traffic.linked, j),
+                    f"drone {i} knows the link of {j}",
+                )
+                self.bus.subscribe(
+                    LINK, self.config.source(LINK, j), i, call, LINK.rate
+                )
         for j in self.config.seen:
             if j != i:
                 call = Call(self.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
-                self.bus.subscribe(TRUTH, self.config.source(TRUTH, j), i, call, TRUTH.rate)
+                self.bus.subscribe(
+                    TRUTH, self.config.source(TRUTH, j), i, call, TRUTH.rate
+                )
 
     def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
         """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.
@@ -259,20 +350,36 @@ class Agent:
         return owner.link(i, kind), partial(owner.world.harm, i)
 
     def _sensors(self, i: int) -> Sensors:
-        ask = self._remotes[i].ask if i in self._remotes else partial(self._owner_of[i].telemetry.ask, i)
+        ask = (
+            self._remotes[i].ask
+            if i in self._remotes
+            else partial(self._owner_of[i].telemetry.ask, i)
+        )
         body = self.config.source(TELEMETRY, i) if i in self.owned else i
         return Sensors(self.bus.ports[i], body, names_of(self.config.drone(i).uri), ask)
 
     def _supervisor(self, i: int) -> Supervisor:
-        return Supervisor(self.clock, f"drone {i}", lambda actor, error, again: self._failed(i, actor, error, again))
+        return Supervisor(
+            self.clock,
+            f"drone {i}",
+            lambda actor, error, again: self._failed(i, actor, error, again),
+        )
 
     async def run(self) -> dict[int, dict[str, Any]]:
         """Fly the mission; returns each drone's result."""
         async with asyncio.TaskGroup() as group:
             owner = group.create_task(self.supervisor.run(self._shared()), name="world")
             drones = list(self.drones.values())
-            others = [group.create_task(d.supervisor.run(self._flying(d)), name=f"drone {d.id}") for d in drones]
-            guided = [group.create_task(self._guide(d), name=f"drone {d.id} life") for d in drones]
+            others = [
+                group.create_task(
+                    d.supervisor.run(self._flying(d)), name=f"drone {d.id}"
+                )
+                for d in drones
+            ]
+            guided = [
+                group.create_task(self._guide(d), name=f"drone {d.id} life")
+                for d in drones
+            ]
             await asyncio.wait(guided)
             for drone in drones:
                 drone.supervisor.stop()
@@ -282,9 +389,20 @@ class Agent:
         return {i: drone.result for i, drone in self.drones.items()}
 
     def _shared(self) -> list[Actor]:
-        watch = [OwnerWatch(self.clock, self._remotes, self._orphaned)] if self._remotes else []
+        watch = (
+            [OwnerWatch(self.clock, self._remotes, self._orphaned)]
+            if self._remotes
+            else []
+        )
         dead_man = [self.dead_man] if self.dead_man else []
-        return [*self.services, *self.owners, *watch, *self._radios, self.pacemaker, *dead_man]
+        return [
+            *self.services,
+            *self.owners,
+            *watch,
+            *self._radios,
+            self.pacemaker,
+            *dead_man,
+        ]
 
     def _flies(self) -> bool:
         return any(drone.pilot.mode not in DOWN for drone in self.drones.values())
@@ -295,7 +413,9 @@ class Agent:
     async def _guide(self, drone: Drone) -> None:
         """The guidance has a supervisor of its own: it ends, and the drone flies on until it is down."""
         supervisor = self._supervisor(drone.id)
-        actor = self._guidances[drone.id] = GuidanceActor(drone, self.config, self.watchdog)
+        actor = self._guidances[drone.id] = GuidanceActor(
+            drone, self.config, self.watchdog
+        )
         if drone.barrier.refused:
             actor.abort(drone.barrier.refused)
         await supervisor.run([actor])
@@ -346,7 +466,11 @@ class Agent:
     def stalled(self, stall: Stall) -> None:
         """From the watchdog's thread: tell the others whose loop hangs, and where."""
         words = stall.actor.split()
-        drone = int(words[1]) if len(words) > 1 and words[0] == "drone" and words[1].isdigit() else self.ids[0]
+        drone = (
+            int(words[1])
+            if len(words) > 1 and words[0] == "drone" and words[1].isdigit()
+            else self.ids[0]
+        )
         self.alarm(drone, str(stall))
 
     def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
@@ -359,7 +483,9 @@ class Agent:
         if barrier.apart and roster.ids[0] == barrier.id:
             gone = " ".join(map(str, barrier.absent))
             text = f"drone {barrier.id}: {barrier.apart}: no message of one reaches another; without drone(s) {gone}"
-            log.warning("%s. Start what is gone again, or add edges to the swarm file.", text)
+            log.warning(
+                "%s. Start what is gone again, or add edges to the swarm file.", text
+            )
             barrier.port.publish(LOG, text)
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:
@@ -404,7 +530,10 @@ class Agent:
             case "ping":
                 return drone.pilot.mode.value
             case _:
-                raise Refused(f"drone {drone.id}", f"no command {verb!r}; there are {', '.join(VERBS)}")
+                raise Refused(
+                    f"drone {drone.id}",
+                    f"no command {verb!r}; there are {', '.join(VERBS)}",
+                )
 
     def _overview(self, drone: Drone) -> dict[str, Any]:
         """What no topic says of it, for who looks on.
@@ -412,15 +541,25 @@ class Agent:
         links: by drone, messages sent there through the simulated network, and those that it lost;  network: what is
         simulated;  route: see CFGuidance.
         """
-        network, begun = self.bus.impairment, hasattr(drone.guidance, "member")
+        network = self.bus.impairment
+        begun = hasattr(drone.guidance, "member")
         return {
-            "links": {j: [to.sent, to.lost] for (i, j), to in network.counters.items() if i == drone.id},
+            "links": {
+                j: [to.sent, to.lost]
+                for (i, j), to in network.counters.items()
+                if i == drone.id
+            },
             "network": network.describe(),
-            "route": [list(map(float, p)) for p in drone.guidance.route()] if begun else [],
+            "route": [list(map(float, p)) for p in drone.guidance.route()]
+            if begun
+            else [],
         }
 
     def _stop(self, drone: Drone, on: bool) -> None:
-        drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{'emergency stop' if on else 'clear stop'}")
+        drone.port.publish(
+            LOG,
+            f"drone {drone.id}: {COMMANDED}{'emergency stop' if on else 'clear stop'}",
+        )
         if on:
             drone.pilot.cut("emergency stop")
 
@@ -429,4 +568,6 @@ def _not_simulated(config: SwarmConfig) -> ConfigError:
     """Virtual time has no radios."""
     i = config.reached[0]
     do = 'Leave --fast out, or write uri = "sim://" for a flight in virtual time.'
-    return ConfigError(f"drone {i}: uri", config.drone(i).uri, "a simulated drone, in virtual time", do)
+    return ConfigError(
+        f"drone {i}: uri", config.drone(i).uri, "a simulated drone, in virtual time", do
+    )

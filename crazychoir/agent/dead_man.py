@@ -22,7 +22,8 @@ class Console(Actor):
     restart = ON_FAILURE
 
     def __init__(self, commander: Commander, ids: tuple[int, ...]) -> None:
-        self.commander, self.ids = commander, ids
+        self.commander = commander
+        self.ids = ids
 
     async def run(self) -> None:
         """Twice a second; who does not answer keeps the others no longer than that."""
@@ -36,7 +37,9 @@ class Console(Actor):
 
 def is_console(config: SwarmConfig, host: str) -> bool:
     """Whether a process that looks on is to say so: drones count on it, and obey its host."""
-    return config.flight.dead_man > 0.0 and (not config.secured or host in config.security.operators)
+    return config.flight.dead_man > 0.0 and (
+        not config.secured or host in config.security.operators
+    )
 
 
 class DeadMan(Actor):
@@ -48,8 +51,17 @@ class DeadMan(Actor):
     name = "dead man"
     restart = ON_FAILURE
 
-    def __init__(self, clock: Clock, patience: float, flying: Callable[[], bool], land: Callable[[str], None]) -> None:
-        self.clock, self.patience, self.flying, self.land = clock, patience, flying, land
+    def __init__(
+        self,
+        clock: Clock,
+        patience: float,
+        flying: Callable[[], bool],
+        land: Callable[[str], None],
+    ) -> None:
+        self.clock = clock
+        self.patience = patience
+        self.flying = flying
+        self.land = land
         self._heard = clock.now()
 
     def heard(self) -> None:
@@ -60,5 +72,7 @@ class DeadMan(Actor):
         """Look twice as often as a console speaks, until they land."""
         async for _ in self.clock.ticks(2.0 * RATE):
             if self.flying() and self.clock.now() - self._heard > self.patience:
-                self.land(f"no operator's console for {self.patience:g} s (flight.dead_man)")
+                self.land(
+                    f"no operator's console for {self.patience:g} s (flight.dead_man)"
+                )
                 return

@@ -50,9 +50,14 @@ class Drone:
 
     def status(self) -> Status:
         """What others see of it."""
-        counters, monitor, offsets = self.port.counters, self.barrier.monitor, self.port.bus.offsets
+        counters = self.port.counters
+        monitor = self.barrier.monitor
+        offsets = self.port.bus.offsets
         news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
-        cost, relaxed = (float("nan") if (x := news.get(name)) is None else float(x) for name in ("cost", "relaxed"))
+        cost, relaxed = (
+            float("nan") if (x := news.get(name)) is None else float(x)
+            for name in ("cost", "relaxed")
+        )
         notes = (HELD if self.pilot.held else "", self.pilot.note, self.barrier.apart)
         return Status(
             phase=self.pilot.mode.value,

@@ -9,7 +9,16 @@ from crazychoir.agent.drone import Drone
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import LOG, RESULT, STATUS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import AgentFailed, CodecError, CrazyChoirError, Hung, Refused, exit_call, raised_at, spoken
+from crazychoir.errors import (
+    AgentFailed,
+    CodecError,
+    CrazyChoirError,
+    Hung,
+    Refused,
+    exit_call,
+    raised_at,
+    spoken,
+)
 from crazychoir.guidance.awaited_call import forgotten
 from crazychoir.guidance.member import Member, raisable, touch_down
 from crazychoir.guidance.turns import blocked
@@ -28,7 +37,9 @@ FIT = 5.0
 """s, beyond the deadline of its link, after which a drone that could not take off is left out."""
 FAREWELL = 1.5
 """s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
-STOPPED = "emergency stop in force: it does not take off until `crazychoir stop --clear`"
+STOPPED = (
+    "emergency stop in force: it does not take off until `crazychoir stop --clear`"
+)
 STAYS = "emergency stop in force: stays, to tell who starts, until `crazychoir stop --clear` or Ctrl-C"
 
 LANDED = "landed on command"
@@ -50,8 +61,12 @@ class GuidanceActor(Actor):
 
     name = "guidance"
 
-    def __init__(self, drone: Drone, config: SwarmConfig, watchdog: Guards | None) -> None:
-        self.drone, self.config, self.watchdog = drone, config, watchdog
+    def __init__(
+        self, drone: Drone, config: SwarmConfig, watchdog: Guards | None
+    ) -> None:
+        self.drone = drone
+        self.config = config
+        self.watchdog = watchdog
         self._life: asyncio.Task[Result] | None = None
         self._member: Member | None = None
         self._abort: asyncio.Future[str] = asyncio.get_running_loop().create_future()
@@ -60,7 +75,9 @@ class GuidanceActor(Actor):
     async def run(self) -> None:
         """The whole life; afterwards the drone stays for a while, for the others."""
         drone = self.drone
-        life = self._life = asyncio.create_task(self._mission(), name=f"drone {drone.id} guidance")
+        life = self._life = asyncio.create_task(
+            self._mission(), name=f"drone {drone.id} guidance"
+        )
         telling: list[asyncio.Task[None]] = []
         try:
             ends: list[asyncio.Future[Any]] = [life, self._abort]
@@ -71,7 +88,9 @@ class GuidanceActor(Actor):
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
             if not drone.result["success"] or ENDED in drone.result:
-                telling.append(asyncio.create_task(drone.communicator.fail(self._last_word(life))))
+                telling.append(
+                    asyncio.create_task(drone.communicator.fail(self._last_word(life)))
+                )
         except asyncio.CancelledError:
             drone.result = failure("the mission was cancelled")
             drone.pilot.land("the mission was cancelled")
@@ -91,7 +110,9 @@ class GuidanceActor(Actor):
 
         by_operator: whether the drone's operator has ended it, by a command: then the mission has not failed.
         """
-        cut_for = self.drone.pilot.cut_for  # whoever ends it after that has not brought it down
+        cut_for = (
+            self.drone.pilot.cut_for
+        )  # whoever ends it after that has not brought it down
         reason = spoken(cut_for or reason, "its mission was ended")
         if not self._abort.done():
             self._abort.set_result(reason)
@@ -126,7 +147,14 @@ class GuidanceActor(Actor):
         await drone.barrier.go()
         if drone.port.bus.stopped:
             raise Refused(f"drone {drone.id}", STOPPED)
-        member = Member(drone.id, self.config, drone.port.bus.clock, drone.communicator, drone.pilot, self.watchdog)
+        member = Member(
+            drone.id,
+            self.config,
+            drone.port.bus.clock,
+            drone.communicator,
+            drone.pilot,
+            self.watchdog,
+        )
         member.sensors = drone.sensors
         member.announce = lambda: drone.port.publish(STATUS, drone.status())
         self._member = member
@@ -134,7 +162,9 @@ class GuidanceActor(Actor):
             drone.guidance.bind(member)
             return checked(await self._guarded(drone.guidance.mission()))
         except SystemExit as end:
-            raise RuntimeError(f"the mission called {exit_call(end)}").with_traceback(end.__traceback__) from end
+            raise RuntimeError(f"the mission called {exit_call(end)}").with_traceback(
+                end.__traceback__
+            ) from end
         except asyncio.CancelledError as cancelled:
             if self._life is not None and self._life.cancelling():
                 raise
@@ -144,12 +174,14 @@ class GuidanceActor(Actor):
         """It may not hang; on the ground it may compute for a while."""
         if self.watchdog is None:
             return mission
-        pilot, name = self.drone.pilot, f"drone {self.drone.id} guidance"
+        pilot = self.drone.pilot
+        name = f"drone {self.drone.id} guidance"
         return Guarded(mission, self.watchdog, name, lambda: not pilot.airborne)
 
     async def _until_cleared(self, why: str) -> None:
         """An emergency stop outlives its mission: who starts, or restarts, hears of it from those who stay."""
-        drone, bus = self.drone, self.drone.port.bus
+        drone = self.drone
+        bus = self.drone.port.bus
         if bus.stopped and not self._aborted:
             log.warning("drone %d: %s", drone.id, why)
             drone.waits = why
@@ -161,10 +193,15 @@ class GuidanceActor(Actor):
         """Who could not fly is no member of the team; Refused, with what is wrong, when it takes too long: the others
         hear it then.
         """
-        drone, clock, monitor = self.drone, self.drone.port.bus.clock, self.drone.barrier.monitor
+        drone = self.drone
+        clock = self.drone.port.bus.clock
+        monitor = self.drone.barrier.monitor
         if drone.id not in self.config.reached:
             return
-        monitor.silent, ends = True, clock.now() + self.config.radio.connect_deadline + FIT
+        monitor.silent, ends = (
+            True,
+            clock.now() + self.config.radio.connect_deadline + FIT,
+        )
         while (problems := drone.unfit()) and clock.now() < ends:
             await clock.sleep(0.05, drone=drone.id)
         drone.barrier.refused = "; ".join(problems)
@@ -176,7 +213,8 @@ class GuidanceActor(Actor):
 
     async def _last_words(self, life: asyncio.Task[Result]) -> None:
         """An aborted mission may go on talking while its drone lands; then it is cancelled until it obeys."""
-        clock, i = self.drone.port.bus.clock, self.drone.id
+        clock = self.drone.port.bus.clock
+        i = self.drone.id
         await self._down()
         patient = clock.now() + LAST_WORDS
         while not life.done() and clock.now() < patient + LAST_WORDS:
@@ -184,7 +222,10 @@ class GuidanceActor(Actor):
                 life.cancel()
             await clock.sleep(0.05, drone=i)
         if not life.done():
-            log.error("drone %d: its mission does not end when it is cancelled; left behind", i)
+            log.error(
+                "drone %d: its mission does not end when it is cancelled; left behind",
+                i,
+            )
 
     async def _down(self) -> None:
         """Wait until it is on the ground; whoever ended the mission has a pilot that lands already.
@@ -196,8 +237,13 @@ class GuidanceActor(Actor):
         while pilot.airborne and blocked(pilot):
             log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
             await touch_down(pilot, LANDING_DEADLINE)
-        if pilot.airborne and pilot.unreached:  # motors cut when it hears that were a fall
-            log.error("drone %d: its radio is silent: its firmware lands it when it is reached", self.drone.id)
+        if (
+            pilot.airborne and pilot.unreached
+        ):  # motors cut when it hears that were a fall
+            log.error(
+                "drone %d: its radio is silent: its firmware lands it when it is reached",
+                self.drone.id,
+            )
         elif pilot.airborne:
             pilot.cut("does not come down")
 
@@ -218,9 +264,17 @@ class GuidanceActor(Actor):
             return life.result()
         if isinstance(error, AgentFailed) and error.reason in ENDS_ON_COMMAND:
             pilot.land(str(error))
-            return ended_by_operator(f"drone {error.agent}: {error.reason}, and with it the team")
-        if isinstance(error, CrazyChoirError) and not isinstance(error, Hung):  # somebody lost, a refusal
-            log.warning("drone %d: %s", self.drone.id, str(error).removeprefix(f"drone {self.drone.id}: "))
+            return ended_by_operator(
+                f"drone {error.agent}: {error.reason}, and with it the team"
+            )
+        if isinstance(error, CrazyChoirError) and not isinstance(
+            error, Hung
+        ):  # somebody lost, a refusal
+            log.warning(
+                "drone %d: %s",
+                self.drone.id,
+                str(error).removeprefix(f"drone {self.drone.id}: "),
+            )
             pilot.land(str(error))
             return failure(str(error))
         return failure(self._broken(error))
@@ -244,7 +298,9 @@ class GuidanceActor(Actor):
         error = life.exception() if life.done() and not life.cancelled() else None
         if isinstance(error, AgentFailed):
             return Failure(error.agent, error.reason)
-        return Failure(self.drone.id, str(self.drone.result.get("reason", "no success")))
+        return Failure(
+            self.drone.id, str(self.drone.result.get("reason", "no success"))
+        )
 
     def _broken(self, error: BaseException) -> str:
         """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
@@ -258,11 +314,20 @@ class GuidanceActor(Actor):
 
     def _judged(self, result: Result) -> Result:
         """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
-        pilot, harm = self.drone.pilot, self.drone.harm()
+        pilot = self.drone.pilot
+        harm = self.drone.harm()
         if pilot.clearance.ticks:
-            result = {**result, "kept_clear_s": round(pilot.clearance.ticks * pilot.period_ns / SECOND, 2)}
+            result = {
+                **result,
+                "kept_clear_s": round(
+                    pilot.clearance.ticks * pilot.period_ns / SECOND, 2
+                ),
+            }
         if pilot.at_fence:
-            result = {**result, "at_fence_s": round(pilot.at_fence * pilot.period_ns / SECOND, 2)}
+            result = {
+                **result,
+                "at_fence_s": round(pilot.at_fence * pilot.period_ns / SECOND, 2),
+            }
         cut = pilot.note if pilot.mode is Mode.CUT else ""
         aborted = "" if self._by_operator else self._aborted
         brought_down = aborted or cut or pilot.guard.latched or pilot.brought_down
@@ -270,7 +335,11 @@ class GuidanceActor(Actor):
             reasons = [text for text in (brought_down, harm) if text]
             if reasons:
                 return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result)
-            return result if not self._by_operator else {**result, ENDED: result.get(ENDED, self._aborted)}
+            return (
+                result
+                if not self._by_operator
+                else {**result, ENDED: result.get(ENDED, self._aborted)}
+            )
         reason = str(result.get("reason") or "")
         if harm and harm not in reason:
             return failure("; ".join(filter(None, (reason, harm))), result)
@@ -285,14 +354,18 @@ def checked(returned: object) -> Result:
     if returned is None:
         returned = {}
     if not isinstance(returned, dict):
-        raise TypeError(f"mission() returned a {type(returned).__name__}; allowed: a dictionary, or nothing")
+        raise TypeError(
+            f"mission() returned a {type(returned).__name__}; allowed: a dictionary, or nothing"
+        )
     try:
         result: Result = decode(encode(dict(returned)))
     except CodecError as error:
         raise TypeError(f"mission() returned what cannot travel: {error}") from error
     success = result.get("success", True)
     if not isinstance(success, bool | int):
-        raise TypeError(f"mission() returned success = {success!r}; allowed: True or False")
+        raise TypeError(
+            f"mission() returned success = {success!r}; allowed: True or False"
+        )
     return result | {"success": bool(success)}
 
 
@@ -311,4 +384,6 @@ def _is_expected(error: BaseException) -> bool:
     """Whether a mission may end so when it is told to end: by errors of this package alone."""
     if isinstance(error, BaseExceptionGroup):
         return all(map(_is_expected, error.exceptions))
-    return isinstance(error, CrazyChoirError | asyncio.CancelledError) and not isinstance(error, Hung)
+    return isinstance(
+        error, CrazyChoirError | asyncio.CancelledError
+    ) and not isinstance(error, Hung)

@@ -25,7 +25,15 @@ LOOK = 0.5
 """s for which a drone that is sent home listens where the others are: as long as a status takes, and a bit."""
 HEARD = 10.0
 """Hz, of the states that it hears then."""
-EVENTS = (Event.ARM, Event.TAKE_OFF, Event.START, Event.HOLD, Event.GO, Event.LAND, Event.HOME)
+EVENTS = (
+    Event.ARM,
+    Event.TAKE_OFF,
+    Event.START,
+    Event.HOLD,
+    Event.GO,
+    Event.LAND,
+    Event.HOME,
+)
 VERBS = tuple(event.value for event in EVENTS)
 """What is executed here; an emergency stop has a way of its own."""
 HOMING = "sent home"
@@ -43,15 +51,24 @@ class Orders:
     """
 
     def __init__(
-        self, drone: Drone, config: SwarmConfig, abort: Callable[[str], None], over: Callable[[], str],
+        self,
+        drone: Drone,
+        config: SwarmConfig,
+        abort: Callable[[str], None],
+        over: Callable[[], str],
         arm: Callable[[], Awaitable[str]] | None = None,
-    ) -> None:  # fmt: skip
-        self.drone, self.config, self.abort, self.over, self.arm = drone, config, abort, over, arm
+    ) -> None:
+        self.drone = drone
+        self.config = config
+        self.abort = abort
+        self.over = over
+        self.arm = arm
         self._others: _Others | None = None
 
     async def execute(self, verb: str) -> str:
         """Do it; returns what has come of it, raises Refused with the reason."""
-        command, pilot = Event(verb), self.drone.pilot
+        command = Event(verb)
+        pilot = self.drone.pilot
         if why := pilot.refuses(command):
             self._refuse(why)
         match command:
@@ -86,7 +103,9 @@ class Orders:
         if not self.drone.pilot.awaits_start:
             self._refuse("its mission has started")
         if not hasattr(guidance, "member") or not guidance.member.gate:
-            self._refuse(f"{NOT_READY}: {self.drone.status().task or 'its mission prepares'}")
+            self._refuse(
+                f"{NOT_READY}: {self.drone.status().task or 'its mission prepares'}"
+            )
         if guidance.member.gate != command:
             self._refuse(f"it {guidance.member.report()['task']}")
         return guidance.member
@@ -101,7 +120,8 @@ class Orders:
         return READY if self.arm is None else await self.arm()
 
     async def _take_off(self) -> str:
-        member, pilot = self._gate("take-off"), self.drone.pilot
+        member = self._gate("take-off")
+        pilot = self.drone.pilot
         seconds = pilot.take_off(member.rise)
         if seconds == 0.0:
             self._refuse(pilot.note or UNSEEN)
@@ -124,11 +144,14 @@ class Orders:
 
     async def _home(self) -> str:
         """Above the others as far as it hears of them, and those returning each at a level of its own."""
-        drone, pilot = self.drone, self.drone.pilot
+        drone = self.drone
+        pilot = self.drone.pilot
         self.abort(SENT_HOME)
         pilot.commanded = False
         pilot.hover()
-        self._others = self._others or _Others(drone.port, tuple(i for i in self.config.ids if i != drone.id))
+        self._others = self._others or _Others(
+            drone.port, tuple(i for i in self.config.ids if i != drone.id)
+        )
         if hasattr(drone.guidance, "member"):
             drone.guidance.member.report = lambda: {"task": HOMING}
         drone.port.publish(STATUS, drone.status())
@@ -138,8 +161,14 @@ class Orders:
             self._refuse(why)
         if state is None:
             self._refuse("it is not seen")
-        home = pilot.started_at if pilot.started_at is not None else self.config.drone(drone.id).home
-        pilot.go_home(home, self._others.level(state.p, home, pilot.fence.high[2] - EDGE))
+        home = (
+            pilot.started_at
+            if pilot.started_at is not None
+            else self.config.drone(drone.id).home
+        )
+        pilot.go_home(
+            home, self._others.level(state.p, home, pilot.fence.high[2] - EDGE)
+        )
         return await self._on_the_ground()
 
     async def _on_the_ground(self) -> str:
@@ -154,18 +183,37 @@ class _Others:
     """Where the others are and what they do, as far as it is heard."""
 
     def __init__(self, port: Port, ids: tuple[int, ...]) -> None:
-        bus, i = port.bus, port.address
+        bus = port.bus
+        i = port.address
         self.id = i
-        self._states: dict[int, Latest[State]] = {j: Latest(bus.clock, "state", STATE.max_age) for j in ids}
-        self._statuses: dict[int, Latest[Status]] = {j: Latest(bus.clock, "status", STATUS.max_age) for j in ids}
+        self._states: dict[int, Latest[State]] = {
+            j: Latest(bus.clock, "state", STATE.max_age) for j in ids
+        }
+        self._statuses: dict[int, Latest[Status]] = {
+            j: Latest(bus.clock, "status", STATUS.max_age) for j in ids
+        }
         for j in ids:
             bus.subscribe(STATE, j, i, self._states[j], HEARD)
             bus.subscribe(STATUS, j, i, self._statuses[j], STATUS.rate)
 
     def level(self, p: Point, home: Point, top: float) -> float:
         """m, the height of a return from p that keeps above those in the air, see `level_above`."""
-        statuses = {j: status for j, box in self._statuses.items() if (status := box.fresh()) is not None}
-        states = {j: state for j, box in self._states.items() if (state := box.fresh()) is not None}
-        up = [state.p for j, state in states.items() if j not in statuses or statuses[j].phase not in STANDING]
-        before = [j for j, status in statuses.items() if status.task == HOMING and j < self.id]
+        statuses = {
+            j: status
+            for j, box in self._statuses.items()
+            if (status := box.fresh()) is not None
+        }
+        states = {
+            j: state
+            for j, box in self._states.items()
+            if (state := box.fresh()) is not None
+        }
+        up = [
+            state.p
+            for j, state in states.items()
+            if j not in statuses or statuses[j].phase not in STANDING
+        ]
+        before = [
+            j for j, status in statuses.items() if status.task == HOMING and j < self.id
+        ]
         return level_above(p, home, up, len(before), top)

@@ -14,7 +14,11 @@ from crazychoir.config.tables import Collision
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.path_checks import inside, require_inside
 from crazychoir.planning.drawing.drawing import Pen, drawing
-from crazychoir.planning.drawing.drawing_file import DrawingFile, parse_drawing, read_drawing
+from crazychoir.planning.drawing.drawing_file import (
+    DrawingFile,
+    parse_drawing,
+    read_drawing,
+)
 from crazychoir.planning.drawing.stroke import csv_of, thinned
 from crazychoir.planning.drawing.svg import svg_of
 from crazychoir.planning.feasibility import Limits, check, peaks, references
@@ -60,15 +64,23 @@ class Planned:
         t = np.linspace(0.0, self.path.duration, SHOWN)
         x = self.path.samples(t)
         return {
-            "points": x[:, 0:3].round(3).tolist(), "duration": round(self.path.duration, 2),
-            "deviation": round(self.deviation, 4), "speed": round(self.speed, 3),
-            "acceleration": round(self.acceleration, 3), "speeds": np.linalg.norm(x[:, 3:6], axis=1).round(3).tolist(),
+            "points": x[:, 0:3].round(3).tolist(),
+            "duration": round(self.path.duration, 2),
+            "deviation": round(self.deviation, 4),
+            "speed": round(self.speed, 3),
+            "acceleration": round(self.acceleration, 3),
+            "speeds": np.linalg.norm(x[:, 3:6], axis=1).round(3).tolist(),
             "accelerations": np.linalg.norm(x[:, 6:9], axis=1).round(3).tolist(),
-        }  # fmt: skip
+        }
 
 
 def planned(
-    strokes: Iterable[Any], pen: Pen, config: SwarmConfig, v_max: float = 0.5, a_max: float = 1.0, slower: float = 1.0
+    strokes: Iterable[Any],
+    pen: Pen,
+    config: SwarmConfig,
+    v_max: float = 0.5,
+    a_max: float = 1.0,
+    slower: float = 1.0,
 ) -> Planned:
     """The flight along the strokes, in `slower` (1 to SLOWEST) times the time of its limits; raises ConfigError.
 
@@ -76,10 +88,21 @@ def planned(
     strokes: each (n, 3), rows t s, x, y m;  v_max m/s, a_max m/s2: at most those of [flight].
     """
     if not 1.0 <= slower <= SLOWEST:
-        raise ConfigError("drawing: slower", slower, f"1 to {SLOWEST:g} times as long as the limits ask for")
+        raise ConfigError(
+            "drawing: slower",
+            slower,
+            f"1 to {SLOWEST:g} times as long as the limits ask for",
+        )
     flight = config.flight
-    v_max, a_max = min(v_max, flight.speed_limit), min(a_max, flight.acceleration_limit)
-    limits = Limits(v_max=v_max, a_max=a_max, yaw_rate_max=YAW_RATE, low=config.fence.min, high=config.fence.max)
+    v_max = min(v_max, flight.speed_limit)
+    a_max = min(a_max, flight.acceleration_limit)
+    limits = Limits(
+        v_max=v_max,
+        a_max=a_max,
+        yaw_rate_max=YAW_RATE,
+        low=config.fence.min,
+        high=config.fence.max,
+    )
     drawn = [np.array(stroke, dtype=float) for stroke in strokes]
     _check_size(drawn, pen, limits, slower)
     made = drawing(drawn, pen, limits, LONGEST / slower)
@@ -96,33 +119,58 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
     The hand may stray beyond the fence by the smoothing: what is flown is looked at again.
     """
     if (rows := sum(map(len, strokes))) > MOST_ROWS:
-        raise ConfigError("drawing", f"{rows} rows", f"at most {MOST_ROWS}", "Draw less at once.")
+        raise ConfigError(
+            "drawing", f"{rows} rows", f"at most {MOST_ROWS}", "Draw less at once."
+        )
     for n, stroke in enumerate(strokes):
         places = np.column_stack([stroke[:, 1:3], np.full(len(stroke), pen.height)])
         near = np.clip(places, limits.low, limits.high)
-        limits.check_places(np.where(np.abs(places - near) > pen.smoothing, places, near), f"strokes[{n}]")
-    lines, longest = sum(_length(stroke[:, 1:3]) for stroke in strokes), MOST_PIECES * pen.spacing
+        limits.check_places(
+            np.where(np.abs(places - near) > pen.smoothing, places, near),
+            f"strokes[{n}]",
+        )
+    lines = sum(_length(stroke[:, 1:3]) for stroke in strokes)
+    longest = MOST_PIECES * pen.spacing
     if lines > 2.0 * longest:  # much of it may be tremor
-        raise ConfigError("drawing", f"{lines:.0f} m", f"at most {longest:.0f} m", "Draw less at once.")
-    way = _length(np.vstack([np.empty((0, 2)), *(stroke[:, 1:3] for stroke in strokes)]))
+        raise ConfigError(
+            "drawing",
+            f"{lines:.0f} m",
+            f"at most {longest:.0f} m",
+            "Draw less at once.",
+        )
+    way = _length(
+        np.vstack([np.empty((0, 2)), *(stroke[:, 1:3] for stroke in strokes)])
+    )
     seconds = slower * (way + 2.0 * pen.lift * max(len(strokes) - 1, 0)) / limits.v_max
     if seconds > LONGEST:
         do = "Draw less at once, or let it be faster."
-        raise ConfigError("drawing", f"{way:.0f} m, which take {seconds:.0f} s", f"at most {LONGEST:.0f} s", do)
+        raise ConfigError(
+            "drawing",
+            f"{way:.0f} m, which take {seconds:.0f} s",
+            f"at most {LONGEST:.0f} s",
+            do,
+        )
 
 
 def _length(places: Mat) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
-def places(p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig) -> dict[int, list[float]]:
+def places(
+    p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig
+) -> dict[int, list[float]]:
     """Where each goes: the k-th k times `offset` from p, m, world; ConfigError where two would be too near."""
     _check_apart(drones, offset, config)
     return _beside(p, offset, drones)
 
 
-def _beside(p: Sequence[float], offset: Offset, drones: Sequence[int]) -> dict[int, list[float]]:
-    return {i: [x + k * step for x, step in zip(p, offset, strict=True)] for k, i in enumerate(drones)}
+def _beside(
+    p: Sequence[float], offset: Offset, drones: Sequence[int]
+) -> dict[int, list[float]]:
+    return {
+        i: [x + k * step for x, step in zip(p, offset, strict=True)]
+        for k, i in enumerate(drones)
+    }
 
 
 def shifted(path: Piecewise, by: Sequence[float]) -> Piecewise:
@@ -132,7 +180,9 @@ def shifted(path: Piecewise, by: Sequence[float]) -> Piecewise:
     return Piecewise(coefficients, path.durations)
 
 
-def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig) -> dict[int, dict[str, Any]]:
+def messages(
+    path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig
+) -> dict[int, dict[str, Any]]:
     """What each drone is told: the k-th flies it k times `offset` m away; raises ConfigError if that leaves the fence.
 
     Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
@@ -140,7 +190,8 @@ def messages(path: Piecewise, drones: Sequence[int], offset: Offset, config: Swa
     """
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
-    limits, told = inside(config), {}
+    limits = inside(config)
+    told = {}
     ways = references(path)[1][:, 0:3]
     for i, by in _beside((0.0, 0.0, 0.0), offset, drones).items():
         limits.check_places(ways + by, f"path of drone {i}")
@@ -154,16 +205,22 @@ def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> 
     if len(drones) > 1 and collision.method != "off" and _near(offset, collision):
         (a, _, c), margin = collision.semi_axes, collision.margin
         allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
-        raise ConfigError("offset", list(offset), allowed, "Set it, or send one drone alone.")
+        raise ConfigError(
+            "offset", list(offset), allowed, "Set it, or send one drone alone."
+        )
 
 
 def _near(offset: Offset, collision: Collision) -> bool:
     """Whether two so far from each other are nearer than the collision filter lets them be."""
     (a, _, c), (x, y, z) = collision.semi_axes, offset
-    return math.hypot(math.hypot(x, y) / (2.0 * a + collision.margin), z / (2.0 * c)) < 1.0
+    return (
+        math.hypot(math.hypot(x, y) / (2.0 * a + collision.margin), z / (2.0 * c)) < 1.0
+    )
 
 
-def loaded_with_words(text: str, name: str) -> tuple[list[list[list[float]]], list[str]]:
+def loaded_with_words(
+    text: str, name: str
+) -> tuple[list[list[list[float]]], list[str]]:
     """Return the strokes of a CSV or SVG text, rows t s, x, y m, thinned, and remarks on what is not flown.
 
     Errors: ConfigError.
@@ -179,9 +236,14 @@ def loaded_file(path: Path) -> list[list[list[float]]]:
 
 def _thinned(drawn: DrawingFile) -> list[list[list[float]]]:
     strokes = [_timed(stroke) for stroke in drawn.strokes]
-    length = sum(float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum()) for stroke in strokes)
+    length = sum(
+        float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum())
+        for stroke in strokes
+    )
     step = max(STEP, length / max(LOADED - 2 * len(strokes), 1))
-    return [stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes]
+    return [
+        stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes
+    ]
 
 
 def saved(strokes: list[Mat], kind: str) -> str:

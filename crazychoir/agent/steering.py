@@ -37,7 +37,12 @@ class Goal(Struct, frozen=True, forbid_unknown_fields=True):
 def path_message(path: Piecewise) -> dict[str, Any]:
     """The arguments of `fly`; raises ConfigError for a path that is too long for one message."""
     if len(path.durations) > MOST_PIECES:
-        raise ConfigError("path", f"{len(path.durations)} pieces", f"at most {MOST_PIECES}", "Draw less at once.")
+        raise ConfigError(
+            "path",
+            f"{len(path.durations)} pieces",
+            f"at most {MOST_PIECES}",
+            "Draw less at once.",
+        )
     return {"coefficients": path.coefficients.copy(), "durations": path.durations}
 
 
@@ -57,7 +62,9 @@ class Steering:
         self._require_cleared()
         self._require_steerable()
         try:
-            place = self.drone.pilot.require_goal("go-to", goal.p, goal.yaw, goal.duration)
+            place = self.drone.pilot.require_goal(
+                "go-to", goal.p, goal.yaw, goal.duration
+            )
         except ConfigError as error:
             self._refuse(str(error))
         await self._reach(place, goal.yaw, goal.duration, self._turn())
@@ -77,14 +84,21 @@ class Steering:
         except (ConfigError, KeyError, TypeError, ValueError) as error:
             self._refuse(f"fly: {error}")
         self._require_steerable()
-        pilot, turn, start = self.drone.pilot, self._turn(), path.sample(0.0)
+        pilot = self.drone.pilot
+        turn = self._turn()
+        start = path.sample(0.0)
         await self._reach(start.p, start.yaw, 0.0, turn)
         left = pilot.fly(path, commanded=True)
         while left > 0.0 and pilot.flights.plan is path:
             await self._look(turn)
             left = pilot.remaining()
-        if pilot.flights.plan is not path or pilot.gap(path.sample(path.duration).p) > ARRIVED:
-            self._refuse(f"its path was not flown to the end: {pilot.note or pilot.mode.value}")
+        if (
+            pilot.flights.plan is not path
+            or pilot.gap(path.sample(path.duration).p) > ARRIVED
+        ):
+            self._refuse(
+                f"its path was not flown to the end: {pilot.note or pilot.mode.value}"
+            )
         return "flown"
 
     def _turn(self) -> int:
@@ -104,11 +118,19 @@ class Steering:
             self._refuse(f"it is {pilot.mode.value}")
         if not pilot.steerable:
             flies = pilot.mode in (Mode.HOVER, Mode.FOLLOW)
-            self._refuse("its mission flies it: hold it first" if flies else f"it is {pilot.mode.value}")
+            self._refuse(
+                "its mission flies it: hold it first"
+                if flies
+                else f"it is {pilot.mode.value}"
+            )
 
-    async def _reach(self, p: Vec, yaw: float | None, duration: float, turn: int) -> None:
-        pilot, clock = self.drone.pilot, self.drone.pilot.clock
-        attempts, ends = 0, clock.now() + duration + LATE
+    async def _reach(
+        self, p: Vec, yaw: float | None, duration: float, turn: int
+    ) -> None:
+        pilot = self.drone.pilot
+        clock = self.drone.pilot.clock
+        attempts = 0
+        ends = clock.now() + duration + LATE
         while attempts < ATTEMPTS:
             seconds = pilot.go_to(p, yaw, duration, commanded=True)
             if pilot.guard.acts:  # it flies as soon as the safety table lets it
@@ -116,7 +138,8 @@ class Steering:
                     break
                 await self._look(turn)
                 continue
-            attempts, ends = attempts + 1, max(ends, clock.now() + seconds + LATE)
+            attempts = attempts + 1
+            ends = max(ends, clock.now() + seconds + LATE)
             while pilot.mode is Mode.FOLLOW or blocked(pilot):
                 await self._look(turn)
                 if clock.now() > ends:
@@ -125,7 +148,9 @@ class Steering:
             if pilot.gap(p) < ARRIVED:
                 return
         place = np.round(p, 2).tolist()
-        self._refuse(f"does not reach {place}, still {pilot.gap(p):.2f} m from it: {pilot.note or 'no reason'}")
+        self._refuse(
+            f"does not reach {place}, still {pilot.gap(p):.2f} m from it: {pilot.note or 'no reason'}"
+        )
 
     async def _look(self, turn: int) -> None:
         """Let time pass; Refused when somebody else flies it."""
@@ -142,5 +167,3 @@ class Steering:
 
     def _refuse(self, why: str) -> NoReturn:
         raise Refused(f"drone {self.drone.id}", why)
-
-

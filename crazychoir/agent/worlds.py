@@ -31,11 +31,24 @@ KEPT = 20_000
 
 
 def owners(
-    bus: Bus, config: SwarmConfig, ids: tuple[int, ...], *, trace: Digest | None = None, base: int = 0
+    bus: Bus,
+    config: SwarmConfig,
+    ids: tuple[int, ...],
+    *,
+    trace: Digest | None = None,
+    base: int = 0,
 ) -> list[WorldOwner]:
     """Who steps the worlds of these drones and looks at them; their ports are at base + id."""
     return [
-        WorldOwner(bus, world, _cameras(config, world.ids), config.mocap.rate, trace, base, delay_steps(config, world))
+        WorldOwner(
+            bus,
+            world,
+            _cameras(config, world.ids),
+            config.mocap.rate,
+            trace,
+            base,
+            delay_steps(config, world),
+        )
         for world in worlds(config, ids)
     ]
 
@@ -43,9 +56,15 @@ def owners(
 def _cameras(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
     mocap = config.mocap
     return SimulatedMocap(
-        ids, config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
-        latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate, tilt=mocap.tilt,
-    )  # fmt: skip
+        ids,
+        config.seed,
+        noise_p=mocap.noise,
+        noise_angle=mocap.noise_angle,
+        dropout=mocap.dropout,
+        latency_steps=round(mocap.latency * mocap.rate),
+        dt=1.0 / mocap.rate,
+        tilt=mocap.tilt,
+    )
 
 
 @dataclass
@@ -69,8 +88,17 @@ class WorldProcess(Actor):
 
     name = "bodies"
 
-    def __init__(self, clock: Clock, config: SwarmConfig, process: str, host: str, incarnation: int) -> None:
-        self.clock, self.bus, self._config = clock, Bus(clock, process=process, host=host), config
+    def __init__(
+        self,
+        clock: Clock,
+        config: SwarmConfig,
+        process: str,
+        host: str,
+        incarnation: int,
+    ) -> None:
+        self.clock = clock
+        self.bus = Bus(clock, process=process, host=host)
+        self._config = config
         for i in config.owned:
             self.bus.port(BODIES + i, incarnation)
         self.owners = owners(self.bus, config, config.owned, base=BODIES)
@@ -78,22 +106,29 @@ class WorldProcess(Actor):
         self.bodies = [body for owner in self.owners for body in self._bodies(owner)]
         bodies = {body.drone: body for body in self.bodies}
         for owner in self.owners:
-            owner.flying, owner.cut = lambda i: bodies[i].flying, lambda i: bodies[i].was_cut
+            owner.flying = lambda i: bodies[i].flying
+            owner.cut = lambda i: bodies[i].was_cut
         self.failure = ""
         self._ending: str | None = None
         self._patient_until = 0.0
         self._supervisor = Supervisor(clock, "world", self._failed)
 
     def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
-        note, flight = Latency(owner, self.latencies_ns).note, self._config.flight
+        note = Latency(owner, self.latencies_ns).note
+        flight = self._config.flight
         kinds = {i: sender_of(self._config, i) for i in owner.world.ids}
         return [
             RemoteBody(
-                self.bus.ports[BODIES + i], owner.world, owner.link(i, kind), kind, note, flight,
+                self.bus.ports[BODIES + i],
+                owner.world,
+                owner.link(i, kind),
+                kind,
+                note,
+                flight,
                 partial(owner.telemetry.ask, i),
             )
             for i, kind in kinds.items()
-        ]  # fmt: skip
+        ]
 
     async def serve(self, *services: Actor) -> None:
         """Until its end."""
@@ -122,8 +157,13 @@ class WorldProcess(Actor):
         if not flown:
             self._supervisor.stop()
         elif self.clock.now() > self._patient_until:
-            names, self._patient_until = ", ".join(map(str, flown)), math.inf
-            log.warning("world: %s: it goes on until the agents of drone(s) %s have ended", self._ending, names)
+            names = ", ".join(map(str, flown))
+            self._patient_until = math.inf
+            log.warning(
+                "world: %s: it goes on until the agents of drone(s) %s have ended",
+                self._ending,
+                names,
+            )
 
     def abort(self, reason: str) -> None:
         """Now; whoever flies sees nothing any more."""
@@ -141,11 +181,16 @@ class WorldProcess(Actor):
     def report(self) -> dict[str, Any]:
         """What it was like: steps in all and missed, and ms from a look to the command that came back for it."""
         kept = np.array(self.latencies_ns) / SECOND * 1e3
-        p50, p99 = (round(float(np.percentile(kept, q)), 3) if len(kept) else None for q in (50.0, 99.0))
+        p50, p99 = (
+            round(float(np.percentile(kept, q)), 3) if len(kept) else None
+            for q in (50.0, 99.0)
+        )
         return {
             "success": not self.failure,
             "reason": self.failure,
-            "steps": sum(round(owner.world.time / owner.world.dt) for owner in self.owners),
+            "steps": sum(
+                round(owner.world.time / owner.world.dt) for owner in self.owners
+            ),
             "missed": sum(owner.ticks.missed for owner in self.owners),
             "crashed": sorted(i for owner in self.owners for i in owner.world.crashed),
             "commands": len(kept),

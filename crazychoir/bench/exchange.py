@@ -23,7 +23,10 @@ from crazychoir.launch.network import held_ports
 from crazychoir.solve.group import Group
 from crazychoir.team.graph import Graph, k_regular, ring
 
-GRAPHS: dict[str, Callable[[int], Graph]] = {"ring": ring, "4-regular": lambda n: k_regular(n, 4)}
+GRAPHS: dict[str, Callable[[int], Graph]] = {
+    "ring": ring,
+    "4-regular": lambda n: k_regular(n, 4),
+}
 START_DEADLINE = 90.0
 """s until all processes of a row have found each other."""
 WARM = 0.3
@@ -56,8 +59,12 @@ class Row:
         """The row of the result: medians."""
         shown: dict[str, Any] = {"name": self.name, "graph": self.graph, **self.options}
         shown |= {"agents": self.agents, "processes": self.processes}
-        shown["rounds_per_s"] = round(statistics.median(self.rounds), 1) if self.rounds else None
-        shown["cpu_us_per_message"] = round(statistics.median(self.cpu), 2) if self.cpu else None
+        shown["rounds_per_s"] = (
+            round(statistics.median(self.rounds), 1) if self.rounds else None
+        )
+        shown["cpu_us_per_message"] = (
+            round(statistics.median(self.cpu), 2) if self.cpu else None
+        )
         return shown | ({"note": self.note} if self.note else {})
 
 
@@ -72,30 +79,63 @@ def run(
     quick: rings only, one turn of short windows. `say` is told what is measured.
     """
     if quick:
-        seconds, repeats = min(seconds, 0.5), 1
+        seconds = min(seconds, 0.5)
+        repeats = 1
     rows = _rows(("ring",) if quick else tuple(GRAPHS))
     for turn in range(repeats):
         for row in rows:
             if row.extra and importlib.util.find_spec(row.extra) is None:
                 row.note = INSTALL
                 continue
-            say(f"{turn + 1}/{repeats}: {row.name}, {row.graph} of {row.agents}, {row.processes} process(es)")
+            say(
+                f"{turn + 1}/{repeats}: {row.name}, {row.graph} of {row.agents}, {row.processes} process(es)"
+            )
             measure(row, seconds)
     shown = [row.shown() for row in rows]
-    return {"rows": shown, "ratios": _ratios(shown), "cores": os.cpu_count(), "seconds": seconds, "repeats": repeats}
+    return {
+        "rows": shown,
+        "ratios": _ratios(shown),
+        "cores": os.cpu_count(),
+        "seconds": seconds,
+        "repeats": repeats,
+    }
 
 
 def table(result: dict[str, Any]) -> Table:
     """The rows, for people."""
     made = Table(title="Neighbours' exchange: medians of one run")
-    for name in ("graph", "agents", "program", "processes", "rounds/s", "CPU us/message"):
-        made.add_column(name, justify="left" if name in ("graph", "program") else "right")
-    for row in sorted(result["rows"], key=lambda row: (row["graph"] != "ring", row["agents"])):
-        rounds, cpu = row["rounds_per_s"], row["cpu_us_per_message"]
-        figures = ["-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)]
-        made.add_row(row["graph"], str(row["agents"]), row["name"], str(row["processes"]), *figures)
-    notes = dict.fromkeys(f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row)
-    notes["Of several processes, each is bound to a core of its own where there are enough."] = None
+    for name in (
+        "graph",
+        "agents",
+        "program",
+        "processes",
+        "rounds/s",
+        "CPU us/message",
+    ):
+        made.add_column(
+            name, justify="left" if name in ("graph", "program") else "right"
+        )
+    for row in sorted(
+        result["rows"], key=lambda row: (row["graph"] != "ring", row["agents"])
+    ):
+        rounds = row["rounds_per_s"]
+        cpu = row["cpu_us_per_message"]
+        figures = [
+            "-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)
+        ]
+        made.add_row(
+            row["graph"],
+            str(row["agents"]),
+            row["name"],
+            str(row["processes"]),
+            *figures,
+        )
+    notes = dict.fromkeys(
+        f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row
+    )
+    notes[
+        "Of several processes, each is bound to a core of its own where there are enough."
+    ] = None
     made.caption = Text("\n".join(notes))  # not markup: a note may hold brackets
     return made
 
@@ -108,7 +148,16 @@ def _rows(graphs: tuple[str, ...]) -> list[Row]:
             for processes in (1, 2, n):
                 rows.append(Row("crazychoir", "peers_crazychoir", graph, n, processes))
             for processes in (2, n):
-                rows.append(Row("cyclonedds", "peers_cyclonedds", graph, n, processes, "cyclonedds"))
+                rows.append(
+                    Row(
+                        "cyclonedds",
+                        "peers_cyclonedds",
+                        graph,
+                        n,
+                        processes,
+                        "cyclonedds",
+                    )
+                )
             mpi = Row("mpi4py-pickle", "peers_mpi4py", graph, n, n, "mpi4py")
             if n > cores:
                 mpi.note = f"MPI polls: it collapses with more ranks ({n}) than cores ({cores})"
@@ -118,14 +167,31 @@ def _rows(graphs: tuple[str, ...]) -> list[Row]:
 
 def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
     """What is promised, from the medians of this run."""
-    rate = {(r["name"], r["graph"], r["agents"], r["processes"]): r["rounds_per_s"] for r in rows}
-    two, one = rate[("crazychoir", "ring", 10, 2)], rate[("crazychoir", "ring", 30, 1)]
-    pairs = {
-        "ring 10: crazychoir, two processes / cyclonedds, one an agent": (two, rate[("cyclonedds", "ring", 10, 10)]),
-        "ring 10: crazychoir, two processes / mpi4py-pickle": (two, rate[("mpi4py-pickle", "ring", 10, 10)]),
-        "ring 30: crazychoir, one process / one an agent": (one, rate[("crazychoir", "ring", 30, 30)]),
+    rate = {
+        (r["name"], r["graph"], r["agents"], r["processes"]): r["rounds_per_s"]
+        for r in rows
     }
-    return {name: round(ours / other, 1) for name, (ours, other) in pairs.items() if ours and other}
+    two = rate[("crazychoir", "ring", 10, 2)]
+    one = rate[("crazychoir", "ring", 30, 1)]
+    pairs = {
+        "ring 10: crazychoir, two processes / cyclonedds, one an agent": (
+            two,
+            rate[("cyclonedds", "ring", 10, 10)],
+        ),
+        "ring 10: crazychoir, two processes / mpi4py-pickle": (
+            two,
+            rate[("mpi4py-pickle", "ring", 10, 10)],
+        ),
+        "ring 30: crazychoir, one process / one an agent": (
+            one,
+            rate[("crazychoir", "ring", 30, 30)],
+        ),
+    }
+    return {
+        name: round(ours / other, 1)
+        for name, (ours, other) in pairs.items()
+        if ours and other
+    }
 
 
 # One measurement ----------------------------------------------------------------------------------------------
@@ -133,18 +199,33 @@ def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def measure(row: Row, seconds: float) -> None:
     """One window of one row; what goes wrong becomes its note."""
-    neighbors = {i: GRAPHS[row.graph](row.agents).in_neighbors(i) for i in range(row.agents)}
-    common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "swarm": f"bench{secrets.token_hex(4)}"}
+    neighbors = {
+        i: GRAPHS[row.graph](row.agents).in_neighbors(i) for i in range(row.agents)
+    }
+    common = {
+        "neighbors": neighbors,
+        "warm": WARM,
+        "seconds": seconds,
+        "swarm": f"bench{secrets.token_hex(4)}",
+    }
     common |= row.options
     ranks = row.extra == "mpi4py"
     answers = row.agents if ranks else row.processes
     try:
-        with held_ports(dict.fromkeys(range(row.processes), LOCAL)) as base, Group(
-            _mpi_command(row, common) if ranks else _commands(row, common, base)
-        ) as group:
+        with (
+            held_ports(dict.fromkeys(range(row.processes), LOCAL)) as base,
+            Group(
+                _mpi_command(row, common) if ranks else _commands(row, common, base)
+            ) as group,
+        ):
             list(group.answers(answers, START_DEADLINE, "do not find each other"))
             group.tell("go")
-            found = [answer for _, answer in group.answers(answers, WARM + seconds + 20.0, "do not answer")]
+            found = [
+                answer
+                for _, answer in group.answers(
+                    answers, WARM + seconds + 20.0, "do not answer"
+                )
+            ]
     except (TimeoutError, OSError) as error:
         row.note = f"failed: {error}"
         return
@@ -181,4 +262,11 @@ def _mpi_command(row: Row, common: dict[str, Any]) -> list[list[str]]:
 
 
 def _python(row: Row, specification: dict[str, Any]) -> list[str]:
-    return [sys.executable, "-c", BARE, str(PACKAGE), f"crazychoir.cli.{row.module}", json.dumps(specification)]
+    return [
+        sys.executable,
+        "-c",
+        BARE,
+        str(PACKAGE),
+        f"crazychoir.cli.{row.module}",
+        json.dumps(specification),
+    ]

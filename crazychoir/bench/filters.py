@@ -59,7 +59,8 @@ class Original:
     """
 
     def __init__(self) -> None:
-        self._last, self._rates = np.zeros(6), np.zeros(6)
+        self._last = np.zeros(6)
+        self._rates = np.zeros(6)
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
         """Velocity and rates of the angles, (3,) each."""
@@ -73,11 +74,14 @@ class Ours:
     """A filter as the pilot runs it; one that is not `commanded` is told no commands."""
 
     def __init__(self, filtering: StateFilter, commanded: bool) -> None:
-        self.filter, self.commanded = filtering, commanded
+        self.filter = filtering
+        self.commanded = commanded
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
         """Velocity and body rates, (3,) each; at rest before the first pose."""
-        state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+        state = (
+            self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+        )
         if self.commanded:
             self.filter.commanded = command
         return (np.zeros(3), np.zeros(3)) if state is None else (state.v, state.w)
@@ -88,14 +92,20 @@ FILTERS: dict[str, Callable[[float], Estimate]] = {
     "derivative": lambda period: Ours(
         VelocityFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True
     ),
-    "kalman": lambda period: Ours(KalmanFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True),
-    "kalman, no commands": lambda period: Ours(KalmanFilter(period=period), commanded=False),
+    "kalman": lambda period: Ours(
+        KalmanFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True
+    ),
+    "kalman, no commands": lambda period: Ours(
+        KalmanFilter(period=period), commanded=False
+    ),
 }
 """By name: a new one for cameras with this period, s."""
 
 
 def run(
-    rates: tuple[int, ...] = RATES, seeds: tuple[int, ...] = SEEDS, say: Say = lambda line: None
+    rates: tuple[int, ...] = RATES,
+    seeds: tuple[int, ...] = SEEDS,
+    say: Say = lambda line: None,
 ) -> dict[str, Any]:
     """{"rows": [one a filter and rate]}."""
     rows = []
@@ -125,7 +135,8 @@ def table(result: dict[str, Any]) -> Table:
     for name in ("filter", "poses, Hz", "velocity, mm/s", "body rates, rad/s"):
         shown.add_column(name, justify="left" if name == "filter" else "right")
     for row in result["rows"]:
-        v, w = row["velocity_rmse_mm_s"], row["angular_rmse_rad_s"]
+        v = row["velocity_rmse_mm_s"]
+        w = row["angular_rmse_rad_s"]
         shown.add_row(row["filter"], str(row["rate_hz"]), f"{v:.1f}", f"{w:.3f}")
     return shown
 
@@ -145,21 +156,39 @@ class Flight:
         states, commands = zip(*(truth(t) for t in times), strict=True)
         return cls(times, np.array(states), np.array(commands))
 
-    def errors(self, new: Callable[[float], Estimate], seeds: tuple[int, ...]) -> tuple[float, float]:
+    def errors(
+        self, new: Callable[[float], Estimate], seeds: tuple[int, ...]
+    ) -> tuple[float, float]:
         """Root mean squares of the errors of velocity, m/s, and body rates, rad/s."""
-        counted, period = self.times >= SETTLE, float(self.times[1])
-        told = np.array([self._flown(new(period), seed) for seed in seeds])[:, counted]  # (seeds, n, v or w, 3)
+        counted = self.times >= SETTLE
+        period = float(self.times[1])
+        told = np.array([self._flown(new(period), seed) for seed in seeds])[
+            :, counted
+        ]  # (seeds, n, v or w, 3)
         off = told - self.states[counted][:, [3, 4, 5, 10, 11, 12]].reshape(-1, 2, 3)
         v, w = np.sqrt((off**2).sum(axis=3).mean(axis=(0, 1))).tolist()
         return v, w
 
     def _flown(self, estimate: Estimate, seed: int) -> list[tuple[Vec, Vec]]:
-        draw, said = np.random.default_rng(seed), []
+        draw = np.random.default_rng(seed)
+        said = []
         for t, x, u in zip(self.times, self.states, self.commands, strict=True):
-            noise, lost = draw.standard_normal(6), draw.random() < DROPOUT
+            noise = draw.standard_normal(6)
+            lost = draw.random() < DROPOUT
             angle = NOISE_ANGLE * noise[3:]
-            pose = Pose(np.array([*(x[:3] + NOISE_P * noise[:3]), *product(tuple(x[6:10]), exponential(*angle))]))
-            said.append(estimate.told(None if lost or GAP_AT <= t < GAP_AT + GAP else pose, float(t), u))
+            pose = Pose(
+                np.array(
+                    [
+                        *(x[:3] + NOISE_P * noise[:3]),
+                        *product(tuple(x[6:10]), exponential(*angle)),
+                    ]
+                )
+            )
+            said.append(
+                estimate.told(
+                    None if lost or GAP_AT <= t < GAP_AT + GAP else pose, float(t), u
+                )
+            )
         return said
 
 
@@ -170,9 +199,13 @@ def truth(t: float) -> tuple[Vec, Vec]:
     """
     h = 1e-3
     (p, v, q, thrust), before, after = _flat(t), _flat(t - h)[2], _flat(t + h)[2]
-    first, second = _turn(before, q) / h, _turn(q, after) / h
-    w, turning = 0.5 * (first + second), (second - first) / h
-    return np.array([*p, *v, *q, *w]), np.array([OFF * thrust, *(w + RATE_LAG * turning)])
+    first = _turn(before, q) / h
+    second = _turn(q, after) / h
+    w = 0.5 * (first + second)
+    turning = (second - first) / h
+    return np.array([*p, *v, *q, *w]), np.array(
+        [OFF * thrust, *(w + RATE_LAG * turning)]
+    )
 
 
 def _turn(before: Vec, after: Vec) -> Vec:
@@ -183,16 +216,26 @@ def _turn(before: Vec, after: Vec) -> Vec:
 def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
     """p (3,), v (3,), q (4,), thrust N of the eight at t s: x = sin wt, y = 1/2 sin 2wt, z = 1, w = 1/sqrt(2) rad/s.
 
-        F/m = g e3 + a + (1/m) R A R^T v,  R e3 along F
+    F/m = g e3 + a + (1/m) R A R^T v,  R e3 along F
     """
-    w, yaw = math.sqrt(0.5), TURNING * t
-    s, c, s2, c2 = math.sin(w * t), math.cos(w * t), math.sin(2.0 * w * t), math.cos(2.0 * w * t)
-    v, pull = w * np.array([c, c2, 0.0]), np.array([-w * w * s, -2.0 * w * w * s2, GRAVITY])
+    w = math.sqrt(0.5)
+    yaw = TURNING * t
+    s = math.sin(w * t)
+    c = math.cos(w * t)
+    s2 = math.sin(2.0 * w * t)
+    c2 = math.cos(2.0 * w * t)
+    v = w * np.array([c, c2, 0.0])
+    pull = np.array([-w * w * s, -2.0 * w * w * s2, GRAVITY])
     r = rotation_from_flat(pull, yaw)
     for _ in range(3):  # the drag depends on the attitude a little
         f = pull + r @ (np.array(PAPER.drag) * (r.T @ v)) / PAPER.mass
         r = rotation_from_flat(f, yaw)
-    return np.array([s, 0.5 * s2, 1.0]), v, quaternion(r), float(PAPER.mass * np.linalg.norm(f))
+    return (
+        np.array([s, 0.5 * s2, 1.0]),
+        v,
+        quaternion(r),
+        float(PAPER.mass * np.linalg.norm(f)),
+    )
 
 
 def _euler(q: Vec) -> tuple[float, float, float]:

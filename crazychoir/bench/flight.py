@@ -28,8 +28,12 @@ from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
 
 CASES: tuple[tuple[int, Plant], ...] = (
-    (10, "lightweight"), (30, "lightweight"), (100, "lightweight"), (100, "motors"), (1000, "lightweight"),
-)  # fmt: skip
+    (10, "lightweight"),
+    (30, "lightweight"),
+    (100, "lightweight"),
+    (100, "motors"),
+    (1000, "lightweight"),
+)
 """Drones and engine of each row."""
 QUICK = CASES[:2]
 URI: dict[Plant, str] = {"lightweight": LIGHTWEIGHT, "motors": MOTORS}
@@ -47,16 +51,31 @@ WINDOWS = 3
 SAMPLE = 0.001
 """s of processor time between two samples of a profile."""
 ROOMS = (
-    "bus", "runtime", "safety", "control", "filters", "guidance", "simulation", "mocap", "swarm", "planning",
-)  # fmt: skip
+    "bus",
+    "runtime",
+    "safety",
+    "control",
+    "filters",
+    "guidance",
+    "simulation",
+    "mocap",
+    "swarm",
+    "planning",
+)
 
 Say = Callable[[str], None]
 
 
 def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
     """{"rows": [one a flight], "worlds": [one an engine]}; raises Refused if a swarm does not land in good order."""
-    rows = [_row(n, plant, 1 if quick or n > MANY else 2, say) for n, plant in (QUICK if quick else CASES)]
-    return {"rows": rows, "worlds": bench_worlds.run(COUNTS[:1] if quick else COUNTS, say)}
+    rows = [
+        _row(n, plant, 1 if quick or n > MANY else 2, say)
+        for n, plant in (QUICK if quick else CASES)
+    ]
+    return {
+        "rows": rows,
+        "worlds": bench_worlds.run(COUNTS[:1] if quick else COUNTS, say),
+    }
 
 
 def _row(n: int, plant: Plant, flights: int, say: Say) -> dict[str, Any]:
@@ -84,18 +103,31 @@ def tables(result: dict[str, Any]) -> Group:
 def table(result: dict[str, Any]) -> Table:
     """The flights."""
     shown = Table(title="The whole stack in virtual time, one core")
-    for name in ("drones", "plant", "times real time", "by processor time", "where the time goes"):
+    for name in (
+        "drones",
+        "plant",
+        "times real time",
+        "by processor time",
+        "where the time goes",
+    ):
         shown.add_column(name, justify="left" if "goes" in name else "right")
     for row in result["rows"]:
         rooms = sorted(row["profile"].items(), key=lambda item: -item[1])
-        shares = ", ".join(f"{room} {share:.0%}" for room, share in rooms if share >= 0.01)
-        factors = [f"{row[name]:.2f}" for name in ("real_time_factor", "real_time_factor_cpu")]
+        shares = ", ".join(
+            f"{room} {share:.0%}" for room, share in rooms if share >= 0.01
+        )
+        factors = [
+            f"{row[name]:.2f}" for name in ("real_time_factor", "real_time_factor_cpu")
+        ]
         shown.add_row(str(row["drones"]), row["plant"], *factors, shares)
     return shown
 
 
 def fly(
-    drones: int, plant: Plant = "lightweight", window: float = WINDOW, watch: Callable[[bool], None] = lambda on: None
+    drones: int,
+    plant: Plant = "lightweight",
+    window: float = WINDOW,
+    watch: Callable[[bool], None] = lambda on: None,
 ) -> list[tuple[float, float]]:
     """One flight in virtual time; returns (wall, processor) seconds of each window.
 
@@ -107,9 +139,14 @@ def fly(
         agent = Agent(clock, config, load("bearing_formation"), config.ids)
         meter = Meter(agent, window, watch)
         agent.services.append(meter)
-        failed = {i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]}
+        failed = {
+            i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]
+        }
         if failed or len(meter.windows) < WINDOWS or agent.owners[0].world.crashed:
-            raise Refused(f"bench flight, {drones} drones", f"not a good flight: {failed or meter.windows}")
+            raise Refused(
+                f"bench flight, {drones} drones",
+                f"not a good flight: {failed or meter.windows}",
+            )
         return meter.windows
 
     return run_virtual(main)
@@ -136,7 +173,10 @@ def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmC
             "edges": [[k, (k + 1) % n] for k in range(n)],
             "drones": [
                 {
-                    "id": k, "home": [*corners[k], 0.0], "leader": k in (0, n // 2), "uri": URI[plant],
+                    "id": k,
+                    "home": [*corners[k], 0.0],
+                    "leader": k in (0, n // 2),
+                    "uri": URI[plant],
                     "platform": PLATFORM[plant],
                 }
                 for k in range(n)
@@ -152,8 +192,12 @@ class Meter(Actor):
 
     name = "meter"
 
-    def __init__(self, agent: Agent, window: float, watch: Callable[[bool], None]) -> None:
-        self.agent, self.window, self.watch = agent, window, watch
+    def __init__(
+        self, agent: Agent, window: float, watch: Callable[[bool], None]
+    ) -> None:
+        self.agent = agent
+        self.window = window
+        self.watch = watch
         self.windows: list[tuple[float, float]] = []
 
     async def run(self) -> None:
@@ -164,14 +208,19 @@ class Meter(Actor):
         await clock.sleep(SETTLE)
         self.watch(True)
         for _ in range(WINDOWS):
-            wall, cpu = time.perf_counter(), time.process_time()
+            wall = time.perf_counter()
+            cpu = time.process_time()
             await clock.sleep(self.window)
             self.windows.append((time.perf_counter() - wall, time.process_time() - cpu))
         self.watch(False)
 
     def _flying(self) -> bool:
         leaders = {drone.id for drone in self.agent.config.drones if drone.leader}
-        return all(d.pilot.mode is Mode.FOLLOW for i, d in self.agent.drones.items() if i not in leaders)
+        return all(
+            d.pilot.mode is Mode.FOLLOW
+            for i, d in self.agent.drones.items()
+            if i not in leaders
+        )
 
 
 def profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
@@ -208,7 +257,10 @@ def room_of(frame: FrameType | None) -> str:
     """The room of the innermost frame that belongs to one; missions count for guidance."""
     while frame is not None:
         path = Path(frame.f_code.co_filename)
-        if path.is_relative_to(HOUSE) and len(parts := path.relative_to(HOUSE).parts) > 1:
+        if (
+            path.is_relative_to(HOUSE)
+            and len(parts := path.relative_to(HOUSE).parts) > 1
+        ):
             if parts[0] in ROOMS:
                 return parts[0]
             return "guidance" if parts[0] == "agents" else "other"

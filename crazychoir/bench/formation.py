@@ -20,7 +20,12 @@ GRID_GAINS = {"kp": 2.0, "kv": 2.5}
 """1/s2, 1/s: of the paper's law on the grid, whose drones have up to eight neighbours."""
 SCATTER: dict[int, list[float]] = {4: [1.0, 1.0, 1.0], 30: [0.2, 0.2, 0.2]}
 """m an axis, by which starts are moved at most."""
-FLIGHT = {"takeoff_height": 1.2, "speed_limit": 3.0, "acceleration_limit": 4.0, "landing_speed": 1.0}
+FLIGHT = {
+    "takeoff_height": 1.2,
+    "speed_limit": 3.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 1.0,
+}
 
 
 @dataclass(frozen=True)
@@ -39,19 +44,33 @@ class Case:
         if self.law == "paper" and self.drones == 30:
             given |= GRID_GAINS
         drones = [
-            {"id": d.id, "home": d.home, "leader": d.leader, "uri": "sim://motors", "platform": "cf21"}
+            {
+                "id": d.id,
+                "home": d.home,
+                "leader": d.leader,
+                "uri": "sim://motors",
+                "platform": "cf21",
+            }
             for d in config.drones
         ]
         options = {
-            **config.mission_options, **given, "law": self.law, "duration": 6.0 if self.law == "normalised" else 20.0,
-        }  # fmt: skip
+            **config.mission_options,
+            **given,
+            "law": self.law,
+            "duration": 6.0 if self.law == "normalised" else 20.0,
+        }
         network = LOSSY if self.network == "lossy" else {}
         return mission.scatter(
             config.replace(
-                drones=drones, seed=seed, flight=FLIGHT, mission_options=options, network=network,
-                plant={"command_delay": 0.02}, fence={"min": [-3, -3, 0], "max": [6, 6, 4]},
+                drones=drones,
+                seed=seed,
+                flight=FLIGHT,
+                mission_options=options,
+                network=network,
+                plant={"command_delay": 0.02},
+                fence={"min": [-3, -3, 0], "max": [6, 6, 4]},
             )
-        )  # fmt: skip
+        )
 
 
 CASES = (
@@ -64,21 +83,31 @@ CASES = (
 )
 
 
-def times(case: Case, seeds: range, say: Callable[[str], None] = lambda line: None) -> list[float | None]:
+def times(
+    case: Case, seeds: range, say: Callable[[str], None] = lambda line: None
+) -> list[float | None]:
     """s to 1 cm of each seed; None: not at all, or the flight failed."""
-    mission, found = load("bearing_formation"), []
+    mission = load("bearing_formation")
+    found = []
     for seed in seeds:
         result = fly_fast(case.config(mission, seed), mission)
         found.append(result["settling_s"] if result["success"] else None)
-        say(f"{case.drones} drones, {case.law}, {case.network}: seed {seed}: {found[-1]} s")
+        say(
+            f"{case.drones} drones, {case.law}, {case.network}: seed {seed}: {found[-1]} s"
+        )
     return found
 
 
 def run(
-    seeds: range, cases: tuple[Case, ...] = CASES, say: Callable[[str], None] = lambda line: None
+    seeds: range,
+    cases: tuple[Case, ...] = CASES,
+    say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """The worst and the median of each case."""
-    return {"seeds": len(seeds), "rows": [summary(case, times(case, seeds, say)) for case in cases]}
+    return {
+        "seeds": len(seeds),
+        "rows": [summary(case, times(case, seeds, say)) for case in cases],
+    }
 
 
 def summary(case: Case, found: list[float | None]) -> dict[str, Any]:
@@ -87,17 +116,37 @@ def summary(case: Case, found: list[float | None]) -> dict[str, Any]:
     worst = max(settled) if len(settled) == len(found) else None
     reached = worst is not None and worst <= case.limit
     return {
-        **asdict(case), "worst_s": worst, "median_s": median(settled) if settled else None,
-        "failed": len(found) - len(settled), "reached": reached,
-    }  # fmt: skip
+        **asdict(case),
+        "worst_s": worst,
+        "median_s": median(settled) if settled else None,
+        "failed": len(found) - len(settled),
+        "reached": reached,
+    }
 
 
 def table(result: dict[str, Any]) -> Table:
     """What is printed."""
-    shown = Table(title=f"time to 1 cm, motor level, {result['seeds']} seeds", box=box.SIMPLE_HEAD)
-    for name in ("drones", "law", "network", "worst s", "median s", "allowed s", "failed"):
-        shown.add_column(name, justify="left" if name in ("law", "network") else "right")
+    shown = Table(
+        title=f"time to 1 cm, motor level, {result['seeds']} seeds", box=box.SIMPLE_HEAD
+    )
+    for name in (
+        "drones",
+        "law",
+        "network",
+        "worst s",
+        "median s",
+        "allowed s",
+        "failed",
+    ):
+        shown.add_column(
+            name, justify="left" if name in ("law", "network") else "right"
+        )
     for row in result["rows"]:
-        figures = [f"{row[key]:.2f}" if row[key] is not None else "-" for key in ("worst_s", "median_s", "limit")]
-        shown.add_row(str(row["drones"]), row["law"], row["network"], *figures, str(row["failed"]))
+        figures = [
+            f"{row[key]:.2f}" if row[key] is not None else "-"
+            for key in ("worst_s", "median_s", "limit")
+        ]
+        shown.add_row(
+            str(row["drones"]), row["law"], row["network"], *figures, str(row["failed"])
+        )
     return shown

@@ -90,7 +90,9 @@ async def _tick(clock: Clock, late_ns: list[int]) -> None:
     async for due_ns in ticks:
         if due_ns >= counted_from_ns:
             late_ns.append(clock.now_ns() - due_ns)
-            late_ns.extend(k * ticks.period_ns for k in range(1, ticks.missed - missed + 1))
+            late_ns.extend(
+                k * ticks.period_ns for k in range(1, ticks.missed - missed + 1)
+            )
         missed = ticks.missed
 
 
@@ -106,7 +108,12 @@ def tick_while_solving(instance: Instance, seconds: float) -> Lateness:
     late_ns: list[int] = []
     ends = time.perf_counter() + seconds
     while time.perf_counter() < ends:
-        solve_here(instance, run=lambda main: run_wall(lambda clock: watched(clock, main(clock), late_ns)))
+        solve_here(
+            instance,
+            run=lambda main: run_wall(
+                lambda clock: watched(clock, main(clock), late_ns)
+            ),
+        )
     return Lateness("tick while solving", 1, tuple(late_ns))
 
 
@@ -122,7 +129,10 @@ class StopwatchLink:
     """A link that notes how long ago the cameras have seen all drones when the command of its drone leaves."""
 
     def __init__(self, pilot: Pilot, owner: WorldOwner, elapsed_ns: list[int]) -> None:
-        self.pilot, self.owner, self.link, self.elapsed_ns = pilot, owner, pilot.link, elapsed_ns
+        self.pilot = pilot
+        self.owner = owner
+        self.link = pilot.link
+        self.elapsed_ns = elapsed_ns
 
     def send(self, command: Command) -> None:
         """Pass it on, then look at the clock."""
@@ -179,12 +189,21 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
 # Command line ----------------------------------------------------------------------------------------------------
 
 
-def measure(instance: Instance, drones: int, seconds: float, repeats: int) -> dict[str, Any]:
+def measure(
+    instance: Instance, drones: int, seconds: float, repeats: int
+) -> dict[str, Any]:
     """Alternate the blocks; the medians over `repeats` of what solving adds, and of pose to command."""
     solve_here(instance)  # kernels are compiled or loaded
-    blocks = [(tick_alone(seconds), tick_while_solving(instance, seconds)) for _ in range(repeats)]
+    blocks = [
+        (tick_alone(seconds), tick_while_solving(instance, seconds))
+        for _ in range(repeats)
+    ]
     flights = [pose_to_command(drones, seconds) for _ in range(repeats)]
-    rows = [pooled([a for a, _ in blocks]), pooled([b for _, b in blocks]), pooled(flights)]
+    rows = [
+        pooled([a for a, _ in blocks]),
+        pooled([b for _, b in blocks]),
+        pooled(flights),
+    ]
     return {
         "rows": [row.to_json() for row in rows],
         "added_p99_ms": median(added_p99_ms(a, b) for a, b in blocks),
@@ -196,15 +215,28 @@ def measure(instance: Instance, drones: int, seconds: float, repeats: int) -> di
 
 def pooled(blocks: list[Lateness]) -> Lateness:
     """All samples of one name."""
-    return Lateness(blocks[0].name, blocks[0].drones, tuple(ns for block in blocks for ns in block.samples_ns))
+    return Lateness(
+        blocks[0].name,
+        blocks[0].drones,
+        tuple(ns for block in blocks for ns in block.samples_ns),
+    )
 
 
 def latency(
-    instance: Annotated[Path | None, typer.Option(help="Instance to solve; else 10 robots, 15 tasks, drawn.")] = None,
-    drones: Annotated[int, options.size("Drones of one process for pose_to_command.")] = 30,
-    seconds: Annotated[float, options.seconds("Length of a block.", open_below=True)] = 5.0,
+    instance: Annotated[
+        Path | None,
+        typer.Option(help="Instance to solve; else 10 robots, 15 tasks, drawn."),
+    ] = None,
+    drones: Annotated[
+        int, options.size("Drones of one process for pose_to_command.")
+    ] = 30,
+    seconds: Annotated[
+        float, options.seconds("Length of a block.", open_below=True)
+    ] = 5.0,
     repeats: Annotated[int, options.whole("Blocks of each kind, interleaved.")] = 3,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """How late the control tick is beside the solver, and from pose to command."""
     try:
@@ -220,12 +252,23 @@ def latency(
 
 def ten_robots() -> Instance:
     """Ten robots and fifteen tasks in a room of 10 m, flights of at most 25 m."""
-    return random_instance(10, 15, seed=1, loads=(1, 1), capacities=(2, 3), route_length_limit=25.0)
+    return random_instance(
+        10, 15, seed=1, loads=(1, 1), capacities=(2, 3), route_length_limit=25.0
+    )
 
 
 def _table(result: dict[str, Any]) -> Table:
-    title = f"solving adds {result['added_p99_ms']:.2f} ms to the p99 of the control tick"
-    table = Table("what", "drones", "p50 ms", "p99 ms", "max ms", "samples", title=title)
+    title = (
+        f"solving adds {result['added_p99_ms']:.2f} ms to the p99 of the control tick"
+    )
+    table = Table(
+        "what", "drones", "p50 ms", "p99 ms", "max ms", "samples", title=title
+    )
     for row in result["rows"]:
-        table.add_row(*(str(row[key]) for key in ("name", "drones", "p50_ms", "p99_ms", "max_ms", "samples")))
+        table.add_row(
+            *(
+                str(row[key])
+                for key in ("name", "drones", "p50_ms", "p99_ms", "max_ms", "samples")
+            )
+        )
     return table

@@ -22,22 +22,34 @@ PATTERN = "DISROPT's pattern"
 
 
 def run(
-    seconds: float = 1.0, repeats: int = 3, quick: bool = False, say: Callable[[str], None] = lambda text: None
+    seconds: float = 1.0,
+    repeats: int = 3,
+    quick: bool = False,
+    say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Measure all rows in turns; seconds: of one window; quick: one turn of short windows, 10 agents."""
     if quick:
-        seconds, repeats = 0.5, 1
+        seconds = 0.5
+        repeats = 1
     rows = _rows((10,) if quick else (10, 20))
     for turn in range(repeats):
         for row in rows:
-            if row.extra and any(importlib.util.find_spec(name) is None for name in (row.extra, "dill")):
+            if row.extra and any(
+                importlib.util.find_spec(name) is None for name in (row.extra, "dill")
+            ):
                 row.note = INSTALL
                 continue
             what = f"{row.options['algorithm']}, {row.graph} of {row.agents}, {row.processes} process(es)"
             say(f"{turn + 1}/{repeats}: {row.name}, {what}")
             measure(row, seconds)
     shown = [row.shown() for row in rows]
-    return {"rows": shown, "ratios": ratios(shown), "cores": os.cpu_count(), "seconds": seconds, "repeats": repeats}
+    return {
+        "rows": shown,
+        "ratios": ratios(shown),
+        "cores": os.cpu_count(),
+        "seconds": seconds,
+        "repeats": repeats,
+    }
 
 
 def _rows(agents: tuple[int, ...]) -> list[Row]:
@@ -45,20 +57,52 @@ def _rows(agents: tuple[int, ...]) -> list[Row]:
     for n in agents:
         for algorithm in ALGORITHMS:
             options = {"algorithm": algorithm}
-            rows += [Row("crazychoir", "peers_rounds", "ring", n, p, options=options) for p in (1, 2)]
-            rows.append(Row(PATTERN, "peers_mpi4py_rounds", "ring", n, n, "mpi4py", options=options))
+            rows += [
+                Row("crazychoir", "peers_rounds", "ring", n, p, options=options)
+                for p in (1, 2)
+            ]
+            rows.append(
+                Row(
+                    PATTERN,
+                    "peers_mpi4py_rounds",
+                    "ring",
+                    n,
+                    n,
+                    "mpi4py",
+                    options=options,
+                )
+            )
     return rows
 
 
 def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Of each algorithm and size the better of ours over the pattern, and what is promised."""
     found = []
-    for n, algorithm in dict.fromkeys((row["agents"], row["algorithm"]) for row in rows):
-        here = [row for row in rows if (row["agents"], row["algorithm"]) == (n, algorithm) and row["rounds_per_s"]]
-        ours = max((row["rounds_per_s"] for row in here if row["name"] != PATTERN), default=None)
-        theirs = next((row["rounds_per_s"] for row in here if row["name"] == PATTERN), None)
+    for n, algorithm in dict.fromkeys(
+        (row["agents"], row["algorithm"]) for row in rows
+    ):
+        here = [
+            row
+            for row in rows
+            if (row["agents"], row["algorithm"]) == (n, algorithm)
+            and row["rounds_per_s"]
+        ]
+        ours = max(
+            (row["rounds_per_s"] for row in here if row["name"] != PATTERN),
+            default=None,
+        )
+        theirs = next(
+            (row["rounds_per_s"] for row in here if row["name"] == PATTERN), None
+        )
         ratio = round(ours / theirs, 1) if ours and theirs else None
-        found.append({"agents": n, "algorithm": algorithm, "ratio": ratio, "promised": PROMISED[algorithm]})
+        found.append(
+            {
+                "agents": n,
+                "algorithm": algorithm,
+                "ratio": ratio,
+                "promised": PROMISED[algorithm],
+            }
+        )
     return found
 
 
@@ -66,15 +110,38 @@ def table(result: dict[str, Any]) -> Table:
     """The rows, for people."""
     title = "Distributed algorithms on a ring: medians of one run"
     made = Table(title=title, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-    for name in ("algorithm", "agents", "program", "processes", "rounds/s", "CPU us/message"):
-        made.add_column(name, justify="left" if name in ("algorithm", "program") else "right")
+    for name in (
+        "algorithm",
+        "agents",
+        "program",
+        "processes",
+        "rounds/s",
+        "CPU us/message",
+    ):
+        made.add_column(
+            name, justify="left" if name in ("algorithm", "program") else "right"
+        )
     for row in result["rows"]:
-        rounds, cpu = row["rounds_per_s"], row["cpu_us_per_message"]
-        figures = ["-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)]
-        made.add_row(row["algorithm"], str(row["agents"]), row["name"], str(row["processes"]), *figures)
-    notes = dict.fromkeys(f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row)
+        rounds = row["rounds_per_s"]
+        cpu = row["cpu_us_per_message"]
+        figures = [
+            "-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)
+        ]
+        made.add_row(
+            row["algorithm"],
+            str(row["agents"]),
+            row["name"],
+            str(row["processes"]),
+            *figures,
+        )
+    notes = dict.fromkeys(
+        f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row
+    )
     for ratio in result["ratios"]:
         times = "-" if ratio["ratio"] is None else f"{ratio['ratio']:g}"
-        notes[f"{ratio['algorithm']}, {ratio['agents']} agents: {times} times {PATTERN}"] = None
-    made.caption, made.caption_justify = Text("\n".join(notes)), "left"
+        notes[
+            f"{ratio['algorithm']}, {ratio['agents']} agents: {times} times {PATTERN}"
+        ] = None
+    made.caption = Text("\n".join(notes))
+    made.caption_justify = "left"
     return made

@@ -39,12 +39,18 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     seconds = 5.0 if quick else 20.0
 
     async def main(clock: Clock) -> dict[str, Any]:
-        config, found = _swarm(), dict[int, str]()
+        config = _swarm()
+        found = dict[int, str]()
         link = observer(clock, config)
         address = next(iter(link.bus.ports))
         for i in config.ids:
-            for topic, hear in ((POSE, _nothing), (LINK, lambda status, age, i=i: _note(found, i, status))):
-                link.bus.subscribe(topic, config.source(topic, i), address, Call(clock, hear))
+            for topic, hear in (
+                (POSE, _nothing),
+                (LINK, lambda status, age, i=i: _note(found, i, status)),
+            ):
+                link.bus.subscribe(
+                    topic, config.source(topic, i), address, Call(clock, hear)
+                )
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as started:
             file = Path(folder) / "swarm.json"
             file.write_text(config.dumps(), encoding="utf-8")
@@ -54,11 +60,18 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
                 for words in _programs(file):
                     started.enter_context(_running(words, {}))
                 say(f"connecting {LINKS} virtual drones")
-                await _until(clock, lambda: sum(state == "up" for state in found.values()) >= LINKS)
+                await _until(
+                    clock,
+                    lambda: sum(state == "up" for state in found.values()) >= LINKS,
+                )
                 say(f"{LINKS} links")
                 late[PHASES[1]] = await _lateness(clock, seconds)
                 say("one more connects")
-                started.enter_context(_running(_owner(file, LINKS // PER_DONGLE), {"XDG_CACHE_HOME": folder}))
+                started.enter_context(
+                    _running(
+                        _owner(file, LINKS // PER_DONGLE), {"XDG_CACHE_HOME": folder}
+                    )
+                )
                 late[PHASES[2]] = await _lateness(clock, seconds / 2.0)
                 await _until(clock, lambda: found.get(LINKS) == "up")
         return {"links": LINKS, "ticks_hz": RATE, "late_ms": late}
@@ -71,17 +84,32 @@ def _swarm() -> SwarmConfig:
     with contextlib.ExitStack() as kept:
         first = _free_ports(LINKS + 2, kept)
     drones = [
-        {"id": i, "home": drone.home, "uri": f"udp://127.0.0.1:{first + 1 + i}", "dongle": i // PER_DONGLE}
+        {
+            "id": i,
+            "home": drone.home,
+            "uri": f"udp://127.0.0.1:{first + 1 + i}",
+            "dongle": i // PER_DONGLE,
+        }
         for i, drone in enumerate(default_swarm(LINKS + 1).drones)
     ]
-    raw = {"name": "bench", "drones": drones, "control": {"sender": "xyz"}, "mocap": {"port": first}}
-    return apart(SwarmConfig.of(raw | {"fence": {"min": [-4, -4, 0], "max": [9, 9, 3]}}), None)
+    raw = {
+        "name": "bench",
+        "drones": drones,
+        "control": {"sender": "xyz"},
+        "mocap": {"port": first},
+    }
+    return apart(
+        SwarmConfig.of(raw | {"fence": {"min": [-4, -4, 0], "max": [9, 9, 3]}}), None
+    )
 
 
 def _free_ports(count: int, kept: contextlib.ExitStack) -> int:
     """The first of so many UDP ports in a row."""
     for first in range(30_000, 60_000, 100):
-        probes = [kept.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(count)]
+        probes = [
+            kept.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            for _ in range(count)
+        ]
         with contextlib.suppress(OSError):
             for k, probe in enumerate(probes):
                 probe.bind(("127.0.0.1", first + k))
@@ -98,13 +126,24 @@ def _programs(file: Path) -> Iterator[list[str]]:
 
 
 def _owner(file: Path, dongle: int) -> list[str]:
-    return ["crazychoir.cli.fly.radio_owner", "--swarm", str(file), "--dongle", str(dongle)]
+    return [
+        "crazychoir.cli.fly.radio_owner",
+        "--swarm",
+        str(file),
+        "--dongle",
+        str(dongle),
+    ]
 
 
 @contextlib.contextmanager
 def _running(words: list[str], environment: dict[str, str]) -> Iterator[None]:
     quiet = subprocess.DEVNULL
-    child = subprocess.Popen([sys.executable, "-m", *words], stdout=quiet, stderr=quiet, env=os.environ | environment)
+    child = subprocess.Popen(
+        [sys.executable, "-m", *words],
+        stdout=quiet,
+        stderr=quiet,
+        env=os.environ | environment,
+    )
     try:
         yield
     finally:
@@ -133,18 +172,25 @@ async def _until(clock: Clock, holds: Callable[[], bool]) -> None:
 
 async def _lateness(clock: Clock, seconds: float) -> dict[str, float]:
     """ms by which ticks were late."""
-    ticks, late = clock.ticks(RATE), list[float]()
+    ticks = clock.ticks(RATE)
+    late = list[float]()
     async for _ in ticks:
         late.append((clock.now_ns() - ticks.due_ns) / SECOND * 1e3)
         if len(late) >= seconds * RATE:
             break
     p50, p99 = np.percentile(late, (50.0, 99.0))
-    return {"p50": round(float(p50), 3), "p99": round(float(p99), 3), "worst": round(max(late), 3)}
+    return {
+        "p50": round(float(p50), 3),
+        "p99": round(float(p99), 3),
+        "worst": round(max(late), 3),
+    }
 
 
 def table(result: dict[str, Any]) -> Table:
     """One row a phase."""
-    found = Table("", "p50", "p99", "worst", title="ms by which a tick of the event loop is late")
+    found = Table(
+        "", "p50", "p99", "worst", title="ms by which a tick of the event loop is late"
+    )
     for phase, row in result["late_ms"].items():
         found.add_row(phase, *(f"{row[key]:.2f}" for key in ("p50", "p99", "worst")))
     return found

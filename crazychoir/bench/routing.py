@@ -70,19 +70,33 @@ class Peer:
 
 
 PEERS = (
-    Peer("VROOM", "peers_vroom", "vroom", {"exploration": 5, "threads": 2, "restarts": 5}),
+    Peer(
+        "VROOM", "peers_vroom", "vroom", {"exploration": 5, "threads": 2, "restarts": 5}
+    ),
     Peer("OR-tools", "peers_ortools", "ortools", {"seconds": 10.0}),
     Peer("arc-flow MILP", "peers_compact", "", {"nodes": 20_000}, ("tiny",)),
-    Peer("DISROPT's rule", "peers_disropt", "", {"rounds": 100}, ("tiny", "small", "middle"), covers=True),
+    Peer(
+        "DISROPT's rule",
+        "peers_disropt",
+        "",
+        {"rounds": 100},
+        ("tiny", "small", "middle"),
+        covers=True,
+    ),
 )
 RIVALS = ("cbba", "auction")
 """Methods of the team that are measured as peers, in virtual time."""
 
 
 def run(
-    sizes: str = DEFAULT, *, graph: str = "k-regular:4", method: str | None = None, prove: bool = False,
-    quick: bool = False, say: Callable[[str], None] = lambda text: None,
-) -> dict[str, Any]:  # fmt: skip
+    sizes: str = DEFAULT,
+    *,
+    graph: str = "k-regular:4",
+    method: str | None = None,
+    prove: bool = False,
+    quick: bool = False,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
     """Measure all solvers on the instances 1, 2, ... of each size.
 
     sizes: as "small:20,middle";  prove: the team tries to prove an optimum, too, in a run of its own, of every instance
@@ -95,14 +109,26 @@ def run(
     for size in chosen:
         named(_graph(graph, SIZES[size][0]), SIZES[size][0], 1)
     rows: list[dict[str, Any]] = []
-    cases = [(size, seed) for size, count in chosen.items() for seed in range(1, count + 1)]
+    cases = [
+        (size, seed) for size, count in chosen.items() for seed in range(1, count + 1)
+    ]
     for number, (size, seed) in enumerate(cases, 1):
         tell = partial(_tell, say, f"instance {number} of {len(cases)}")
         of_one = list(_rows(size, seed, graph, method, quick, tell))
-        of_one += [_proof(size, seed, graph, method, tell)] if prove and size in PROVABLE else []
+        of_one += (
+            [_proof(size, seed, graph, method, tell)]
+            if prove and size in PROVABLE
+            else []
+        )
         rows += rated(of_one)
-    return {"rows": rows, "summary": summary(rows), "graph": graph, "method": method, "loss": LOSS,
-            "processes": PROCESSES}  # fmt: skip
+    return {
+        "rows": rows,
+        "summary": summary(rows),
+        "graph": graph,
+        "method": method,
+        "loss": LOSS,
+        "processes": PROCESSES,
+    }
 
 
 def _tell(say: Callable[[str], None], where: str, what: str) -> None:
@@ -115,44 +141,102 @@ def instances(sizes: str) -> dict[str, int]:
     for word in sizes.split(","):
         size, _, count = word.strip().partition(":")
         if size not in SIZES or size in chosen:
-            raise ConfigError("--sizes", word, f"each of {', '.join(SIZES)} once", f"As {DEFAULT}.")
+            raise ConfigError(
+                "--sizes", word, f"each of {', '.join(SIZES)} once", f"As {DEFAULT}."
+            )
         if count and not (count.isdecimal() and 1 <= int(count) <= MOST_INSTANCES):
-            raise ConfigError("--sizes", word, f"1 to {MOST_INSTANCES} instances after the colon", f"As {DEFAULT}.")
+            raise ConfigError(
+                "--sizes",
+                word,
+                f"1 to {MOST_INSTANCES} instances after the colon",
+                f"As {DEFAULT}.",
+            )
         chosen[size] = int(count or INSTANCES[size])
     return chosen
 
 
 def _rows(
-    size: str, seed: int, graph: str, method: str, quick: bool, say: Callable[[str], None]
+    size: str,
+    seed: int,
+    graph: str,
+    method: str,
+    quick: bool,
+    say: Callable[[str], None],
 ) -> Iterator[dict[str, Any]]:
     """One instance, every solver."""
-    instance, head = _instance(size, seed), _head(size, seed)
+    instance = _instance(size, seed)
+    head = _head(size, seed)
     robots = instance.robots
-    say(f"{size} {seed}: {OURS}: {robots} robots in {PROCESSES} processes, {LOSS:.0%} of messages lost")
-    ours = _team(instance, lambda: solve_in_processes(
-        instance, PROCESSES, method=method, loss=LOSS, graph=_graph(graph, robots), seed=seed))  # fmt: skip
+    say(
+        f"{size} {seed}: {OURS}: {robots} robots in {PROCESSES} processes, {LOSS:.0%} of messages lost"
+    )
+    ours = _team(
+        instance,
+        lambda: solve_in_processes(
+            instance,
+            PROCESSES,
+            method=method,
+            loss=LOSS,
+            graph=_graph(graph, robots),
+            seed=seed,
+        ),
+    )
     yield head | {"name": OURS} | ours
     for rival in RIVALS:
         say(f"{size} {seed}: {rival}")
         known = rival in METHODS
-        yield head | {"name": rival} | (_team(instance, lambda rival=rival: solve_here(  # type: ignore[misc]
-            instance, method=rival, loss=LOSS, graph=_graph(graph, robots), seed=seed
-        )) if known else _nothing("no such method"))  # fmt: skip
+        yield (
+            head
+            | {"name": rival}
+            | (
+                _team(
+                    instance,
+                    lambda rival=rival: solve_here(  # type: ignore[misc]
+                        instance,
+                        method=rival,
+                        loss=LOSS,
+                        graph=_graph(graph, robots),
+                        seed=seed,
+                    ),
+                )
+                if known
+                else _nothing("no such method")
+            )
+        )
     for peer in (peer for peer in PEERS if size in peer.sizes):
         say(f"{size} {seed}: {peer.name}")
-        options = peer.options | {"seed": seed, "neighbors": _neighbors(graph, robots, seed)}
+        options = peer.options | {
+            "seed": seed,
+            "neighbors": _neighbors(graph, robots, seed),
+        }
         options.setdefault("seconds", ours["wall_s"] or 1.0)
         options |= {"seconds": min(1.0, options["seconds"])} if quick else {}
         yield head | {"name": peer.name} | measured(instance, peer, options)
 
 
-def _proof(size: str, seed: int, graph: str, method: str, say: Callable[[str], None]) -> dict[str, Any]:
+def _proof(
+    size: str, seed: int, graph: str, method: str, say: Callable[[str], None]
+) -> dict[str, Any]:
     """The team once more, until it has proven what it can."""
     say(f"{size} {seed}: proof")
-    instance, settings = _instance(size, seed), Settings(prove=True)
-    return _head(size, seed) | {"name": PROOF} | _team(instance, lambda: solve_in_processes(
-        instance, PROCESSES, method=method, loss=LOSS, graph=_graph(graph, instance.robots), seed=seed,
-        settings=settings))  # fmt: skip
+    instance = _instance(size, seed)
+    settings = Settings(prove=True)
+    return (
+        _head(size, seed)
+        | {"name": PROOF}
+        | _team(
+            instance,
+            lambda: solve_in_processes(
+                instance,
+                PROCESSES,
+                method=method,
+                loss=LOSS,
+                graph=_graph(graph, instance.robots),
+                seed=seed,
+                settings=settings,
+            ),
+        )
+    )
 
 
 def _instance(size: str, seed: int) -> Instance:
@@ -172,7 +256,14 @@ def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[st
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
         spec = json.dumps(options | {"instance": str(file)})
-        command = [sys.executable, "-c", BARE, str(PACKAGE), f"crazychoir.cli.{peer.module}", spec]
+        command = [
+            sys.executable,
+            "-c",
+            BARE,
+            str(PACKAGE),
+            f"crazychoir.cli.{peer.module}",
+            spec,
+        ]
         try:
             with Group([command]) as group:
                 ((_, answer),) = group.answers(1, PATIENCE, "do not answer")
@@ -181,30 +272,47 @@ def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[st
     return judged(instance, answer, peer.covers)
 
 
-def judged(instance: Instance, answer: dict[str, Any], covers: bool = False) -> dict[str, Any]:
+def judged(
+    instance: Instance, answer: dict[str, Any], covers: bool = False
+) -> dict[str, Any]:
     """The row of a peer's answer: its routes as they are flown, and what is wrong with them.
 
     covers: a task that several serve is remarked, and no fault.
     """
     if answer["routes"] is None:
-        return _nothing(answer["note"]) | {key: answer[key] for key in ("wall_s", "cpu_s")}
-    routes = [_route(instance, route["robot"], route["nodes"]) for route in answer["routes"] if route["nodes"]]
+        return _nothing(answer["note"]) | {
+            key: answer[key] for key in ("wall_s", "cpu_s")
+        }
+    routes = [
+        _route(instance, route["robot"], route["nodes"])
+        for route in answer["routes"]
+        if route["nodes"]
+    ]
     plan = Plan(tuple(routes))
     services = Counter(task for route in routes for task in route.tasks)
-    repeated, wrong, note = sum(count > 1 for count in services.values()), check(instance, plan), answer["note"]
+    repeated = sum(count > 1 for count in services.values())
+    wrong = check(instance, plan)
+    note = answer["note"]
     if repeated and covers:
         note += f"; {repeated} tasks are served by several"
         wrong = wrong if len(wrong) > repeated else []
     note += f"; {len(wrong)} faults, the first: {wrong[0]}" if wrong else ""
     return {
-        "cost": plan.cost, "feasible": not wrong, "wall_s": answer["wall_s"], "cpu_s": answer["cpu_s"],
-        "critical_path_s": None, "lower_bound": None, "bound_exact": False,
-        "curve": best_so_far(answer["curve"]), "note": note,
-    }  # fmt: skip
+        "cost": plan.cost,
+        "feasible": not wrong,
+        "wall_s": answer["wall_s"],
+        "cpu_s": answer["cpu_s"],
+        "critical_path_s": None,
+        "lower_bound": None,
+        "bound_exact": False,
+        "curve": best_so_far(answer["curve"]),
+        "note": note,
+    }
 
 
 def _route(instance: Instance, robot: int, nodes: list[int]) -> Route:
-    m, distance = len(instance.tasks), instance.local(robot).vehicle.distance
+    m = len(instance.tasks)
+    distance = instance.local(robot).vehicle.distance
     tour = [2 * m, *nodes, 2 * m + 1]
     return Route.from_nodes(robot, nodes, m, float(distance[tour[:-1], tour[1:]].sum()))
 
@@ -215,14 +323,32 @@ def _team(instance: Instance, solve: Callable[[], dict[str, Any]]) -> dict[str, 
         result = solve()
     except CrazyChoirError as error:
         return _nothing(f"{type(error).__name__}: {error}")
-    keys = ("cost", "feasible", "wall_s", "critical_path_s", "lower_bound", "bound_exact", "rounds", "bytes")
+    keys = (
+        "cost",
+        "feasible",
+        "wall_s",
+        "critical_path_s",
+        "lower_bound",
+        "bound_exact",
+        "rounds",
+        "bytes",
+    )
     row = {key: result[key] for key in keys}
-    return row | {key: result.get(key) for key in ("cpu_s", "startup_s", "curve")} | {"note": ""}
+    return (
+        row
+        | {key: result.get(key) for key in ("cpu_s", "startup_s", "curve")}
+        | {"note": ""}
+    )
 
 
 def _nothing(note: str) -> dict[str, Any]:
     keys = ("cost", "wall_s", "cpu_s", "critical_path_s", "lower_bound")
-    return dict.fromkeys(keys) | {"feasible": False, "bound_exact": False, "curve": [], "note": note}
+    return dict.fromkeys(keys) | {
+        "feasible": False,
+        "bound_exact": False,
+        "curve": [],
+        "note": note,
+    }
 
 
 def rated(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -236,10 +362,15 @@ def rated(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         return [row | {"gap_percent": None, "reference": None} for row in rows]
     bound = max(bounds)
     if best < bound * (1.0 - CLOSED):
-        return [row | {"gap_percent": None, "reference": "broken bound"} for row in rows]
+        return [
+            row | {"gap_percent": None, "reference": "broken bound"} for row in rows
+        ]
     reference = "optimum" if best <= bound * (1.0 + CLOSED) else "bound"
     gaps = [relative(row["cost"], bound) if row["feasible"] else None for row in rows]
-    return [row | {"gap_percent": gap, "reference": reference} for row, gap in zip(rows, gaps, strict=True)]
+    return [
+        row | {"gap_percent": gap, "reference": reference}
+        for row, gap in zip(rows, gaps, strict=True)
+    ]
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -248,15 +379,28 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for size, name in dict.fromkeys((row["size"], row["name"]) for row in rows):
         mine = [row for row in rows if (row["size"], row["name"]) == (size, name)]
         solved = {row["seed"]: row for row in mine if row["feasible"]}
-        of_team = {row["seed"]: row for row in rows if row["size"] == size and row["name"] == OURS and row["feasible"]}
+        of_team = {
+            row["seed"]: row
+            for row in rows
+            if row["size"] == size and row["name"] == OURS and row["feasible"]
+        }
         both = [seed for seed in solved if seed in of_team]
-        row: dict[str, Any] = {"size": size, "name": name, "instances": len(mine), "solved": len(solved)}
+        row: dict[str, Any] = {
+            "size": size,
+            "name": name,
+            "instances": len(mine),
+            "solved": len(solved),
+        }
         row["optimal"] = sum(_is_optimal(one) for one in mine)
         row["broken_bounds"] = sum(one["reference"] == "broken bound" for one in mine)
         for key in ("cost", "gap_percent", "wall_s", "cpu_s", "critical_path_s"):
             values = [one[key] for one in solved.values() if one[key] is not None]
             row[key] = spread(values) if values else None
-        pairs = [(of_team[seed]["cost"], solved[seed]["cost"]) for seed in both] if name != OURS else []
+        pairs = (
+            [(of_team[seed]["cost"], solved[seed]["cost"]) for seed in both]
+            if name != OURS
+            else []
+        )
         row["against_team"] = paired(*zip(*pairs, strict=True)) if pairs else None
         row["notes"] = list(dict.fromkeys(one["note"] for one in mine if one["note"]))
         found.append(row)
@@ -264,7 +408,11 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _is_optimal(row: dict[str, Any]) -> bool:
-    return row["reference"] == "optimum" and row["gap_percent"] is not None and row["gap_percent"] <= 100.0 * CLOSED
+    return (
+        row["reference"] == "optimum"
+        and row["gap_percent"] is not None
+        and row["gap_percent"] <= 100.0 * CLOSED
+    )
 
 
 def table(result: dict[str, Any]) -> Shown:
@@ -275,25 +423,66 @@ def table(result: dict[str, Any]) -> Shown:
     for size in dict.fromkeys(row["size"] for row in summed):
         tables += ["", _table_of(size, [row for row in summed if row["size"] == size])]
     broken = [f"{row['size']}: BROKEN BOUNDS" for row in summed if row["broken_bounds"]]
-    notes = [f"{row['name']}, {row['size']}: {row['notes'][0]}" for row in summed if row["notes"]]
-    return Shown(Text(head), *tables, Text("\n".join([*dict.fromkeys([*broken, *notes]), LEGEND])))
+    notes = [
+        f"{row['name']}, {row['size']}: {row['notes'][0]}"
+        for row in summed
+        if row["notes"]
+    ]
+    return Shown(
+        Text(head),
+        *tables,
+        Text("\n".join([*dict.fromkeys([*broken, *notes]), LEGEND])),
+    )
 
 
 def _table_of(size: str, rows: list[dict[str, Any]]) -> Table:
     robots, tasks = SIZES[size]
-    made = Table(title=f"{size}: {robots} robots, {tasks} tasks", box=box.SIMPLE_HEAD, padding=0,
-                 title_justify="left", show_edge=False)  # fmt: skip
-    for name in ("solver", "done", "opt.", "cost", "gap", "worst", "wall", "CPU", "path", "wins", "p"):
-        made.add_column(name, justify="left" if name == "solver" else "right", no_wrap=True)
+    made = Table(
+        title=f"{size}: {robots} robots, {tasks} tasks",
+        box=box.SIMPLE_HEAD,
+        padding=0,
+        title_justify="left",
+        show_edge=False,
+    )
+    for name in (
+        "solver",
+        "done",
+        "opt.",
+        "cost",
+        "gap",
+        "worst",
+        "wall",
+        "CPU",
+        "path",
+        "wins",
+        "p",
+    ):
+        made.add_column(
+            name, justify="left" if name == "solver" else "right", no_wrap=True
+        )
     for row in rows:
         versus = row["against_team"] or {}
         wins = f"{versus['wins']}/{versus['pairs']}" if versus else ""
         p = "" if versus.get("p") is None else f"{versus['p']:.1g}"
-        worst = "-" if row["gap_percent"] is None else _short(row["gap_percent"]["most"])
+        worst = (
+            "-" if row["gap_percent"] is None else _short(row["gap_percent"]["most"])
+        )
         cost = "-" if row["cost"] is None else f"{row['cost']['median']:.2f}"
-        gap, *times = (_median(row[key]) for key in ("gap_percent", "wall_s", "cpu_s", "critical_path_s"))
-        made.add_row(row["name"], f"{row['solved']}/{row['instances']}", str(row["optimal"]),
-                     cost, gap, worst, *times, wins, p)  # fmt: skip
+        gap, *times = (
+            _median(row[key])
+            for key in ("gap_percent", "wall_s", "cpu_s", "critical_path_s")
+        )
+        made.add_row(
+            row["name"],
+            f"{row['solved']}/{row['instances']}",
+            str(row["optimal"]),
+            cost,
+            gap,
+            worst,
+            *times,
+            wins,
+            p,
+        )
     return made
 
 
@@ -303,7 +492,13 @@ def _median(figures: dict[str, float] | None) -> str:
 
 def _short(figure: float) -> str:
     """Three figures, and hundredths at most."""
-    return f"{figure:.2f}" if figure < 9.995 else f"{figure:.1f}" if figure < 99.95 else f"{figure:.0f}"
+    return (
+        f"{figure:.2f}"
+        if figure < 9.995
+        else f"{figure:.1f}"
+        if figure < 99.95
+        else f"{figure:.0f}"
+    )
 
 
 def _graph(graph: str, robots: int) -> str:

@@ -92,13 +92,16 @@ class Fit:
     left_out_worst: float | None
 
 
-def run(quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None]) -> dict[str, Any]:
+def run(
+    quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None]
+) -> dict[str, Any]:
     """Measure all cells and fit the model.
 
     namespaces: each process has a network of its own;  repeats: medians of so many.
     """
     agents, processes = QUICK if quick else (AGENTS, PROCESSES)
-    cells, count = [], 1 if quick else repeats
+    cells = []
+    count = 1 if quick else repeats
     for n in agents:
         for p in processes:
             if p > 1 and n < 5 * p:
@@ -108,14 +111,27 @@ def run(quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None])
                 say(f"{n} agents in {p} process(es), {k + 1} of {count}")
                 turns.append(measure(n, p, 1.0 if quick else 3.0, namespaces))
             rows = [asdict(turn) for turn in turns]
-            cells.append(Cell(**{key: statistics.median(row[key] for row in rows) for key in rows[0]} | {
-                "agents": n, "processes": p, "threads": rows[0]["threads"],
-            }))  # fmt: skip
+            cells.append(
+                Cell(
+                    **{
+                        key: statistics.median(row[key] for row in rows)
+                        for key in rows[0]
+                    }
+                    | {
+                        "agents": n,
+                        "processes": p,
+                        "threads": rows[0]["threads"],
+                    }
+                )
+            )
     fits = {name: fit(name, cells) for name in TERMS}
     return {
-        "cells": [asdict(cell) for cell in cells], "fits": {name: asdict(one) for name, one in fits.items()},
-        "needs": needs(fits), "namespaces": namespaces, "repeats": count,
-    }  # fmt: skip
+        "cells": [asdict(cell) for cell in cells],
+        "fits": {name: asdict(one) for name, one in fits.items()},
+        "needs": needs(fits),
+        "namespaces": namespaces,
+        "repeats": count,
+    }
 
 
 # One measurement ----------------------------------------------------------------------------------------------------
@@ -125,42 +141,82 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
     """One window of one cell; raises TimeoutError where they do not find each other."""
     ids = random.Random(1).sample(range(n), n)  # noqa: S311 - who is where
     graph = k_regular(n, DEGREE)
-    neighbors = {ids[i]: sorted(ids[j] for j in graph.in_neighbors(i)) for i in range(n)}
+    neighbors = {
+        ids[i]: sorted(ids[j] for j in graph.in_neighbors(i)) for i in range(n)
+    }
     with ExitStack() as stack:
         addresses = {f"h{k}": f"10.76.0.{k + 1}" for k in range(p)}
         hosts = stack.enter_context(switched(addresses)) if namespaces else None
         began = time.perf_counter()
         base = stack.enter_context(held_ports(dict.fromkeys(range(p), LOCAL)))
-        group = stack.enter_context(Group(commands(neighbors, p, seconds, hosts, addresses, base)))
+        group = stack.enter_context(
+            Group(commands(neighbors, p, seconds, hosts, addresses, base))
+        )
         list(group.answers(p, START_DEADLINE, "do not find each other"))
         start = time.perf_counter() - began
         group.tell("go")
-        found = [answer for _, answer in group.answers(p, WARM + seconds + 30.0, "do not answer")]
-    total = {key: sum(one[key] for one in found) for key in ("cpu", "steps", "messages", "frames", "bytes", "memory")}
+        found = [
+            answer
+            for _, answer in group.answers(p, WARM + seconds + 30.0, "do not answer")
+        ]
+    total = {
+        key: sum(one[key] for one in found)
+        for key in ("cpu", "steps", "messages", "frames", "bytes", "memory")
+    }
     far = sum(one["far"] * one["messages"] for one in found)
     slowest = min(one["steps"] for one in found) / (n / p)
     return Cell(
-        n, p, slowest, total["steps"], total["messages"] - far, far, total["frames"], total["bytes"], total["cpu"],
-        total["memory"], start, max(one["threads"] for one in found),
-    )  # fmt: skip
+        n,
+        p,
+        slowest,
+        total["steps"],
+        total["messages"] - far,
+        far,
+        total["frames"],
+        total["bytes"],
+        total["cpu"],
+        total["memory"],
+        start,
+        max(one["threads"] for one in found),
+    )
 
 
 def commands(
-    neighbors: Mapping[int, list[int]], p: int, seconds: float, hosts: Switched | None, addresses: dict[str, str],
+    neighbors: Mapping[int, list[int]],
+    p: int,
+    seconds: float,
+    hosts: Switched | None,
+    addresses: dict[str, str],
     base: int,
 ) -> list[list[str]]:
     """One a process, each with a contiguous part of the agents, on a port from `base` on."""
     n = len(neighbors)
     at = list(addresses.values()) if hosts is not None else [LOCAL] * p
     ends = [f"tcp/{address}:{base + k}" for k, address in enumerate(at)]
-    common = {"neighbors": neighbors, "warm": WARM, "seconds": seconds, "processes": p,
-              "swarm": f"bench{secrets.token_hex(4)}"}  # fmt: skip
+    common = {
+        "neighbors": neighbors,
+        "warm": WARM,
+        "seconds": seconds,
+        "processes": p,
+        "swarm": f"bench{secrets.token_hex(4)}",
+    }
     made = []
     for k in range(p):
-        own = {"mine": [i for i in range(n) if i * p // n == k], "process": f"{k}-scale", "host": f"h{k}",
-               "listen": [ends[k]], "connect": ends[:k]}  # fmt: skip
+        own = {
+            "mine": [i for i in range(n) if i * p // n == k],
+            "process": f"{k}-scale",
+            "host": f"h{k}",
+            "listen": [ends[k]],
+            "connect": ends[:k],
+        }
         inside = hosts.command(f"h{k}") if hosts is not None else []
-        program = [sys.executable, "-c", BARE, str(PACKAGE), "crazychoir.bench.peers.scale"]
+        program = [
+            sys.executable,
+            "-c",
+            BARE,
+            str(PACKAGE),
+            "crazychoir.bench.peers.scale",
+        ]
         made.append([*inside, *program, json.dumps({**common, **own})])
     return made
 
@@ -183,7 +239,12 @@ def features(name: str, cell: Cell) -> list[float]:
 
 def figure(name: str, cell: Cell) -> float:
     """What a model is of."""
-    return {"processor": cell.cpu, "memory": cell.memory, "start": cell.start, "bytes": cell.bytes}[name]
+    return {
+        "processor": cell.cpu,
+        "memory": cell.memory,
+        "start": cell.start,
+        "bytes": cell.bytes,
+    }[name]
 
 
 def solved(name: str, cells: list[Cell]) -> np.ndarray:
@@ -198,19 +259,27 @@ def solved(name: str, cells: list[Cell]) -> np.ndarray:
 
 def off(name: str, coefficients: np.ndarray, cells: list[Cell]) -> list[float]:
     """Relative errors."""
-    return [abs(float(coefficients @ features(name, cell)) / figure(name, cell) - 1.0) for cell in cells]
+    return [
+        abs(float(coefficients @ features(name, cell)) / figure(name, cell) - 1.0)
+        for cell in cells
+    ]
 
 
 def fit(name: str, cells: list[Cell]) -> Fit:
     """The model of a figure, and what it says of cells that it has not seen."""
     cells = [cell for cell in cells if figure(name, cell) > 0.0]
     coefficients = solved(name, cells)
-    inside, outside = off(name, coefficients, cells), []
+    inside = off(name, coefficients, cells)
+    outside = []
     for key in ("agents", "processes"):
         for value in dict.fromkeys(getattr(cell, key) for cell in cells):
             others = [cell for cell in cells if getattr(cell, key) != value]
             if len(others) >= len(coefficients):
-                outside += off(name, solved(name, others), [cell for cell in cells if getattr(cell, key) == value])
+                outside += off(
+                    name,
+                    solved(name, others),
+                    [cell for cell in cells if getattr(cell, key) == value],
+                )
     named = dict(zip(TERMS[name], map(float, coefficients), strict=True))
     unseen = (statistics.median(outside), max(outside)) if outside else (None, None)
     return Fit(named, statistics.median(inside), max(inside), *unseen)
@@ -228,15 +297,26 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
         steps = EACH * RATE
         far = frames = steps * DEGREE
         links = processes - 1
-        cpu, memory, bytes_, start = (fits[name].coefficients for name in ("processor", "memory", "bytes", "start"))
-        rows.append({
-            "processes": processes,
-            "links": processes * links / 2,
-            "cores_a_host": steps * cpu["step"] + far * cpu["far"] + frames * cpu["frame"],
-            "memory_a_host": p * memory["process"] + EACH * memory["agent"] + p * links * memory["link"],
-            "bytes_a_host": far * bytes_["message"] + frames * bytes_["head"],
-            "start": start["once"] + p * start["process"] + p * links * start["link"],
-        })  # fmt: skip
+        cpu, memory, bytes_, start = (
+            fits[name].coefficients
+            for name in ("processor", "memory", "bytes", "start")
+        )
+        rows.append(
+            {
+                "processes": processes,
+                "links": processes * links / 2,
+                "cores_a_host": steps * cpu["step"]
+                + far * cpu["far"]
+                + frames * cpu["frame"],
+                "memory_a_host": p * memory["process"]
+                + EACH * memory["agent"]
+                + p * links * memory["link"],
+                "bytes_a_host": far * bytes_["message"] + frames * bytes_["head"],
+                "start": start["once"]
+                + p * start["process"]
+                + p * links * start["link"],
+            }
+        )
     return rows
 
 
@@ -250,27 +330,67 @@ def share(error: float | None) -> str:
 
 def table(result: dict[str, Any]) -> RenderableType:
     """Cells, model, and what it says of more."""
-    columns = ("agents", "proc", "rounds/s", "us/msg", "B/msg", "msg/frame", "MiB", "start s", "threads")
-    cells = Table(*columns, title="Exchange with four neighbours each, scattered over the processes")
+    columns = (
+        "agents",
+        "proc",
+        "rounds/s",
+        "us/msg",
+        "B/msg",
+        "msg/frame",
+        "MiB",
+        "start s",
+        "threads",
+    )
+    cells = Table(
+        *columns,
+        title="Exchange with four neighbours each, scattered over the processes",
+    )
     for row in result["cells"]:
         cell = Cell(**row)
         messages = cell.near + cell.far
         cells.add_row(
-            str(cell.agents), str(cell.processes), f"{cell.rounds:,.0f}", f"{1e6 * cell.cpu / messages:.1f}",
+            str(cell.agents),
+            str(cell.processes),
+            f"{cell.rounds:,.0f}",
+            f"{1e6 * cell.cpu / messages:.1f}",
             f"{cell.bytes / cell.far:.0f}" if cell.bytes else "-",
-            f"{cell.far / cell.frames:.1f}" if cell.frames else "-", f"{cell.memory / 2**20:.0f}",
-            f"{cell.start:.1f}", str(cell.threads),
-        )  # fmt: skip
-    fits = Table("model of", "coefficients", "off", "worst", "left out", "worst", title="Fitted")
+            f"{cell.far / cell.frames:.1f}" if cell.frames else "-",
+            f"{cell.memory / 2**20:.0f}",
+            f"{cell.start:.1f}",
+            str(cell.threads),
+        )
+    fits = Table(
+        "model of", "coefficients", "off", "worst", "left out", "worst", title="Fitted"
+    )
     for name, one in result["fits"].items():
-        said = ", ".join(f"{term} {value:.3g}" for term, value in one["coefficients"].items())
-        fits.add_row(name, said, *map(share, (one[key] for key in ("error", "worst", "left_out", "left_out_worst"))))
-    more = Table("processes", "links", "cores/host", "MiB/host", "Mbit/s a host", "start, s",
-                 title=f"{HOSTS * EACH:,} agents on {HOSTS} hosts, {RATE:g} rounds/s")  # fmt: skip
+        said = ", ".join(
+            f"{term} {value:.3g}" for term, value in one["coefficients"].items()
+        )
+        fits.add_row(
+            name,
+            said,
+            *map(
+                share,
+                (one[key] for key in ("error", "worst", "left_out", "left_out_worst")),
+            ),
+        )
+    more = Table(
+        "processes",
+        "links",
+        "cores/host",
+        "MiB/host",
+        "Mbit/s a host",
+        "start, s",
+        title=f"{HOSTS * EACH:,} agents on {HOSTS} hosts, {RATE:g} rounds/s",
+    )
     for row in result["needs"]:
         more.add_row(
-            str(row["processes"]), f"{row['links']:,.0f}", f"{row['cores_a_host']:.2f}",
-            f"{row['memory_a_host'] / 2**20:,.0f}", f"{8e-6 * row['bytes_a_host']:.1f}", f"{row['start']:.0f}",
-        )  # fmt: skip
+            str(row["processes"]),
+            f"{row['links']:,.0f}",
+            f"{row['cores_a_host']:.2f}",
+            f"{row['memory_a_host'] / 2**20:,.0f}",
+            f"{8e-6 * row['bytes_a_host']:.1f}",
+            f"{row['start']:.0f}",
+        )
     where = "a network namespace each" if result["namespaces"] else "one network"
     return Lines(cells, Text(f"{where}; medians of {result['repeats']}"), fits, more)

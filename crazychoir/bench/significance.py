@@ -9,8 +9,16 @@ from scipy.stats import wilcoxon
 
 def spread(values: Sequence[float]) -> dict[str, float]:
     """Median, quartiles, least and largest."""
-    least, lower, median, upper, most = np.percentile(np.asarray(values, float), [0, 25, 50, 75, 100]).tolist()
-    return {"median": median, "lower": lower, "upper": upper, "least": least, "most": most}
+    least, lower, median, upper, most = np.percentile(
+        np.asarray(values, float), [0, 25, 50, 75, 100]
+    ).tolist()
+    return {
+        "median": median,
+        "lower": lower,
+        "upper": upper,
+        "least": least,
+        "most": most,
+    }
 
 
 def paired(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
@@ -22,7 +30,12 @@ def paired(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
     level = np.abs(gap) <= 1e-6 * np.abs(np.asarray(ours, float))
     gap[level] = 0.0
     p = None if level.all() else float(wilcoxon(gap, alternative="greater").pvalue)
-    return {"pairs": len(gap), "wins": int((gap > 0.0).sum()), "ties": int(level.sum()), "p": p}
+    return {
+        "pairs": len(gap),
+        "wins": int((gap > 0.0).sum()),
+        "ties": int(level.sum()),
+        "p": p,
+    }
 
 
 def relative(cost: float, reference: float) -> float:

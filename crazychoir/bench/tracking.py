@@ -64,11 +64,18 @@ class Corner:
     @property
     def name(self) -> str:
         """In words."""
-        axis, angle = ("roll", self.tilt[0]) if self.tilt[0] else ("pitch", self.tilt[1])
-        return f"thrust {self.thrust:+.0%}, mass {self.mass:+.0%}, {axis} {angle:+g} deg"
+        axis, angle = (
+            ("roll", self.tilt[0]) if self.tilt[0] else ("pitch", self.tilt[1])
+        )
+        return (
+            f"thrust {self.thrust:+.0%}, mass {self.mass:+.0%}, {axis} {angle:+g} deg"
+        )
 
 
-CORNERS = [Corner(*c) for c in product((-0.05, 0.05), (-0.03, 0.03), ((1, 0), (-1, 0), (0, 1), (0, -1)))]
+CORNERS = [
+    Corner(*c)
+    for c in product((-0.05, 0.05), (-0.03, 0.03), ((1, 0), (-1, 0), (0, 1), (0, -1)))
+]
 
 
 @dataclass(frozen=True)
@@ -83,27 +90,49 @@ class Row:
     peak_mm: float | None
 
 
-def row(plant: str, name: str, controller: str, corner: str, errors: Errors | None) -> Row:
+def row(
+    plant: str, name: str, controller: str, corner: str, errors: Errors | None
+) -> Row:
     """The root mean square and the largest distance from the reference."""
     if not errors:
         return Row(plant, name, controller, corner, None, None)
     distances = 1e3 * np.linalg.norm(errors, axis=1)
-    return Row(plant, name, controller, corner, float(np.sqrt(np.mean(distances**2))), float(distances.max()))
+    return Row(
+        plant,
+        name,
+        controller,
+        corner,
+        float(np.sqrt(np.mean(distances**2))),
+        float(distances.max()),
+    )
 
 
 def shape(name: Path) -> dict[str, Any]:
     """The circle of 0.4 m in 40 s; the eight of 2 m by 1 m at a peak of 1 or 2 m/s: options of the mission `figure`."""
-    period = 40.0 if name == "circle" else 2.0 * math.pi * math.sqrt(2.0) / float(name[-1])
+    period = (
+        40.0 if name == "circle" else 2.0 * math.pi * math.sqrt(2.0) / float(name[-1])
+    )
     kind, size = ("circle", 0.4) if name == "circle" else ("eight", 1.0)
-    return {"figure": kind, "size": size, "period": period, "laps": (RAMP + SETTLE + SECONDS) / period, "ramp": RAMP}
+    return {
+        "figure": kind,
+        "size": size,
+        "period": period,
+        "laps": (RAMP + SETTLE + SECONDS) / period,
+        "ramp": RAMP,
+    }
 
 
 def path(name: Path) -> Figure:
     """The same as a trajectory, around (0, 0, 1)."""
     chosen = shape(name)
-    size, kind = chosen.pop("size"), chosen.pop("figure")
+    size = chosen.pop("size")
+    kind = chosen.pop("figure")
     center = (0.0, 0.0, 1.0)
-    return circle(center, size, **chosen) if kind == "circle" else eight(center, size, 0.5 * size, **chosen)
+    return (
+        circle(center, size, **chosen)
+        if kind == "circle"
+        else eight(center, size, 0.5 * size, **chosen)
+    )
 
 
 def counts(t: float) -> bool:
@@ -111,11 +140,24 @@ def counts(t: float) -> bool:
     return RAMP + SETTLE <= t <= RAMP + SETTLE + SECONDS
 
 
-def swarm(plant: Plant, name: Path, home: tuple[float, float, float], corner: Corner | None = None) -> SwarmConfig:
+def swarm(
+    plant: Plant,
+    name: Path,
+    home: tuple[float, float, float],
+    corner: Corner | None = None,
+) -> SwarmConfig:
     """One Crazyflie 2.1 with the mission `figure`, in still air."""
     exact = {"command_delay": DELAY if plant == "motors" else 0.0, "rate_lag": 0.0}
-    off = {} if corner is None else {"thrust_error": corner.thrust, "mass_error": corner.mass}
-    tilt = {} if corner is None else {"tilt": [math.radians(angle) for angle in corner.tilt]}
+    off = (
+        {}
+        if corner is None
+        else {"thrust_error": corner.thrust, "mass_error": corner.mass}
+    )
+    tilt = (
+        {}
+        if corner is None
+        else {"tilt": [math.radians(angle) for angle in corner.tilt]}
+    )
     return SwarmConfig.of(
         {
             "name": "tracking",
@@ -141,7 +183,9 @@ def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
     figure = path(name)
     [world] = worlds(swarm(plant, name, tuple(figure.sample(0.0).p.tolist())), (0,))
     late = round(DELAY / TICK) if plant == "motors" else 0
-    link, way, errors = world.link(0, chosen.sender.kind), deque[Command](), []
+    link = world.link(0, chosen.sender.kind)
+    way = deque[Command]()
+    errors = []
     chosen.trim.frozen = False
     for k in range(round(figure.duration / TICK)):
         t = k * TICK
@@ -163,7 +207,9 @@ def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
 def original(plant: Plant) -> Controls:
     """The flatness controller with the gains of CrazyChoir's Webots simulation, nothing fed forward early or learnt."""
     m = 0.038
-    gains = Gains((0.4 / m, 0.4 / m, 1.25 / m), (0.2 / m, 0.2 / m, 0.4 / m), (16.0, 16.0, 0.2))
+    gains = Gains(
+        (0.4 / m, 0.4 / m, 1.25 / m), (0.2 / m, 0.2 / m, 0.4 / m), (16.0, 16.0, 0.2)
+    )
     chosen = controls(platform=CRAZYFLIE_21, plant=plant)
     assert isinstance(chosen.tracker, HierarchicalController)  # noqa: S101 - it sends fpqr
     chosen.tracker.pos_strategy = FlatnessPositionCtrl(gains, CRAZYFLIE_21)
@@ -173,7 +219,12 @@ def original(plant: Plant) -> Controls:
 
 def ours(plant: Plant) -> Controls:
     """The standard."""
-    return controls(platform=CRAZYFLIE_21, plant=plant, rate_lag=0.0, command_delay=DELAY if plant == "motors" else 0.0)
+    return controls(
+        platform=CRAZYFLIE_21,
+        plant=plant,
+        rate_lag=0.0,
+        command_delay=DELAY if plant == "motors" else 0.0,
+    )
 
 
 # The whole stack: cameras, filter, pilot, controllers, firmware, rotors, in virtual time -----------------------------
@@ -189,7 +240,11 @@ def whole(name: Path, corner: Corner | None = None) -> Errors | None:
         agent.services.append(meter)
         results = await agent.run()
         flown = results[0].get("success", True) and not agent.owners[0].world.crashed
-        return meter.errors if flown and len(meter.errors) >= 0.99 * SECONDS / TICK else None
+        return (
+            meter.errors
+            if flown and len(meter.errors) >= 0.99 * SECONDS / TICK
+            else None
+        )
 
     return run_virtual(main)
 
@@ -200,7 +255,9 @@ class Meter(Actor):
     name = "meter"
 
     def __init__(self, agent: Agent) -> None:
-        self.clock, self.pilot, self.world = agent.clock, agent.drones[0].pilot, agent.owners[0].world
+        self.clock = agent.clock
+        self.pilot = agent.drones[0].pilot
+        self.world = agent.owners[0].world
         self.errors: Errors = []
         agent.bus.subscribe(REFERENCE, 0, 0, Call(agent.clock, self._flown))
 
@@ -210,7 +267,9 @@ class Meter(Actor):
 
     def _flown(self, reference: FullState, age: float) -> None:
         flights = self.pilot.flights
-        if isinstance(flights.plan, Figure) and counts(self.clock.now() - flights.start):
+        if isinstance(flights.plan, Figure) and counts(
+            self.clock.now() - flights.start
+        ):
             self.errors.append(self.world.states[0, :3] - reference.p)
 
 
@@ -223,12 +282,21 @@ def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
 
 
 def _rows(quick: bool, say: Say) -> Iterator[Row]:
-    plants: tuple[tuple[Plant, str], ...] = (("lightweight", "lightweight"), ("motors", "motor"))
+    plants: tuple[tuple[Plant, str], ...] = (
+        ("lightweight", "lightweight"),
+        ("motors", "motor"),
+    )
     for plant, title in plants:
         for name in PATHS:
             say(f"{title}, {name}")
             yield row(title, name, "standard", NOMINAL, alone(plant, name, ours(plant)))
-            yield row(title, name, "original's gains", NOMINAL, alone(plant, name, original(plant)))
+            yield row(
+                title,
+                name,
+                "original's gains",
+                NOMINAL,
+                alone(plant, name, original(plant)),
+            )
     for name in PATHS:
         say(f"whole stack, {name}")
         yield row("full", name, "standard", NOMINAL, whole(name))
@@ -241,8 +309,16 @@ def table(result: dict[str, Any]) -> Table:
     """The rows, for people."""
     shown = Table(title="Distance from the reference, mm, at full speed after 4 s")
     for name in ("plant", "path", "controller", "corner", "RMS", "largest"):
-        shown.add_column(name, justify="right" if name in ("RMS", "largest") else "left")
+        shown.add_column(
+            name, justify="right" if name in ("RMS", "largest") else "left"
+        )
     for row in result["rows"]:
-        figures = ("lost", "") if row["rmse_mm"] is None else (f"{row['rmse_mm']:.2f}", f"{row['peak_mm']:.2f}")
-        shown.add_row(row["plant"], row["path"], row["controller"], row["corner"], *figures)
+        figures = (
+            ("lost", "")
+            if row["rmse_mm"] is None
+            else (f"{row['rmse_mm']:.2f}", f"{row['peak_mm']:.2f}")
+        )
+        shown.add_row(
+            row["plant"], row["path"], row["controller"], row["corner"], *figures
+        )
     return shown

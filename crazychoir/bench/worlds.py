@@ -40,7 +40,9 @@ Engine = Callable[[int], Step]
 def places(n: int) -> Mat:
     """n places in a lattice 0.8 m wide, 1 m above the floor and higher: as dense as drones fly."""
     side = int(np.ceil(np.cbrt(n)))
-    lattice = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)[:n]
+    lattice = np.stack(
+        np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1
+    ).reshape(-1, 3)[:n]
     return np.asarray(0.8 * lattice + [0.0, 0.0, 1.0])
 
 
@@ -78,7 +80,9 @@ def _hovering(world: CrazyflieWorld, n: int) -> Step:
         nonlocal steps
         if steps % REFRESH == 0:
             for link in links:
-                link.onboard.fpqr(0.0 if steps == 0 else CRAZYFLIE_21.weight, 0.0, 0.0, 0.0)
+                link.onboard.fpqr(
+                    0.0 if steps == 0 else CRAZYFLIE_21.weight, 0.0, 0.0, 0.0
+                )
         steps += 1
         world.step()
 
@@ -91,12 +95,16 @@ def in_mujoco(n: int) -> Step:
     """MuJoCo: n free bodies in one model, 1 kHz, wrenches held for 10 ms; without contacts, as nothing touches."""
     mujoco: Any = importlib.import_module("mujoco")
     spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.gravity = 0.001, [0, 0, -GRAVITY]
+    spec.option.timestep = 0.001
+    spec.option.gravity = [0, 0, -GRAVITY]
     for p in places(n):
         body = spec.worldbody.add_body(pos=p)
         body.add_freejoint()
-        body.mass, body.inertia, body.explicitinertial = CRAZYFLIE_21.mass, CRAZYFLIE_21.inertia, True
-        body.ipos, body.iquat = [0, 0, 0], [1, 0, 0, 0]
+        body.mass = CRAZYFLIE_21.mass
+        body.inertia = CRAZYFLIE_21.inertia
+        body.explicitinertial = True
+        body.ipos = [0, 0, 0]
+        body.iquat = [1, 0, 0, 0]
     model = spec.compile()
     data = mujoco.MjData(model)
 
@@ -113,9 +121,18 @@ def in_crazyflow(n: int, calls: int) -> float:
         raise ModuleNotFoundError("crazyflow")
     program = Path(__file__).with_name("peers_crazyflow.py")
     words = [sys.executable, str(program), *map(str, (n, calls, REPEATS))]
-    done = subprocess.run(words, capture_output=True, text=True, errors="replace", timeout=PATIENCE, check=False)
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=PATIENCE,
+        check=False,
+    )
     if done.returncode:
-        raise Refused("crazyflow", (done.stderr.strip().splitlines() or ["it said nothing"])[-1])
+        raise Refused(
+            "crazyflow", (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        )
     return float(json.loads(done.stdout.splitlines()[-1])["seconds"])
 
 
@@ -129,20 +146,35 @@ ENGINES: dict[str, Engine] = {
 CRAZYFLOW = "crazyflow"
 
 
-def run(counts: tuple[int, ...] = COUNTS, say: Callable[[str], None] = lambda line: None) -> list[dict[str, Any]]:
+def run(
+    counts: tuple[int, ...] = COUNTS, say: Callable[[str], None] = lambda line: None
+) -> list[dict[str, Any]]:
     """Rows {engine, drones, real_time_factor, ns_per_drone_ms}, medians; with a note where it is not installed."""
     return [_row(name, n, say) for n in counts for name in (*ENGINES, CRAZYFLOW)]
 
 
 def _row(name: str, n: int, say: Callable[[str], None]) -> dict[str, Any]:
     say(f"{name.strip()}: {n} drones")
-    row: dict[str, Any] = {"engine": name, "drones": n, "real_time_factor": None, "ns_per_drone_ms": None, "note": ""}
+    row: dict[str, Any] = {
+        "engine": name,
+        "drones": n,
+        "real_time_factor": None,
+        "ns_per_drone_ms": None,
+        "note": "",
+    }
     calls = max(5, 1000 // n)
     try:
-        took = in_crazyflow(n, calls) if name == CRAZYFLOW else _seconds(ENGINES[name](n), calls)
+        took = (
+            in_crazyflow(n, calls)
+            if name == CRAZYFLOW
+            else _seconds(ENGINES[name](n), calls)
+        )
     except ModuleNotFoundError:
         return row | {"note": "not installed"}
-    return row | {"real_time_factor": TICK / took, "ns_per_drone_ms": took / n / (1e3 * TICK) * 1e9}
+    return row | {
+        "real_time_factor": TICK / took,
+        "ns_per_drone_ms": took / n / (1e3 * TICK) * 1e9,
+    }
 
 
 def _seconds(step: Step, calls: int) -> float:
@@ -164,6 +196,9 @@ def table(rows: list[dict[str, Any]]) -> Table:
     for row in rows:
         figures = [row["note"], ""]
         if not row["note"]:
-            figures = [f"{row['real_time_factor']:.1f}", f"{row['ns_per_drone_ms']:.0f}"]
+            figures = [
+                f"{row['real_time_factor']:.1f}",
+                f"{row['ns_per_drone_ms']:.0f}",
+            ]
         shown.add_row(row["engine"], str(row["drones"]), *figures)
     return shown

@@ -20,7 +20,18 @@ FORMAT: Final = 1
 VECTOR, ARRAY = FORMAT << 6 | 2, FORMAT << 6 | 3
 """First bytes of a one-dimensional float64 array, and of any array."""
 MAX_DIMENSIONS: Final = 8
-DTYPES: Final = ("float64", "float32", "int64", "int32", "int16", "uint8", "uint16", "uint32", "uint64", "bool")
+DTYPES: Final = (
+    "float64",
+    "float32",
+    "int64",
+    "int32",
+    "int16",
+    "uint8",
+    "uint16",
+    "uint32",
+    "uint64",
+    "bool",
+)
 
 Payload = bytes | bytearray | memoryview
 Encode = Callable[[Any], bytes]
@@ -45,7 +56,9 @@ def encode_array(value: Any) -> bytes:
         return _VECTOR_HEAD + numbers
     little = value.astype(value.dtype.newbyteorder("<"), copy=False)
     numbers = little.tobytes()
-    head: bytes = _ARRAY_HEADS[value.ndim].pack(ARRAY, _CODES[little.dtype], value.ndim, *value.shape)
+    head: bytes = _ARRAY_HEADS[value.ndim].pack(
+        ARRAY, _CODES[little.dtype], value.ndim, *value.shape
+    )
     return head + numbers
 
 
@@ -56,18 +69,26 @@ def decode_vector(payload: Payload) -> Vec:
 
 def decode_array(payload: Payload) -> Any:
     """View of a payload of kind ARRAY; raises CodecError unless its shape and its length agree."""
-    dtype, ndim = _LITTLE[payload[1]], payload[2]
+    dtype = _LITTLE[payload[1]]
+    ndim = payload[2]
     head = _ARRAY_HEADS[ndim]
     shape = head.unpack_from(payload)[3:]
     count = prod(shape)
     if count * dtype.itemsize != len(payload) - head.size:
-        raise CodecError(f"payload: shape {shape} of {dtype} does not fit its {len(payload)} bytes.")
-    if dtype is _BOOL and np.frombuffer(payload, np.uint8, count, head.size).max(initial=0) > 1:
+        raise CodecError(
+            f"payload: shape {shape} of {dtype} does not fit its {len(payload)} bytes."
+        )
+    if (
+        dtype is _BOOL
+        and np.frombuffer(payload, np.uint8, count, head.size).max(initial=0) > 1
+    ):
         raise CodecError("payload: a truth value is neither 0 nor 1.")
     return np.frombuffer(payload, dtype, count, head.size).reshape(shape)
 
 
-def flat_layout(cls: type[W], tag: int, size: int, more: int = 0) -> tuple[Encode, Decode]:
+def flat_layout(
+    cls: type[W], tag: int, size: int, more: int = 0
+) -> tuple[Encode, Decode]:
     """Codec of a wire type of one (size,) vector, then floats, then a (more,) vector if more is not 0.
 
     Its payload: head (8 bytes), the floats, the vectors.
@@ -75,47 +96,79 @@ def flat_layout(cls: type[W], tag: int, size: int, more: int = 0) -> tuple[Encod
     if more:
         return _flat_layout_of_two(cls, tag, size, more)
     floats = len(cls.__struct_fields__) - 1
-    pack, unpack = struct.Struct(f"<B7x{floats}d").pack, struct.Struct(f"<8x{floats}d").unpack_from
-    offset, shape, fields, from_buffer = 8 + 8 * floats, (size,), msgspec.structs.astuple, np.frombuffer
+    pack = struct.Struct(f"<B7x{floats}d").pack
+    unpack = struct.Struct(f"<8x{floats}d").unpack_from
+    offset = 8 + 8 * floats
+    shape = (size,)
+    fields = msgspec.structs.astuple
+    from_buffer = np.frombuffer
     length = offset + 8 * size
 
     def encode_flat(value: Any) -> bytes:
         values = fields(value)
         vector = values[0]
-        if type(vector) is not np.ndarray or vector.dtype is not _F8 or vector.shape != shape:
+        if (
+            type(vector) is not np.ndarray
+            or vector.dtype is not _F8
+            or vector.shape != shape
+        ):
             vector = _vector(vector, shape)
         numbers: bytes = vector.tobytes()
         return pack(tag, *values[1:]) + numbers
 
     def decode_flat(payload: Payload) -> W:
         if len(payload) != length:
-            raise CodecError(f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}.")
+            raise CodecError(
+                f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}."
+            )
         return cls(from_buffer(payload, _F8, size, offset), *unpack(payload))
 
     return encode_flat, decode_flat
 
 
-def _flat_layout_of_two(cls: type[W], tag: int, size: int, more: int) -> tuple[Encode, Decode]:
+def _flat_layout_of_two(
+    cls: type[W], tag: int, size: int, more: int
+) -> tuple[Encode, Decode]:
     """Of two vectors."""
     floats = len(cls.__struct_fields__) - 2
-    pack, unpack = struct.Struct(f"<B7x{floats}d").pack, struct.Struct(f"<8x{floats}d").unpack_from
-    offset, shapes, fields, from_buffer = 8 + 8 * floats, ((size,), (more,)), msgspec.structs.astuple, np.frombuffer
-    second, length = offset + 8 * size, offset + 8 * (size + more)
+    pack = struct.Struct(f"<B7x{floats}d").pack
+    unpack = struct.Struct(f"<8x{floats}d").unpack_from
+    offset = 8 + 8 * floats
+    shapes = ((size,), (more,))
+    fields = msgspec.structs.astuple
+    from_buffer = np.frombuffer
+    second = offset + 8 * size
+    length = offset + 8 * (size + more)
 
     def encode_flat(value: Any) -> bytes:
         values = fields(value)
-        first, last = values[0], values[-1]
-        if type(first) is not np.ndarray or first.dtype is not _F8 or first.shape != shapes[0]:
+        first = values[0]
+        last = values[-1]
+        if (
+            type(first) is not np.ndarray
+            or first.dtype is not _F8
+            or first.shape != shapes[0]
+        ):
             first = _vector(first, shapes[0])
-        if type(last) is not np.ndarray or last.dtype is not _F8 or last.shape != shapes[1]:
+        if (
+            type(last) is not np.ndarray
+            or last.dtype is not _F8
+            or last.shape != shapes[1]
+        ):
             last = _vector(last, shapes[1])
         return pack(tag, *values[1:-1]) + first.tobytes() + last.tobytes()  # type: ignore[no-any-return]
 
     def decode_flat(payload: Payload) -> W:
         if len(payload) != length:
-            raise CodecError(f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}.")
+            raise CodecError(
+                f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}."
+            )
         numbers = unpack(payload)
-        return cls(from_buffer(payload, _F8, size, offset), *numbers, from_buffer(payload, _F8, more, second))
+        return cls(
+            from_buffer(payload, _F8, size, offset),
+            *numbers,
+            from_buffer(payload, _F8, more, second),
+        )
 
     return encode_flat, decode_flat
 

@@ -20,7 +20,9 @@ SAMPLES: Final = 128
 DRIFT: Final = 30e-6
 """s a second, between two clocks of 15 ppm each."""
 
-_Times = Annotated[list[Annotated[int, Meta(ge=0, lt=1 << 62)]], Meta(min_length=1, max_length=3)]
+_Times = Annotated[
+    list[Annotated[int, Meta(ge=0, lt=1 << 62)]], Meta(min_length=1, max_length=3)
+]
 
 
 class Estimate(NamedTuple):
@@ -70,13 +72,16 @@ class Offset:
         return None
 
     def _answered(self, t1: int, t2: int, t3: int, t4: int) -> None:
-        away, held = t4 - t1, t3 - t2
+        away = t4 - t1
+        held = t3 - t2
         if not 0 <= held <= away:
             raise CodecError(f"clock: held for {held} ns of {away}")
         if t1 != self._asked_ns:
             return  # late, or the second of two
         self._asked_ns = None
-        sample = Estimate(((t2 - t1) + (t3 - t4)) / 2 / SECOND, (away - held) / 2 / SECOND)
+        sample = Estimate(
+            ((t2 - t1) + (t3 - t4)) / 2 / SECOND, (away - held) / 2 / SECOND
+        )
         known = self.estimate(t4)
         if known is not None and sample.contradicts(known):
             self._samples.clear()
@@ -84,5 +89,8 @@ class Offset:
 
     def estimate(self, now_ns: int) -> Estimate | None:
         """The best that is known now."""
-        aged = [Estimate(theta, error + DRIFT * (now_ns - t4) / SECOND) for t4, (theta, error) in self._samples]
+        aged = [
+            Estimate(theta, error + DRIFT * (now_ns - t4) / SECOND)
+            for t4, (theta, error) in self._samples
+        ]
         return min(aged, key=lambda one: one.error, default=None)

@@ -84,7 +84,9 @@ def encode(value: Any, limit: int = MAX_PAYLOAD) -> bytes:
     except Exception as error:
         raise _refusal(value, error) from error
     if len(payload) > limit:
-        raise CodecError(f"value: {len(payload)} bytes when encoded; allowed: {limit}. Send less, or in parts.")
+        raise CodecError(
+            f"value: {len(payload)} bytes when encoded; allowed: {limit}. Send less, or in parts."
+        )
     return payload
 
 
@@ -102,17 +104,23 @@ def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
     except CodecError:
         raise
     except Exception as error:
-        raise CodecError(f"payload: cannot be decoded: {type(error).__name__}: {error}") from error
+        raise CodecError(
+            f"payload: cannot be decoded: {type(error).__name__}: {error}"
+        ) from error
 
 
 def register(cls: type[W]) -> type[W]:
     """Let a wire type travel; its kind is in LAYOUTS. Usable as a decorator."""
     if cls.__name__ not in LAYOUTS:
-        raise CodecError(f"{cls.__qualname__}: is not in codec.LAYOUTS, which has {', '.join(LAYOUTS)}. Add it there.")
+        raise CodecError(
+            f"{cls.__qualname__}: is not in codec.LAYOUTS, which has {', '.join(LAYOUTS)}. Add it there."
+        )
     kind, *sizes = LAYOUTS[cls.__name__]
     tag = FORMAT << 6 | kind
     _ARRIVING.add(cls)
-    _ENCODERS[cls], _DECODERS[tag] = flat_layout(cls, tag, *sizes) if sizes[0] else _typed(cls, tag)
+    _ENCODERS[cls], _DECODERS[tag] = (
+        flat_layout(cls, tag, *sizes) if sizes[0] else _typed(cls, tag)
+    )
     return cls
 
 
@@ -137,9 +145,14 @@ def _decode_float(payload: Payload) -> float:
 def _typed(cls: type[W], tag: int) -> tuple[Encode, Decode]:
     """Any fields: msgpack of their list, checked against their types on arrival; arrays are float64, of any shape."""
     shown = repr(msgspec.inspect.type_info(cls))
-    if re.search(r"AnyType|CustomType\(cls=<class '(?!numpy\.ndarray)|.StructType", shown):
-        raise CodecError(f"{cls.__qualname__}: a field is Any, a struct or a class; allowed: plain types and arrays.")
-    head, fields = bytes([tag]), msgspec.msgpack.Encoder(enc_hook=_hooked_field).encode
+    if re.search(
+        r"AnyType|CustomType\(cls=<class '(?!numpy\.ndarray)|.StructType", shown
+    ):
+        raise CodecError(
+            f"{cls.__qualname__}: a field is Any, a struct or a class; allowed: plain types and arrays."
+        )
+    head = bytes([tag])
+    fields = msgspec.msgpack.Encoder(enc_hook=_hooked_field).encode
     decoder = msgspec.msgpack.Decoder(cls, ext_hook=_field_extension)
 
     def encode_fields(value: Any) -> bytes:
@@ -151,7 +164,9 @@ def _typed(cls: type[W], tag: int) -> tuple[Encode, Decode]:
 
 
 def _encode_generic(value: Any) -> bytes:
-    return _GENERIC_HEAD + _encode_msgpack(value if type(value) in _LEAVES else _item(value, 1))
+    return _GENERIC_HEAD + _encode_msgpack(
+        value if type(value) in _LEAVES else _item(value, 1)
+    )
 
 
 def _item(value: Any, depth: int) -> Any:
@@ -164,7 +179,11 @@ def _item(value: Any, depth: int) -> Any:
             return value
         return {_key(key): _item(item, depth + 1) for key, item in value.items()}
     if (kind is list or kind is tuple) and depth <= MAX_DEPTH:
-        return value if _plain(map(type, value)) else [_item(item, depth + 1) for item in value]
+        return (
+            value
+            if _plain(map(type, value))
+            else [_item(item, depth + 1) for item in value]
+        )
     if kind in _ENCODERS:
         return msgspec.msgpack.Ext(_EXTENSION, _ENCODERS[kind](value))
     return _leaf(value)
@@ -200,7 +219,9 @@ def _decode_generic(payload: Payload) -> Any:
 def _check(value: Any, depth: int) -> None:
     """Refuse what no sender encodes: containers too deep, the timestamps of msgpack, strange keys."""
     if depth > MAX_DEPTH:
-        raise CodecError(f"payload: more than {MAX_DEPTH} containers within each other.")
+        raise CodecError(
+            f"payload: more than {MAX_DEPTH} containers within each other."
+        )
     if type(value) is dict:
         if not _plain(map(type, value)):
             _check_keys(value)
@@ -215,7 +236,9 @@ def _check(value: Any, depth: int) -> None:
 
 def _check_keys(keys: Iterable[Any]) -> None:
     for key in keys:
-        if type(key) not in _LEAVES and not (type(key) is tuple and _plain(map(type, key))):
+        if type(key) not in _LEAVES and not (
+            type(key) is tuple and _plain(map(type, key))
+        ):
             raise CodecError(f"payload: found a {type(key).__name__} in a key.")
 
 
@@ -231,17 +254,24 @@ def _field_extension(code: int, data: memoryview) -> types.Vec:
     """A float64 array in a field of a wire type."""
     payload = bytes(data)
     if code != _EXTENSION or payload[0] not in (VECTOR, ARRAY):
-        raise CodecError(f"payload: found extension {code}, kind {payload[0]} in a field.")
+        raise CodecError(
+            f"payload: found extension {code}, kind {payload[0]} in a field."
+        )
     array: types.Vec = _DECODERS[payload[0]](payload)
     if array.dtype is not _F8:
-        raise CodecError(f"payload: found an array of {array.dtype} in a field; allowed: float64.")
+        raise CodecError(
+            f"payload: found an array of {array.dtype} in a field; allowed: float64."
+        )
     return array
 
 
 def _unknown(payload: Payload) -> Any:
-    version, kind = payload[0] >> 6, payload[0] & 63
+    version = payload[0] >> 6
+    kind = payload[0] & 63
     if version != FORMAT:
-        raise CodecError(f"payload: format version {version}; allowed: {FORMAT}. Run one version of crazychoir.")
+        raise CodecError(
+            f"payload: format version {version}; allowed: {FORMAT}. Run one version of crazychoir."
+        )
     raise CodecError(f"payload: kind {kind} is not registered.")
 
 
@@ -271,7 +301,9 @@ def _blame(value: Any, where: str, depth: int) -> tuple[str, str] | None:
     return found
 
 
-def _trouble(form: Callable[[Any], Any], value: Any, where: str) -> tuple[str, str] | None:
+def _trouble(
+    form: Callable[[Any], Any], value: Any, where: str
+) -> tuple[str, str] | None:
     try:
         _encode_msgpack(form(value))
     except Exception as error:  # noqa: BLE001 - whatever stops this part is what the text tells
@@ -283,7 +315,11 @@ def _shown(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"a {type(value).__name__} of {value.dtype}, shape {value.shape}"
     kind = type(value)
-    return f"a {kind.__qualname__}" if kind.__module__ == "builtins" else f"a {kind.__module__}.{kind.__qualname__}"
+    return (
+        f"a {kind.__qualname__}"
+        if kind.__module__ == "builtins"
+        else f"a {kind.__module__}.{kind.__qualname__}"
+    )
 
 
 _plain = _LEAVES.issuperset
@@ -293,12 +329,27 @@ _encode_msgpack = msgspec.msgpack.Encoder().encode
 _decode_msgpack = msgspec.msgpack.Decoder(ext_hook=_extension).decode
 _ENCODERS: dict[type, Encode] = {float: _encode_float, np.ndarray: encode_array}
 _DECODERS: list[Decode] = [_unknown] * 256
-_DECODERS[_GENERIC], _DECODERS[_FLOAT] = _decode_generic, _decode_float
-_DECODERS[VECTOR], _DECODERS[ARRAY] = decode_vector, decode_array
+_DECODERS[_GENERIC] = _decode_generic
+_DECODERS[_FLOAT] = _decode_float
+_DECODERS[VECTOR] = decode_vector
+_DECODERS[ARRAY] = decode_array
 for _cls in (
-    types.Pose, types.State, types.Acceleration, types.FullState, types.Goto, types.FPQR, types.Status,
-    types.FRPY, types.Vel, types.XYZ, types.Body, types.Failure, types.Acc, types.Drive, types.Velocity,
+    types.Pose,
+    types.State,
+    types.Acceleration,
+    types.FullState,
+    types.Goto,
+    types.FPQR,
+    types.Status,
+    types.FRPY,
+    types.Vel,
+    types.XYZ,
+    types.Body,
+    types.Failure,
+    types.Acc,
+    types.Drive,
+    types.Velocity,
     types.Plan,
     types.LinkStatus,
-):  # fmt: skip
+):
     register(_cls)

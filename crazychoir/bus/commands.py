@@ -49,16 +49,22 @@ class Commander:
     def __init__(self, port: Port) -> None:
         self.port = port
         self._count = 0
-        self._waiting: dict[int, tuple[int, asyncio.Future[Answer]]] = {}  # with who was asked
+        self._waiting: dict[
+            int, tuple[int, asyncio.Future[Answer]]
+        ] = {}  # with who was asked
         self._accepted: dict[int, None] = {}
         self._on_accepted: dict[int, Callable[[], None]] = {}
         self._acknowledged: dict[int, dict[int, None]] = {}
         port.handlers[ANSWER.number] = self._answered
 
     async def request(
-        self, target: int, verb: str, deadline: float = 5.0, on_accepted: Callable[[], None] = lambda: None,
+        self,
+        target: int,
+        verb: str,
+        deadline: float = 5.0,
+        on_accepted: Callable[[], None] = lambda: None,
         **arguments: Any,
-    ) -> Answer:  # fmt: skip
+    ) -> Answer:
         """Ask drone `target`; raises TimeoutError when nothing answers within `deadline` s.
 
         on_accepted: called once when it has said that it will do it.
@@ -75,9 +81,19 @@ class Commander:
                 attempt = 0
                 while not future.done():
                     body = encode([verb, arguments, ends - clock.now()])
-                    self.port.send(REQUEST, (target,), body, number, f"{self.port.incarnation:x}", 0, attempt)
+                    self.port.send(
+                        REQUEST,
+                        (target,),
+                        body,
+                        number,
+                        f"{self.port.incarnation:x}",
+                        0,
+                        attempt,
+                    )
                     attempt += 1
-                    await asyncio.wait([future], timeout=AGAIN if number in self._accepted else RESEND)
+                    await asyncio.wait(
+                        [future], timeout=AGAIN if number in self._accepted else RESEND
+                    )
                 return future.result()
         except TimeoutError:
             if number in self._accepted:
@@ -89,9 +105,13 @@ class Commander:
             self._accepted.pop(number, None)
 
     async def emergency_stop(
-        self, targets: list[int], clear: bool = False, deadline: float = 10.0, alone: bool = False,
+        self,
+        targets: list[int],
+        clear: bool = False,
+        deadline: float = 10.0,
+        alone: bool = False,
         answered: dict[int, None] | None = None,
-    ) -> list[int]:  # fmt: skip
+    ) -> list[int]:
         """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not.
 
         targets: who is taken out of the list meanwhile is told no more;  deadline: s, infinite for as long as it takes;
@@ -108,13 +128,23 @@ class Commander:
                 if clock.now() > ends:
                     break
                 body = encode(ALONE if alone else clear)
-                self.port.send(ESTOP, tuple(missing), body, number, f"{self.port.incarnation:x}")
+                self.port.send(
+                    ESTOP, tuple(missing), body, number, f"{self.port.incarnation:x}"
+                )
                 await clock.sleep(RESEND)
             return missing
         finally:
             del self._acknowledged[number]
 
-    def _answered(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _answered(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         if channel != f"{self.port.incarnation:x}":
             return
         if number in self._acknowledged:
@@ -125,7 +155,9 @@ class Commander:
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if future is None or future.done() or source != target:  # nobody answers for another
+        if (
+            future is None or future.done() or source != target
+        ):  # nobody answers for another
             return
         if kind == ACCEPTED:
             if number not in self._accepted:
@@ -141,16 +173,32 @@ class CommandServer:
     Nor is one that comes again after its answer has been forgotten: the numbers of an issuer's life rise.
     """
 
-    def __init__(self, port: Port, execute: Execute, on_stop: Callable[[bool], None]) -> None:
-        self.port, self.execute, self.on_stop = port, execute, on_stop
+    def __init__(
+        self, port: Port, execute: Execute, on_stop: Callable[[bool], None]
+    ) -> None:
+        self.port = port
+        self.execute = execute
+        self.on_stop = on_stop
         self._answers: dict[_Key, bytes] = {}
         self._running: dict[_Key, asyncio.Task[None]] = {}
-        self._forgotten: dict[tuple[int, str], int] = {}  # highest number of an issuer's life without its answer
-        self._newest: dict[tuple[int, str, bool], int] = {}  # number of the newest stop, or clear, of an issuer's life
+        self._forgotten: dict[
+            tuple[int, str], int
+        ] = {}  # highest number of an issuer's life without its answer
+        self._newest: dict[
+            tuple[int, str, bool], int
+        ] = {}  # number of the newest stop, or clear, of an issuer's life
         port.handlers[REQUEST.number] = self._requested
         port.handlers[ESTOP.number] = self._stopped
 
-    def _requested(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _requested(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         key = (source, channel, number)
         if key in self._answers:
             self._send(key, self._answers[key])
@@ -176,7 +224,9 @@ class CommandServer:
 
     def _start(self, key: _Key, verb: str, arguments: dict[str, Any]) -> None:
         name = f"drone {self.port.address} command {verb}"
-        task = asyncio.get_running_loop().create_task(self._run(key, verb, arguments), name=name)
+        task = asyncio.get_running_loop().create_task(
+            self._run(key, verb, arguments), name=name
+        )
         self._running[key] = task
         task.add_done_callback(lambda task: self._running.pop(key))
         self._send(key, _ACCEPTED)
@@ -209,7 +259,15 @@ class CommandServer:
         source, channel, number = key
         self.port.send(ANSWER, (source,), payload, number, channel)
 
-    def _stopped(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _stopped(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         """Stop, or clear; what comes late, or again, is acknowledged, and does not undo what was ordered after it.
 
         The numbers of one issuer rise: a clear does not count after a newer stop of his, nor a stop after a newer
@@ -221,7 +279,9 @@ class CommandServer:
         except CodecError:
             said = None
         clear = said is True
-        if key not in self._answers and number > self._newest.get((source, channel, not clear), -1):
+        if key not in self._answers and number > self._newest.get(
+            (source, channel, not clear), -1
+        ):
             if said != ALONE:
                 self.port.bus.stopped = not clear
             self.on_stop(not clear)
@@ -230,6 +290,8 @@ class CommandServer:
 
     def _note(self, source: int, channel: str, clear: bool, number: int) -> None:
         newest = self._newest
-        newest[source, channel, clear] = max(number, newest.pop((source, channel, clear), -1))
+        newest[source, channel, clear] = max(
+            number, newest.pop((source, channel, clear), -1)
+        )
         while len(newest) > REMEMBERED:
             del newest[next(iter(newest))]

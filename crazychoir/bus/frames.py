@@ -35,7 +35,9 @@ class FrameVersionError(CodecError):
 
     def __init__(self, found: int) -> None:
         self.found = found
-        super().__init__(f"frame: version {found}; allowed: {VERSION}. Run the same crazychoir on all hosts.")
+        super().__init__(
+            f"frame: version {found}; allowed: {VERSION}. Run the same crazychoir on all hosts."
+        )
 
 
 class Envelope(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -73,9 +75,13 @@ def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
     try:
         data = _HEAD + _encode(frame)
     except Exception as error:
-        raise CodecError(f"frame: cannot be encoded: {type(error).__name__}: {error}") from error
+        raise CodecError(
+            f"frame: cannot be encoded: {type(error).__name__}: {error}"
+        ) from error
     if len(data) > limit:
-        raise CodecError(f"frame: {len(data)} bytes; allowed: {limit}. Collect with a FrameBuffer, which splits.")
+        raise CodecError(
+            f"frame: {len(data)} bytes; allowed: {limit}. Collect with a FrameBuffer, which splits."
+        )
     return data
 
 
@@ -88,7 +94,9 @@ def decode_frame(data: bytes | bytearray | memoryview, limit: int = MAX_FRAME) -
     try:
         return _decode(memoryview(data)[1:])
     except Exception as error:
-        raise CodecError(f"frame: cannot be decoded: {type(error).__name__}: {error}") from error
+        raise CodecError(
+            f"frame: cannot be decoded: {type(error).__name__}: {error}"
+        ) from error
 
 
 class FrameBuffer:
@@ -98,10 +106,18 @@ class FrameBuffer:
     """
 
     def __init__(
-        self, process: str, incarnation: int, kind: int, conflate: bool = False, limit: int = MAX_FRAME
+        self,
+        process: str,
+        incarnation: int,
+        kind: int,
+        conflate: bool = False,
+        limit: int = MAX_FRAME,
     ) -> None:
-        self.process, self.incarnation, self.kind = process, incarnation, kind
-        self.conflate, self.limit = conflate, limit
+        self.process = process
+        self.incarnation = incarnation
+        self.kind = kind
+        self.conflate = conflate
+        self.limit = limit
         self.conflated = 0
         self._room = limit - 4 * len(process) - 32
         self._total = 0
@@ -128,11 +144,16 @@ class FrameBuffer:
 
     def take(self) -> list[bytes]:
         """Frames of all that was added, in its order; the buffer is empty afterwards."""
-        envelopes, total = self._envelopes, self._total
-        self._envelopes, self._total = [], 0
+        envelopes = self._envelopes
+        total = self._total
+        self._envelopes = []
+        self._total = 0
         self._places.clear()
         fits = total <= self._room and 0 < len(envelopes) <= MAX_ENVELOPES
-        return [self._frame(part) for part in ([envelopes] if fits else self._parts(envelopes))]
+        return [
+            self._frame(part)
+            for part in ([envelopes] if fits else self._parts(envelopes))
+        ]
 
     def _refusal(self, envelope: Envelope, size: int) -> CodecError:
         return CodecError(
@@ -142,7 +163,9 @@ class FrameBuffer:
         )
 
     def _frame(self, envelopes: list[Envelope]) -> bytes:
-        return encode_frame(Frame(self.process, self.incarnation, self.kind, envelopes), self.limit)
+        return encode_frame(
+            Frame(self.process, self.incarnation, self.kind, envelopes), self.limit
+        )
 
     def _parts(self, envelopes: list[Envelope]) -> list[list[Envelope]]:
         parts: list[list[Envelope]] = []

@@ -7,7 +7,10 @@ from typing import Any
 def plain(value: Any) -> Any:
     """Lists for arrays, fields by name, null for what is not finite."""
     if isinstance(value, dict):
-        return {key if isinstance(key, str | int) else str(key): plain(item) for key, item in value.items()}
+        return {
+            key if isinstance(key, str | int) else str(key): plain(item)
+            for key, item in value.items()
+        }
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
     if hasattr(value, "tolist"):  # an array

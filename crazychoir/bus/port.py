@@ -75,7 +75,9 @@ class Rate:
         """Whether a value may go now."""
         if now_ns < self.due_ns:
             return False
-        self.due_ns += ((now_ns - self.due_ns) // self.interval_ns + 1) * self.interval_ns
+        self.due_ns += (
+            (now_ns - self.due_ns) // self.interval_ns + 1
+        ) * self.interval_ns
         return True
 
 
@@ -100,9 +102,14 @@ class Readers:
             self.every.append(address)
         elif address in self.some:
             rate = self.some[address]
-            rate.interval_ns, rate.asked_ns = min(rate.interval_ns, interval_ns), min(rate.asked_ns, interval_ns)
+            rate.interval_ns = min(rate.interval_ns, interval_ns)
+            rate.asked_ns = min(rate.asked_ns, interval_ns)
         else:
-            rate = Rate(interval_ns, phase % interval_ns if interval_ns >= SLOW_NS else 0, interval_ns)
+            rate = Rate(
+                interval_ns,
+                phase % interval_ns if interval_ns >= SLOW_NS else 0,
+                interval_ns,
+            )
             self.some[address] = rate
             self._plan(address, rate)
 
@@ -167,11 +174,17 @@ class Bus:
     """All ports of one process.  offsets: of the clocks of other hosts, to be shown."""
 
     def __init__(
-        self, clock: Clock, impairment: Impairment | None = None, process: str = "local", host: str = "local"
+        self,
+        clock: Clock,
+        impairment: Impairment | None = None,
+        process: str = "local",
+        host: str = "local",
     ) -> None:
-        self.clock, self.stages = clock, Stages(clock)
+        self.clock = clock
+        self.stages = Stages(clock)
         self.impairment = impairment or Impairment(0)
-        self.process, self.host = process, host
+        self.process = process
+        self.host = host
         self.ports: dict[int, Port] = {}
         self.forwarder: Forwarder | None = None
         self.offsets: dict[str, Estimate] = {}
@@ -202,9 +215,12 @@ class Bus:
         opened, value = self._opened
         if payload is opened:
             return value
-        value, row = decode(payload), BY_NUMBER[topic]
+        value = decode(payload)
+        row = BY_NUMBER[topic]
         if row.type is not None and not isinstance(value, row.type):
-            raise CodecError(f"{row.name}: found a {type(value).__name__}; allowed: {row.allowed}.")
+            raise CodecError(
+                f"{row.name}: found a {type(value).__name__}; allowed: {row.allowed}."
+            )
         if isinstance(value, Wire):
             self._opened = payload, value
         return value
@@ -213,13 +229,26 @@ class Bus:
         """Ids of the drones of this process."""
         return [address for address in self.ports if address < OBSERVER]
 
-    def subscribe(self, topic: Topic, source: int, reader: int, mailbox: AnyMailbox, rate: float = 0.0) -> None:
+    def subscribe(
+        self,
+        topic: Topic,
+        source: int,
+        reader: int,
+        mailbox: AnyMailbox,
+        rate: float = 0.0,
+    ) -> None:
         """Let `mailbox` of `reader` get `topic` of drone `source` (or ANY)."""
         interest = Interest(topic.name, source, reader, rate)
-        self.ports[reader].mailboxes.setdefault(topic.number, {}).setdefault(source, []).append(mailbox)
+        self.ports[reader].mailboxes.setdefault(topic.number, {}).setdefault(
+            source, []
+        ).append(mailbox)
         for address in self._sources(interest):
-            self.ports[address].add_reader(interest, mailbox if address == reader else None)
-        if (source == ANY or source not in self.ports) and interest not in self.interests:
+            self.ports[address].add_reader(
+                interest, mailbox if address == reader else None
+            )
+        if (
+            source == ANY or source not in self.ports
+        ) and interest not in self.interests:
             self.interests.append(interest)
             if self.forwarder is not None:
                 self.forwarder.interested()
@@ -273,30 +302,52 @@ class Port:
         age: float = 0.0,
     ) -> None:
         """Send to each address of `to`, here or elsewhere; between drones through the simulated network."""
-        bus, ports, sent = self.bus, self.bus.ports, 0
+        bus = self.bus
+        ports = self.bus.ports
+        sent = 0
         impaired = topic.impaired and bus.impairment.active
-        if bus.forwarder is not None:  # what leaves this process goes first: the others work meanwhile
+        if (
+            bus.forwarder is not None
+        ):  # what leaves this process goes first: the others work meanwhile
             far = []
-            for j in to:  # a loop: a comprehension would make a function for each message
+            for (
+                j
+            ) in to:  # a loop: a comprehension would make a function for each message
                 if j not in ports and not (impaired and j < OBSERVER):
                     far.append(j)
             if far:
                 self._forward(topic, far, payload, number, channel, flags, age)
                 sent += sum(j < OBSERVER for j in far)
                 to = [j for j in to if j in ports or (impaired and j < OBSERVER)]
-                if to and topic.klass is Class.ROUNDS:  # those elsewhere wait for it, and then we for them
-                    here = partial(self.send, topic, to, payload, number, channel, flags, attempt, age)
+                if (
+                    to and topic.klass is Class.ROUNDS
+                ):  # those elsewhere wait for it, and then we for them
+                    here = partial(
+                        self.send,
+                        topic,
+                        to,
+                        payload,
+                        number,
+                        channel,
+                        flags,
+                        attempt,
+                        age,
+                    )
                     bus.forwarder.then(here)
                     to = ()
         for j in to:
             if j < OBSERVER:
                 sent += 1
                 if impaired:
-                    self._send_impaired(topic, j, payload, number, channel, flags, attempt, age)
+                    self._send_impaired(
+                        topic, j, payload, number, channel, flags, attempt, age
+                    )
                     continue
             port = ports.get(j)
             if port is not None:
-                port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+                port.deliver(
+                    topic.number, self.address, payload, number, channel, flags, age
+                )
             elif bus.forwarder is None:
                 bus.unroutable += 1
         self.counters.sent += sent
@@ -305,7 +356,10 @@ class Port:
     def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
         """Give a value to all its readers; costs nothing where nobody reads."""
         if topic.latched:
-            self._latched[topic.number] = value, self.bus.clock.now_ns() - round(age * SECOND)
+            self._latched[topic.number] = (
+                value,
+                self.bus.clock.now_ns() - round(age * SECOND),
+            )
         readers = self._readers.get(topic.number)
         if readers is None:
             return
@@ -315,16 +369,24 @@ class Port:
         if readers.some:
             to = [*to, *readers.now_due(self.bus.clock.now_ns())]
         if to:
-            number = self._numbers[topic.number] = self._numbers.get(topic.number, 0) + 1
-            payload, bus = encode(value), self.bus
+            number = self._numbers[topic.number] = (
+                self._numbers.get(topic.number, 0) + 1
+            )
+            payload = encode(value)
+            bus = self.bus
             if bus.forwarder is None and bus.tap is None and not bus.impairment.active:
                 self._give(topic, to, payload, number, age)
             else:
                 self.send(topic, to, payload, number, age=age)
 
-    def _give(self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float) -> None:
+    def _give(
+        self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float
+    ) -> None:
         """The short way of `send` and `deliver`, where all are here and nothing is done to a message on its way."""
-        bus, source, now_ns, sent = self.bus, self.address, self._now_ns(), 0
+        bus = self.bus
+        source = self.address
+        now_ns = self._now_ns()
+        sent = 0
         for j in to:
             sent += j < OBSERVER
             port = bus.ports.get(j)
@@ -345,7 +407,14 @@ class Port:
         self.counters.bytes += sent * len(payload)
 
     def deliver(
-        self, topic: int, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
+        self,
+        topic: int,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
     ) -> None:
         """A message has arrived for this port."""
         bus = self.bus
@@ -360,7 +429,8 @@ class Port:
         inputs = self.mailboxes.get(topic)
         if inputs is None:
             return
-        boxes, every = inputs.get(source, ()), inputs.get(ANY, ())
+        boxes = inputs.get(source, ())
+        every = inputs.get(ANY, ())
         if not boxes and not every:
             return
         try:
@@ -420,28 +490,52 @@ class Port:
     ) -> None:
         bus = self.bus
         lane = channel or topic.name
-        verdict = bus.impairment.verdict(self.address, j, lane, number, attempt, len(payload), bus.clock.now())
+        verdict = bus.impairment.verdict(
+            self.address, j, lane, number, attempt, len(payload), bus.clock.now()
+        )
         if not verdict.deliveries:
             self.counters.lost += 1
         for delay in verdict.deliveries:
             if delay > 0.0:
                 when_ns = bus.clock.now_ns() + round(delay * SECOND)
                 arguments = (topic, j, payload, number, channel, flags, age + delay)
-                bus.clock.call_at(when_ns, self._arrive, *arguments, priority=MESSAGE, drone=j)
+                bus.clock.call_at(
+                    when_ns, self._arrive, *arguments, priority=MESSAGE, drone=j
+                )
             else:
                 self._arrive(topic, j, payload, number, channel, flags, age)
 
-    def _arrive(self, topic: Topic, j: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _arrive(
+        self,
+        topic: Topic,
+        j: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         port = self.bus.ports.get(j)
         if port is not None:
-            port.deliver(topic.number, self.address, payload, number, channel, flags, age)
+            port.deliver(
+                topic.number, self.address, payload, number, channel, flags, age
+            )
         else:
             self._forward(topic, [j], payload, number, channel, flags, age)
 
     def _forward(
-        self, topic: Topic, far: list[int], payload: bytes, number: int, channel: str, flags: int, age: float
+        self,
+        topic: Topic,
+        far: list[int],
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
     ) -> None:
         if self.bus.forwarder is None:
             self.bus.unroutable += len(far)
         else:
-            self.bus.forwarder.forward(topic, self.address, far, payload, number, channel, flags, age)
+            self.bus.forwarder.forward(
+                topic, self.address, far, payload, number, channel, flags, age
+            )

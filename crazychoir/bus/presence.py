@@ -47,9 +47,16 @@ class PresenceMonitor(Actor):
     restart = ON_FAILURE
 
     def __init__(
-        self, port: Port, watched: tuple[int, ...], beat: Callable[[], bytes], lost_after: float = 5.0
+        self,
+        port: Port,
+        watched: tuple[int, ...],
+        beat: Callable[[], bytes],
+        lost_after: float = 5.0,
     ) -> None:
-        self.port, self.watched, self.beat, self.lost_after = port, watched, beat, lost_after
+        self.port = port
+        self.watched = watched
+        self.beat = beat
+        self.lost_after = lost_after
         self.listeners: list[OnChange] = []
         self._members: dict[int, _Member] = {}
         self._number = 0
@@ -59,14 +66,18 @@ class PresenceMonitor(Actor):
     async def run(self) -> None:
         """Beat and look, four times a second."""
         self.tick()
-        async for _ in self.port.bus.clock.ticks(HEARTBEAT.rate, drone=self.port.address):
+        async for _ in self.port.bus.clock.ticks(
+            HEARTBEAT.rate, drone=self.port.address
+        ):
             self.tick()
 
     def tick(self) -> None:
         """One heartbeat to everybody watched, and one look at each."""
         self._number += 1
         if not self.silent:
-            self.port.send(HEARTBEAT, self.watched, self.beat(), self._number, "heartbeat")
+            self.port.send(
+                HEARTBEAT, self.watched, self.beat(), self._number, "heartbeat"
+            )
         for j in self.watched:
             self._look(j)
 
@@ -102,7 +113,10 @@ class PresenceMonitor(Actor):
                 self._change(j, member, Presence.ALIVE)
         elif member.state is Presence.ALIVE:
             self._change(j, member, Presence.SUSPECT)
-        elif member.state is Presence.SUSPECT and now_ns - member.since_ns > self.lost_after * SECOND:
+        elif (
+            member.state is Presence.SUSPECT
+            and now_ns - member.since_ns > self.lost_after * SECOND
+        ):
             self._change(j, member, Presence.LOST)
 
     def _change(self, j: int, member: _Member, state: Presence) -> None:

@@ -52,14 +52,17 @@ class _Incoming:
         """The sender will not repeat what is before `oldest`: it has our acknowledgement, or has given up."""
         if oldest > self.expected:
             self.expected = oldest
-            self.early = {k: message for k, message in self.early.items() if k >= oldest}
+            self.early = {
+                k: message for k, message in self.early.items() if k >= oldest
+            }
 
 
 class Reliable:
     """The reliable messages of one port."""
 
     def __init__(self, port: Port) -> None:
-        self.port, self.clock = port, port.bus.clock
+        self.port = port
+        self.clock = port.bus.clock
         self.given_up = 0
         self._label = f"{port.incarnation:x}"
         self._outgoing: dict[int, _Outgoing] = {}
@@ -72,7 +75,14 @@ class Reliable:
         """Hand the messages of a reliable topic to `receive`."""
         self._receivers[topic.number] = receive
 
-        def arrived(source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+        def arrived(
+            source: int,
+            payload: bytes,
+            number: int,
+            channel: str,
+            flags: int,
+            age: float,
+        ) -> None:
             self._arrived(topic.number, source, payload, number, channel, flags)
 
         self.port.handlers[topic.number] = arrived
@@ -98,16 +108,34 @@ class Reliable:
     def _transmit(self, j: int, number: int, message: _Pending) -> None:
         # A receiver that comes late, or again, must know where the sequence begins for it: the oldest pending number.
         oldest = min(self._outgoing[j].pending)
-        self.port.send(message.topic, (j,), message.payload, number, self._label, number - oldest, message.attempt)
+        self.port.send(
+            message.topic,
+            (j,),
+            message.payload,
+            number,
+            self._label,
+            number - oldest,
+            message.attempt,
+        )
 
-    def _arrived(self, topic: int, source: int, payload: bytes, number: int, label: str, after_oldest: int) -> None:
+    def _arrived(
+        self,
+        topic: int,
+        source: int,
+        payload: bytes,
+        number: int,
+        label: str,
+        after_oldest: int,
+    ) -> None:
         incoming = self._incoming.get(source)
         if incoming is None:
             incoming = self._incoming[source] = _Incoming(label)
         elif incoming.incarnation != label:
             if label in incoming.former:
                 return
-            former = dict(list({**incoming.former, incoming.incarnation: None}.items())[-FORMER:])
+            former = dict(
+                list({**incoming.former, incoming.incarnation: None}.items())[-FORMER:]
+            )
             incoming = self._incoming[source] = _Incoming(label, former=former)
         incoming.skip(number - after_oldest)
         if number >= incoming.expected and len(incoming.early) < MAX_PENDING:
@@ -119,7 +147,15 @@ class Reliable:
         incoming.acks += 1
         self.port.send(ACK, (source,), b"", incoming.expected, label, 0, incoming.acks)
 
-    def _acknowledged(self, source: int, payload: bytes, number: int, label: str, flags: int, age: float) -> None:
+    def _acknowledged(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        label: str,
+        flags: int,
+        age: float,
+    ) -> None:
         outgoing = self._outgoing.get(source)
         if outgoing is not None and label == self._label:
             for done in [k for k in outgoing.pending if k < number]:

@@ -7,7 +7,16 @@ from typing import Any, Literal, get_args
 
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import AnyMailbox, DropOldest, Latest
-from crazychoir.types import Body, Command, FullState, LinkStatus, Plan, Pose, State, Status
+from crazychoir.types import (
+    Body,
+    Command,
+    FullState,
+    LinkStatus,
+    Plan,
+    Pose,
+    State,
+    Status,
+)
 
 
 class Class(IntEnum):
@@ -69,36 +78,109 @@ POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False, of_bod
 STATE = Topic(2, "state", State, 100, 0.25, 0, Class.CONTROL, public=10)
 REFERENCE = Topic(3, "reference", FullState, 100, 0.5, 0, Class.CONTROL, impaired=False)
 COMMAND = Topic(4, "command", Command, 100, 0.1, 0, Class.CONTROL, impaired=False)
-TRUTH = Topic(5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False, of_body=True)
-STATUS = Topic(6, "status", Status, 4, 2.0, 0, Class.CONTROL, latched=True, impaired=False, public=2)
-RESULT = Topic(7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False)
+TRUTH = Topic(
+    5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False, of_body=True
+)
+STATUS = Topic(
+    6,
+    "status",
+    Status,
+    4,
+    2.0,
+    0,
+    Class.CONTROL,
+    latched=True,
+    impaired=False,
+    public=2,
+)
+RESULT = Topic(
+    7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False
+)
 LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
-BODY = Topic(9, "body", Body, 4, 1.0, 0, Class.CONTROL, latched=True, impaired=False, of_body=True)
-LINK = Topic(15, "link", LinkStatus, 10, 0.5, 0, Class.CONTROL, latched=True, impaired=False, of_body=True)
-TELEMETRY = Topic(11, "telemetry", dict, 100, 0.25, 0, Class.CONTROL, impaired=False, of_body=True)
+BODY = Topic(
+    9,
+    "body",
+    Body,
+    4,
+    1.0,
+    0,
+    Class.CONTROL,
+    latched=True,
+    impaired=False,
+    of_body=True,
+)
+LINK = Topic(
+    15,
+    "link",
+    LinkStatus,
+    10,
+    0.5,
+    0,
+    Class.CONTROL,
+    latched=True,
+    impaired=False,
+    of_body=True,
+)
+TELEMETRY = Topic(
+    11, "telemetry", dict, 100, 0.25, 0, Class.CONTROL, impaired=False, of_body=True
+)
 PLAN = Topic(12, "plan", Plan, 20, 0.5, 0, Class.CONTROL)
 # From a drone to its body, where that is in another process: COMMAND, and instead of it from the cut on
-CUT = Topic(10, "cut", None, 0, NEVER_STALE, 0, Class.CONTROL, impaired=False, wire="edge")
+CUT = Topic(
+    10, "cut", None, 0, NEVER_STALE, 0, Class.CONTROL, impaired=False, wire="edge"
+)
 # Along the edges of the graph.
 ROUND = Topic(16, "round", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
 HEARTBEAT = Topic(17, "heartbeat", None, 4, 1.0, 0, Class.CONTROL, wire="edge")
 ROSTER = Topic(18, "roster", None, 0, NEVER_STALE, 0, Class.RELIABLE, wire="edge")
 ACK = Topic(19, "ack", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
 # Commands of operators.
-REQUEST = Topic(24, "request", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge")
-ANSWER = Topic(25, "answer", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge")
-ESTOP = Topic(26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False, wire="edge")
+REQUEST = Topic(
+    24, "request", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge"
+)
+ANSWER = Topic(
+    25, "answer", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge"
+)
+ESTOP = Topic(
+    26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False, wire="edge"
+)
 # Between any two drones: whose states one of them lacks, and what the other has of them.
 SOUGHT = Topic(13, "sought", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
 HEARSAY = Topic(14, "hearsay", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
 # Between processes.
-HELLO = Topic(32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
-CLOCK = Topic(33, "clock", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process")
+HELLO = Topic(
+    32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process"
+)
+CLOCK = Topic(
+    33, "clock", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process"
+)
 
 TOPICS = (
-    POSE, STATE, REFERENCE, COMMAND, TRUTH, STATUS, RESULT, LOG, BODY, LINK, TELEMETRY, CUT, PLAN,
-    ROUND, HEARTBEAT, ROSTER, ACK, REQUEST, ANSWER, ESTOP, SOUGHT, HEARSAY, HELLO, CLOCK,
-)  # fmt: skip
+    POSE,
+    STATE,
+    REFERENCE,
+    COMMAND,
+    TRUTH,
+    STATUS,
+    RESULT,
+    LOG,
+    BODY,
+    LINK,
+    TELEMETRY,
+    CUT,
+    PLAN,
+    ROUND,
+    HEARTBEAT,
+    ROSTER,
+    ACK,
+    REQUEST,
+    ANSWER,
+    ESTOP,
+    SOUGHT,
+    HEARSAY,
+    HELLO,
+    CLOCK,
+)
 BY_NAME = {topic.name: topic for topic in TOPICS}
 BY_NUMBER = {topic.number: topic for topic in TOPICS}
 OBSERVABLE = tuple(topic.name for topic in TOPICS if topic.wire == "interest")

@@ -13,7 +13,15 @@ from crazychoir.cli.operate import dashboard, orders, param, task
 from crazychoir.cli.operate import go_to as steer
 from crazychoir.cli.operate import inspect as look
 from crazychoir.cli.recordings import convert, plot, record, render, replay, rerun, ros
-from crazychoir.cli.setup import doctor, identify, keys, push, radio, rigid_bodies, router
+from crazychoir.cli.setup import (
+    doctor,
+    identify,
+    keys,
+    push,
+    radio,
+    rigid_bodies,
+    router,
+)
 from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -74,12 +82,20 @@ def _told(wanted: bool) -> None:
 
 @app.callback()
 def crazychoir(
-    tell: Annotated[bool, typer.Option("--version", is_eager=True, callback=_told, help="Tell it and end.")] = False,
+    tell: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_told, help="Tell it and end."
+        ),
+    ] = False,
 ) -> None:
     """Swarms that optimise and fly together."""
 
 
-@app.command(add_help_option=False, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)
 def bench(context: typer.Context) -> None:
     """Measure, against peers of the same run."""
     from crazychoir.cli.compute.bench import (
@@ -91,23 +107,54 @@ def bench(context: typer.Context) -> None:
 
 @app.command()
 def run(
-    what: Annotated[str, typer.Argument(help="Mission in agents/, mission file (.py) or swarm file (.toml).")],
-    drones: Annotated[int | None, options.size("So many drones, if the mission can.")] = None,
-    only: Annotated[
-        str | None, typer.Option(help="Start only these drones of a swarm file here, as 3,4; others start the rest.")
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="Mission in agents/, mission file (.py) or swarm file (.toml)."
+        ),
+    ],
+    drones: Annotated[
+        int | None, options.size("So many drones, if the mission can.")
     ] = None,
-    processes: Annotated[int | None, options.size("So many processes (else one a drone).")] = None,
-    fast: Annotated[bool, typer.Option(help="Virtual time: one process, as fast as it goes, repeatable.")] = False,
-    loss: Annotated[float | None, options.share("Share of messages between drones that is lost.")] = None,
-    seed: Annotated[int | None, options.seed("Seed, instead of the swarm file's.")] = None,
-    swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
-    force: Annotated[bool, typer.Option(help="Fly what the mission warns of: slow formations, crowds.")] = False,
-    wait: Annotated[
-        bool, typer.Option("--wait", help="Wait for an operator: `crazychoir take-off`, then `start`.")
+    only: Annotated[
+        str | None,
+        typer.Option(
+            help="Start only these drones of a swarm file here, as 3,4; others start the rest."
+        ),
+    ] = None,
+    processes: Annotated[
+        int | None, options.size("So many processes (else one a drone).")
+    ] = None,
+    fast: Annotated[
+        bool,
+        typer.Option(help="Virtual time: one process, as fast as it goes, repeatable."),
     ] = False,
-    picture: Annotated[Path | None, typer.Option(help="Where to draw the picture (PNG).")] = None,
-    record: Annotated[Path | None, typer.Option(help="New file to record the flight into (.mcap).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    loss: Annotated[
+        float | None, options.share("Share of messages between drones that is lost.")
+    ] = None,
+    seed: Annotated[
+        int | None, options.seed("Seed, instead of the swarm file's.")
+    ] = None,
+    swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
+    force: Annotated[
+        bool,
+        typer.Option(help="Fly what the mission warns of: slow formations, crowds."),
+    ] = False,
+    wait: Annotated[
+        bool,
+        typer.Option(
+            "--wait", help="Wait for an operator: `crazychoir take-off`, then `start`."
+        ),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="Where to draw the picture (PNG).")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="New file to record the flight into (.mcap).")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Fly a mission on this machine; Ctrl-C lands the drones."""
     set_up_logging()
@@ -128,7 +175,12 @@ def run(
         from crazychoir.radio.link.ownership import require_free
 
     outputs = Outputs()
-    given = {"--fast": fast, "--processes": processes, "--picture": picture, "--drones": drones}
+    given = {
+        "--fast": fast,
+        "--processes": processes,
+        "--picture": picture,
+        "--drones": drones,
+    }
     try:
         check_options(what, swarm, only, given)
         with prints_aside(), without_exit("the mission"):
@@ -136,7 +188,8 @@ def run(
                 config, mission = to_run(what, drones, swarm, loss, seed)
                 config = with_operator(config, wait, fast)
                 require_drawable(picture)
-                started, source = to_start(only, config), named_file(what, swarm)
+                started = to_start(only, config)
+                source = named_file(what, swarm)
                 require_extras(config, [] if fast else owners(config, started), fast)
                 if not fast:
                     require_free(config, dongles(config, started))
@@ -147,21 +200,47 @@ def run(
                 for text in warned:
                     progress.say(text)
                 as_it_is = fast or only is not None
-                own = nullcontext(config) if as_it_is else set_apart(config, processes, keeps_port=True)
-                with own as config, recording_file(record, config, mission, virtual=fast) as file:
+                own = (
+                    nullcontext(config)
+                    if as_it_is
+                    else set_apart(config, processes, keeps_port=True)
+                )
+                with (
+                    own as config,
+                    recording_file(record, config, mission, virtual=fast) as file,
+                ):
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:
-                        with swarm_file(config) as path, recorded(Run(config.name, what, source, str(path))):
-                            progress.say(f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}")
+                        with (
+                            swarm_file(config) as path,
+                            recorded(Run(config.name, what, source, str(path))),
+                        ):
+                            progress.say(
+                                f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}"
+                            )
                             flags = ["--force"] if force else []
-                            result = fly_real(path, config, mission, flags, progress, progress.say, started, file)
+                            result = fly_real(
+                                path,
+                                config,
+                                mission,
+                                flags,
+                                progress,
+                                progress.say,
+                                started,
+                                file,
+                            )
             result["picture"] = None
             with outputs.writing("--picture"):
                 result["picture"] = _drawn(mission, config, result, picture)
                 if picture is not None and result["picture"] is None:
                     do = "The mission's own picture() draws it: see what it said above."
-                    raise ConfigError("--picture", f"{picture}, which was not drawn", "a picture by the mission", do)
+                    raise ConfigError(
+                        "--picture",
+                        f"{picture}, which was not drawn",
+                        "a picture by the mission",
+                        do,
+                    )
             del result["tracks"]
             result = named | result | outputs.told
     except CrazyChoirError as error:
@@ -173,7 +252,9 @@ def run(
     raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
-def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None) -> str | None:
+def _drawn(
+    mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None
+) -> str | None:
     """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked,
     and where the mission's own picture has not been drawn.
     """
@@ -191,7 +272,9 @@ def _drawn(mission: "Mission", config: "SwarmConfig", result: dict[str, Any], pa
         if _version(path) == before:
             return None
     else:
-        draw_tracks(flown, path, leaders=[drone.id for drone in config.drones if drone.leader])
+        draw_tracks(
+            flown, path, leaders=[drone.id for drone in config.drones if drone.leader]
+        )
     return str(path)
 
 

@@ -68,20 +68,31 @@ def check(swarm: Swarm, where: str) -> None:
 def graph_of(swarm: Swarm, where: str) -> Graph:
     """The communication graph: from `graph` (default "ring"), `edges`, or each drone's `neighbors`."""
     listed = [drone.id for drone in swarm.drones if drone.neighbors is not None]
-    written = {"graph": swarm.topology, "edges": swarm.edges, "neighbors": listed or None}
+    written = {
+        "graph": swarm.topology,
+        "edges": swarm.edges,
+        "neighbors": listed or None,
+    }
     sources = [name for name, value in written.items() if value is not None]
     if len(sources) > 1:
         raise ConfigError(
-            f"{where}: graph", " and ".join(sources), "one of graph, edges, neighbors", "Remove the others."
+            f"{where}: graph",
+            " and ".join(sources),
+            "one of graph, edges, neighbors",
+            "Remove the others.",
         )
     if listed:
         return _from_neighbors(swarm, where)
     if swarm.edges is not None:
         return _from_edges(swarm, where)
     try:
-        return named(swarm.topology or "ring", _members(swarm), swarm.seed, swarm.directed)
+        return named(
+            swarm.topology or "ring", _members(swarm), swarm.seed, swarm.directed
+        )
     except ConfigError as error:
-        raise ConfigError(f"{where}: graph", error.found, error.allowed, error.do) from error
+        raise ConfigError(
+            f"{where}: graph", error.found, error.allowed, error.do
+        ) from error
 
 
 def _from_edges(swarm: Swarm, where: str) -> Graph:
@@ -89,7 +100,13 @@ def _from_edges(swarm: Swarm, where: str) -> Graph:
     for n, edge in enumerate(swarm.edges or ()):
         _known(ids, edge, f"{where}: edges[{n}]")
         if edge[0] == edge[1]:
-            raise ConfigError(f"{where}: edges[{n}]", show(edge), "an edge joins two drones", "Remove it.", "a loop")
+            raise ConfigError(
+                f"{where}: edges[{n}]",
+                show(edge),
+                "an edge joins two drones",
+                "Remove it.",
+                "a loop",
+            )
     return Graph.from_edges(ids, swarm.edges or (), swarm.directed)
 
 
@@ -100,11 +117,20 @@ def _from_neighbors(swarm: Swarm, where: str) -> Graph:
     for n, drone in enumerate(swarm.drones):
         key = f"{where}: drones[{n}].neighbors"
         if drone.neighbors is None:
-            raise ConfigError(key, "nothing", "a list, as the other drones have one", "For none, neighbors = [].")
+            raise ConfigError(
+                key,
+                "nothing",
+                "a list, as the other drones have one",
+                "For none, neighbors = [].",
+            )
         _known(ids, drone.neighbors, key)
         if drone.id in drone.neighbors:
             raise ConfigError(
-                key, show(drone.neighbors), "a neighbour is another one", "Remove it.", "the drone itself"
+                key,
+                show(drone.neighbors),
+                "a neighbour is another one",
+                "Remove it.",
+                "the drone itself",
             )
         heard[drone.id] = drone.neighbors
     if not swarm.directed:
@@ -114,7 +140,9 @@ def _from_neighbors(swarm: Swarm, where: str) -> Graph:
 
 def _mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None:
     at = {drone.id: n for n, drone in enumerate(swarm.drones)}
-    one_sided = [(i, j) for i, others in heard.items() for j in others if i not in heard[j]]
+    one_sided = [
+        (i, j) for i, others in heard.items() for j in others if i not in heard[j]
+    ]
     for i, j in one_sided[:1]:
         raise ConfigError(
             f"{where}: drones[{at[i]}].neighbors",
@@ -145,23 +173,40 @@ def _roles(swarm: Swarm, where: str) -> None:
     names = [row.name for row in swarm.roles]
     for n, name in enumerate(names):
         if name in names[:n]:
-            raise ConfigError(f"{where}: roles[{n}].name", show(name), "each role is there once", "Rename it.")
+            raise ConfigError(
+                f"{where}: roles[{n}].name",
+                show(name),
+                "each role is there once",
+                "Rename it.",
+            )
     for n, drone in enumerate(swarm.drones):
         if names and drone.role and drone.role not in names:
             problem = "there is no such [[roles]]"
             allowed = f"one of {', '.join(names)}, or nothing"
-            raise ConfigError(f"{where}: drones[{n}].role", show(drone.role), allowed, "Mend the name.", problem)
+            raise ConfigError(
+                f"{where}: drones[{n}].role",
+                show(drone.role),
+                allowed,
+                "Mend the name.",
+                problem,
+            )
 
 
 def _ids(swarm: Swarm, where: str) -> None:
     if not swarm.drones:
-        raise ConfigError(f"{where}: drones", "no drone", "one or more", "Add a [[drones]].")
+        raise ConfigError(
+            f"{where}: drones", "no drone", "one or more", "Add a [[drones]]."
+        )
     first: dict[int, int] = {}
     for n, drone in enumerate(swarm.drones):
         if drone.id in first:
             problem = f"drones[{first[drone.id]}] has this id"
             raise ConfigError(
-                f"{where}: drones[{n}].id", drone.id, "each id is there once", "Give it another id.", problem
+                f"{where}: drones[{n}].id",
+                drone.id,
+                "each id is there once",
+                "Give it another id.",
+                problem,
             )
         first[drone.id] = n
 
@@ -180,11 +225,26 @@ def _uris(swarm: Swarm, where: str) -> None:
         if scheme in CABLES:
             raise ConfigError(key, show(drone.uri), RADIO_FORM, CABLES[scheme])
         links = "udp://HOST:PORT", "radio://DONGLE/CHANNEL/RATE/ADDRESS"
-        flown = *OURS, f"{REPLAY}FILE", *links, *(f"{name}://" for name in engines_of_others())
-        near = get_close_matches(scheme, [form.partition("://")[0] for form in flown], 1)
-        like = next((form for form in flown if near and form.startswith(near[0])), "sim://")
-        other = f"install a package with the entry point {scheme} in {WORLDS}" if is_foreign else "leave it out"
-        raise ConfigError(key, show(drone.uri), ", ".join(flown), f'Write uri = "{like}", or {other}.')
+        flown = (
+            *OURS,
+            f"{REPLAY}FILE",
+            *links,
+            *(f"{name}://" for name in engines_of_others()),
+        )
+        near = get_close_matches(
+            scheme, [form.partition("://")[0] for form in flown], 1
+        )
+        like = next(
+            (form for form in flown if near and form.startswith(near[0])), "sim://"
+        )
+        other = (
+            f"install a package with the entry point {scheme} in {WORLDS}"
+            if is_foreign
+            else "leave it out"
+        )
+        raise ConfigError(
+            key, show(drone.uri), ", ".join(flown), f'Write uri = "{like}", or {other}.'
+        )
 
 
 def engines_of_others() -> tuple[str, ...]:
@@ -200,7 +260,9 @@ def _platforms(swarm: Swarm, where: str) -> None:
 def _delay(swarm: Swarm, where: str) -> None:
     """Only the lightweight world obeys within a step."""
     steps = swarm.plant.command_delay / WORLD_STEP
-    if abs(steps - round(steps)) > 1e-6 and any(drone.uri != LIGHTWEIGHT for drone in swarm.drones):
+    if abs(steps - round(steps)) > 1e-6 and any(
+        drone.uri != LIGHTWEIGHT for drone in swarm.drones
+    ):
         raise ConfigError(
             f"{where}: plant.command_delay",
             swarm.plant.command_delay,
@@ -212,17 +274,34 @@ def _delay(swarm: Swarm, where: str) -> None:
 def _speed(swarm: Swarm, where: str) -> None:
     """Nothing on board says that a drone stays behind its places: its reference would run away from it."""
     rows = {row.name: row for row in swarm.roles}
-    planned = [drone.id for drone in swarm.drones if rows.get(drone.role, swarm.control).sender == "xyz"]
+    planned = [
+        drone.id
+        for drone in swarm.drones
+        if rows.get(drone.role, swarm.control).sender == "xyz"
+    ]
     if planned and swarm.flight.speed_limit > FASTEST_PLANNED:
         problem = f"drone {planned[0]} is sent places (xyz), which the firmware flies to at {FASTEST_PLANNED:g} m/s"
-        allowed, do = f"at most {FASTEST_PLANNED:g} m/s with xyz", "Lower it, or choose another sender."
-        raise ConfigError(f"{where}: flight.speed_limit", swarm.flight.speed_limit, allowed, do, problem)
+        allowed = f"at most {FASTEST_PLANNED:g} m/s with xyz"
+        do = "Lower it, or choose another sender."
+        raise ConfigError(
+            f"{where}: flight.speed_limit",
+            swarm.flight.speed_limit,
+            allowed,
+            do,
+            problem,
+        )
 
 
 def _box(swarm: Swarm, where: str) -> None:
-    low, high = swarm.fence.min, swarm.fence.max
+    low = swarm.fence.min
+    high = swarm.fence.max
     if any(a >= b for a, b in zip(low, high, strict=True)):
-        raise ConfigError(f"{where}: fence", _between(low, high), "max above min in x, y and z", "Exchange them.")
+        raise ConfigError(
+            f"{where}: fence",
+            _between(low, high),
+            "max above min in x, y and z",
+            "Exchange them.",
+        )
     top = swarm.flight.ground + swarm.flight.takeoff_height
     if not low[2] <= top <= high[2]:
         raise ConfigError(
@@ -237,8 +316,13 @@ def _box(swarm: Swarm, where: str) -> None:
 def limit_area(swarm: Swarm) -> tuple[Position, Position]:
     """The corners of the area beyond which motors stop at once: [keep_out], else AROUND m around [fence]."""
     (a, b, c), (d, e, f) = swarm.fence.min, swarm.fence.max
-    low, high = swarm.keep_out.min, swarm.keep_out.max
-    return low or (a - AROUND, b - AROUND, c - AROUND), high or (d + AROUND, e + AROUND, f + AROUND)
+    low = swarm.keep_out.min
+    high = swarm.keep_out.max
+    return low or (a - AROUND, b - AROUND, c - AROUND), high or (
+        d + AROUND,
+        e + AROUND,
+        f + AROUND,
+    )
 
 
 def _limit_area(swarm: Swarm, where: str) -> None:
@@ -252,22 +336,31 @@ def _limit_area(swarm: Swarm, where: str) -> None:
             _between(low, high),
             f"{OUTSIDE:g} m or more around [fence], which goes from {_between(fence.min, fence.max)}",
             "Widen it, shrink [fence], or leave [keep_out] out: 0.5 m around the fence.",
-            f"{min(room):.2g} m from a side of the fence" if min(room) < OUTSIDE else "its floor is above the fence's",
+            f"{min(room):.2g} m from a side of the fence"
+            if min(room) < OUTSIDE
+            else "its floor is above the fence's",
         )
 
 
 def _homes(swarm: Swarm, where: str) -> None:
-    low, high = swarm.fence.min, swarm.fence.max
+    low = swarm.fence.min
+    high = swarm.fence.max
     (a, b, _), top = room_of(swarm)
     for n, drone in enumerate(swarm.drones):
-        is_inside = all(x <= y <= z for x, y, z in zip(low, drone.home, high, strict=True))
-        if not is_inside or not all(x <= y <= z for x, y, z in zip((a, b, low[2]), drone.home, top, strict=True)):
+        is_inside = all(
+            x <= y <= z for x, y, z in zip(low, drone.home, high, strict=True)
+        )
+        if not is_inside or not all(
+            x <= y <= z for x, y, z in zip((a, b, low[2]), drone.home, top, strict=True)
+        ):
             raise ConfigError(
                 f"{where}: drones[{n}].home",
                 show(drone.home),
                 f"[fence] goes from {_between(low, high)}",
                 "Move the drone, or widen [fence].",
-                f"nearer than {EDGE:g} m to a side of the fence" if is_inside else "outside the fence",
+                f"nearer than {EDGE:g} m to a side of the fence"
+                if is_inside
+                else "outside the fence",
             )
     _apart(swarm, where)
 
@@ -286,9 +379,14 @@ def _apart(swarm: Swarm, where: str) -> None:
     refuse_conflicts(swarm, {i: p for i, p in places.items()}, f"{where}: homes")
 
 
-def too_near(places: Mapping[int, Position], scale: Position, least: float) -> Iterator[tuple[int, int, float]]:
+def too_near(
+    places: Mapping[int, Position], scale: Position, least: float
+) -> Iterator[tuple[int, int, float]]:
     """Pairs of drones whose places, each axis times its scale, are less than `least` m apart, and how far they are."""
-    by_x = sorted((tuple(s * c for s, c in zip(scale, p, strict=True)), i) for i, p in places.items())
+    by_x = sorted(
+        (tuple(s * c for s, c in zip(scale, p, strict=True)), i)
+        for i, p in places.items()
+    )
     for k, (p, i) in enumerate(by_x):
         for q, j in by_x[k + 1 :]:
             if q[0] - p[0] >= least:
@@ -314,7 +412,11 @@ def _cameras(swarm: Swarm, where: str) -> None:
     mocap = swarm.mocap
     periods = mocap.latency * mocap.rate
     if abs(periods - round(periods)) > 1e-6:
-        raise ConfigError(f"{where}: mocap.latency", mocap.latency, f"multiples of {1.0 / mocap.rate:g} s, 1 / rate")
+        raise ConfigError(
+            f"{where}: mocap.latency",
+            mocap.latency,
+            f"multiples of {1.0 / mocap.rate:g} s, 1 / rate",
+        )
     oldest = mocap.latency + 1.0 / mocap.rate
     if oldest > OLDEST_POSE:
         raise ConfigError(
@@ -334,7 +436,9 @@ def _hosts(swarm: Swarm, where: str) -> None:
     for name, address in swarm.hosts.items():
         key = f"{where}: hosts.{name}"
         if not re.fullmatch(r"[a-z0-9_-]{1,40}", name):
-            raise ConfigError(key, show(name), "names of 1 to 40 of a-z, 0-9, _ and -", "Rename it.")
+            raise ConfigError(
+                key, show(name), "names of 1 to 40 of a-z, 0-9, _ and -", "Rename it."
+            )
         if fault := address_fault(address):
             raise ConfigError(key, show(address), "an IP address or a DNS name", fault)
 
@@ -342,7 +446,11 @@ def _hosts(swarm: Swarm, where: str) -> None:
 def secured(swarm: Swarm) -> bool:
     """Whether its network is encrypted and closed: unless told otherwise, where a host is not this machine."""
     wanted = swarm.security.insecure
-    return not all(map(is_loopback, swarm.hosts.values())) if wanted is None else not wanted
+    return (
+        not all(map(is_loopback, swarm.hosts.values()))
+        if wanted is None
+        else not wanted
+    )
 
 
 def _security(swarm: Swarm, where: str) -> None:
@@ -350,10 +458,17 @@ def _security(swarm: Swarm, where: str) -> None:
         return
     if not swarm.hosts:
         do = "Add [hosts], or leave security.insecure out: nobody else reaches this machine's own addresses."
-        raise ConfigError(f"{where}: security.insecure", "false", "a swarm with [hosts]", do)
+        raise ConfigError(
+            f"{where}: security.insecure", "false", "a swarm with [hosts]", do
+        )
     if not swarm.security.operators:
         do = f"Add [security] with operators = {show([next(iter(swarm.hosts))])}, or with insecure = true."
-        raise ConfigError(f"{where}: security.operators", "nothing", "the hosts that may command, as by stop", do)
+        raise ConfigError(
+            f"{where}: security.operators",
+            "nothing",
+            "the hosts that may command, as by stop",
+            do,
+        )
 
 
 def _placement(swarm: Swarm, where: str) -> None:
@@ -361,7 +476,12 @@ def _placement(swarm: Swarm, where: str) -> None:
     for n, drone in enumerate(swarm.drones):
         if drone.host is None and swarm.hosts:
             do = f"Add host = {show(next(iter(swarm.hosts)))}."
-            raise ConfigError(f"{where}: drones[{n}].host", "nothing", f"a name of [hosts]: {names}", do)
+            raise ConfigError(
+                f"{where}: drones[{n}].host",
+                "nothing",
+                f"a name of [hosts]: {names}",
+                do,
+            )
         if drone.host is not None and drone.host not in swarm.hosts:
             raise ConfigError(
                 f"{where}: drones[{n}].host",
@@ -376,17 +496,28 @@ def owned(swarm: Swarm) -> tuple[int, ...]:
     """The drones whose bodies are, in real time, in the process of the world's owner; in increasing order."""
     named = swarm.world.owned or swarm.world.host is not None
     simulated = [drone for drone in swarm.drones if not is_reached(drone)]
-    return tuple(sorted(drone.id for drone in simulated if named or drone.uri not in ALONE))
+    return tuple(
+        sorted(drone.id for drone in simulated if named or drone.uri not in ALONE)
+    )
 
 
 def _world(swarm: Swarm, where: str) -> None:
-    host, names = swarm.world.host, ", ".join(swarm.hosts) or "none, there is no [hosts]"
+    host = swarm.world.host
+    names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if host is not None and host not in swarm.hosts:
         problem = "there is no such host"
-        raise ConfigError(f"{where}: world.host", show(host), f"[hosts] has {names}", "Mend the name.", problem)
+        raise ConfigError(
+            f"{where}: world.host",
+            show(host),
+            f"[hosts] has {names}",
+            "Mend the name.",
+            problem,
+        )
     if host is None and swarm.hosts and owned(swarm):
         do = f"Add [world] with host = {show(next(iter(swarm.hosts)))}: crazychoir-world runs there."
-        raise ConfigError(f"{where}: world.host", "nothing", f"a name of [hosts]: {names}", do)
+        raise ConfigError(
+            f"{where}: world.host", "nothing", f"a name of [hosts]: {names}", do
+        )
 
 
 def _router(swarm: Swarm, where: str) -> None:
@@ -394,18 +525,27 @@ def _router(swarm: Swarm, where: str) -> None:
     if swarm.router is not None and swarm.router not in swarm.hosts:
         problem = "there is no such host"
         do = "Mend the name, or leave router out: hosts then reach each other directly."
-        raise ConfigError(f"{where}: router", show(swarm.router), f"[hosts] has {names}", do, problem)
+        raise ConfigError(
+            f"{where}: router", show(swarm.router), f"[hosts] has {names}", do, problem
+        )
 
 
 def _processes(swarm: Swarm, where: str) -> None:
     if swarm.processes is None:
         return
-    ids, host = _members(swarm), {drone.id: drone.host for drone in swarm.drones}
+    ids = _members(swarm)
+    host = {drone.id: drone.host for drone in swarm.drones}
     for n, group in enumerate(swarm.processes):
         key = f"{where}: processes[{n}]"
         _known(ids, group, key)
         if any(host[i] != host[group[0]] for i in group):
-            raise ConfigError(key, show(group), "a process is on one host", "Split it.", "drones of several hosts")
+            raise ConfigError(
+                key,
+                show(group),
+                "a process is on one host",
+                "Split it.",
+                "drones of several hosts",
+            )
     placed = sorted(chain(*swarm.processes))
     if wrong := [i for i in ids if placed.count(i) != 1]:
         problem = f"drone {wrong[0]} is there {placed.count(wrong[0])} times"
@@ -422,25 +562,46 @@ def _dead_man(swarm: Swarm, where: str) -> None:
     seconds = swarm.flight.dead_man
     if 0.0 < seconds < PATIENCE:
         allowed = f"0 (never), or {PATIENCE:g} s and more: a console speaks twice a second, and one word may be lost"
-        raise ConfigError(f"{where}: flight.dead_man", seconds, allowed, "Raise it: all would land at once.")
+        raise ConfigError(
+            f"{where}: flight.dead_man",
+            seconds,
+            allowed,
+            "Raise it: all would land at once.",
+        )
 
 
 def _start(swarm: Swarm, where: str) -> None:
     if isinstance(swarm.start, int) and swarm.start > len(swarm.drones):
         allowed = f'"all", or 1 to {len(swarm.drones)} drones'
-        raise ConfigError(f"{where}: start", swarm.start, allowed, "Lower it, or add drones.")
+        raise ConfigError(
+            f"{where}: start", swarm.start, allowed, "Lower it, or add drones."
+        )
 
 
 def _ports(swarm: Swarm, where: str) -> None:
     last = _members(swarm)[-1]
     if swarm.base_port + last > 65535:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
-        raise ConfigError(f"{where}: base_port", swarm.base_port, "ports end at 65535", "Lower it.", problem)
+        raise ConfigError(
+            f"{where}: base_port",
+            swarm.base_port,
+            "ports end at 65535",
+            "Lower it.",
+            problem,
+        )
     below = 3 + max(found) if (found := dongles(swarm)) else 1 if owned(swarm) else 0
     below = ROUTER_BELOW if swarm.router is not None else below
     if swarm.base_port - below < LOWEST_PORT:
-        problem = f"routers, owners of worlds and radios listen down to base_port - {below}"
-        raise ConfigError(f"{where}: base_port", swarm.base_port, f"ports begin at {LOWEST_PORT}", "Raise it.", problem)
+        problem = (
+            f"routers, owners of worlds and radios listen down to base_port - {below}"
+        )
+        raise ConfigError(
+            f"{where}: base_port",
+            swarm.base_port,
+            f"ports begin at {LOWEST_PORT}",
+            "Raise it.",
+            problem,
+        )
 
 
 def _links(swarm: Swarm, where: str) -> None:
@@ -449,7 +610,10 @@ def _links(swarm: Swarm, where: str) -> None:
         ends = tuple(i for i in (edge.source, edge.destination) if i is not None)
         if not ends:
             raise ConfigError(
-                key, "neither source nor destination", "one or both", "A rule for all goes into [network]."
+                key,
+                "neither source nor destination",
+                "one or both",
+                "A rule for all goes into [network].",
             )
         _known(_members(swarm), ends, key)
 
@@ -460,14 +624,44 @@ def _partitions(swarm: Swarm, where: str) -> None:
         for group in cut.groups:
             _known(_members(swarm), group, f"{key}.groups")
         if cut.until is not None and cut.until <= cut.at:
-            raise ConfigError(f"{key}.until", cut.until, f"later than at = {cut.at:g}", "Leave it out: it never heals.")
+            raise ConfigError(
+                f"{key}.until",
+                cut.until,
+                f"later than at = {cut.at:g}",
+                "Leave it out: it never heals.",
+            )
         if twice := [i for a, b in combinations(cut.groups, 2) for i in a if i in b]:
             problem = f"drone {twice[0]} is in two groups"
-            raise ConfigError(f"{key}.groups", show(cut.groups), "groups are disjoint", "Mend the groups.", problem)
+            raise ConfigError(
+                f"{key}.groups",
+                show(cut.groups),
+                "groups are disjoint",
+                "Mend the groups.",
+                problem,
+            )
 
 
 RULES = (
-    _uris, _platforms, _delay, _roles, _speed, _box, _limit_area, _homes, _cameras, _hosts, _placement, _world, _router,
-    _processes, _dead_man, _start, _ports, _links, _partitions, check_radios, _security,
-)  # fmt: skip
+    _uris,
+    _platforms,
+    _delay,
+    _roles,
+    _speed,
+    _box,
+    _limit_area,
+    _homes,
+    _cameras,
+    _hosts,
+    _placement,
+    _world,
+    _router,
+    _processes,
+    _dead_man,
+    _start,
+    _ports,
+    _links,
+    _partitions,
+    check_radios,
+    _security,
+)
 """In the order of their errors."""

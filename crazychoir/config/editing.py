@@ -18,10 +18,18 @@ DRONES = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
 
 def lines_of(i: int, keys: Mapping[str, object]) -> str:
     """What belongs into the [[drones]] with id i."""
-    return "\n".join(["[[drones]]", f"id = {i}", *(f"{key} = {show(value)}" for key, value in keys.items())])
+    return "\n".join(
+        [
+            "[[drones]]",
+            f"id = {i}",
+            *(f"{key} = {show(value)}" for key, value in keys.items()),
+        ]
+    )
 
 
-def with_keys(text: str, changes: Mapping[int, Mapping[str, object]], where: str = "swarm") -> str:
+def with_keys(
+    text: str, changes: Mapping[int, Mapping[str, object]], where: str = "swarm"
+) -> str:
     """The TOML text with other values of some keys of [[drones]], by id; a key that is not there comes last.
 
     Raises ConfigError, with the lines to write, where it is laid out in another way than one table a drone and one
@@ -32,10 +40,21 @@ def with_keys(text: str, changes: Mapping[int, Mapping[str, object]], where: str
     for i, keys in changes.items():
         for key, value in keys.items():
             lines = _with_key(lines, i, key, show(value))
-    after, expected = "".join(lines), _changed(before, changes)
+    after = "".join(lines)
+    expected = _changed(before, changes)
     if expected is None or _parsed(after) != expected:
-        do = "\n".join(["Write them yourself:", *(lines_of(i, keys) for i, keys in changes.items())])
-        raise ConfigError(where, "tables that are laid out otherwise", "[[drones]], and one line a key", do)
+        do = "\n".join(
+            [
+                "Write them yourself:",
+                *(lines_of(i, keys) for i, keys in changes.items()),
+            ]
+        )
+        raise ConfigError(
+            where,
+            "tables that are laid out otherwise",
+            "[[drones]], and one line a key",
+            do,
+        )
     return after
 
 
@@ -53,9 +72,16 @@ def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
     for begin, end in _tables(lines):
         if _parsed_id(lines[begin:end]) != i:
             continue
-        line = next((n for n in range(begin + 1, end) if re.match(rf"\s*{key}\s*=", lines[n])), None)
+        line = next(
+            (n for n in range(begin + 1, end) if re.match(rf"\s*{key}\s*=", lines[n])),
+            None,
+        )
         if line is not None:
-            return [*lines[:line], _replaced(lines[line], key, value), *lines[line + 1 :]]
+            return [
+                *lines[:line],
+                _replaced(lines[line], key, value),
+                *lines[line + 1 :],
+            ]
         last = max(n for n in range(begin, end) if lines[n].split("#")[0].strip())
         ending = "\r\n" if lines[begin].endswith("\r\n") else "\n"
         previous = lines[last] if lines[last].endswith("\n") else lines[last] + ending
@@ -73,7 +99,11 @@ def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
 
 def _replaced(line: str, key: str, value: str) -> str:
     """The line with another value; what follows it as a comment stays."""
-    found = re.match(rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|[^#\s]*)(.*)", line, re.DOTALL)
+    found = re.match(
+        rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|[^#\s]*)(.*)",
+        line,
+        re.DOTALL,
+    )
     return line if found is None else f"{found[1]}{value}{found[3]}"
 
 
@@ -92,9 +122,13 @@ def _parsed(text: str) -> dict[str, Any] | None:
         return None
 
 
-def _changed(raw: dict[str, Any] | None, changes: Mapping[int, Mapping[str, object]]) -> dict[str, Any] | None:
+def _changed(
+    raw: dict[str, Any] | None, changes: Mapping[int, Mapping[str, object]]
+) -> dict[str, Any] | None:
     """What should be read afterwards."""
-    if raw is None or not all(any(drone.get("id") == i for drone in raw.get("drones", ())) for i in changes):
+    if raw is None or not all(
+        any(drone.get("id") == i for drone in raw.get("drones", ())) for i in changes
+    ):
         return None
     drones = [{**drone, **changes.get(drone.get("id"), {})} for drone in raw["drones"]]
     return {**raw, "drones": drones}

@@ -17,7 +17,11 @@ def flight_room(low: Position, high: Position, ground: float | None) -> Corners:
     floor = low[2] + EDGE
     if ground is not None:
         floor = max(floor, ground + ABOVE_FLOOR)
-    return (low[0] + EDGE, low[1] + EDGE, floor), (high[0] - EDGE, high[1] - EDGE, high[2] - EDGE)
+    return (low[0] + EDGE, low[1] + EDGE, floor), (
+        high[0] - EDGE,
+        high[1] - EDGE,
+        high[2] - EDGE,
+    )
 
 
 def room_of(swarm: Swarm) -> Corners:

@@ -54,14 +54,17 @@ def flies_on(speed: float, acceleration: float, sender: str) -> float:
 
     It brakes in front of the fence, so it is slower the nearer it is.  speed: m/s;  acceleration: m/s2.
     """
-    seconds, k = CUT + TILTED[sender], acceleration / BRAKES
+    seconds = CUT + TILTED[sender]
+    k = acceleration / BRAKES
     v = min(speed, 0.5 * seconds * k)
     return STRAYS[sender] + seconds * v - v * v / k
 
 
 def slow_enough(far: float, acceleration: float, sender: str) -> float:
     """m/s: the speed_limit with which `flies_on` is `far` m at most; 0 where none is."""
-    seconds, k, rest = CUT + TILTED[sender], acceleration / BRAKES, far - STRAYS[sender]
+    seconds = CUT + TILTED[sender]
+    k = acceleration / BRAKES
+    rest = far - STRAYS[sender]
     if rest <= 0.0:
         return 0.0
     return 0.5 * k * (seconds - math.sqrt(max(0.0, seconds * seconds - 4.0 * rest / k)))
@@ -71,12 +74,27 @@ def inset(swarm: Swarm, sender: str) -> Inset:
     """How far inside [fence] drones stay that are streamed set-points by a radio, lest they end beyond [keep_out]."""
     low, high = limit_area(swarm)
     fence = swarm.fence
-    room = min(min(f - b, a - e) for f, b, a, e in zip(fence.min[:2], low[:2], high[:2], fence.max[:2], strict=True))
-    needed = max(0.0, flies_on(swarm.flight.speed_limit, swarm.flight.acceleration_limit, sender) - room)
+    room = min(
+        min(f - b, a - e)
+        for f, b, a, e in zip(
+            fence.min[:2], low[:2], high[:2], fence.max[:2], strict=True
+        )
+    )
+    needed = max(
+        0.0,
+        flies_on(swarm.flight.speed_limit, swarm.flight.acceleration_limit, sender)
+        - room,
+    )
     half = min(b - a for a, b in zip(fence.min[:2], fence.max[:2], strict=True)) / 2.0
     homes = [drone.home for drone in swarm.drones if is_reached(drone)]
-    given = max(0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes)))
-    return Inset(needed, given, slow_enough(given + room, swarm.flight.acceleration_limit, sender))
+    given = max(
+        0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes))
+    )
+    return Inset(
+        needed,
+        given,
+        slow_enough(given + room, swarm.flight.acceleration_limit, sender),
+    )
 
 
 def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
@@ -87,12 +105,21 @@ def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
     """
     homes = {drone.id: drone.home[:2] for drone in swarm.drones}
     here = next(ids for ids in dongles(swarm).values() if i in ids)
-    needed = {j: STRAYS[senders[i]] + STRAYS[senders[j]] + TOUCHING for j in here if i < j and j in senders}
-    near = {j: short for j in needed if (short := needed[j] - math.dist(homes[i], homes[j])) > 0.0}
+    needed = {
+        j: STRAYS[senders[i]] + STRAYS[senders[j]] + TOUCHING
+        for j in here
+        if i < j and j in senders
+    }
+    near = {
+        j: short
+        for j in needed
+        if (short := needed[j] - math.dist(homes[i], homes[j])) > 0.0
+    }
     if not near:
         return ""
     j = max(near, key=near.__getitem__)
-    far, most = math.dist(homes[i], homes[j]), max(STRAYS[senders[i]], STRAYS[senders[j]])
+    far = math.dist(homes[i], homes[j])
+    most = max(STRAYS[senders[i]], STRAYS[senders[j]])
     senders_less = [sender for sender in OFFERED if STRAYS[sender] < most]
     return (
         f"starts {far:.2f} m from drone {j}, which the same dongle reaches: when that fails, both stray, and "

@@ -31,7 +31,9 @@ def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) ->
     tables = {} if file is None else _tables_of_keys(file)
     near = difflib.get_close_matches(name, names(kind), n=1)
     if name in tables:
-        alternative = f" Or did you mean {near[0]}, a key of this table?" if near else ""
+        alternative = (
+            f" Or did you mean {near[0]}, a key of this table?" if near else ""
+        )
         own = "" if key else f" Keys of your own go into [{OWN_KEYS}]."
         return _where_it_belongs(name, value, tables[name], key) + alternative + own
     if near:
@@ -39,7 +41,11 @@ def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) ->
     elsewhere = difflib.get_close_matches(name, list(tables), n=1, cutoff=0.75)
     if elsewhere:
         return f"Did you mean {elsewhere[0]}? {_where_it_belongs(elsewhere[0], value, tables[elsewhere[0]], key)}"
-    return "Remove it." if key == OWN_KEYS else f"Remove it; keys of your own go into [{OWN_KEYS}]."
+    return (
+        "Remove it."
+        if key == OWN_KEYS
+        else f"Remove it; keys of your own go into [{OWN_KEYS}]."
+    )
 
 
 def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
@@ -57,12 +63,20 @@ def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
     """Return what to do with keys of the file that stand in a table of the user's own names; empty without any."""
     if not isinstance(raw, Mapping) or file is None:
         return ""
-    return "".join(f" {name}: {_write_it_in_the_file(name, raw[name], key)}" for name in names(file) if name in raw)
+    return "".join(
+        f" {name}: {_write_it_in_the_file(name, raw[name], key)}"
+        for name in names(file)
+        if name in raw
+    )
 
 
 def not_a_table(raw: object, key: str) -> str:
     """Return what to do with a list where a table is allowed; empty where it is something else."""
-    if isinstance(raw, list | tuple) and raw and all(isinstance(row, Mapping) for row in raw):
+    if (
+        isinstance(raw, list | tuple)
+        and raw
+        and all(isinstance(row, Mapping) for row in raw)
+    ):
         return f"Write it once, as [{key}], with one pair of brackets."
     return ""
 
@@ -87,7 +101,9 @@ def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> 
         return f"It is a key of {labels[0]}: write it there."
     shown = labels[:MOST_TABLES]
     more = f" and {len(labels) - MOST_TABLES} more" if len(labels) > MOST_TABLES else ""
-    return f"It is a key of {', '.join(shown)}{more}: write it in the one that you mean."
+    return (
+        f"It is a key of {', '.join(shown)}{more}: write it in the one that you mean."
+    )
 
 
 def _write_it_in_the_file(name: str, value: object, key: str) -> str:
@@ -95,7 +111,9 @@ def _write_it_in_the_file(name: str, value: object, key: str) -> str:
         return f"It is a table of its own: write [{name}], not [{_plain(key, name)}]."
     if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
         return f"It is a list of tables: write [[{name}]], not [[{_plain(key, name)}]]."
-    beside = "in JSON beside name" if name != "name" else "in JSON in the outermost braces"
+    beside = (
+        "in JSON beside name" if name != "name" else "in JSON in the outermost braces"
+    )
     told = f" What stands below {label(key)} is a key of that table." if key else ""
     return f"It is a key of the file itself: write it above the first table ({beside}).{told}"
 

@@ -19,7 +19,11 @@ def impairment_of(config: SwarmConfig) -> Impairment:
     table = config.impairment()
     rules = [Rule(effects)] if (effects := _effects(table)) else []
     rules += [_edge_rule(edge) for edge in table.get("edges", [])]
-    return Impairment(config.seed, rules, [cut for entry in table.get("partitions", []) for cut in _cuts(entry)])
+    return Impairment(
+        config.seed,
+        rules,
+        [cut for entry in table.get("partitions", []) for cut in _cuts(entry)],
+    )
 
 
 def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -27,12 +31,19 @@ def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
 
     Raises ConfigError.
     """
-    loss, burst = options.get("loss"), options.get("burst")
-    if burst is not None and not (burst >= 1.0 and loss is not None and 0.0 < loss < 1.0):
+    loss = options.get("loss")
+    burst = options.get("burst")
+    if burst is not None and not (
+        burst >= 1.0 and loss is not None and 0.0 < loss < 1.0
+    ):
         found = f"{burst:g} with loss {'unsaid' if loss is None else f'{loss:g}'}"
         raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
-    given: dict[str, float | None] = {name: options[name] for name in PLAIN if options.get(name) is not None}
-    return given if loss is None else given | dict.fromkeys(LOSSES) | _losses(loss, burst)
+    given: dict[str, float | None] = {
+        name: options[name] for name in PLAIN if options.get(name) is not None
+    }
+    return (
+        given if loss is None else given | dict.fromkeys(LOSSES) | _losses(loss, burst)
+    )
 
 
 def in_words(network: Mapping[str, Any]) -> list[str]:
@@ -45,13 +56,24 @@ def in_words(network: Mapping[str, Any]) -> list[str]:
 def _rule_in_words(rule: Mapping[str, Any]) -> str:
     scope = ""
     if "edge" in rule:
-        scope = (" to " if rule.get("directed") else " and ").join(map(str, rule["edge"])) + ": "
+        scope = (" to " if rule.get("directed") else " and ").join(
+            map(str, rule["edge"])
+        ) + ": "
     elif "drone" in rule:
         scope = f"drone {rule['drone']}: "
-    effects = {name: f"{value:g}" for name, value in rule.items() if name not in ("edge", "drone", "directed")}
+    effects = {
+        name: f"{value:g}"
+        for name, value in rule.items()
+        if name not in ("edge", "drone", "directed")
+    }
     if "p_bad_good" in rule:
-        worse, better = rule["p_good_bad"], rule["p_bad_good"]
-        effects = {name: text for name, text in effects.items() if name not in ("p_good_bad", "p_bad_good", "loss_bad")}
+        worse = rule["p_good_bad"]
+        better = rule["p_bad_good"]
+        effects = {
+            name: text
+            for name, text in effects.items()
+            if name not in ("p_good_bad", "p_bad_good", "loss_bad")
+        }
         effects["loss"] = f"{worse / (worse + better):g} in bursts of {1.0 / better:g}"
     return scope + ", ".join(f"{name} {text}" for name, text in effects.items())
 
@@ -65,7 +87,9 @@ def _partition_in_words(cut: Mapping[str, Any]) -> str:
 
 def _effects(table: dict[str, Any]) -> dict[str, float]:
     effects = {name: float(table[name]) for name in PLAIN if table.get(name)}
-    return effects | (_losses(float(table["loss"]), table.get("burst")) if table.get("loss") else {})
+    return effects | (
+        _losses(float(table["loss"]), table.get("burst")) if table.get("loss") else {}
+    )
 
 
 def _losses(loss: float, burst: float | None) -> dict[str, float]:
@@ -73,11 +97,16 @@ def _losses(loss: float, burst: float | None) -> dict[str, float]:
     if not burst:
         return {"loss": loss}
     leave = 1.0 / float(burst)
-    return {"p_bad_good": leave, "p_good_bad": min(1.0, leave * loss / max(1.0 - loss, 1e-9)), "loss_bad": 1.0}
+    return {
+        "p_bad_good": leave,
+        "p_good_bad": min(1.0, leave * loss / max(1.0 - loss, 1e-9)),
+        "loss_bad": 1.0,
+    }
 
 
 def _edge_rule(entry: dict[str, Any]) -> Rule:
-    source, destination = entry.get("source"), entry.get("destination")
+    source = entry.get("source")
+    destination = entry.get("destination")
     if source is None or destination is None:
         return Rule(_effects(entry), drone=destination if source is None else source)
     return Rule(_effects(entry), edge=(source, destination), directed=True)
@@ -88,5 +117,7 @@ def _cuts(entry: dict[str, Any]) -> list[Partition]:
     groups = entry["groups"]
     until = entry.get("until") or FOREVER
     return [
-        Partition(entry["at"], until, tuple(a), tuple(b)) for n, a in enumerate(groups) for b in groups[n + 1 :]
+        Partition(entry["at"], until, tuple(a), tuple(b))
+        for n, a in enumerate(groups)
+        for b in groups[n + 1 :]
     ]

@@ -12,9 +12,14 @@ _LONGEST = 9
 
 
 def parse_spans(
-    text: str, where: str, allowed: str, last: int = LAST_DRONE, ranges: bool = True, steps: bool = False,
+    text: str,
+    where: str,
+    allowed: str,
+    last: int = LAST_DRONE,
+    ranges: bool = True,
+    steps: bool = False,
     repeats: bool = True,
-) -> list[int]:  # fmt: skip
+) -> list[int]:
     """Return the numbers of a text such as "3,5-7", each once, in the order of the text.
 
     where: names the option in errors;  allowed: what an error says is allowed;  last: the largest number;  ranges,
@@ -31,13 +36,22 @@ def parse_spans(
         end = first if match[2] is None else _number(match[2])
         step = 1 if match[3] is None else _number(match[3])
         if end < first:
-            raise ConfigError(where, word.strip(), allowed, f"Write the lower one first: {end}-{first}.")
+            raise ConfigError(
+                where,
+                word.strip(),
+                allowed,
+                f"Write the lower one first: {end}-{first}.",
+            )
         if end > last:
-            raise ConfigError(where, _shown(word.strip()), allowed, f"The largest number is {last}.")
+            raise ConfigError(
+                where, _shown(word.strip()), allowed, f"The largest number is {last}."
+            )
         if step < 1:
             raise ConfigError(where, word.strip(), allowed, "A step is 1 or more.")
         if not repeats and any(first <= number <= end for number in found):
-            raise ConfigError(where, _shown(text), allowed, f"{word.strip()} is there already.")
+            raise ConfigError(
+                where, _shown(text), allowed, f"{word.strip()} is there already."
+            )
         found |= dict.fromkeys(range(first, end + 1, step))
     return list(found)
 

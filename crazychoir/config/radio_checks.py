@@ -55,15 +55,25 @@ def check_radios(swarm: Swarm, where: str) -> None:
             do = "Give each virtual drone its own port."
             if drone.uri.startswith(RADIO):
                 do = "Give each drone its own address: cfclient writes a new one into the drone, by USB."
-            raise ConfigError(f"{key}.uri", show(drone.uri), "an address of its own", do, problem)
+            raise ConfigError(
+                f"{key}.uri", show(drone.uri), "an address of its own", do, problem
+            )
         first[same] = n
         found = radio_uri(drone.uri)
         number = numbers.setdefault(_dongle(drone), found.dongle) if found else ""
         if found and number != found.dongle:
-            problem, do = f"other drones of dongle {_dongle(drone)} say {number}", "Mend the uri, or its dongle."
-            raise ConfigError(f"{key}.uri", show(drone.uri), "one number on its host for each dongle", do, problem)
+            problem = f"other drones of dongle {_dongle(drone)} say {number}"
+            do = "Mend the uri, or its dongle."
+            raise ConfigError(
+                f"{key}.uri",
+                show(drone.uri),
+                "one number on its host for each dongle",
+                do,
+                problem,
+            )
         if found and not swarm.hosts and drone.dongle not in (None, int(found.dongle)):
-            problem, do = f"its uri says dongle {found.dongle}", "Leave dongle out, or mend one of them."
+            problem = f"its uri says dongle {found.dongle}"
+            do = "Leave dongle out, or mend one of them."
             raise ConfigError(f"{key}.dongle", drone.dongle, found.dongle, do, problem)
     _parameters(swarm.radio.parameters, f"{where}: radio.parameters")
     for n, drone in enumerate(swarm.drones):
@@ -85,7 +95,13 @@ def _parameters(table: Mapping[str, object], where: str) -> None:
 
 def seen(swarm: Swarm) -> tuple[int, ...]:
     """The drones whose poses come from the process of motion capture; in increasing order."""
-    return tuple(sorted(drone.id for drone in swarm.drones if is_reached(drone) and drone.pose == "mocap"))
+    return tuple(
+        sorted(
+            drone.id
+            for drone in swarm.drones
+            if is_reached(drone) and drone.pose == "mocap"
+        )
+    )
 
 
 def body_name(drone: Drone) -> str:
@@ -103,24 +119,51 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
         if name in first:
             problem = f"drones[{first[name]}] has this body"
             do = 'Give each drone its own; without `body` it is "cf" and its id.'
-            raise ConfigError(f"{where}: drones[{n}].body", show(name), "each body is there once", do, problem)
+            raise ConfigError(
+                f"{where}: drones[{n}].body",
+                show(name),
+                "each body is there once",
+                do,
+                problem,
+            )
         first[name] = n
         at = udp_uri(drone.uri)
         if at and swarm.mocap.source == "virtual" and at.port == swarm.mocap.port:
-            problem, do = f"drones[{n}] has this port", "`crazychoir virtual` tells poses one below its first drone."
-            raise ConfigError(f"{where}: mocap.port", swarm.mocap.port, "a port of its own", do, problem)
+            problem = f"drones[{n}] has this port"
+            do = "`crazychoir virtual` tells poses one below its first drone."
+            raise ConfigError(
+                f"{where}: mocap.port",
+                swarm.mocap.port,
+                "a port of its own",
+                do,
+                problem,
+            )
     if first and swarm.mocap.source == "replay" and not swarm.mocap.file:
         do = 'Add for example file = "flight.csv".'
-        raise ConfigError(f"{where}: mocap.file", "nothing", 'a recording, for source = "replay"', do)
+        raise ConfigError(
+            f"{where}: mocap.file", "nothing", 'a recording, for source = "replay"', do
+        )
 
 
 def _own_poses(swarm: Swarm, where: str) -> None:
     """Who says itself where it is says it often enough to fly by it."""
     for n, drone in enumerate(swarm.drones):
-        if is_reached(drone) and drone.pose == "onboard" and swarm.radio.log_rate < SEES:
+        if (
+            is_reached(drone)
+            and drone.pose == "onboard"
+            and swarm.radio.log_rate < SEES
+        ):
             problem = f"drones[{n}] says itself where it is, and a pose that is older than 0.1 s brakes it"
-            do = f"Set log_rate = {SEES:g} in [radio]; more where the dongle carries it."
-            raise ConfigError(f"{where}: radio.log_rate", swarm.radio.log_rate, f"{SEES:g} Hz or more", do, problem)
+            do = (
+                f"Set log_rate = {SEES:g} in [radio]; more where the dongle carries it."
+            )
+            raise ConfigError(
+                f"{where}: radio.log_rate",
+                swarm.radio.log_rate,
+                f"{SEES:g} Hz or more",
+                do,
+                problem,
+            )
 
 
 SEES = 25.0
@@ -129,21 +172,42 @@ SEES = 25.0
 
 def _radio_hosts(swarm: Swarm, where: str) -> None:
     """Each owner has a host, where there are [hosts]."""
-    flown, rows = dongles(swarm), {row.dongle: row for row in swarm.radio.dongles}
+    flown = dongles(swarm)
+    rows = {row.dongle: row for row in swarm.radio.dongles}
     for n, row in enumerate(swarm.radio.dongles):
         if row.dongle in [other.dongle for other in swarm.radio.dongles[:n]]:
-            raise ConfigError(f"{where}: radio.dongles[{n}].dongle", row.dongle, "each is there once", "Remove one.")
-    named = {f"radio.dongles: host of dongle {k}": rows[k].host if k in rows else None for k in flown}
+            raise ConfigError(
+                f"{where}: radio.dongles[{n}].dongle",
+                row.dongle,
+                "each is there once",
+                "Remove one.",
+            )
+    named = {
+        f"radio.dongles: host of dongle {k}": rows[k].host if k in rows else None
+        for k in flown
+    }
     if seen(swarm):
         named["mocap.host"] = swarm.mocap.host
     for key, host in named.items():
         if host is None and swarm.hosts:
-            do = "[[radio.dongles]] with dongle and host" if "dongle" in key else "[mocap] with host"
+            do = (
+                "[[radio.dongles]] with dongle and host"
+                if "dongle" in key
+                else "[mocap] with host"
+            )
             names = f"a name of [hosts]: {', '.join(swarm.hosts)}"
             raise ConfigError(f"{where}: {key}", "nothing", names, f"Add {do}.")
         if host is not None and host not in swarm.hosts:
-            allowed = f"[hosts] has {', '.join(swarm.hosts) or 'none, there is no [hosts]'}"
-            raise ConfigError(f"{where}: {key}", show(host), allowed, "Mend the name.", "there is no such host")
+            allowed = (
+                f"[hosts] has {', '.join(swarm.hosts) or 'none, there is no [hosts]'}"
+            )
+            raise ConfigError(
+                f"{where}: {key}",
+                show(host),
+                allowed,
+                "Mend the name.",
+                "there is no such host",
+            )
 
 
 PINGS, PLANS, OTHERS = 10.0, 10.0, 2.0
@@ -159,7 +223,11 @@ LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
 def capacity_of(swarm: Swarm, dongle: int) -> float:
     """Packets a second of a dongle: as its row says, else [radio]; more if it never changes its channel."""
     row = next((row for row in swarm.radio.dongles if row.dongle == dongle), None)
-    capacity = row.capacity if row is not None and row.capacity is not None else swarm.radio.capacity
+    capacity = (
+        row.capacity
+        if row is not None and row.capacity is not None
+        else swarm.radio.capacity
+    )
     return max(capacity, ALONE) if len(dongles(swarm)[dongle]) == 1 else capacity
 
 
@@ -169,10 +237,16 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     senders: by drone, what it is sent. What drones say rides on the acknowledgements of what they are told, one packet
     each: what they say must fit, too. Raises ConfigError, with the numbers, where the dongle does not carry either.
     """
-    radio, ids, capacity = swarm.radio, dongles(swarm)[dongle], capacity_of(swarm, dongle)
+    radio = swarm.radio
+    ids = dongles(swarm)[dongle]
+    capacity = capacity_of(swarm, dongle)
     _check_said(swarm, dongle, senders)
     streamed = [i for i in ids if senders[i] in LEAST]
-    poses = radio.pose_rate if all(_told(swarm, i) for i in ids) else max(radio.pose_rate, radio.log_rate)
+    poses = (
+        radio.pose_rate
+        if all(_told(swarm, i) for i in ids)
+        else max(radio.pose_rate, radio.log_rate)
+    )
     beside = len(ids) * (poses + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
     least = max((LEAST[senders[i]] for i in streamed), default=0.0)
     spare = (PLANNED * capacity - beside) / len(streamed) if streamed else 0.0
@@ -180,19 +254,39 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     most = capacity if streamed else PLANNED * capacity
     if rate >= least and beside + rate * len(streamed) <= most:
         return rate
-    asked, fits = max(rate, least), math.floor((most - beside) / len(streamed)) if streamed else 0
+    asked = max(rate, least)
+    fits = math.floor((most - beside) / len(streamed)) if streamed else 0
     kinds = ", ".join(sorted({senders[i] for i in ids}))
     if 0.0 < radio.command_rate < least <= fits:
-        allowed = f"{least:g} to {fits} Hz, for what is sent by dongle {dongle} ({kinds})"
-        raise ConfigError("radio.command_rate", rate, allowed, "Leave it out for as many as are carried with room.")
+        allowed = (
+            f"{least:g} to {fits} Hz, for what is sent by dongle {dongle} ({kinds})"
+        )
+        raise ConfigError(
+            "radio.command_rate",
+            rate,
+            allowed,
+            "Leave it out for as many as are carried with room.",
+        )
     found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
     what = "poses" if poses == radio.pose_rate else "logs"
     each = f"{len(ids)} x {poses + PINGS + OTHERS:g} {what}, echoes and requests"
-    plans = f", {len(ids) - len(streamed)} x {PLANS:g} plans" if len(streamed) < len(ids) else ""
-    spared = f"{max(spare, 0.0):.0f} set-points a second and drone" if streamed else _spared(capacity)
+    plans = (
+        f", {len(ids) - len(streamed)} x {PLANS:g} plans"
+        if len(streamed) < len(ids)
+        else ""
+    )
+    spared = (
+        f"{max(spare, 0.0):.0f} set-points a second and drone"
+        if streamed
+        else _spared(capacity)
+    )
     room = f"it carries {capacity:g}, {spared}"
-    less = _less(fits, least) if streamed else "tell poses at a lower pose_rate ([radio]), "
+    less = (
+        _less(fits, least)
+        if streamed
+        else "tell poses at a lower pose_rate ([radio]), "
+    )
     do = f"Use more dongles, {less}or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
 
@@ -207,10 +301,14 @@ def _less(fits: float, least: float) -> str:
 
 def _check_said(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
     """Raise ConfigError where what the drones of a dongle say would grow old on board, and answers with it."""
-    ids, log_rate = dongles(swarm)[dongle], swarm.radio.log_rate
-    logs = sum(max(log_rate, MOTION) if _told(swarm, i) else log_rate + SPREADS for i in ids)
+    ids = dongles(swarm)[dongle]
+    log_rate = swarm.radio.log_rate
+    logs = sum(
+        max(log_rate, MOTION) if _told(swarm, i) else log_rate + SPREADS for i in ids
+    )
     plans = sum(senders[i] not in LEAST for i in ids)
-    said, carries = logs + len(ids) * (PINGS + OTHERS) + plans * PLANS, capacity_of(swarm, dongle)
+    said = logs + len(ids) * (PINGS + OTHERS) + plans * PLANS
+    carries = capacity_of(swarm, dongle)
     if said <= PLANNED * carries:
         return
     kinds = ", ".join(sorted({senders[i] for i in ids}))
@@ -218,7 +316,11 @@ def _check_said(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
     answers = f"{len(ids)} x {PINGS + OTHERS:g} echoes and answers"
     answers += f", {plans} x {PLANS:g} to plans" if plans else ""
     room = f"it carries {carries:g}, {_spared(carries)}"
-    less = "a lower log_rate ([radio]), " if log_rate > MOTION or not all(_told(swarm, i) for i in ids) else ""
+    less = (
+        "a lower log_rate ([radio]), "
+        if log_rate > MOTION or not all(_told(swarm, i) for i in ids)
+        else ""
+    )
     do = f"Use more dongles, {less}or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{logs:g} logs, {answers}")
 

@@ -9,7 +9,13 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import msgspec
 from msgspec.structs import FieldInfo
 
-from crazychoir.config.misplaced_keys import keys_of_the_file, names, not_a_table, place_of_missing, remedy
+from crazychoir.config.misplaced_keys import (
+    keys_of_the_file,
+    names,
+    not_a_table,
+    place_of_missing,
+    remedy,
+)
 from crazychoir.errors import ConfigError
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -23,11 +29,17 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
     Raises ConfigError, also for what not every host could read back: dates, infinities, NaN, huge numbers, deep nests.
     """
-    language, decode = ("JSON", _decode_json) if text.lstrip().startswith("{") else ("TOML", tomllib.loads)
+    language, decode = (
+        ("JSON", _decode_json)
+        if text.lstrip().startswith("{")
+        else ("TOML", tomllib.loads)
+    )
     try:
         raw: dict[str, Any] = decode(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(where, str(error), f"{language} text", "Mend the line.") from error
+        raise ConfigError(
+            where, str(error), f"{language} text", "Mend the line."
+        ) from error
     require_plain(raw, where)
     return raw
 
@@ -48,29 +60,56 @@ def require_plain(raw: dict[str, Any], where: str) -> None:
     while pending:
         key, value, depth = pending.pop()
         if depth > DEPTH:
-            raise ConfigError(f"{where}: {key}", "a deeper nest", f"{DEPTH} levels of lists and tables")
+            raise ConfigError(
+                f"{where}: {key}",
+                "a deeper nest",
+                f"{DEPTH} levels of lists and tables",
+            )
         if isinstance(value, Mapping):
-            pending += [(f"{key}.{name}", item, depth + 1) for name, item in value.items()]
+            pending += [
+                (f"{key}.{name}", item, depth + 1) for name, item in value.items()
+            ]
         elif isinstance(value, list | tuple):
-            pending += [(f"{key}[{n}]", item, depth + 1) for n, item in enumerate(value)]
+            pending += [
+                (f"{key}[{n}]", item, depth + 1) for n, item in enumerate(value)
+            ]
         elif not _is_plain(value):
-            raise ConfigError(f"{where}: {key}", show(value), "finite numbers below 2^63, texts, true, false")
+            raise ConfigError(
+                f"{where}: {key}",
+                show(value),
+                "finite numbers below 2^63, texts, true, false",
+            )
 
 
 def _is_plain(value: object) -> bool:
     if isinstance(value, int) and not isinstance(value, bool):
         return abs(value) < 2**63
-    return math.isfinite(value) if isinstance(value, float) else isinstance(value, str | bool | None)
+    return (
+        math.isfinite(value)
+        if isinstance(value, float)
+        else isinstance(value, str | bool | None)
+    )
 
 
-def read(raw: object, kind: type[T], where: str, key: str = "", file: type[msgspec.Struct] | None = None) -> T:
+def read(
+    raw: object,
+    kind: type[T],
+    where: str,
+    key: str = "",
+    file: type[msgspec.Struct] | None = None,
+) -> T:
     """The table `kind` with the values of `raw`; `where` is the file, `key` the path to this table in it.
 
     file: the whole file, whose tables are told where a key belongs to another one; else the table without a path.
     """
     file = kind if file is None and not key else file
     if not isinstance(raw, Mapping):
-        raise ConfigError(_at(where, key), show(raw), f"a table with {_names(kind)}", not_a_table(raw, key))
+        raise ConfigError(
+            _at(where, key),
+            show(raw),
+            f"a table with {_names(kind)}",
+            not_a_table(raw, key),
+        )
     fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
     for name, value in raw.items():
         if name not in fields:
@@ -82,7 +121,12 @@ def read(raw: object, kind: type[T], where: str, key: str = "", file: type[msgsp
             do = elsewhere or f"Add for example {name} = {example}."
             raise ConfigError(_at(where, key, name), "nothing", description, do)
     return kind(
-        **{fields[name].name: _value(value, fields[name], where, _path(key, name), file) for name, value in raw.items()}
+        **{
+            fields[name].name: _value(
+                value, fields[name], where, _path(key, name), file
+            )
+            for name, value in raw.items()
+        }
     )
 
 
@@ -102,13 +146,19 @@ def _toml(value: object) -> str:
 
 
 def _value(
-    raw: object, entry: FieldInfo, where: str, key: str, file: type[msgspec.Struct] | None
+    raw: object,
+    entry: FieldInfo,
+    where: str,
+    key: str,
+    file: type[msgspec.Struct] | None,
 ) -> object:
     kind = _bare(entry.type)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         return read(raw, kind, where, key, file)
     if isinstance(raw, list | tuple) and (table := _row(kind)):
-        return tuple(read(item, table, where, f"{key}[{n}]", file) for n, item in enumerate(raw))
+        return tuple(
+            read(item, table, where, f"{key}[{n}]", file) for n, item in enumerate(raw)
+        )
     try:
         return msgspec.convert(raw, entry.type, str_keys=True)
     except msgspec.ValidationError:
@@ -124,7 +174,9 @@ def _bare(kind: Any) -> Any:
 def _row(kind: Any) -> type[msgspec.Struct] | None:
     """The table that a list of tables repeats."""
     inner = get_args(kind)[0] if get_origin(kind) is tuple else None
-    return inner if isinstance(inner, type) and issubclass(inner, msgspec.Struct) else None
+    return (
+        inner if isinstance(inner, type) and issubclass(inner, msgspec.Struct) else None
+    )
 
 
 def _allowed(entry: FieldInfo) -> tuple[str, str]:
@@ -135,11 +187,20 @@ def _allowed(entry: FieldInfo) -> tuple[str, str]:
 
 
 def _unknown(
-    name: str, value: object, kind: type[msgspec.Struct], where: str, key: str, file: type[msgspec.Struct] | None
+    name: str,
+    value: object,
+    kind: type[msgspec.Struct],
+    where: str,
+    key: str,
+    file: type[msgspec.Struct] | None,
 ) -> ConfigError:
     do = remedy(name, value, kind, key, file)
-    allowed = f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"
-    return ConfigError(_at(where, key, name), show(value), allowed, do, problem="there is no such key")
+    allowed = (
+        f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"
+    )
+    return ConfigError(
+        _at(where, key, name), show(value), allowed, do, problem="there is no such key"
+    )
 
 
 def _names(kind: type[msgspec.Struct]) -> str:

@@ -15,10 +15,26 @@ from crazychoir.bus.network.access import Access
 from crazychoir.bus.network.endpoints import are_local
 from crazychoir.bus.port import BODIES, EYES
 from crazychoir.bus.topics import POSE, TRUTH, Topic
-from crazychoir.config.checks import REPLAY, ROUTER_BELOW, check, graph_of, owned, secured
+from crazychoir.config.checks import (
+    REPLAY,
+    ROUTER_BELOW,
+    check,
+    graph_of,
+    owned,
+    secured,
+)
 from crazychoir.config.radio_checks import body_name, dongles, is_reached, reached, seen
 from crazychoir.config.reader import parse, read, require_plain
-from crazychoir.config.tables import AGREED, OF_BODIES, OWN_TO_A_HOST, Control, Drone, Sender, Swarm, Table
+from crazychoir.config.tables import (
+    AGREED,
+    OF_BODIES,
+    OWN_TO_A_HOST,
+    Control,
+    Drone,
+    Sender,
+    Swarm,
+    Table,
+)
 from crazychoir.config.uris import canonical
 from crazychoir.errors import ConfigError
 from crazychoir.files.path_texts import as_path, json_bytes
@@ -55,7 +71,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         text = read_text(path, "a swarm file, TOML or JSON", do=do)
         config = cls.loads(text, str(path))
         folder = Path(path).parent
-        return config._with_mission_from(folder)._with_files_from(folder)._with_shapes_from(folder)._with_keys(folder)
+        return (
+            config._with_mission_from(folder)
+            ._with_files_from(folder)
+            ._with_shapes_from(folder)
+            ._with_keys(folder)
+        )
 
     @classmethod
     def loads(cls, text: str, where: str = "swarm") -> Self:
@@ -68,14 +89,19 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         require_plain(raw, where)
         config = read(raw, cls, where)
         check(config, where)
-        drones = tuple(msgspec.structs.replace(drone, uri=canonical(drone.uri)) for drone in config.drones)
+        drones = tuple(
+            msgspec.structs.replace(drone, uri=canonical(drone.uri))
+            for drone in config.drones
+        )
         return msgspec.structs.replace(config, drones=drones)
 
     def dumps(self) -> str:
         """JSON text for `loads`, defaults and all: hands a swarm to another process."""
         try:
             return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
-        except UnicodeEncodeError:  # a path with bytes that are not UTF-8: they are escaped
+        except (
+            UnicodeEncodeError
+        ):  # a path with bytes that are not UTF-8: they are escaped
             return json.dumps(msgspec.to_builtins(self), indent=2)
 
     def replace(self, **changes: Any) -> Self:
@@ -87,20 +113,39 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def _with_mission_from(self, folder: Path) -> Self:
         if self.mission is None or not self.mission.endswith(".py"):
             return self
-        return msgspec.structs.replace(self, mission=_resolved(folder, self.mission, "mission"))
+        return msgspec.structs.replace(
+            self, mission=_resolved(folder, self.mission, "mission")
+        )
 
     def _with_files_from(self, folder: Path) -> Self:
-        named = {key: value for key, value in self.mission_options.items() if key in FILES and isinstance(value, str)}
-        found = {key: _resolved(folder, value, f"mission_options.{key}") for key, value in named.items()}
+        named = {
+            key: value
+            for key, value in self.mission_options.items()
+            if key in FILES and isinstance(value, str)
+        }
+        found = {
+            key: _resolved(folder, value, f"mission_options.{key}")
+            for key, value in named.items()
+        }
         drones = tuple(_replaying(drone, folder) for drone in self.drones)
         mocap = self.mocap
         if mocap.file:
-            mocap = msgspec.structs.replace(mocap, file=_resolved(folder, mocap.file, "mocap.file"))
-        return msgspec.structs.replace(self, mission_options=self.mission_options | found, drones=drones, mocap=mocap)
+            mocap = msgspec.structs.replace(
+                mocap, file=_resolved(folder, mocap.file, "mocap.file")
+            )
+        return msgspec.structs.replace(
+            self,
+            mission_options=self.mission_options | found,
+            drones=drones,
+            mocap=mocap,
+        )
 
     def _with_shapes_from(self, folder: Path) -> Self:
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
-        found = {key: _resolved(folder, value, f"mujoco.{key}") for key, value in named.items()}
+        found = {
+            key: _resolved(folder, value, f"mujoco.{key}")
+            for key, value in named.items()
+        }
         mujoco = msgspec.structs.replace(self.mujoco, **found)
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
@@ -108,17 +153,28 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         if not self.secured:
             return self
         keys = _resolved(folder, self.security.keys, "security.keys")
-        return msgspec.structs.replace(self, security=msgspec.structs.replace(self.security, keys=keys))
+        return msgspec.structs.replace(
+            self, security=msgspec.structs.replace(self.security, keys=keys)
+        )
 
     @property
     def files(self) -> dict[str, Path]:
         """The files that a flight needs beside its mission, by the keys that name them."""
-        options, mujoco = self.mission_options, self.mujoco
-        named = {f"mission_options.{key}": options[key] for key in FILES if isinstance(options.get(key), str)}
-        named |= {f"mujoco.{key}": name for key in SHAPES if (name := getattr(mujoco, key))}
+        options = self.mission_options
+        mujoco = self.mujoco
+        named = {
+            f"mission_options.{key}": options[key]
+            for key in FILES
+            if isinstance(options.get(key), str)
+        }
+        named |= {
+            f"mujoco.{key}": name for key in SHAPES if (name := getattr(mujoco, key))
+        }
         for drone in self.drones:
             if drone.uri.startswith(REPLAY):
-                named[f"drone {drone.id}: uri"] = drone.uri.removeprefix(REPLAY).partition("?")[0]
+                named[f"drone {drone.id}: uri"] = drone.uri.removeprefix(
+                    REPLAY
+                ).partition("?")[0]
         return {key: Path(name) for key, name in named.items()}
 
     def digest(self) -> str:
@@ -127,32 +183,57 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
         file that the mission's options name counts by what is in it, wherever it lies.
         """
-        return hashlib.blake2b(json_bytes(self._agreed(), order="sorted"), digest_size=8).hexdigest()
+        return hashlib.blake2b(
+            json_bytes(self._agreed(), order="sorted"), digest_size=8
+        ).hexdigest()
 
     def digests(self) -> str:
         """Of each of the keys AGREED alone two hex digits, so that two files that differ are told in what."""
         agreed = self._agreed()
         said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
-        return "".join(hashlib.blake2b(value, digest_size=1).hexdigest() for value in said)
+        return "".join(
+            hashlib.blake2b(value, digest_size=1).hexdigest() for value in said
+        )
 
     def of_bodies(self) -> dict[str, str]:
         """Of each of the keys OF_BODIES some hex digits, the same where what stands there is; no file is read."""
         agreed: dict[str, Any] = msgspec.to_builtins(self)
-        agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        agreed["mujoco"] |= {
+            key: Path(getattr(self.mujoco, key)).name for key in SHAPES
+        }
         for drone in agreed["drones"]:
-            drone["uri"] = drone["uri"].rpartition("/")[2] if drone["uri"].startswith(REPLAY) else drone["uri"]
+            drone["uri"] = (
+                drone["uri"].rpartition("/")[2]
+                if drone["uri"].startswith(REPLAY)
+                else drone["uri"]
+            )
         said = {key: json_bytes(agreed[key], order="sorted") for key in OF_BODIES}
-        return {key: hashlib.blake2b(value, digest_size=4).hexdigest() for key, value in said.items()}
+        return {
+            key: hashlib.blake2b(value, digest_size=4).hexdigest()
+            for key, value in said.items()
+        }
 
     def _agreed(self) -> dict[str, Any]:
-        agreed = {key: value for key, value in msgspec.to_builtins(self).items() if key not in OWN_TO_A_HOST}
+        agreed = {
+            key: value
+            for key, value in msgspec.to_builtins(self).items()
+            if key not in OWN_TO_A_HOST
+        }
         agreed["mission"] = Path(self.mission or "").name
-        agreed["mujoco"] |= {key: Path(getattr(self.mujoco, key)).name for key in SHAPES}
+        agreed["mujoco"] |= {
+            key: Path(getattr(self.mujoco, key)).name for key in SHAPES
+        }
         agreed["mocap"]["file"] = Path(self.mocap.file).name
-        agreed["mission_options"] = {key: _content(value) for key, value in self.mission_options.items()}
+        agreed["mission_options"] = {
+            key: _content(value) for key, value in self.mission_options.items()
+        }
         for drone in agreed["drones"]:
             name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
-            drone["uri"] = drone["uri"] if name == drone["uri"] else f"{REPLAY}{_content(name)}{mark}{number}"
+            drone["uri"] = (
+                drone["uri"]
+                if name == drone["uri"]
+                else f"{REPLAY}{_content(name)}{mark}{number}"
+            )
         return agreed
 
     @property
@@ -180,7 +261,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """The drones of each process, increasing; a process is known by its lowest drone."""
-        return tuple(sorted(tuple(sorted(group)) for group in self.processes or ((i,) for i in self.ids)))
+        return tuple(
+            sorted(
+                tuple(sorted(group))
+                for group in self.processes or ((i,) for i in self.ids)
+            )
+        )
 
     def process(self, i: int) -> int:
         """The process of drone i: its lowest drone."""
@@ -193,7 +279,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def endpoints(self) -> dict[int, str]:
         """The endpoint of each process, by its lowest drone; those of the router and of owners first."""
-        listens = {process: self._listens(host, process) for process, host in self._owners().items()}
+        listens = {
+            process: self._listens(host, process)
+            for process, host in self._owners().items()
+        }
         return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
 
     def host_of(self, process: int) -> str | None:
@@ -207,7 +296,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def _owners(self) -> dict[int, str | None]:
         """The hosts of the processes that are no agents."""
-        owners: dict[int, str | None] = {ROUTER: self.router} if self.router is not None else {}
+        owners: dict[int, str | None] = (
+            {ROUTER: self.router} if self.router is not None else {}
+        )
         owners |= {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
         owners |= {MOCAP: self.mocap.host} if self.seen else {}
         return owners | ({WORLD: self.world.host} if self.owned else {})
@@ -239,22 +330,42 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         owners += [(self.mocap.host, "mocap")] if self.seen else []
         owners += [(self.world.host, "world")] if self.owned else []
         agents = [(drone.host, str(drone.id)) for drone in self.drones]
-        processes: dict[str, tuple[str, ...]] = {name: () for name in (*self.hosts, *self.security.operators)}
+        processes: dict[str, tuple[str, ...]] = {
+            name: () for name in (*self.hosts, *self.security.operators)
+        }
         for of, name in (*owners, *agents):
             processes[str(of)] += (name,)
         holders = {drone.id: str(drone.host) for drone in self.drones}
         holders |= {BODIES + i: str(self.world.host) for i in self.owned}
-        holders |= {BODIES + i: str(self.dongle_host(k)) for k, ids in self.dongles.items() for i in ids}
+        holders |= {
+            BODIES + i: str(self.dongle_host(k))
+            for k, ids in self.dongles.items()
+            for i in ids
+        }
         holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
         folder = authority.checked(Path(self.security.keys), host)
-        return Access(self.name, host, folder, processes, holders, self.security.operators, self.router)
+        return Access(
+            self.name,
+            host,
+            folder,
+            processes,
+            holders,
+            self.security.operators,
+            self.router,
+        )
 
     def _require_local(self, endpoints: Iterable[str]) -> None:
-        far = [endpoint for endpoint in endpoints if "/" in endpoint and not are_local([endpoint])]  # else none at all
+        far = [
+            endpoint
+            for endpoint in endpoints
+            if "/" in endpoint and not are_local([endpoint])
+        ]  # else none at all
         if far and not self.security.insecure:
             allowed = "one of this machine's own, as tcp/127.0.0.1:7460"
             do = "Give the swarm file [hosts] and keys (deploy/README.md), or write insecure = true in [security]."
-            raise ConfigError("endpoint", far[0], allowed, do, "neither encrypted nor closed")
+            raise ConfigError(
+                "endpoint", far[0], allowed, do, "neither encrypted nor closed"
+            )
 
     @property
     def owned(self) -> tuple[int, ...]:
@@ -288,7 +399,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def dongle_host(self, number: int) -> str | None:
         """The host of a dongle's owner."""
-        return next((row.host for row in self.radio.dongles if row.dongle == number), None)
+        return next(
+            (row.host for row in self.radio.dongles if row.dongle == number), None
+        )
 
     def body_name(self, i: int) -> str:
         """What motion capture calls drone i."""
@@ -307,7 +420,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         if network.edges:
             rules["edges"] = [_written(edge) for edge in network.edges]
         if network.partitions:
-            rules["partitions"] = [_written(cut) | {"groups": self._complete(cut.groups)} for cut in network.partitions]
+            rules["partitions"] = [
+                _written(cut) | {"groups": self._complete(cut.groups)}
+                for cut in network.partitions
+            ]
         return rules
 
     def _complete(self, groups: tuple[tuple[int, ...], ...]) -> list[list[int]]:
@@ -321,7 +437,9 @@ def _replaying(drone: Drone, folder: Path) -> Drone:
     name = drone.uri.removeprefix(REPLAY)
     if name == drone.uri:
         return drone
-    return msgspec.structs.replace(drone, uri=f"{REPLAY}{_resolved(folder, name, f'drone {drone.id}: uri')}")
+    return msgspec.structs.replace(
+        drone, uri=f"{REPLAY}{_resolved(folder, name, f'drone {drone.id}: uri')}"
+    )
 
 
 def _resolved(folder: Path, name: str, key: str) -> str:
@@ -330,7 +448,9 @@ def _resolved(folder: Path, name: str, key: str) -> str:
         return str((folder / as_path(name)).resolve())
     except (ValueError, OSError, RuntimeError) as error:
         do = "Rename the file; or, for letters that this system does not know, set PYTHONUTF8=1 or LC_ALL=C.UTF-8."
-        raise ConfigError(key, ascii(name), f"the name of a file ({error})", do) from error
+        raise ConfigError(
+            key, ascii(name), f"the name of a file ({error})", do
+        ) from error
 
 
 def _content(value: Any) -> Any:
@@ -360,11 +480,17 @@ def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
 
 
 def _on_a_grid(name: str, n: int, columns: int) -> SwarmConfig:
-    homes = [[round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0] for k in range(n)]
+    homes = [
+        [round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0]
+        for k in range(n)
+    ]
     far = [max((home[axis] for home in homes), default=0.0) + MARGIN for axis in (0, 1)]
     drones = [{"id": k, "home": home} for k, home in enumerate(homes)]
     fence = {"min": [-MARGIN, -MARGIN, 0.0], "max": [*far, 3.0]}
-    return SwarmConfig.of({"name": name, "drones": drones, "graph": "ring", "fence": fence}, f"swarm {name}")
+    return SwarmConfig.of(
+        {"name": name, "drones": drones, "graph": "ring", "fence": fence},
+        f"swarm {name}",
+    )
 
 
 def _bracketed(address: str) -> str:
@@ -377,4 +503,8 @@ def _bracketed(address: str) -> str:
 def _written(table: Table) -> dict[str, Any]:
     """The values of a table that are written in the file, without its lists."""
     values: dict[str, Any] = msgspec.to_builtins(table)
-    return {key: value for key, value in values.items() if not (value is None or isinstance(value, tuple))}
+    return {
+        key: value
+        for key, value in values.items()
+        if not (value is None or isinstance(value, tuple))
+    }

@@ -7,34 +7,86 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-Id = Annotated[int, Meta(ge=0, le=9999, description="a drone id, 0 to 9999", examples=[3])]
-Ids = Annotated[tuple[Id, ...], Meta(description="a list of drone ids", examples=[[0, 1]])]
+Id = Annotated[
+    int, Meta(ge=0, le=9999, description="a drone id, 0 to 9999", examples=[3])
+]
+Ids = Annotated[
+    tuple[Id, ...], Meta(description="a list of drone ids", examples=[[0, 1]])
+]
 Groups = Annotated[
     tuple[Annotated[tuple[Id, ...], Meta(min_length=1)], ...],
-    Meta(description="lists of drone ids, none of them empty", examples=[[[0, 1], [2, 3]]]),
+    Meta(
+        description="lists of drone ids, none of them empty",
+        examples=[[[0, 1], [2, 3]]],
+    ),
 ]
-Edges = Annotated[tuple[tuple[Id, Id], ...], Meta(description="pairs of drone ids", examples=[[[0, 1], [1, 2]]])]
+Edges = Annotated[
+    tuple[tuple[Id, Id], ...],
+    Meta(description="pairs of drone ids", examples=[[[0, 1], [1, 2]]]),
+]
 Position = Annotated[
-    tuple[float, float, float], Meta(description="a position [x, y, z] in m", examples=[[0.0, 0.6, 0.0]])
+    tuple[float, float, float],
+    Meta(description="a position [x, y, z] in m", examples=[[0.0, 0.6, 0.0]]),
 ]
-Metres = Annotated[float, Meta(ge=0, description="a length in m, not negative", examples=[0.0005])]
-Height = Annotated[float, Meta(gt=0, le=100, description="a height in m, above 0, at most 100", examples=[1.0])]
+Metres = Annotated[
+    float, Meta(ge=0, description="a length in m, not negative", examples=[0.0005])
+]
+Height = Annotated[
+    float,
+    Meta(
+        gt=0, le=100, description="a height in m, above 0, at most 100", examples=[1.0]
+    ),
+]
 Level = Annotated[float, Meta(description="a height in m", examples=[0.0])]
-Radians = Annotated[float, Meta(ge=-7, le=7, description="an angle in rad, -7 to 7", examples=[1.57])]
-Turn = Annotated[float, Meta(ge=0, le=1, description="an angle in rad, 0 to 1", examples=[0.001])]
-Speed = Annotated[float, Meta(gt=0, le=20, description="a speed in m/s, above 0, at most 20", examples=[1.0])]
-Acceleration = Annotated[
-    float, Meta(gt=0, le=50, description="an acceleration in m/s2, above 0, at most 50", examples=[2.0])
+Radians = Annotated[
+    float, Meta(ge=-7, le=7, description="an angle in rad, -7 to 7", examples=[1.57])
 ]
-Seconds = Annotated[float, Meta(ge=0, description="a time in s, not negative", examples=[0.02])]
-Timeout = Annotated[float, Meta(gt=0, description="a time in s, above 0", examples=[5.0])]
-Hertz = Annotated[float, Meta(gt=0, le=1000, description="a rate in Hz, above 0, at most 1000", examples=[100])]
-Probability = Annotated[float, Meta(ge=0, le=1, description="a probability, 0 to 1", examples=[0.1])]
+Turn = Annotated[
+    float, Meta(ge=0, le=1, description="an angle in rad, 0 to 1", examples=[0.001])
+]
+Speed = Annotated[
+    float,
+    Meta(
+        gt=0, le=20, description="a speed in m/s, above 0, at most 20", examples=[1.0]
+    ),
+]
+Acceleration = Annotated[
+    float,
+    Meta(
+        gt=0,
+        le=50,
+        description="an acceleration in m/s2, above 0, at most 50",
+        examples=[2.0],
+    ),
+]
+Seconds = Annotated[
+    float, Meta(ge=0, description="a time in s, not negative", examples=[0.02])
+]
+Timeout = Annotated[
+    float, Meta(gt=0, description="a time in s, above 0", examples=[5.0])
+]
+Hertz = Annotated[
+    float,
+    Meta(
+        gt=0, le=1000, description="a rate in Hz, above 0, at most 1000", examples=[100]
+    ),
+]
+Probability = Annotated[
+    float, Meta(ge=0, le=1, description="a probability, 0 to 1", examples=[0.1])
+]
 Flag = Annotated[bool, Meta(description="true or false", examples=[True])]
 Text = Annotated[str, Meta(description="a text", examples=["scout"])]
-Free = Annotated[dict[str, Any], Meta(description="a table of your own keys", examples=[{"speed": 0.5}])]
+Free = Annotated[
+    dict[str, Any],
+    Meta(description="a table of your own keys", examples=[{"speed": 0.5}]),
+]
 Name = Annotated[
-    str, Meta(pattern=r"^[a-z0-9_-]{1,40}\Z", description="1 to 40 of a-z, 0-9, _ and -", examples=["lab6"])
+    str,
+    Meta(
+        pattern=r"^[a-z0-9_-]{1,40}\Z",
+        description="1 to 40 of a-z, 0-9, _ and -",
+        examples=["lab6"],
+    ),
 ]
 Mission = Annotated[
     str,
@@ -44,31 +96,70 @@ Mission = Annotated[
         examples=["pickup_delivery"],
     ),
 ]
-Seed = Annotated[int, Meta(ge=0, description="a whole number, not negative", examples=[1])]
+Seed = Annotated[
+    int, Meta(ge=0, description="a whole number, not negative", examples=[1])
+]
 Start = Annotated[
     Literal["all"] | Annotated[int, Meta(ge=1)],
     Meta(description='"all", or the number of drones that is enough', examples=["all"]),
 ]
-Port = Annotated[int, Meta(ge=1024, le=65535, description="a port, 1024 to 65535", examples=[7460])]
-Burst = Annotated[float, Meta(ge=1, description="a mean number of messages lost in a row, 1 or more", examples=[4])]
-Bandwidth = Annotated[float, Meta(gt=0, description="bytes a second, above 0", examples=[50000])]
+Port = Annotated[
+    int, Meta(ge=1024, le=65535, description="a port, 1024 to 65535", examples=[7460])
+]
+Burst = Annotated[
+    float,
+    Meta(
+        ge=1,
+        description="a mean number of messages lost in a row, 1 or more",
+        examples=[4],
+    ),
+]
+Bandwidth = Annotated[
+    float, Meta(gt=0, description="bytes a second, above 0", examples=[50000])
+]
 Wind = Annotated[
-    tuple[float, float, float], Meta(description="a velocity [x, y, z] in m/s", examples=[[0.5, 0.0, 0.0]])
+    tuple[float, float, float],
+    Meta(description="a velocity [x, y, z] in m/s", examples=[[0.5, 0.0, 0.0]]),
 ]
-Gust = Annotated[float, Meta(ge=0, le=20, description="a speed in m/s, 0 to 20", examples=[0.3])]
-Mismatch = Annotated[float, Meta(ge=-0.5, le=0.5, description="a share, -0.5 to 0.5", examples=[0.05])]
+Gust = Annotated[
+    float, Meta(ge=0, le=20, description="a speed in m/s, 0 to 20", examples=[0.3])
+]
+Mismatch = Annotated[
+    float, Meta(ge=-0.5, le=0.5, description="a share, -0.5 to 0.5", examples=[0.05])
+]
 Tilt = Annotated[
-    tuple[Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]],
-    Meta(description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]),
+    tuple[
+        Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]
+    ],
+    Meta(
+        description="angles [roll, pitch] in rad, -0.5 to 0.5", examples=[[0.0175, 0.0]]
+    ),
 ]
-Centred = Annotated[float, Meta(ge=-0.5, le=0.5, description="a length in m, -0.5 to 0.5", examples=[0.02])]
-SemiAxis = Annotated[float, Meta(ge=0.05, le=2, description="a length in m, 0.05 to 2", examples=[0.12])]
-Share = Annotated[float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])]
-Factor = Annotated[float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])]
-Scale = Annotated[float, Meta(gt=0, le=1000, description="a factor, above 0, at most 1000", examples=[0.001])]
+Centred = Annotated[
+    float,
+    Meta(ge=-0.5, le=0.5, description="a length in m, -0.5 to 0.5", examples=[0.02]),
+]
+SemiAxis = Annotated[
+    float, Meta(ge=0.05, le=2, description="a length in m, 0.05 to 2", examples=[0.12])
+]
+Share = Annotated[
+    float, Meta(gt=0, le=1, description="a share, above 0, at most 1", examples=[0.5])
+]
+Factor = Annotated[
+    float, Meta(ge=0, le=100, description="a factor, 0 to 100", examples=[1.0])
+]
+Scale = Annotated[
+    float,
+    Meta(
+        gt=0, le=1000, description="a factor, above 0, at most 1000", examples=[0.001]
+    ),
+]
 Inputs = Annotated[
     Literal["rates", "euler"],
-    Meta(description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)', examples=["rates"]),
+    Meta(
+        description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)',
+        examples=["rates"],
+    ),
 ]
 Sender = Annotated[
     Literal["fpqr", "frpy", "vel", "xyz", "fullstate"],
@@ -80,30 +171,57 @@ Sender = Annotated[
 ]
 Filter = Annotated[
     Literal["derivative", "kalman"],
-    Meta(description='how velocities come from poses: "derivative" or "kalman"', examples=["kalman"]),
+    Meta(
+        description='how velocities come from poses: "derivative" or "kalman"',
+        examples=["kalman"],
+    ),
 ]
 Avoidance = Annotated[
     Literal["barrier", "cells", "off"],
-    Meta(description='how drones keep clear of each other: "barrier", "cells" or "off"', examples=["cells"]),
+    Meta(
+        description='how drones keep clear of each other: "barrier", "cells" or "off"',
+        examples=["cells"],
+    ),
 ]
 SemiAxes = Annotated[
     tuple[SemiAxis, SemiAxis, SemiAxis],
     Meta(description="three lengths in m, 0.05 to 2", examples=[[0.12, 0.12, 0.3]]),
 ]
-Rate = Annotated[float, Meta(ge=0, le=1000, description="a rate in Hz, 0 (each tick) to 1000", examples=[50])]
-Hosts = Annotated[
-    dict[str, str], Meta(description="a table of names and addresses", examples=[{"laptop": "192.168.1.10"}])
+Rate = Annotated[
+    float,
+    Meta(
+        ge=0, le=1000, description="a rate in Hz, 0 (each tick) to 1000", examples=[50]
+    ),
 ]
-Names = Annotated[tuple[Name, ...], Meta(description="a list of names", examples=[["laptop"]])]
+Hosts = Annotated[
+    dict[str, str],
+    Meta(
+        description="a table of names and addresses",
+        examples=[{"laptop": "192.168.1.10"}],
+    ),
+]
+Names = Annotated[
+    tuple[Name, ...], Meta(description="a list of names", examples=[["laptop"]])
+]
 
 
-Dongle = Annotated[int, Meta(ge=0, le=15, description="the number of a dongle, 0 to 15", examples=[0])]
+Dongle = Annotated[
+    int, Meta(ge=0, le=15, description="the number of a dongle, 0 to 15", examples=[0])
+]
 PoseFrom = Annotated[
     Literal["mocap", "onboard"],
-    Meta(description='where its pose comes from: "mocap" or "onboard"', examples=["mocap"]),
+    Meta(
+        description='where its pose comes from: "mocap" or "onboard"',
+        examples=["mocap"],
+    ),
 ]
 Body = Annotated[
-    str, Meta(max_length=40, description="the name of a body, at most 40 characters", examples=["cf3"])
+    str,
+    Meta(
+        max_length=40,
+        description="the name of a body, at most 40 characters",
+        examples=["cf3"],
+    ),
 ]
 Offset = Annotated[
     tuple[Centred, Centred, Centred],
@@ -111,19 +229,41 @@ Offset = Annotated[
 ]
 Angles = Annotated[
     tuple[Radians, Radians, Radians],
-    Meta(description="angles [roll, pitch, yaw] in rad, -7 to 7", examples=[[0.01, 0.0, 0.0]]),
+    Meta(
+        description="angles [roll, pitch, yaw] in rad, -7 to 7",
+        examples=[[0.01, 0.0, 0.0]],
+    ),
 ]
 Source = Annotated[
     Literal["virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn", "mock"],
-    Meta(description='"virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn" or "mock"', examples=["vicon"]),
+    Meta(
+        description='"virtual", "replay", "vicon", "optitrack", "qualisys", "vrpn" or "mock"',
+        examples=["vicon"],
+    ),
 ]
-UdpPort = Annotated[int, Meta(ge=1, le=65535, description="a UDP port, 1 to 65535", examples=[19849])]
+UdpPort = Annotated[
+    int, Meta(ge=1, le=65535, description="a UDP port, 1 to 65535", examples=[19849])
+]
 PoseRate = Annotated[
-    float, Meta(ge=10, le=100, description="a rate in Hz, 10 to 100: the onboard estimator needs 10", examples=[20])
+    float,
+    Meta(
+        ge=10,
+        le=100,
+        description="a rate in Hz, 10 to 100: the onboard estimator needs 10",
+        examples=[20],
+    ),
 ]
-Packets = Annotated[float, Meta(gt=0, le=5000, description="packets a second, above 0", examples=[250])]
+Packets = Annotated[
+    float, Meta(gt=0, le=5000, description="packets a second, above 0", examples=[250])
+]
 ThrustMap = Annotated[
-    float, Meta(ge=10_000, le=1_000_000, description="thrust command a newton, all motors", examples=[136531])
+    float,
+    Meta(
+        ge=10_000,
+        le=1_000_000,
+        description="thrust command a newton, all motors",
+        examples=[136531],
+    ),
 ]
 
 
@@ -256,7 +396,10 @@ class RadioHost(Table, frozen=True, kw_only=True):
 
 Dongles = Annotated[
     tuple[RadioHost, ...],
-    Meta(description="a list of tables [[radio.dongles]]", examples=[[{"dongle": 0, "host": "laptop"}]]),
+    Meta(
+        description="a list of tables [[radio.dongles]]",
+        examples=[[{"dongle": 0, "host": "laptop"}]],
+    ),
 ]
 
 
@@ -390,19 +533,31 @@ class Role(Control, frozen=True, kw_only=True):
 
 Roles = Annotated[
     tuple[Role, ...],
-    Meta(description="a list of tables [[roles]]", examples=[[{"name": "scout", "sender": "frpy"}]]),
+    Meta(
+        description="a list of tables [[roles]]",
+        examples=[[{"name": "scout", "sender": "frpy"}]],
+    ),
 ]
 Drones = Annotated[
     tuple[Drone, ...],
-    Meta(description="a list of drones: one table [[drones]] each", examples=[[{"id": 0, "home": [0.0, 0.6, 0.0]}]]),
+    Meta(
+        description="a list of drones: one table [[drones]] each",
+        examples=[[{"id": 0, "home": [0.0, 0.6, 0.0]}]],
+    ),
 ]
 LinkEdges = Annotated[
     tuple[Edge, ...],
-    Meta(description="a list of tables [[network.edges]]", examples=[[{"source": 0, "destination": 1, "loss": 0.1}]]),
+    Meta(
+        description="a list of tables [[network.edges]]",
+        examples=[[{"source": 0, "destination": 1, "loss": 0.1}]],
+    ),
 ]
 Partitions = Annotated[
     tuple[Partition, ...],
-    Meta(description="a list of tables [[network.partitions]]", examples=[[{"at": 5.0, "groups": [[0, 1]]}]]),
+    Meta(
+        description="a list of tables [[network.partitions]]",
+        examples=[[{"at": 5.0, "groups": [[0, 1]]}]],
+    ),
 ]
 
 
@@ -465,7 +620,21 @@ class Swarm(Table, frozen=True, kw_only=True):
 
 OWN_TO_A_HOST = ("hosts", "router", "security", "base_port", "network")
 """What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
-AGREED = tuple(key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST)
+AGREED = tuple(
+    key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST
+)
 """All other keys of a swarm file."""
-OF_BODIES = ("drones", "flight", "fence", "keep_out", "radio", "plant", "motors", "mujoco", "world", "control", "roles")
+OF_BODIES = (
+    "drones",
+    "flight",
+    "fence",
+    "keep_out",
+    "radio",
+    "plant",
+    "motors",
+    "mujoco",
+    "world",
+    "control",
+    "roles",
+)
 """What those who own bodies or cameras, which know no mission, agree on with those who fly."""

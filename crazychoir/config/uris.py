@@ -112,25 +112,48 @@ def _parse_udp(uri: str, key: str) -> UdpUri:
     place, mark, _ = uri.removeprefix(UDP).partition("?")
     place = place.removesuffix("/")
     if mark:
-        raise ConfigError(key, show(uri), UDP_FORM, "A udp:// uri has no options: leave out what follows the ?.")
+        raise ConfigError(
+            key,
+            show(uri),
+            UDP_FORM,
+            "A udp:// uri has no options: leave out what follows the ?.",
+        )
     if place.startswith("[") or place.count(":") > 1:
-        raise ConfigError(key, show(uri), UDP_FORM, "The udp:// link of cflib has IPv4 alone: write such an address.")
+        raise ConfigError(
+            key,
+            show(uri),
+            UDP_FORM,
+            "The udp:// link of cflib has IPv4 alone: write such an address.",
+        )
     host, colon, port = place.partition(":")
     if not colon:
-        raise ConfigError(key, show(uri), UDP_FORM, f"Write its port, as {UDP}{host or _THIS_MACHINE}:19850.")
+        raise ConfigError(
+            key,
+            show(uri),
+            UDP_FORM,
+            f"Write its port, as {UDP}{host or _THIS_MACHINE}:19850.",
+        )
     if not (port.isascii() and port.isdecimal() and 1 <= _number(port) <= LAST_PORT):
-        raise ConfigError(key, show(uri), UDP_FORM, f"A port is a number of 1 to {LAST_PORT}.")
+        raise ConfigError(
+            key, show(uri), UDP_FORM, f"A port is a number of 1 to {LAST_PORT}."
+        )
     host = _host(host)
     if host not in _NAMES_OF_THIS_MACHINE and (fault := address_fault(host)):
         raise ConfigError(key, show(uri), UDP_FORM, fault)
-    return UdpUri(_THIS_MACHINE if host.startswith("localhost") else host, _number(port))
+    return UdpUri(
+        _THIS_MACHINE if host.startswith("localhost") else host, _number(port)
+    )
 
 
 def _host(text: str) -> str:
     """Return the host as it is compared: in small letters, an IPv4 address in four numbers, however it was written."""
     host = text.lower().removesuffix(".")
     try:
-        return socket.inet_ntoa(socket.inet_aton(host)) if host[:1].isdigit() and " " not in host else host
+        return (
+            socket.inet_ntoa(socket.inet_aton(host))
+            if host[:1].isdigit() and " " not in host
+            else host
+        )
     except OSError:
         return host
 
@@ -153,14 +176,22 @@ def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
     address = parts[3] if len(parts) > 3 else DEFAULT_ADDRESS
     if fault := _dongle_fault(dongle, serials):
         raise refused(fault)
-    if not (channel.isascii() and channel.isdecimal() and _number(channel) <= LAST_CHANNEL):
+    if not (
+        channel.isascii() and channel.isdecimal() and _number(channel) <= LAST_CHANNEL
+    ):
         raise refused(f"A channel is a number of 0 to {LAST_CHANNEL}.")
     if rate not in RATES:
         raise refused(f"Write {rate.upper()}." if rate.upper() in RATES else "")
     if not _ADDRESS.fullmatch(address):
         raise refused(_address_hint(address))
-    number = str(_number(dongle)) if dongle.isdecimal() and len(dongle) < 10 else dongle.upper()
-    return RadioUri(number, _number(channel), rate, address.upper(), _rate_limit(query, refused))
+    number = (
+        str(_number(dongle))
+        if dongle.isdecimal() and len(dongle) < 10
+        else dongle.upper()
+    )
+    return RadioUri(
+        number, _number(channel), rate, address.upper(), _rate_limit(query, refused)
+    )
 
 
 def _dongle_fault(dongle: str, serials: bool) -> str:
@@ -169,7 +200,11 @@ def _dongle_fault(dongle: str, serials: bool) -> str:
         return "* is any dongle to crazyflie-link-cpp; here each dongle has an owner: write its number, as radio://0."
     if _ADDRESS.fullmatch(dongle):
         number = "cflib finds a dongle by its serial number; here its owner, `crazychoir-radio --dongle`, goes by its"
-        return "" if serials else f"{number} number on the host: write that, 0 for the first. See `crazychoir doctor`."
+        return (
+            ""
+            if serials
+            else f"{number} number on the host: write that, 0 for the first. See `crazychoir doctor`."
+        )
     if dongle.isascii() and dongle.isdecimal() and _number(dongle) <= LAST_DONGLE:
         return ""
     return f"A dongle is a number of 0 to {LAST_DONGLE}."
@@ -186,13 +221,21 @@ def _rate_limit(query: str, refused: Callable[[str], ConfigError]) -> int | None
     limit = None
     for name, value in parse_qsl(query, keep_blank_values=True):
         if name in LINK_OPTIONS:
-            raise refused(f"{name} is an option of crazyflie-link-cpp: leave it out; here safelink is always on.")
+            raise refused(
+                f"{name} is an option of crazyflie-link-cpp: leave it out; here safelink is always on."
+            )
         if name != "rate_limit":
-            raise refused(f"There is no option {name}: leave it out. There is rate_limit, in packets a second.")
+            raise refused(
+                f"There is no option {name}: leave it out. There is rate_limit, in packets a second."
+            )
         if limit is not None:
             raise refused("Write rate_limit once.")
-        if not (value.isascii() and value.isdecimal() and 1 <= _number(value) < UNLIMITED):
-            raise refused("rate_limit is a whole number of packets a second, 1 or more.")
+        if not (
+            value.isascii() and value.isdecimal() and 1 <= _number(value) < UNLIMITED
+        ):
+            raise refused(
+                "rate_limit is a whole number of packets a second, 1 or more."
+            )
         limit = _number(value)
     return limit
 

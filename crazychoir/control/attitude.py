@@ -46,7 +46,9 @@ def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     )
     out[0] = desired[0]
     for c in range(3):
-        out[1 + c] = clip(dot(r[c], w) - figures[c] * e[c], -figures[3 + c], figures[3 + c])
+        out[1 + c] = clip(
+            dot(r[c], w) - figures[c] * e[c], -figures[3 + c], figures[3 + c]
+        )
 
 
 class GeometryAttitudeCtrl(Tuned):
@@ -77,15 +79,25 @@ def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     """The law of AngleAttitudeCtrl into out (4,); figures: (4,) = k, K_R of the yaw, largest yaw rate, angle."""
     bx = columns((x[6], x[7], x[8], x[9]))[0]
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
-    c, s = bx[0] * n, bx[1] * n
+    c = bx[0] * n
+    s = bx[1] * n
     z = (c * desired[7] + s * desired[8], c * desired[8] - s * desired[7], desired[9])
     look = (c * desired[1] + s * desired[2], c * desired[2] - s * desired[1])
     w = (desired[10], desired[11], desired[12])
     turn = math.atan2(look[1], look[0])
-    ahead = (w[0] * math.cos(turn) - w[1] * math.sin(turn), w[0] * math.sin(turn) + w[1] * math.cos(turn))
+    ahead = (
+        w[0] * math.cos(turn) - w[1] * math.sin(turn),
+        w[0] * math.sin(turn) + w[1] * math.cos(turn),
+    )
     out[0] = desired[0]
-    out[1] = clip(math.asin(clip(-z[1], -1.0, 1.0)) + ahead[0] / figures[0], -figures[3], figures[3])
-    out[2] = clip(math.atan2(z[0], z[2]) + ahead[1] / figures[0], -figures[3], figures[3])
+    out[1] = clip(
+        math.asin(clip(-z[1], -1.0, 1.0)) + ahead[0] / figures[0],
+        -figures[3],
+        figures[3],
+    )
+    out[2] = clip(
+        math.atan2(z[0], z[2]) + ahead[1] / figures[0], -figures[3], figures[3]
+    )
     out[3] = clip(w[2] + figures[1] * turn, -figures[2], figures[2])
 
 
@@ -103,7 +115,9 @@ class AngleAttitudeCtrl(Tuned):
         super().__init__(gains)
 
     def _tuned(self, gains: Gains) -> Vec:
-        return np.array([ATTITUDE_ON_BOARD, gains.kr[2], self.platform.max_rate[2], MOST_ANGLE])
+        return np.array(
+            [ATTITUDE_ON_BOARD, gains.kr[2], self.platform.max_rate[2], MOST_ANGLE]
+        )
 
     def command(self, state: State, desired: Vec) -> Vec:
         """A new (4,) = thrust N, roll, pitch rad, yaw rate rad/s."""

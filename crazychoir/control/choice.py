@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 
 from crazychoir.config.tables import Control
-from crazychoir.control.attitude import ATTITUDE_ON_BOARD, AngleAttitudeCtrl, AttitudeControl, GeometryAttitudeCtrl
+from crazychoir.control.attitude import (
+    ATTITUDE_ON_BOARD,
+    AngleAttitudeCtrl,
+    AttitudeControl,
+    GeometryAttitudeCtrl,
+)
 from crazychoir.control.controller import CrazyflieController, HierarchicalController
 from crazychoir.control.gains import FORMATION, OF_TRACKING, RANGES, STANDARD, Gains
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
@@ -32,9 +37,12 @@ from crazychoir.errors import ConfigError
 from crazychoir.platforms import PAPER, Platform
 
 SENDERS: dict[str, type[CommunicationHandler]] = {
-    "fpqr": FPQRSender, "frpy": FRPYSender, "vel": VelSender, "xyz": XYZSender,
+    "fpqr": FPQRSender,
+    "frpy": FRPYSender,
+    "vel": VelSender,
+    "xyz": XYZSender,
     "fullstate": FullStateSender,
-}  # fmt: skip
+}
 ON_BOARD = ("vel", "xyz", "fullstate")
 """Senders for which the gains are those of the firmware."""
 
@@ -85,9 +93,13 @@ class Controls:
 
 
 def controls(
-    choice: Control | None = None, platform: Platform = PAPER, plant: Plant = "lightweight", rate_lag: float = 0.03,
-    command_delay: float = 0.02, where: str = "control",
-) -> Controls:  # fmt: skip
+    choice: Control | None = None,
+    platform: Platform = PAPER,
+    plant: Plant = "lightweight",
+    rate_lag: float = 0.03,
+    command_delay: float = 0.02,
+    where: str = "control",
+) -> Controls:
     """The controllers that a row [control] or [[roles]] asks for.
 
     rate_lag: s, of the lightweight plant;  command_delay: s;  where: names the row in errors.
@@ -96,30 +108,61 @@ def controls(
     choice = Control() if choice is None else choice
     sender = choice.sender or "fpqr"
     late = (
-        STANDARD.on_motors(platform, command_delay) if plant == "motors" else STANDARD.on_rates(rate_lag, command_delay)
+        STANDARD.on_motors(platform, command_delay)
+        if plant == "motors"
+        else STANDARD.on_rates(rate_lag, command_delay)
     )
     gains = changed(late, choice.gains, f"{where}.gains")
     require_stable(gains, platform, plant, where, sender)
     if choice.gains and sender in ON_BOARD:
-        found, allowed = f"gains for the sender {sender}", "none: the firmware's own fly what it is sent"
-        raise ConfigError(f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy.")
-    trim, send = Trim(), SENDERS[sender]()
+        found = f"gains for the sender {sender}"
+        allowed = "none: the firmware's own fly what it is sent"
+        raise ConfigError(
+            f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy."
+        )
+    trim = Trim()
+    send = SENDERS[sender]()
     if sender == "vel":
-        tracker: CrazyflieController = VelocityController(VelocityCtrlStrategy(), send, FullStateTraj())
+        tracker: CrazyflieController = VelocityController(
+            VelocityCtrlStrategy(), send, FullStateTraj()
+        )
         return Controls(platform, plant, tracker, None, trim, gains)
     if sender == "fullstate":
-        return Controls(platform, plant, FullStateController(send, FullStateTraj()), None, trim, gains)
+        return Controls(
+            platform,
+            plant,
+            FullStateController(send, FullStateTraj()),
+            None,
+            trim,
+            gains,
+        )
     if sender == "xyz":
-        return Controls(platform, plant, WaypointController(send, FullStateTraj()), None, trim, gains)
+        return Controls(
+            platform,
+            plant,
+            WaypointController(send, FullStateTraj()),
+            None,
+            trim,
+            gains,
+        )
     attitudes: list[AttitudeControl] = [
-        AngleAttitudeCtrl(row, platform) if sender == "frpy" else GeometryAttitudeCtrl(row, platform)
+        AngleAttitudeCtrl(row, platform)
+        if sender == "frpy"
+        else GeometryAttitudeCtrl(row, platform)
         for row in (gains, FORMATION)
     ]
     tracker = HierarchicalController(
-        FlatnessPositionCtrl(gains, platform, trim), attitudes[0], send, FullStateTraj(), choice.position_rate
+        FlatnessPositionCtrl(gains, platform, trim),
+        attitudes[0],
+        send,
+        FullStateTraj(),
+        choice.position_rate,
     )
     follower = HierarchicalController(
-        FlatnessAccelerationCtrl(FORMATION, platform, trim), attitudes[1], send, AccelerationTraj()
+        FlatnessAccelerationCtrl(FORMATION, platform, trim),
+        attitudes[1],
+        send,
+        AccelerationTraj(),
     )
     return Controls(platform, plant, tracker, follower, trim, gains)
 
@@ -131,9 +174,17 @@ def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
         if name not in known:
             raise ConfigError(f"{where}.{name}", value, f"one of {', '.join(known)}")
         shape = np.shape(known[name])
-        fits = np.shape(value) == shape and np.issubdtype(np.asarray(value).dtype, np.number)
-        if not (fits and np.all(np.isfinite(value)) and np.all(np.asarray(value) >= 0.0)):
-            kind = "three finite numbers, none negative" if shape else "a finite number, not negative"
+        fits = np.shape(value) == shape and np.issubdtype(
+            np.asarray(value).dtype, np.number
+        )
+        if not (
+            fits and np.all(np.isfinite(value)) and np.all(np.asarray(value) >= 0.0)
+        ):
+            kind = (
+                "three finite numbers, none negative"
+                if shape
+                else "a finite number, not negative"
+            )
             raise ConfigError(f"{where}.{name}", value, kind)
         low, high = RANGES.get(name, (0.0, math.inf))
         if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
@@ -143,7 +194,11 @@ def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
 
 
 def require_stable(
-    gains: Gains, platform: Platform, plant: Plant, where: str = "control", sender: str = "fpqr"
+    gains: Gains,
+    platform: Platform,
+    plant: Plant,
+    where: str = "control",
+    sender: str = "fpqr",
 ) -> None:
     """Refuse gains that leave less delay margin than REQUIRED, with the lag of the rotors 1.3 times as identified.
 

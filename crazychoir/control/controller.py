@@ -23,8 +23,11 @@ class CrazyflieController(ABC):
     refused: how many were there and could not be flown.
     """
 
-    def __init__(self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler) -> None:
-        self.command_sender, self.traj_handler = command_sender, traj_handler
+    def __init__(
+        self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler
+    ) -> None:
+        self.command_sender = command_sender
+        self.traj_handler = traj_handler
         self.refused = 0
         self._last: Vec | None = None
 
@@ -45,7 +48,9 @@ class CrazyflieController(ABC):
     def blind(self) -> Vec:
         """The input when the state itself is not finite."""
 
-    def command(self, state: State, reference: Reference | None, now: float) -> Command | None:
+    def command(
+        self, state: State, reference: Reference | None, now: float
+    ) -> Command | None:
         """One tick: the command for this state and reference, None if there is nothing new to say; now: s."""
         u = None
         if reference is not None:
@@ -71,7 +76,9 @@ def _turned(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
         return False
     turn = columns(exponential(t * desired[10], t * desired[11], t * desired[12]))
     for c in range(3):
-        a, b, d = desired[1 + c], desired[4 + c], desired[7 + c]
+        a = desired[1 + c]
+        b = desired[4 + c]
+        d = desired[7 + c]
         for n in range(3):
             desired[1 + 3 * n + c] = a * turn[n][0] + b * turn[n][1] + d * turn[n][2]
     return True
@@ -94,9 +101,12 @@ class HierarchicalController(CrazyflieController):
         position_rate: float = 0.0,
     ) -> None:
         super().__init__(command_sender, traj_handler)
-        self.pos_strategy, self.attitude_strategy = pos_strategy, attitude_strategy
+        self.pos_strategy = pos_strategy
+        self.attitude_strategy = attitude_strategy
         self.position_rate = position_rate
-        self._desired, self._at, self._next = np.zeros(13), -math.inf, -math.inf
+        self._desired = np.zeros(13)
+        self._at = -math.inf
+        self._next = -math.inf
         self._thrust = 0.0
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
@@ -113,13 +123,21 @@ class HierarchicalController(CrazyflieController):
 
     def _at_its_rate(self, state: State, reference: Vec, now: float) -> Vec | None:
         """What the position strategy desires, asked at its own rate."""
-        t, self._at = now - self._at, now
+        t = now - self._at
+        self._at = now
         if self._at < self._next - EARLY and 0.0 <= t < 1.0:
-            return self._desired if _turned(state.flat, reference, self._desired, t) else None
+            return (
+                self._desired
+                if _turned(state.flat, reference, self._desired, t)
+                else None
+            )
         desired = self.pos_strategy.desired(state, reference, now)
         if desired is not None:
             self._desired[:] = desired
-            self._next = max(self._next, now - 1.0 / self.position_rate) + 1.0 / self.position_rate
+            self._next = (
+                max(self._next, now - 1.0 / self.position_rate)
+                + 1.0 / self.position_rate
+            )
         return desired
 
     @property

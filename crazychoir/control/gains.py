@@ -41,15 +41,24 @@ class Gains:
         """(13,) for the kernels: kp, kv, max_tilt, lead, lead_cutoff, rate_delay, thrust_delay, ki_thrust, ki_trim."""
         return np.array(
             [
-                *self.kp, *self.kv, self.max_tilt, self.lead, self.lead_cutoff,
-                self.rate_delay, self.thrust_delay, self.ki_thrust, self.ki_trim,
+                *self.kp,
+                *self.kv,
+                self.max_tilt,
+                self.lead,
+                self.lead_cutoff,
+                self.rate_delay,
+                self.thrust_delay,
+                self.ki_thrust,
+                self.ki_trim,
             ]
-        )  # fmt: skip
+        )
 
     def on_motors(self, platform: Platform, command_delay: float) -> "Gains":
         """These gains for a drone whose rates are controlled on board; command_delay: s, until it hears a command."""
         late = HOLD + command_delay
-        return replace(self, rate_delay=late + SETTLING, thrust_delay=late + platform.rotor.lag)
+        return replace(
+            self, rate_delay=late + SETTLING, thrust_delay=late + platform.rotor.lag
+        )
 
     def on_rates(self, rate_lag: float, command_delay: float) -> "Gains":
         """These gains for the lightweight plant: rate_lag: s, of its body rates; its thrust follows at once."""
@@ -77,7 +86,13 @@ class Tuned(ABC):
         """The figures of the kernel."""
 
 
-STANDARD = Gains(kp=(6.0, 6.0, 10.0), kv=(4.0, 4.0, 5.0), kr=(8.0, 8.0, 4.0), ki_thrust=6.0, ki_trim=3.0)
+STANDARD = Gains(
+    kp=(6.0, 6.0, 10.0),
+    kv=(4.0, 4.0, 5.0),
+    kr=(8.0, 8.0, 4.0),
+    ki_thrust=6.0,
+    ki_trim=3.0,
+)
 # Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's modes. Its position
 # gains are as fast as that attitude loop allows.
 FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)
@@ -85,7 +100,12 @@ FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), l
 FORMATION_ON_MOTORS = replace(FORMATION, kr=(3.5, 3.5, 4.0), lead=0.3)
 # Behind a law whose modes are all alike, as the normalised one: 8 1/s2, 4.5 1/s are as fast as 40 ms of margin allow.
 AGILE = Gains(kp=(8.0, 8.0, 10.0), kv=(4.5, 4.5, 5.0), kr=(7.0, 7.0, 4.0), lead=0.5)
-SHIPPED = {"standard": STANDARD, "formation": FORMATION, "formation_on_motors": FORMATION_ON_MOTORS, "agile": AGILE}
+SHIPPED = {
+    "standard": STANDARD,
+    "formation": FORMATION,
+    "formation_on_motors": FORMATION_ON_MOTORS,
+    "agile": AGILE,
+}
 RANGES = {"max_tilt": (0.2, 1.2), "rate_delay": (0.0, 0.2), "thrust_delay": (0.0, 0.2)}
 """What the delay margin does not see, rad and s: below 0.2 rad a drone can hardly brake, from pi/2 on it flees."""
 OF_TRACKING = ("kp", "kv", "kr", *RANGES, "ki_thrust", "ki_trim")

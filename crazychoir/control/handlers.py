@@ -39,7 +39,11 @@ class FullStateTraj:
 
     def read(self, reference: Reference) -> Vec | None:
         """Its numbers, not copied."""
-        if isinstance(reference, FullState) and reference.flat.shape == (14,) and reference.flat.dtype == np.float64:
+        if (
+            isinstance(reference, FullState)
+            and reference.flat.shape == (14,)
+            and reference.flat.dtype == np.float64
+        ):
             return reference.flat
         return None
 

@@ -23,8 +23,20 @@ Polynomial = npt.NDArray[np.floating[Any]]
 Loop = tuple[Polynomial, Polynomial]
 REQUIRED = 0.040  # s, the delay margin that every gain that ships must keep
 MARGINS = {
-    "motors": {"paper": 0.103, "cf21": 0.103, "cf21plus": 0.105, "cf21thrust": 0.109, "cf21bl": 0.102},
-    "lightweight": {"paper": 0.040, "cf21": 0.040, "cf21plus": 0.064, "cf21thrust": 0.071, "cf21bl": 0.103},
+    "motors": {
+        "paper": 0.103,
+        "cf21": 0.103,
+        "cf21plus": 0.105,
+        "cf21thrust": 0.109,
+        "cf21bl": 0.102,
+    },
+    "lightweight": {
+        "paper": 0.040,
+        "cf21": 0.040,
+        "cf21plus": 0.064,
+        "cf21thrust": 0.071,
+        "cf21bl": 0.103,
+    },
 }
 """s, the delay margin of STANDARD by plant and platform, checked with 1.3 times the identified lag; see `margin`."""
 RATE_LAG = 0.086  # s, the slowest platform: rotor lag of a Crazyflie 2.1 (identified in the drone-models package)
@@ -35,7 +47,9 @@ def _outer(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
     low = np.array([1.0]) if math.isinf(cutoff) else np.array([1.0 / cutoff, 1.0])
     place = np.polymul([kp, ki] if ki else [kp], low)
     damping = np.array([kv, 0.0, 0.0] if ki else [kv, 0.0])
-    return np.polyadd(place, damping), np.polymul([1.0, 0.0, 0.0, 0.0] if ki else [1.0, 0.0, 0.0], low)
+    return np.polyadd(place, damping), np.polymul(
+        [1.0, 0.0, 0.0, 0.0] if ki else [1.0, 0.0, 0.0], low
+    )
 
 
 def lag_loop(lag: float) -> Loop:
@@ -51,15 +65,26 @@ def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
     b: rad/s2 that a command of 1 makes about this axis once the rotors have followed;  kp, ki, kd: of the firmware's
     rate controller, P on the error, D on the rate. A reaction torque is the slope of the torque curve at hover.
     """
-    rotor, firmware = platform.rotor, platform.firmware
+    rotor = platform.rotor
+    firmware = platform.firmware
     newton = firmware.thrust_max / 65535.0 * math.degrees(1.0)
     if axis == 2:
         r = rotor_speed(rotor, platform.weight / 4.0)
-        slope = (rotor.torque[0] + 2.0 * rotor.torque[1] * r) / (rotor.thrust[0] + 2.0 * rotor.thrust[1] * r)
-        b, (kp, ki, kd) = 4.0 * slope * newton / platform.inertia[2], firmware.yaw_rate_pid
+        slope = (rotor.torque[0] + 2.0 * rotor.torque[1] * r) / (
+            rotor.thrust[0] + 2.0 * rotor.thrust[1] * r
+        )
+        b, (kp, ki, kd) = (
+            4.0 * slope * newton / platform.inertia[2],
+            firmware.yaw_rate_pid,
+        )
     else:  # half of the command goes to each side
-        b, (kp, ki, kd) = 2.0 * platform.arm * newton / platform.inertia[axis], firmware.rate_pid
-    return np.array([b * kp, b * ki]), np.array([worse * rotor.lag, 1.0 + b * kd, b * kp, b * ki])
+        b, (kp, ki, kd) = (
+            2.0 * platform.arm * newton / platform.inertia[axis],
+            firmware.rate_pid,
+        )
+    return np.array([b * kp, b * ki]), np.array(
+        [worse * rotor.lag, 1.0 + b * kd, b * kp, b * ki]
+    )
 
 
 @dataclass(frozen=True)
@@ -117,7 +142,9 @@ def guidance_loop(kp: float, kv: float, inner: Inner) -> Loop:
     return _product(num, att, over), _product(den, low, closed)
 
 
-def vertical_loop(kp: float, kv: float, lag: float = RATE_LAG, cutoff: float = 50.0, ki: float = 0.0) -> Loop:
+def vertical_loop(
+    kp: float, kv: float, lag: float = RATE_LAG, cutoff: float = 50.0, ki: float = 0.0
+) -> Loop:
     """Height: thrust acts without attitude, L(s) = (kv s F + kp + ki / s) / (s^2 (lag s + 1)), lag of the thrust."""
     num, den = _outer(kp, kv, cutoff, ki)
     return num, np.polymul(den, [lag, 1.0])
@@ -132,7 +159,9 @@ def _product(*factors: Any) -> Polynomial:
     return reduce(np.polymul, factors)
 
 
-def margin(gains: Gains, platform: Platform, plant: Plant = "motors", worse: float = 1.3) -> float:
+def margin(
+    gains: Gains, platform: Platform, plant: Plant = "motors", worse: float = 1.3
+) -> float:
     """Smallest delay margin in s of a drone that tracks with these gains, half a tick of 100 Hz already spent.
 
     plant: "motors": behind its rate loops and rotors;  "lightweight": behind a lag of the rates, and of the thrust, as
@@ -145,7 +174,12 @@ def margin(gains: Gains, platform: Platform, plant: Plant = "motors", worse: flo
         inner = Inner(gains.kr[axis], rates=rates)
         loops.append(command_loop(gains.kp[axis], gains.kv[axis], inner, gains.ki_trim))
     loops.append(vertical_loop(gains.kp[2], gains.kv[2], lag, ki=gains.ki_thrust))
-    loops.append(heading_loop(gains.kr[2], rate_loop(platform, 2, worse) if plant == "motors" else lag_loop(lag)))
+    loops.append(
+        heading_loop(
+            gains.kr[2],
+            rate_loop(platform, 2, worse) if plant == "motors" else lag_loop(lag),
+        )
+    )
     return max(min(map(delay_margin, loops)) - HOLD, 0.0)
 
 
@@ -165,8 +199,13 @@ def delay_margin(loop: Loop) -> float:
         return 0.0
     num, den = loop
     squares = np.roots(np.polysub(_squared_magnitude(num), _squared_magnitude(den)))
-    w = np.sqrt([s.real for s in squares if s.real > 0.0 and abs(s.imag) < 1e-7 * abs(s)])
-    phase = np.mod(np.angle(np.polyval(num, 1j * w) / np.polyval(den, 1j * w)) + math.pi, 2.0 * math.pi)
+    w = np.sqrt(
+        [s.real for s in squares if s.real > 0.0 and abs(s.imag) < 1e-7 * abs(s)]
+    )
+    phase = np.mod(
+        np.angle(np.polyval(num, 1j * w) / np.polyval(den, 1j * w)) + math.pi,
+        2.0 * math.pi,
+    )
     return float(np.min(phase / w, initial=math.inf))
 
 

@@ -5,7 +5,13 @@ from typing import Any
 from crazychoir.control.choice import Controls, changed
 from crazychoir.errors import ConfigError
 
-READ_ONLY = ("trim.thrust", "trim.roll_rad", "trim.pitch_rad", "platform.name", "platform.mass")
+READ_ONLY = (
+    "trim.thrust",
+    "trim.roll_rad",
+    "trim.pitch_rad",
+    "platform.name",
+    "platform.mass",
+)
 
 
 class Parameters:
@@ -47,6 +53,8 @@ class Parameters:
         self.get(name)
         if name in READ_ONLY:
             raise ConfigError(name, value, "nothing: it can only be read")
-        gains = changed(self.controls.gains, {name.removeprefix("control."): value}, "control")
+        gains = changed(
+            self.controls.gains, {name.removeprefix("control."): value}, "control"
+        )
         self.controls.retune(gains)
         return self.get(name)

@@ -8,18 +8,36 @@ import numpy as np
 from crazychoir.control.gains import FORMATION, STANDARD, Gains, Tuned
 from crazychoir.control.trim import Trim
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import GRAVITY, Triple, clip, columns, dot, finite, flat_attitude, flat_rates
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Triple,
+    clip,
+    columns,
+    dot,
+    finite,
+    flat_attitude,
+    flat_rates,
+)
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State, Vec
 
-GAINS = 13  # of Gains.position, before those of Platform.flat in the figures of the kernels
+GAINS = (
+    13  # of Gains.position, before those of Platform.flat in the figures of the kernels
+)
 DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d rad/s in the axes of R_d (3)
-LEAST_LIFT = 0.2 * GRAVITY  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
+LEAST_LIFT = (
+    0.2 * GRAVITY
+)  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
 LONGEST_GAP = 0.1  # s between two desired attitudes whose difference still tells a rate
 HEIGHT_SHARE = 0.9  # of the desired force at most upwards: 26 degrees of tilt are left in the fastest climb
-FREE, COMMANDED = DESIRED, DESIRED + 1  # where the kernels write whether F was not cut, and what it accelerates
+FREE, COMMANDED = (
+    DESIRED,
+    DESIRED + 1,
+)  # where the kernels write whether F was not cut, and what it accelerates
 MOST_EARLY = 1.0  # rad/s, fed forward for the delay of the rates: a reference that jumps is not to shake the drone
-HEADROOM = 0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
+HEADROOM = (
+    0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
+)
 
 
 class PositionControl(Protocol):
@@ -44,7 +62,9 @@ class PositionControl(Protocol):
 def _drag(q: Vec, v: Triple, platform: Vec) -> Triple:
     """R A R^T v / m, m/s2 world: what the rotor drag takes and the thrust has to give."""
     bx, by, bz = columns((q[6], q[7], q[8], q[9]))
-    x, y, z = platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v)
+    x = platform[1] * dot(bx, v)
+    y = platform[2] * dot(by, v)
+    z = platform[3] * dot(bz, v)
     m = platform[0]
     return (
         (x * bx[0] + y * by[0] + z * bz[0]) / m,
@@ -71,52 +91,74 @@ def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
 
 
 @kernel(vector, vector, vector, vector, real, memory)
-def _flatness(x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec) -> bool:
+def _flatness(
+    x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
+) -> bool:
     """The law of FlatnessPositionCtrl (follow = 1) but for its delays, or that of FlatnessAccelerationCtrl but for its
     lead. out: (17,) = desired, 1 where F was not cut, and the acceleration m/s2 that is left of the wish.
     """
     if not (finite(x) and finite(ref)):
         return False
-    gains, platform = figures[:GAINS], figures[GAINS:]
+    gains = figures[:GAINS]
+    platform = figures[GAINS:]
     v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])
-    drag, rise = _drag(x, v, platform), _drag(x, (ref[6], ref[7], ref[8]), platform)
+    drag = _drag(x, v, platform)
+    rise = _drag(x, (ref[6], ref[7], ref[8]), platform)
     bx, _, bz = columns((x[6], x[7], x[8], x[9]))
     n = math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
-    dx, dy = (bx[0] * trim[1] - bx[1] * trim[2]) / n, (bx[1] * trim[1] + bx[0] * trim[2]) / n
-    ax, ay, az = (_wish(x, ref, gains, follow, 0), _wish(x, ref, gains, follow, 1), _wish(x, ref, gains, follow, 2))
+    dx = (bx[0] * trim[1] - bx[1] * trim[2]) / n
+    dy = (bx[1] * trim[1] + bx[0] * trim[2]) / n
+    ax = _wish(x, ref, gains, follow, 0)
+    ay = _wish(x, ref, gains, follow, 1)
+    az = _wish(x, ref, gains, follow, 2)
     rest = (drag[0] + dx, drag[1] + dy, drag[2] + GRAVITY)
     wish = (ax + rest[0], ay + rest[1], az + rest[2])
     f = _within_limits(wish, gains[6], HEADROOM * platform[4] / platform[0])
     axes = flat_attitude(f, ref[12])
     free = 1.0 if f == wish else 0.0
-    jerk = (free * (ref[9] + rise[0]), free * (ref[10] + rise[1]), free * (ref[11] + rise[2]))
+    jerk = (
+        free * (ref[9] + rise[0]),
+        free * (ref[10] + rise[1]),
+        free * (ref[11] + rise[2]),
+    )
     w = flat_rates(f, jerk, axes, ref[12], ref[13])
     thrust = (1.0 + trim[0]) * platform[0] * (dot(f, bz) + gains[10] * dot(jerk, bz))
     out[0] = clip(thrust, 0.0, platform[4])
     for c in range(3):
-        out[1 + c], out[4 + c], out[7 + c], out[10 + c] = axes[0][c], axes[1][c], axes[2][c], w[c]
+        out[1 + c] = axes[0][c]
+        out[4 + c] = axes[1][c]
+        out[7 + c] = axes[2][c]
+        out[10 + c] = w[c]
         out[14 + c] = f[c] - rest[c]
     out[13] = free if thrust < platform[4] else 0.0
     return True
 
 
 @kernel(vector, vector, vector, vector, memory, real, memory)
-def _tracked(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out: Vec) -> bool:
+def _tracked(
+    x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out: Vec
+) -> bool:
     """The law of FlatnessPositionCtrl, h s after the last call; mem: (3,) = w_r then, NaN before."""
     if not _flatness(x, ref, figures, trim, 1.0, out):
         return False
     f = (ref[6], ref[7], max(ref[8] + GRAVITY, LEAST_LIFT))
-    w = flat_rates(f, (ref[9], ref[10], ref[11]), flat_attitude(f, ref[12]), ref[12], ref[13])
+    w = flat_rates(
+        f, (ref[9], ref[10], ref[11]), flat_attitude(f, ref[12]), ref[12], ref[13]
+    )
     early = figures[9] / h if 0.0 < h < LONGEST_GAP and out[13] > 0.0 else 0.0
     for c in range(3):
         more = early * (w[c] - mem[c])
-        out[10 + c] += clip(more, -MOST_EARLY, MOST_EARLY) if math.isfinite(more) else 0.0
+        out[10 + c] += (
+            clip(more, -MOST_EARLY, MOST_EARLY) if math.isfinite(more) else 0.0
+        )
         mem[c] = w[c]
     return True
 
 
 @kernel(vector, vector, vector, vector, memory, real, memory)
-def _led(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired: Vec) -> bool:
+def _led(
+    x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired: Vec
+) -> bool:
     """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate w_f of R_d.
 
         owed += turn of R_d - w_f h,   w_f = owed (1 - exp(-cutoff h)) / h
@@ -128,9 +170,12 @@ def _led(x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired:
     """
     if not _flatness(x, ref, figures, trim, 0.0, desired):
         return False
-    x_d, y_d = (desired[1], desired[2], desired[3]), (desired[4], desired[5], desired[6])
+    x_d = (desired[1], desired[2], desired[3])
+    y_d = (desired[4], desired[5], desired[6])
     z_d = (desired[7], desired[8], desired[9])
-    a, b, c = (mem[0], mem[1], mem[2]), (mem[3], mem[4], mem[5]), (mem[6], mem[7], mem[8])
+    a = (mem[0], mem[1], mem[2])
+    b = (mem[3], mem[4], mem[5])
+    c = (mem[6], mem[7], mem[8])
     turn = (0.5 * (dot(c, y_d) - dot(b, z_d)), 0.5 * (dot(a, z_d) - dot(c, x_d)))
     for n in range(2):
         if h > 0.0:
@@ -157,13 +202,19 @@ class FlatnessPositionCtrl(Tuned):
     Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
     """
 
-    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER, trim: Trim | None = None) -> None:
+    def __init__(
+        self,
+        gains: Gains = STANDARD,
+        platform: Platform = PAPER,
+        trim: Trim | None = None,
+    ) -> None:
         self.trim = Trim() if trim is None else trim
         self.platform = platform
         super().__init__(gains)
         self._out = np.zeros(COMMANDED + 3)
         self._desired = self._out[:DESIRED]
-        self._memory, self._time = np.full(3, np.nan), -math.inf
+        self._memory = np.full(3, np.nan)
+        self._time = -math.inf
 
     def _tuned(self, gains: Gains) -> Vec:
         figures = np.array([*gains.position, *self.platform.flat])
@@ -179,8 +230,12 @@ class FlatnessPositionCtrl(Tuned):
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
-        h, out, flat = now - self._time, self._out, state.flat
-        if not _tracked(flat, reference, self._figures, self.trim.flat, self._memory, h, out):
+        h = now - self._time
+        out = self._out
+        flat = state.flat
+        if not _tracked(
+            flat, reference, self._figures, self.trim.flat, self._memory, h, out
+        ):
             return None
         self._time = now
         if 0.0 < h < LONGEST_GAP and out[FREE] > 0.0:
@@ -199,7 +254,12 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
     The rest as in FlatnessPositionCtrl.
     """
 
-    def __init__(self, gains: Gains = FORMATION, platform: Platform = PAPER, trim: Trim | None = None) -> None:
+    def __init__(
+        self,
+        gains: Gains = FORMATION,
+        platform: Platform = PAPER,
+        trim: Trim | None = None,
+    ) -> None:
         super().__init__(gains, platform, trim)
         self._memory = np.zeros(13)
 
@@ -207,7 +267,15 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
         """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
         measured = max(now - state.age, self._time)
         h = measured - self._time
-        if _led(state.flat, reference, self._figures, self.trim.sure, self._memory, h, self._out):
+        if _led(
+            state.flat,
+            reference,
+            self._figures,
+            self.trim.sure,
+            self._memory,
+            h,
+            self._out,
+        ):
             self._time = measured
             return self._desired
         return None

@@ -13,7 +13,12 @@ from crazychoir.control.choice import Controls
 from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.gains import STANDARD
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
-from crazychoir.control.senders import AccSender, CommunicationHandler, DriveSender, VelSender
+from crazychoir.control.senders import (
+    AccSender,
+    CommunicationHandler,
+    DriveSender,
+    VelSender,
+)
 from crazychoir.control.trim import Trim
 from crazychoir.control.unicycle import UnicycleCtrl
 from crazychoir.numerics.math3d import saturate, wrap, yaw_of
@@ -41,21 +46,33 @@ class RobotController(CrazyflieController):
     """
 
     def __init__(
-        self, strategy: Strategy, size: int, sender: CommunicationHandler, smooth: int = 0, a_max: float = math.inf
+        self,
+        strategy: Strategy,
+        size: int,
+        sender: CommunicationHandler,
+        smooth: int = 0,
+        a_max: float = math.inf,
     ) -> None:
         super().__init__(sender, FullStateTraj())
-        self.strategy, self.size, self.smooth, self.a_max = strategy, size, smooth, a_max
-        self._sent, self._at = np.zeros(smooth), -math.inf
+        self.strategy = strategy
+        self.size = size
+        self.smooth = smooth
+        self.a_max = a_max
+        self._sent = np.zeros(smooth)
+        self._at = -math.inf
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """The strategy's input, smooth."""
         if not math.isfinite(sum(state.flat.tolist()) + sum(reference.tolist())):
             return None
         u = self.strategy.input(state, reference)
-        h, self._at = now - self._at, now
+        h = now - self._at
+        self._at = now
         if self.smooth:
             sent = self._sent if h < SILENT else np.zeros(self.smooth)
-            self._sent = sent + saturate(u[: self.smooth] - sent, self.a_max * min(h, SILENT))
+            self._sent = sent + saturate(
+                u[: self.smooth] - sent, self.a_max * min(h, SILENT)
+            )
             u[: self.smooth] = self._sent
         return u
 
@@ -84,53 +101,81 @@ class SingleIntegratorCtrl:
     """u = v_d + k (p_d - p),  |u| <= v_max;  psi' = psi_d' + k (psi_d - psi), the short way.  k: 1/s;  v_max: m/s."""
 
     def __init__(self, k: float = 2.0, v_max: float = 1.0) -> None:
-        self.k, self.v_max = k, v_max
+        self.k = k
+        self.v_max = v_max
 
     def input(self, state: State, reference: Vec) -> Vec:
         """(4,) = velocity m/s, turn rate rad/s."""
         u = saturate(reference[3:6] + self.k * (reference[0:3] - state.p), self.v_max)
-        return np.append(u, reference[13] + self.k * wrap(reference[12] - yaw_of(state.q)))
+        return np.append(
+            u, reference[13] + self.k * wrap(reference[12] - yaw_of(state.q))
+        )
 
 
 class DoubleIntegratorCtrl:
     """u = a_d + kv (v_d - v) + kp (p_d - p),  |u| <= a_max.  kp: 1/s2;  kv: 1/s;  a_max: m/s2."""
 
     def __init__(self, kp: float = 4.0, kv: float = 4.0, a_max: float = 4.0) -> None:
-        self.kp, self.kv, self.a_max = kp, kv, a_max
+        self.kp = kp
+        self.kv = kv
+        self.a_max = a_max
 
     def input(self, state: State, reference: Vec) -> Vec:
         """(3,) m/s2."""
-        pull = self.kv * (reference[3:6] - state.v) + self.kp * (reference[0:3] - state.p)
+        pull = self.kv * (reference[3:6] - state.v) + self.kp * (
+            reference[0:3] - state.p
+        )
         return saturate(reference[6:9] + pull, self.a_max)
 
 
 def single_integrator(flight: Flight) -> Controls:
     """A point that is sent velocities; twice the limit leaves room to catch up."""
     strategy = SingleIntegratorCtrl(v_max=2.0 * flight.speed_limit)
-    return _controls(RobotController(strategy, 4, VelSender(), smooth=3, a_max=2.0 * flight.acceleration_limit))
+    return _controls(
+        RobotController(
+            strategy, 4, VelSender(), smooth=3, a_max=2.0 * flight.acceleration_limit
+        )
+    )
 
 
 def double_integrator(flight: Flight) -> Controls:
     """A point that is sent accelerations."""
-    strategy, send = DoubleIntegratorCtrl(a_max=2.0 * flight.acceleration_limit), AccSender()
+    strategy = DoubleIntegratorCtrl(a_max=2.0 * flight.acceleration_limit)
+    send = AccSender()
     return _controls(RobotController(strategy, 3, send), AccelerationController(send))
 
 
 def unicycle(flight: Flight) -> Controls:
     """Wheels on one axle, that are sent (v, w)."""
-    strategy, a_max = UnicycleCtrl(v_max=flight.speed_limit), 2.0 * flight.acceleration_limit
-    return _controls(RobotController(strategy, 2, DriveSender(), smooth=1, a_max=a_max), planar=True)
+    strategy = UnicycleCtrl(v_max=flight.speed_limit)
+    a_max = 2.0 * flight.acceleration_limit
+    return _controls(
+        RobotController(strategy, 2, DriveSender(), smooth=1, a_max=a_max), planar=True
+    )
 
 
 def _controls(
-    tracker: CrazyflieController, follower: CrazyflieController | None = None, planar: bool = False
+    tracker: CrazyflieController,
+    follower: CrazyflieController | None = None,
+    planar: bool = False,
 ) -> Controls:
-    return Controls(PAPER, "lightweight", tracker, follower, Trim(), STANDARD, takes_off=False, planar=planar)
+    return Controls(
+        PAPER,
+        "lightweight",
+        tracker,
+        follower,
+        Trim(),
+        STANDARD,
+        takes_off=False,
+        planar=planar,
+    )
 
 
 ROBOTS: dict[str, tuple[str, Callable[[Flight], Controls]]] = {
-    SINGLE: ("vel", single_integrator), DOUBLE: ("acc", double_integrator), UNICYCLE: ("drive", unicycle),
-}  # fmt: skip
+    SINGLE: ("vel", single_integrator),
+    DOUBLE: ("acc", double_integrator),
+    UNICYCLE: ("drive", unicycle),
+}
 """What robots of a uri are sent, and by which controllers."""
 
 

@@ -32,7 +32,8 @@ class CommunicationHandler(Protocol):
 class FPQRSender:
     """Sends force and body rates p, q, r, from u (4,) = thrust N, rates rad/s."""
 
-    topic, kind = "cmd", "fpqr"
+    topic = "cmd"
+    kind = "fpqr"
     idle: Command = FPQR(np.zeros(4))
 
     def message(self, u: Vec) -> FPQR:
@@ -47,7 +48,8 @@ class FPQRSender:
 class FRPYSender:
     """Sends force, roll, pitch and the rate of the yaw, from u (4,) = thrust N, angles rad, rad/s."""
 
-    topic, kind = "cmd", "frpy"
+    topic = "cmd"
+    kind = "frpy"
     idle: Command = FRPY(np.zeros(4))
 
     def message(self, u: Vec) -> FRPY:
@@ -62,7 +64,8 @@ class FRPYSender:
 class VelSender:
     """Sends velocities, from u (4,) = velocity m/s world, yaw rate rad/s."""
 
-    topic, kind = "cmd", "vel"
+    topic = "cmd"
+    kind = "vel"
     idle: Command = STOP
 
     def message(self, u: Vec) -> Vel:
@@ -77,7 +80,8 @@ class VelSender:
 class FullStateSender:
     """Sends full states, from u (14,) laid out as FullState.flat: the firmware flies them."""
 
-    topic, kind = "cmd", "fullstate"
+    topic = "cmd"
+    kind = "fullstate"
     idle: Command = STOP
 
     def message(self, u: Vec) -> FullState:
@@ -92,7 +96,8 @@ class FullStateSender:
 class AccSender:
     """Sends accelerations to a double integrator, from u (3,) m/s2 world."""
 
-    topic, kind = "cmd", "acc"
+    topic = "cmd"
+    kind = "acc"
     idle: Command = STOP
 
     def message(self, u: Vec) -> Acc:
@@ -107,7 +112,8 @@ class AccSender:
 class DriveSender:
     """Sends speed and turn rate to a unicycle, from u (2,) = m/s, rad/s."""
 
-    topic, kind = "cmd", "drive"
+    topic = "cmd"
+    kind = "drive"
     idle: Command = Drive(np.zeros(2))
 
     def message(self, u: Vec) -> Drive:
@@ -122,7 +128,8 @@ class DriveSender:
 class XYZSender:
     """Sends places to the planner on board, from u (5,) = place m world, yaw rad, duration s."""
 
-    topic, kind = "cmd", "xyz"
+    topic = "cmd"
+    kind = "xyz"
     idle: Command = STOP
 
     def message(self, u: Vec) -> XYZ:

@@ -26,10 +26,15 @@ def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None
         return
     bx = columns((x[6], x[7], x[8], x[9]))[0]
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
-    c, s = bx[0] * n, bx[1] * n
+    c = bx[0] * n
+    s = bx[1] * n
     trim[0] = clip(trim[0] + h * rates[0] * e[2] / GRAVITY, -MOST_THRUST, MOST_THRUST)
-    trim[1] = clip(trim[1] + h * rates[1] * (c * e[0] + s * e[1]), -MOST_TRIM, MOST_TRIM)
-    trim[2] = clip(trim[2] + h * rates[1] * (c * e[1] - s * e[0]), -MOST_TRIM, MOST_TRIM)
+    trim[1] = clip(
+        trim[1] + h * rates[1] * (c * e[0] + s * e[1]), -MOST_TRIM, MOST_TRIM
+    )
+    trim[2] = clip(
+        trim[2] + h * rates[1] * (c * e[1] - s * e[0]), -MOST_TRIM, MOST_TRIM
+    )
     sure[0] = trim[0] if GRAVITY * abs(trim[0]) > DOUBT else 0.0
     for k in range(1, 3):
         sure[k] = trim[k] if abs(trim[k]) > DOUBT else 0.0
@@ -50,7 +55,8 @@ class Trim:
     """
 
     def __init__(self) -> None:
-        self.flat, self.sure = np.zeros(3), np.zeros(3)
+        self.flat = np.zeros(3)
+        self.sure = np.zeros(3)
         self.frozen = True
         self._kept = np.zeros(3), np.zeros(3)
 

@@ -23,13 +23,19 @@ class UnicycleVelocityCtrl:
     l: m;  v_max: m/s;  w_max: rad/s: both are cut by one factor, so that the way stays the same.
     """
 
-    def __init__(self, ahead: float = 0.1, v_max: float = 1.0, w_max: float = 4.0) -> None:
-        self.ahead, self.v_max, self.w_max = ahead, v_max, w_max
+    def __init__(
+        self, ahead: float = 0.1, v_max: float = 1.0, w_max: float = 4.0
+    ) -> None:
+        self.ahead = ahead
+        self.v_max = v_max
+        self.w_max = w_max
 
     def input(self, yaw: float, u: Vec) -> Vec:
         """(2,) = v m/s, w rad/s, for a velocity u (2,) m/s, world."""
-        c, s = math.cos(yaw), math.sin(yaw)
-        v, w = float(u[0] * c + u[1] * s), float(u[1] * c - u[0] * s) / self.ahead
+        c = math.cos(yaw)
+        s = math.sin(yaw)
+        v = float(u[0] * c + u[1] * s)
+        w = float(u[1] * c - u[0] * s) / self.ahead
         cut = max(1.0, abs(v) / self.v_max, abs(w) / self.w_max)
         return np.array([v / cut, w / cut])
 
@@ -49,11 +55,22 @@ class UnicyclePoseCtrl:
     """
 
     def __init__(
-        self, v_max: float = 1.0, k1: float = 2.0, k2: float = 3.0, k3: float = 1.5, beta: float = 0.1,
-        exponent: float = 2.0, w_max: float = 4.0,
-    ) -> None:  # fmt: skip
-        self.v_max, self.k1, self.k2, self.k3 = v_max, k1, k2, k3
-        self.beta, self.exponent, self.w_max = beta, exponent, w_max
+        self,
+        v_max: float = 1.0,
+        k1: float = 2.0,
+        k2: float = 3.0,
+        k3: float = 1.5,
+        beta: float = 0.1,
+        exponent: float = 2.0,
+        w_max: float = 4.0,
+    ) -> None:
+        self.v_max = v_max
+        self.k1 = k1
+        self.k2 = k2
+        self.k3 = k3
+        self.beta = beta
+        self.exponent = exponent
+        self.w_max = w_max
 
     def curvature(self, r: float, theta: float, delta: float) -> float:
         """kappa, 1/m."""
@@ -64,9 +81,12 @@ class UnicyclePoseCtrl:
     def input(self, p: Vec, yaw: float, goal: Vec, goal_yaw: float) -> Vec:
         """(2,) = v m/s, w rad/s, from p (2,) m and yaw rad to goal (2,) m and goal_yaw rad; not at the goal."""
         x, y = (goal - p).tolist()
-        r, alpha = math.hypot(x, y), math.atan2(y, x)
+        r = math.hypot(x, y)
+        alpha = math.atan2(y, x)
         kappa = self.curvature(r, wrap(goal_yaw - alpha), wrap(yaw - alpha))
-        v = min(self.v_max / (1.0 + self.beta * abs(kappa) ** self.exponent), self.k3 * r)
+        v = min(
+            self.v_max / (1.0 + self.beta * abs(kappa) ** self.exponent), self.k3 * r
+        )
         return np.array([v, clip(kappa * v, -self.w_max, self.w_max)])
 
 
@@ -79,16 +99,27 @@ class UnicycleCtrl:
     """
 
     def __init__(self, k: float = 1.5, v_max: float = 1.0) -> None:
-        self.k, self.v_max = k, v_max
-        self.velocity, self.pose = UnicycleVelocityCtrl(v_max=v_max), UnicyclePoseCtrl(v_max=v_max)
+        self.k = k
+        self.v_max = v_max
+        self.velocity = UnicycleVelocityCtrl(v_max=v_max)
+        self.pose = UnicyclePoseCtrl(v_max=v_max)
         self._there = True
 
     def input(self, state: State, reference: Vec) -> Vec:
         """(2,) = v m/s, w rad/s."""
-        yaw, p, goal, v_d = yaw_of(state.q), state.p[0:2], reference[0:2], reference[3:5]
+        yaw = yaw_of(state.q)
+        p = state.p[0:2]
+        goal = reference[0:2]
+        v_d = reference[3:5]
         if float(np.linalg.norm(v_d)) > STANDS:
             self._there = True
-            return self.velocity.input(yaw, saturate(v_d + self.k * (goal - p), self.v_max))
+            return self.velocity.input(
+                yaw, saturate(v_d + self.k * (goal - p), self.v_max)
+            )
         far = float(np.linalg.norm(goal - p))
         self._there = far < (AWAY if self._there else THERE)
-        return np.zeros(2) if self._there else self.pose.input(p, yaw, goal, float(reference[12]))
+        return (
+            np.zeros(2)
+            if self._there
+            else self.pose.input(p, yaw, goal, float(reference[12]))
+        )

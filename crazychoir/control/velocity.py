@@ -11,11 +11,16 @@ from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import GRAVITY, finite, wrap
 from crazychoir.types import Command, Reference, State, Vec
 
-VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY  # 1/s, kp of the firmware's control of a velocity by a tilt
+VELOCITY_ON_BOARD = (
+    math.radians(25.0) * GRAVITY
+)  # 1/s, kp of the firmware's control of a velocity by a tilt
 POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity
 YAW_ON_BOARD = 6.0  # 1/s, kp of the firmware's control of the yaw by a rate
 GROUNDED = 1.0  # s without a line, after which the next one begins another flight
-LEARNING = np.array([0.5, 1.0]) / (POSITION_ON_BOARD, YAW_ON_BOARD)  # 1/s, ki / kp of the height's and of the yaw's
+LEARNING = np.array([0.5, 1.0]) / (
+    POSITION_ON_BOARD,
+    YAW_ON_BOARD,
+)  # 1/s, ki / kp of the height's and of the yaw's
 
 
 @kernel(vector, vector, vector, real, memory)
@@ -26,7 +31,12 @@ def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
     squares = 0.0
     for c in range(3):
         ahead = ref[6 + c] / VELOCITY_ON_BOARD if c < 2 else 0.0
-        out[c] = ref[3 + c] + ahead + gains[0] * (ref[c] - x[c]) + gains[1] * (ref[3 + c] - x[3 + c])
+        out[c] = (
+            ref[3 + c]
+            + ahead
+            + gains[0] * (ref[c] - x[c])
+            + gains[1] * (ref[3 + c] - x[3 + c])
+        )
         squares += out[c] ** 2
     share = min(1.0, gains[3] / math.sqrt(squares)) if squares > 0.0 else 1.0
     for c in range(3):
@@ -44,7 +54,9 @@ class VelocityCtrlStrategy:
     kp, k_yaw: 1/s;  kd: 1;  v_max: m/s, the longest u.
     """
 
-    def __init__(self, kp: float = 2.0, kd: float = 0.1, k_yaw: float = 2.0, v_max: float = 3.0) -> None:
+    def __init__(
+        self, kp: float = 2.0, kd: float = 0.1, k_yaw: float = 2.0, v_max: float = 3.0
+    ) -> None:
         self._gains = np.array([kp, kd, k_yaw, v_max])
 
     def velocity(self, state: State, reference: Vec) -> Vec | None:
@@ -52,14 +64,19 @@ class VelocityCtrlStrategy:
         x, y, z, w = state.flat[6:10].tolist()
         heading = math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))
         out = np.empty(4)
-        return out if _velocity(state.flat, reference, self._gains, heading, out) else None
+        return (
+            out if _velocity(state.flat, reference, self._gains, heading, out) else None
+        )
 
 
 class VelocityController(CrazyflieController):
     """Flies references by velocities."""
 
     def __init__(
-        self, strategy: VelocityCtrlStrategy, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler
+        self,
+        strategy: VelocityCtrlStrategy,
+        command_sender: CommunicationHandler,
+        traj_handler: TrajectoryHandler,
     ) -> None:
         super().__init__(command_sender, traj_handler)
         self.strategy = strategy
@@ -77,13 +94,17 @@ class Learnt:
     """What the firmware's integrals of the height and of the yaw know of a climb m/s and a turn rad/s that stay."""
 
     def __init__(self) -> None:
-        self._learnt, self._asked = np.zeros(2), math.inf
+        self._learnt = np.zeros(2)
+        self._asked = math.inf
 
     def missing(self, climb: float, turn: float, now: float) -> tuple[float, float]:
         """What they do not know of them yet; on the ground they forget all."""
-        h, self._asked = now - self._asked, now
+        h = now - self._asked
+        self._asked = now
         if 0.0 <= h < GROUNDED:
-            self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(-h * LEARNING)
+            self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(
+                -h * LEARNING
+            )
         else:
             self._learnt[:] = 0.0
         return climb - float(self._learnt[0]), turn - float(self._learnt[1])
@@ -99,16 +120,23 @@ class FullStateController(CrazyflieController):
     """
 
     def __init__(
-        self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler, late: float = 0.05
+        self,
+        command_sender: CommunicationHandler,
+        traj_handler: TrajectoryHandler,
+        late: float = 0.05,
     ) -> None:
         super().__init__(command_sender, traj_handler)
-        self.late, self._learnt = late, Learnt()
+        self.late = late
+        self._learnt = Learnt()
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """The reference (14,), ahead."""
         if not finite(reference):
             return None
-        t, a, rate, out = self.late, reference[6:9], float(reference[13]), reference.copy()
+        t = self.late
+        a = reference[6:9]
+        rate = float(reference[13])
+        out = reference.copy()
         out[3:6] += t * a
         v = out[3:6]
         climb, turn = self._learnt.missing(float(v[2]), rate, now)
@@ -140,15 +168,24 @@ class WaypointController(CrazyflieController):
     """
 
     def __init__(
-        self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler, every: float = 0.1,
-        ahead: float = 0.2, late: float = 0.05,
-    ) -> None:  # fmt: skip
+        self,
+        command_sender: CommunicationHandler,
+        traj_handler: TrajectoryHandler,
+        every: float = 0.1,
+        ahead: float = 0.2,
+        late: float = 0.05,
+    ) -> None:
         super().__init__(command_sender, traj_handler)
-        self.every, self.ahead, self.late = every, ahead, late
-        self._next, self._line = -math.inf, np.zeros(5)
+        self.every = every
+        self.ahead = ahead
+        self.late = late
+        self._next = -math.inf
+        self._line = np.zeros(5)
         self._learnt = Learnt()
 
-    def command(self, state: State, reference: Reference | None, now: float) -> Command | None:
+    def command(
+        self, state: State, reference: Reference | None, now: float
+    ) -> Command | None:
         """The next line if it is time for it."""
         if now < self._next - EARLY:
             return None
@@ -157,11 +194,15 @@ class WaypointController(CrazyflieController):
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Place, yaw, duration (5,)."""
-        t, a, rate = self.ahead + self.late, reference[6:9], float(reference[13])
-        v, line = reference[3:6] + t * a, np.empty(5)
+        t = self.ahead + self.late
+        a = reference[6:9]
+        rate = float(reference[13])
+        v = reference[3:6] + t * a
+        line = np.empty(5)
         line[0:3] = reference[0:3] + t * v - 0.5 * t * t * a
         line[0:2] += (v[0:2] + a[0:2] / VELOCITY_ON_BOARD) / POSITION_ON_BOARD
-        line[3], line[4] = reference[12] + t * rate, self.ahead
+        line[3] = reference[12] + t * rate
+        line[4] = self.ahead
         if not math.isfinite(sum(line.tolist())):
             return None
         climb, turn = self._learnt.missing(float(v[2]), rate, now)

@@ -40,9 +40,14 @@ SAFE = ("GET", "HEAD")
 ELSEWHERE = ("cross-site", "same-site")
 """What a browser says of a request that another site makes, on this host too; see Fetch Metadata, W3C."""
 HEADERS = [
-    (b"x-frame-options", b"DENY"), (b"x-content-type-options", b"nosniff"), (b"referrer-policy", b"same-origin"),
-    (b"content-security-policy", b"frame-ancestors 'none'; base-uri 'self'; form-action 'self'; object-src 'none'"),
-]  # fmt: skip
+    (b"x-frame-options", b"DENY"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"same-origin"),
+    (
+        b"content-security-policy",
+        b"frame-ancestors 'none'; base-uri 'self'; form-action 'self'; object-src 'none'",
+    ),
+]
 FORM = """<!doctype html><html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1"><title>crazychoir</title>
 <style>:root{color-scheme:light dark}body{font:1.1rem system-ui;max-width:20rem;margin:15vh auto;padding:1rem}
@@ -65,18 +70,34 @@ class Gate:
     """
 
     def __init__(
-        self, app: App, clock: Clock, hosts: tuple[str, ...] | None, password: str | None = None, tls: bool = False
+        self,
+        app: App,
+        clock: Clock,
+        hosts: tuple[str, ...] | None,
+        password: str | None = None,
+        tls: bool = False,
     ) -> None:
-        self.app, self.clock, self.hosts, self.password, self.tls = app, clock, hosts, password, tls
-        self._key = hashlib.scrypt((password or "").encode(), salt=SALT, n=1 << 14, r=8, p=1, dklen=32)
-        self._next: dict[str, float] = {}  # s, by address: when its next password is looked at
+        self.app = app
+        self.clock = clock
+        self.hosts = hosts
+        self.password = password
+        self.tls = tls
+        self._key = hashlib.scrypt(
+            (password or "").encode(), salt=SALT, n=1 << 14, r=8, p=1, dklen=32
+        )
+        self._next: dict[
+            str, float
+        ] = {}  # s, by address: when its next password is looked at
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One connection."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1")
+            for name, value in scope["headers"]
+        }
         status, why = self._refused(scope, headers)
         if status:
             await _refuse(scope, send, status, why)
@@ -89,15 +110,22 @@ class Gate:
 
     def _refused(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str]:
         """Status and reason; 0 if it is none."""
-        host, origin = headers.get("host", ""), headers.get("origin")
+        host = headers.get("host", "")
+        origin = headers.get("origin")
         if self.hosts is not None and host not in self.hosts:
             return 421, f"not served at {host!r}; at {', '.join(self.hosts)}"
         asks = scope["type"] == "websocket" or scope["method"] not in SAFE
         own = origin is not None and origin.partition("://")[2] == host
         if asks and not own:
-            return 403, "a request of another site, or of none, which only pages of this one may make"
+            return (
+                403,
+                "a request of another site, or of none, which only pages of this one may make",
+            )
         if not own and (origin is not None or _of_another_site(headers)):
-            return 403, "a request of another site, which may do no more than link to this one"
+            return (
+                403,
+                "a request of another site, which may do no more than link to this one",
+            )
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > MOST_BODY:
             return 413, f"more than {MOST_BODY} bytes"
@@ -108,7 +136,9 @@ class Gate:
             cookie = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
             return False
-        until, _, signed = cookie[COOKIE].value.partition(".") if COOKIE in cookie else ("", "", "")
+        until, _, signed = (
+            cookie[COOKIE].value.partition(".") if COOKIE in cookie else ("", "", "")
+        )
         genuine = hmac.compare_digest(signed.encode(), self._signed(until).encode())
         return genuine and self._today < int(until)
 
@@ -122,7 +152,8 @@ class Gate:
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
         """To the application, which gets no more than MOST_BODY bytes."""
-        size, begun = 0, False
+        size = 0
+        begun = False
 
         async def bounded() -> Event:
             nonlocal size
@@ -157,7 +188,9 @@ class Gate:
             await _refuse(scope, send, 413, f"more than {MOST_LOGIN} bytes")
             return
         except TimeoutError:
-            await _refuse(scope, send, 408, f"no whole request within {LOGIN_SECONDS:g} s")
+            await _refuse(
+                scope, send, 408, f"no whole request within {LOGIN_SECONDS:g} s"
+            )
             return
         address = network_of(scope["client"][0]) if scope.get("client") else ""
         wait = self._turn(address)
@@ -166,7 +199,9 @@ class Gate:
             return
         await self.clock.sleep(wait)
         given = parse_qs(body.decode("utf-8", "replace")).get("password", [""])[0]
-        if self.password is not None and hmac.compare_digest(given.encode(), self.password.encode()):
+        if self.password is not None and hmac.compare_digest(
+            given.encode(), self.password.encode()
+        ):
             self._next.pop(address, None)
             await self._welcome(send)
         else:
@@ -185,7 +220,13 @@ class Gate:
         until = str(self._today + SESSION)
         limits = f"Max-Age={SESSION}; Path=/; HttpOnly; SameSite=Strict{'; Secure' if self.tls else ''}"
         cookie = f"{COOKIE}={until}.{self._signed(until)}; {limits}"
-        await _answer(send, 303, b"", b"text/plain", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+        await _answer(
+            send,
+            303,
+            b"",
+            b"text/plain",
+            [(b"location", b"/"), (b"set-cookie", cookie.encode())],
+        )
 
 
 def network_of(address: str) -> str:
@@ -201,13 +242,17 @@ def network_of(address: str) -> str:
 
 def _of_another_site(headers: dict[str, str]) -> bool:
     """Whether a browser says so, and it is more than a link that was followed."""
-    link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    link = (
+        headers.get("sec-fetch-mode") == "navigate"
+        and headers.get("sec-fetch-dest") == "document"
+    )
     return headers.get("sec-fetch-site") in ELSEWHERE and not link
 
 
 async def _body(receive: Receive, most: int) -> bytes:
     """All of it, or what had come when the visitor left; raises TooLarge."""
-    body, more = b"", True
+    body = b""
+    more = True
     while more:
         event = await receive()
         body += event.get("body", b"")
@@ -218,7 +263,9 @@ async def _body(receive: Receive, most: int) -> bytes:
 
 
 async def _form(send: Send, status: int, said: str = "") -> None:
-    await _answer(send, status, FORM.replace("SAID", said).encode(), b"text/html; charset=utf-8")
+    await _answer(
+        send, status, FORM.replace("SAID", said).encode(), b"text/html; charset=utf-8"
+    )
 
 
 async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
@@ -226,12 +273,27 @@ async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
         await send({"type": "websocket.close", "code": 1008, "reason": why})
     else:
         unread = [(b"connection", b"close")] if status in (408, 413) else []
-        await _answer(send, status, f"crazychoir: {why}\n".encode(), b"text/plain; charset=utf-8", unread)
+        await _answer(
+            send,
+            status,
+            f"crazychoir: {why}\n".encode(),
+            b"text/plain; charset=utf-8",
+            unread,
+        )
 
 
 async def _answer(
-    send: Send, status: int, body: bytes, kind: bytes, more: list[tuple[bytes, bytes]] | None = None
+    send: Send,
+    status: int,
+    body: bytes,
+    kind: bytes,
+    more: list[tuple[bytes, bytes]] | None = None,
 ) -> None:
-    headers = [(b"content-type", kind), (b"content-length", str(len(body)).encode()), *(more or []), *HEADERS]
+    headers = [
+        (b"content-type", kind),
+        (b"content-length", str(len(body)).encode()),
+        *(more or []),
+        *HEADERS,
+    ]
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

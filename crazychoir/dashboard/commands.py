@@ -7,7 +7,14 @@ from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
+from crazychoir.bus.commands import (
+    ACCEPTED,
+    DONE,
+    NOT_READY,
+    REFUSED,
+    Answer,
+    Commander,
+)
 from crazychoir.bus.port import BODIES
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.event_log import Watch
@@ -22,15 +29,26 @@ ENDED = "ENDED: no drone is there"
 ACKNOWLEDGED = 2.0
 """s within which a drone says that it has heard a command; it is resent meanwhile, and goes on being."""
 SECONDS = {
-    "arm": 5.0, "take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0, "go-to": 120.0,
-}  # fmt: skip
+    "arm": 5.0,
+    "take-off": 30.0,
+    "start": 5.0,
+    "hold": 5.0,
+    "go": 5.0,
+    "land": 60.0,
+    "home": 120.0,
+    "go-to": 120.0,
+}
 """s to wait until each is done; others get REQUEST s."""
 MOTION = (*SECONDS, "fly")
 """Orders that move a drone, or let it move: a stop of it withdraws them."""
 BESIDE = {
-    "arm": MOTION, "take-off": ("arm", "start", "go"), "start": ("arm", "take-off", "hold", "go"),
-    "go": ("arm", "take-off", "start"), "go-to": ("take-off", "hold"), "fly": ("take-off", "hold"),
-}  # fmt: skip
+    "arm": MOTION,
+    "take-off": ("arm", "start", "go"),
+    "start": ("arm", "take-off", "hold", "go"),
+    "go": ("arm", "take-off", "start"),
+    "go-to": ("take-off", "hold"),
+    "fly": ("take-off", "hold"),
+}
 """By order: the older ones that still count beside it; it withdraws all others that nobody has acknowledged yet."""
 IN_TURN = "impair"
 """Of these, a drone is asked for the next once it has answered to the one before: some add up, some do not."""
@@ -83,7 +101,9 @@ class Receipt:
 
     def done(self) -> bool:
         """Whether all have done it."""
-        return bool(self.answers) and all(kind == DONE for kind, _ in self.answers.values())
+        return bool(self.answers) and all(
+            kind == DONE for kind, _ in self.answers.values()
+        )
 
 
 @dataclass(eq=False)
@@ -111,7 +131,9 @@ class _Stop:
 
     def has_obeyed(self, i: int) -> bool:
         """Whether drone i has: its agent, and its body where an owner has that."""
-        return i in self.obeyed and (BODIES + i in self.obeyed or BODIES + i not in self.targets)
+        return i in self.obeyed and (
+            BODIES + i in self.obeyed or BODIES + i not in self.targets
+        )
 
 
 class Desk:
@@ -123,7 +145,8 @@ class Desk:
     """
 
     def __init__(self, place: Place, watch: Watch) -> None:
-        self.place, self.watch = place, watch
+        self.place = place
+        self.watch = watch
         self.receipts: deque[Receipt] = deque()
         self.version = 0
         self._count = 0
@@ -142,16 +165,23 @@ class Desk:
         return "" if any(map(self.place.is_there, self.place.config.ids)) else ENDED
 
     def order(
-        self, verb: str, drones: Iterable[int] | None = None, seconds: float | None = None, words: str = "",
-        each: Callable[[int], Mapping[str, Any]] = lambda i: {}, says: Callable[[Any], Any] = lambda detail: detail,
+        self,
+        verb: str,
+        drones: Iterable[int] | None = None,
+        seconds: float | None = None,
+        words: str = "",
+        each: Callable[[int], Mapping[str, Any]] = lambda i: {},
+        says: Callable[[Any], Any] = lambda detail: detail,
         first: asyncio.Task[Any] | None = None,
-    ) -> Receipt:  # fmt: skip
+    ) -> Receipt:
         """Command these drones, None: all.
 
         each: the arguments of each;  says: its answer, as the receipt tells it;  first: what has to be over before a
         drone is asked; a later order, or a stop, counts meanwhile.
         """
-        receipt = self._new(verb, self.place.config.ids if drones is None else drones, words)
+        receipt = self._new(
+            verb, self.place.config.ids if drones is None else drones, words
+        )
         if why := REPLAYED if self.place.replays else "":
             for i in receipt.answers:
                 self._answer(receipt, i, REFUSED, why)
@@ -159,25 +189,44 @@ class Desk:
         limit = SECONDS.get(verb, REQUEST) if seconds is None else seconds
         if verb in MOTION:
             self._outdo(receipt, BESIDE.get(verb, ()))
-        before = {asked.drone: task for asked, task in self._asked.items() if asked.receipt.verb == verb == IN_TURN}
+        before = {
+            asked.drone: task
+            for asked, task in self._asked.items()
+            if asked.receipt.verb == verb == IN_TURN
+        }
         for i in receipt.answers:
             asked = _Asked(receipt, i)
-            self._asked[asked] = self._spawn(self._ask(asked, limit, each, says, before.get(i, first)))
+            self._asked[asked] = self._spawn(
+                self._ask(asked, limit, each, says, before.get(i, first))
+            )
         return receipt
 
-    def stop(self, drones: Iterable[int] | None = None, clear: bool = False, key: str = "") -> Receipt:
+    def stop(
+        self, drones: Iterable[int] | None = None, clear: bool = False, key: str = ""
+    ) -> Receipt:
         """Emergency stop of these drones, None: of the swarm, in force until it is cleared; or clear it.
 
         A stop is sent until it is acknowledged, cleared here, or given anew. One of a key that is known is that one: a
         page says it again, and somebody may have cleared it meanwhile.
         """
-        if known := [receipt for receipt in self.receipts if key and receipt.key == key]:
+        if known := [
+            receipt for receipt in self.receipts if key and receipt.key == key
+        ]:
             return known[0]
         config = self.place.config
-        receipt = self._new("clear stop" if clear else "emergency stop", config.ids if drones is None else drones, "")
+        receipt = self._new(
+            "clear stop" if clear else "emergency stop",
+            config.ids if drones is None else drones,
+            "",
+        )
         receipt.key = key
         bodies = [BODIES + i for i in config.elsewhere if i in receipt.answers]
-        stop = _Stop(receipt, [*receipt.answers, *bodies], clear, alone=drones is not None and not clear)
+        stop = _Stop(
+            receipt,
+            [*receipt.answers, *bodies],
+            clear,
+            alone=drones is not None and not clear,
+        )
         self._replace(stop)
         if not clear:
             self._withdraw(receipt)
@@ -209,7 +258,9 @@ class Desk:
     def _forget(self) -> None:
         """One receipt, the oldest; one of a stop that is still sent only if there are no others."""
         sent = [stop.receipt for stop in self._stops]
-        self.receipts.remove(next((one for one in self.receipts if one not in sent), self.receipts[0]))
+        self.receipts.remove(
+            next((one for one in self.receipts if one not in sent), self.receipts[0])
+        )
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = asyncio.get_running_loop().create_task(work)
@@ -219,7 +270,11 @@ class Desk:
 
     def _motions(self, newer: Receipt) -> list[_Asked]:
         """What is asked of the drones of a newer order that could move them."""
-        return [one for one in self._asked if one.drone in newer.answers and one.receipt.verb in MOTION]
+        return [
+            one
+            for one in self._asked
+            if one.drone in newer.answers and one.receipt.verb in MOTION
+        ]
 
     def _outdo(self, newer: Receipt, beside: Sequence[str]) -> None:
         """Ask for what is contrary to a newer order no more; who has accepted it says by itself what comes of it."""
@@ -268,17 +323,28 @@ class Desk:
                 self.watch.add(f"{receipt.verb}: {kind}: {words}", "warning", i)
 
     async def _ask(
-        self, asked: _Asked, seconds: float, each: Callable[[int], Mapping[str, Any]], says: Callable[[Any], Any],
+        self,
+        asked: _Asked,
+        seconds: float,
+        each: Callable[[int], Mapping[str, Any]],
+        says: Callable[[Any], Any],
         first: asyncio.Task[Any] | None,
-    ) -> None:  # fmt: skip
-        clock, receipt, i = self.place.clock, asked.receipt, asked.drone
+    ) -> None:
+        clock = self.place.clock
+        receipt = asked.receipt
+        i = asked.drone
         ends = clock.now() + seconds
         try:
             if first is not None:
                 await asyncio.wait([first])
             answer = await self._heard(asked, ends, each(i))
         except TimeoutError:
-            self._answer(receipt, i, SILENT, f"no answer within {seconds:g} s; is its agent running?")
+            self._answer(
+                receipt,
+                i,
+                SILENT,
+                f"no answer within {seconds:g} s; is its agent running?",
+            )
             return
         except CrazyChoirError as error:
             self._answer(receipt, i, REFUSED, str(error))
@@ -291,27 +357,44 @@ class Desk:
         if asked.outdone and answer.kind == REFUSED:
             self._withdrawn(receipt, i, asked.outdone)
         elif answer.kind == ACCEPTED:
-            self._answer(receipt, i, UNFINISHED, f"accepted, not done within {seconds:g} s")
+            self._answer(
+                receipt, i, UNFINISHED, f"accepted, not done within {seconds:g} s"
+            )
         else:
             detail = says(answer.detail) if answer.kind == DONE else answer.detail
             self._answer(receipt, i, answer.kind, "" if detail is None else detail)
 
-    async def _heard(self, asked: _Asked, ends: float, arguments: Mapping[str, Any]) -> Answer:
+    async def _heard(
+        self, asked: _Asked, ends: float, arguments: Mapping[str, Any]
+    ) -> Answer:
         """Its last answer; it is said if there is none for a while."""
-        clock, i = self.place.clock, asked.drone
-        timer = clock.call_at(clock.now_ns() + round(ACKNOWLEDGED * 1e9), self._unheard, asked.receipt, i, drone=i)
+        clock = self.place.clock
+        i = asked.drone
+        timer = clock.call_at(
+            clock.now_ns() + round(ACKNOWLEDGED * 1e9),
+            self._unheard,
+            asked.receipt,
+            i,
+            drone=i,
+        )
         try:
             return await self._answered(asked, ends, arguments)
         finally:
             timer.cancel()
 
-    async def _answered(self, asked: _Asked, ends: float, arguments: Mapping[str, Any]) -> Answer:
+    async def _answered(
+        self, asked: _Asked, ends: float, arguments: Mapping[str, Any]
+    ) -> Answer:
         """What it says at last; who is not ready yet is asked again, for at most READY s."""
-        clock, commander, verb = self.place.clock, self.place.commander, asked.receipt.verb
+        clock = self.place.clock
+        commander = self.place.commander
+        verb = asked.receipt.verb
         asks = min(ends, clock.now() + READY)
         while True:
             left = ends - clock.now()
-            answer = await commander.request(asked.drone, verb, left, lambda: self._begun(asked), **arguments)
+            answer = await commander.request(
+                asked.drone, verb, left, lambda: self._begun(asked), **arguments
+            )
             if not _waits(answer) or asked.outdone or clock.now() + RETRY >= asks:
                 return answer
             asked.begun = False
@@ -323,14 +406,21 @@ class Desk:
 
     def _unheard(self, receipt: Receipt, i: int) -> None:
         if receipt.answers[i][0] == SENT:
-            why = f"not acknowledged within {ACKNOWLEDGED:g} s" if self.place.is_there(i) else ABSENT
+            why = (
+                f"not acknowledged within {ACKNOWLEDGED:g} s"
+                if self.place.is_there(i)
+                else ABSENT
+            )
             self._answer(receipt, i, SENT, f"{why}; resent")
 
     async def _stop(self, stop: _Stop) -> None:
         """Agents and the bodies at owners; a drone has obeyed when both have. A clear that comes late helps nobody."""
-        clock, limit = self.place.clock, STOP if stop.clear else math.inf
+        clock = self.place.clock
+        limit = STOP if stop.clear else math.inf
         timer = clock.call_at(clock.now_ns() + round(STOP * 1e9), self._silent, stop)
-        order = self.place.commander.emergency_stop(stop.targets, stop.clear, limit, stop.alone, stop.obeyed)
+        order = self.place.commander.emergency_stop(
+            stop.targets, stop.clear, limit, stop.alone, stop.obeyed
+        )
         sending = asyncio.ensure_future(order)
         try:
             while not sending.done():
@@ -348,12 +438,19 @@ class Desk:
         for i, (kind, _) in stop.receipt.answers.items():
             if kind == SENT:
                 body = "; its body has obeyed" if BODIES + i in stop.obeyed else ""
-                self._answer(stop.receipt, i, SILENT, f"no acknowledgement within {STOP:g} s{still}{body}")
+                self._answer(
+                    stop.receipt,
+                    i,
+                    SILENT,
+                    f"no acknowledgement within {STOP:g} s{still}{body}",
+                )
 
     def _tell_obeyed(self, stop: _Stop) -> None:
         for i, (kind, _) in stop.receipt.answers.items():
             if kind in (SENT, SILENT) and stop.has_obeyed(i):
-                self._answer(stop.receipt, i, DONE, "cleared" if stop.clear else "motors off")
+                self._answer(
+                    stop.receipt, i, DONE, "cleared" if stop.clear else "motors off"
+                )
 
 
 def _waits(answer: Answer) -> bool:

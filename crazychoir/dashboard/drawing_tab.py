@@ -14,34 +14,70 @@ ABOVE, BELOW = 0.7, 0.3
 
 def build(about: dict[str, Any]) -> None:
     """The whole tab."""
-    v_max, a_max = about["speed_limit"], about["acceleration_limit"]
+    v_max = about["speed_limit"]
+    a_max = about["acceleration_limit"]
     height = round(min(about["height"] + ABOVE, about["fence"][1][2] - BELOW), 2)
-    text(f'<p class="help">{HELP}</p><canvas id="sketch" role="img" '
-         'aria-label="Drawing of a path, x to the right, y up; a file can be loaded instead"></canvas>')  # fmt: skip
+    text(
+        f'<p class="help">{HELP}</p><canvas id="sketch" role="img" '
+        'aria-label="Drawing of a path, x to the right, y up; a file can be loaded instead"></canvas>'
+    )
     with row():
         button("Fly it with the chosen drones", "sketch.fly()", color="positive")
         button("Undo stroke", "sketch.undo()", "outline")
         button("Clear", "sketch.clear()", "outline")
-    text('<p id="plan" role="status">Nothing is drawn.</p><canvas id="profile" role="img" '
-         'aria-label="Speed and acceleration on the way"></canvas>')  # fmt: skip
+    text(
+        '<p id="plan" role="status">Nothing is drawn.</p><canvas id="profile" role="img" '
+        'aria-label="Speed and acceleration on the way"></canvas>'
+    )
     text("<h3>How it is flown</h3>")
     with row():
         text(
             field("height", "Height", height, "m", step=0.1)
             + field("lift", "Lift between strokes", 0, "m", min=0, max=5, step=0.1)
-            + choice("yaw", "Looks", {"0": "along x", "along": "along the path", "1.5708": "along y"})
-            + choice("timing", "Timing", {"even": "as fast as limits allow", "drawn": "as it was drawn"})
-            + field("smoothing", "Smoothing", 0.02, "m", "range", min=0, max=0.1, step=0.005)
-            + field("v_max", "Speed limit", min(0.5, v_max), "m/s", "range", min=0.05, max=v_max, step=0.05)
-            + field("a_max", "Acceleration limit", min(1.0, a_max), "m/s²", "range", min=0.1, max=a_max, step=0.1)
+            + choice(
+                "yaw",
+                "Looks",
+                {"0": "along x", "along": "along the path", "1.5708": "along y"},
+            )
+            + choice(
+                "timing",
+                "Timing",
+                {"even": "as fast as limits allow", "drawn": "as it was drawn"},
+            )
+            + field(
+                "smoothing", "Smoothing", 0.02, "m", "range", min=0, max=0.1, step=0.005
+            )
+            + field(
+                "v_max",
+                "Speed limit",
+                min(0.5, v_max),
+                "m/s",
+                "range",
+                min=0.05,
+                max=v_max,
+                step=0.05,
+            )
+            + field(
+                "a_max",
+                "Acceleration limit",
+                min(1.0, a_max),
+                "m/s²",
+                "range",
+                min=0.1,
+                max=a_max,
+                step=0.1,
+            )
             + field("slower", "Times as long", 1, "", "range", min=1, max=10, step=0.1)
             + field("offset_x", "Offset x from drone to drone", 0, "m", step=0.1)
-            + field("offset_y", "Offset y", 0.5, "m", step=0.1) + field("offset_z", "Offset z", 0, "m", step=0.1)
+            + field("offset_y", "Offset y", 0.5, "m", step=0.1)
+            + field("offset_z", "Offset z", 0, "m", step=0.1)
         )
     text("<h3>The drawing</h3>")
     with row():
         text(field("area", "Shown", 4, "m", "range", min=1, max=20, step=1))
         button("Save CSV", "sketch.save('csv')", "outline")
         button("Save SVG", "sketch.save('svg')", "outline")
-        text('<span class="field"><label for="file">Load CSV or SVG</label>'
-             '<input id="file" type="file" accept=".csv,.svg"></span>')  # fmt: skip
+        text(
+            '<span class="field"><label for="file">Load CSV or SVG</label>'
+            '<input id="file" type="file" accept=".csv,.svg"></span>'
+        )

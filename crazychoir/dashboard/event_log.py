@@ -36,12 +36,16 @@ class Watch:
     def add(self, text: str, level: Level = "info", drone: int | None = None) -> None:
         """One line more."""
         self.count += 1
-        self._lines.append(Line(self.count, round(self.clock.now(), 2), level, text, drone))
+        self._lines.append(
+            Line(self.count, round(self.clock.now(), 2), level, text, drone)
+        )
 
     def told(self, i: int, text: str, grave: bool = False) -> None:
         """Trouble of drone i, or a command, which is none; grave, or with one of GRAVE, it is an error."""
         bare = text.removeprefix(f"drone {i}: ")
-        trouble: Level = "error" if grave or any(word in bare for word in GRAVE) else "warning"
+        trouble: Level = (
+            "error" if grave or any(word in bare for word in GRAVE) else "warning"
+        )
         self.add(bare, "info" if bare.startswith(COMMANDED) else trouble, i)
 
     def after(self, number: int) -> list[Line]:

@@ -13,7 +13,14 @@ def text(html: str) -> Any:
     return ui.html(html, sanitize=False).classes("loose")
 
 
-def field(name: str, label: str, value: float | str, unit: str = "", kind: str = "number", **more: float) -> str:
+def field(
+    name: str,
+    label: str,
+    value: float | str,
+    unit: str = "",
+    kind: str = "number",
+    **more: float,
+) -> str:
     """An input with its label; a range shows its value."""
     limits = " ".join(f'{key}="{number:g}"' for key, number in more.items())
     shown = f'<output for="{name}"></output>' if kind == "range" else ""
@@ -26,7 +33,10 @@ def field(name: str, label: str, value: float | str, unit: str = "", kind: str =
 
 def choice(name: str, label: str, options: dict[str, str]) -> str:
     """A list to choose from, with its label."""
-    rows = "".join(f'<option value="{value}">{escape(shown)}</option>' for value, shown in options.items())
+    rows = "".join(
+        f'<option value="{value}">{escape(shown)}</option>'
+        for value, shown in options.items()
+    )
     return f'<span class="field"><label for="{name}">{escape(label)}</label><select id="{name}">{rows}</select></span>'
 
 
@@ -54,7 +64,9 @@ def card(kind: str, label: str) -> Iterator[None]:
 @contextlib.contextmanager
 def panel(name: str) -> Iterator[None]:
     """What the tab of that name shows."""
-    props = f'id="panel-{name}" role="tabpanel" aria-labelledby="tab-{name}" tabindex="0"'
+    props = (
+        f'id="panel-{name}" role="tabpanel" aria-labelledby="tab-{name}" tabindex="0"'
+    )
     with ui.element("div").classes("panel").props(props):
         yield
 

@@ -50,10 +50,17 @@ class Seen:
 class SwarmModel:
     """Listens at `address` to all drones of a swarm file; what it knows costs them nothing but what they send."""
 
-    def __init__(self, bus: Bus, address: int, config: SwarmConfig, watch: Watch) -> None:
-        self.bus, self.address, self.config, self.watch = bus, address, config, watch
+    def __init__(
+        self, bus: Bus, address: int, config: SwarmConfig, watch: Watch
+    ) -> None:
+        self.bus = bus
+        self.address = address
+        self.config = config
+        self.watch = watch
         self.drones = {i: Seen() for i in config.ids}
-        self._plans: dict[int, dict[int, tuple[float, float]]] = {}  # by round and drone, its cost and relaxation
+        self._plans: dict[
+            int, dict[int, tuple[float, float]]
+        ] = {}  # by round and drone, its cost and relaxation
         self._rows = np.full((len(config.ids), COLUMNS), np.nan, dtype="<f4")
         self._seen = np.full(len(config.ids), -np.inf)
         self._wanted = np.full(len(config.ids), -np.inf)
@@ -65,7 +72,13 @@ class SwarmModel:
             self._read(RESULT, i, partial(self._hear_result, i))
             self._read(LOG, i, partial(self._hear_log, i))
 
-    def _read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> None:
+    def _read(
+        self,
+        topic: Topic,
+        i: int,
+        function: Callable[[Any, float], None],
+        rate: float = 0.0,
+    ) -> None:
         box = Call(self.bus.clock, function, f"page {topic.name} of {i}")
         self.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
 
@@ -80,15 +93,24 @@ class SwarmModel:
         self._wanted[k] = self.bus.clock.now() - age
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
-        seen, now = self.drones[i], self.bus.clock.now()
-        before, seen.status, seen.heard = seen.status, status, now - age
+        seen = self.drones[i]
+        now = self.bus.clock.now()
+        before = seen.status
+        seen.status = status
+        seen.heard = now - age
         seen.lately.note(now, status.sent, status.lost)
         if before is None or before.phase != status.phase:
             self.watch.add(status.phase, "info", i)
         if status.note and (before is None or before.note != status.note):
             self.watch.told(i, status.note, status.grave)
-        if before is not None and status.sent < before.sent:  # its agent was started again
-            self._plans = {k: rest for k, of in self._plans.items() if (rest := {j: of[j] for j in of if j != i})}
+        if (
+            before is not None and status.sent < before.sent
+        ):  # its agent was started again
+            self._plans = {
+                k: rest
+                for k, of in self._plans.items()
+                if (rest := {j: of[j] for j in of if j != i})
+            }
         if math.isfinite(status.cost):
             self._plans.setdefault(status.round, {})[i] = status.cost, status.relaxed
             if len(self._plans) > KEPT:
@@ -100,8 +122,11 @@ class SwarmModel:
     def _hear_result(self, i: int, result: dict[str, Any], age: float) -> None:
         self.drones[i].result = result
         good = bool(result.get("success"))
-        self.watch.add(f"mission ended: {'success' if good else result.get('reason', 'no success')}",
-                       "info" if good else "error", i)  # fmt: skip
+        self.watch.add(
+            f"mission ended: {'success' if good else result.get('reason', 'no success')}",
+            "info" if good else "error",
+            i,
+        )
 
     def _hear_log(self, i: int, line: str, age: float) -> None:
         self.watch.told(i, line)
@@ -125,7 +150,8 @@ class SwarmModel:
 
         NaN: not heard, or no reference.
         """
-        now, rows = self.bus.clock.now(), self._rows
+        now = self.bus.clock.now()
+        rows = self._rows
         rows[:, AGE] = now - self._seen
         rows[now - self._wanted > REFERENCE.max_age, WANTED] = np.nan
         return np.float64(now).tobytes() + rows.tobytes()
@@ -135,14 +161,20 @@ class SwarmModel:
         config = self.config
         low, high = limit_area(config)
         return {
-            "swarm": config.name, "mission": config.mission, "ids": list(config.ids), "rate": RATE,
+            "swarm": config.name,
+            "mission": config.mission,
+            "ids": list(config.ids),
+            "rate": RATE,
             "edges": sorted({(min(arc), max(arc)) for arc in config.graph().arcs}),
-            "fence": [list(config.fence.min), list(config.fence.max)], "limit": [list(low), list(high)],
-            "ground": config.flight.ground, "columns": COLUMNS,
+            "fence": [list(config.fence.min), list(config.fence.max)],
+            "limit": [list(low), list(high)],
+            "ground": config.flight.ground,
+            "columns": COLUMNS,
             "leaders": [drone.id for drone in config.drones if drone.leader],
-            "speed_limit": config.flight.speed_limit, "acceleration_limit": config.flight.acceleration_limit,
+            "speed_limit": config.flight.speed_limit,
+            "acceleration_limit": config.flight.acceleration_limit,
             "height": config.flight.ground + config.flight.takeoff_height,
-        }  # fmt: skip
+        }
 
     def costs(self) -> list[tuple[int, float, float]]:
         """By round: the mean cost of the plans of all drones that told one in that round, of their relaxations, or NaN.
@@ -150,23 +182,38 @@ class SwarmModel:
         While they plan, a relaxation is that of the routes that a drone knows by then: no bound.
         """
         of = {k: list(self._plans[k].values()) for k in sorted(self._plans)}
-        return [(k, _mean(cost for cost, _ in told), _mean(relaxed for _, relaxed in told)) for k, told in of.items()]
+        return [
+            (k, _mean(cost for cost, _ in told), _mean(relaxed for _, relaxed in told))
+            for k, told in of.items()
+        ]
 
     def table(self) -> list[dict[str, Any]]:
         """A row a drone: how it is, and how it is reached. What is not known is None."""
         return [self._row(k, i) for k, i in enumerate(self.config.ids)]
 
     def _row(self, k: int, i: int) -> dict[str, Any]:
-        seen, now = self.drones[i], self.bus.clock.now()
+        seen = self.drones[i]
+        now = self.bus.clock.now()
         status = seen.status or Status("")
         row: dict[str, Any] = {
-            "id": i, "heard": now - seen.heard < STALE, "phase": status.phase, "task": status.task,
+            "id": i,
+            "heard": now - seen.heard < STALE,
+            "phase": status.phase,
+            "task": status.task,
             "stopped": status.stopped,
-            "round": status.round, "cost": _known(status.cost), "lost": round(share(seen.lately), 3),
-            "process": status.process, "host": status.host, "note": status.note, "suspect": status.suspect,
-            "gone": status.gone, "age": _known(float(now - self._seen[k]), 2),
-        }  # fmt: skip
-        return row if seen.link is None else row | _reached(seen.link, now - seen.linked)
+            "round": status.round,
+            "cost": _known(status.cost),
+            "lost": round(share(seen.lately), 3),
+            "process": status.process,
+            "host": status.host,
+            "note": status.note,
+            "suspect": status.suspect,
+            "gone": status.gone,
+            "age": _known(float(now - self._seen[k]), 2),
+        }
+        return (
+            row if seen.link is None else row | _reached(seen.link, now - seen.linked)
+        )
 
 
 def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
@@ -174,9 +221,12 @@ def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
     if age > SILENT:
         return {"link": "silent", "silent": round(age, 1)}
     return {
-        "link": link.state, "latency": _known(link.latency, 4), "answered": _known(link.answered, 3),
-        "rssi": _known(link.rssi, 0), "battery": _known(link.battery, 2),
-    }  # fmt: skip
+        "link": link.state,
+        "latency": _known(link.latency, 4),
+        "answered": _known(link.answered, 3),
+        "rssi": _known(link.rssi, 0),
+        "battery": _known(link.battery, 2),
+    }
 
 
 def _mean(x: Iterable[float]) -> float:

@@ -7,7 +7,14 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from crazychoir.agent.sketch import Planned, loaded_with_words, messages, places, planned, saved
+from crazychoir.agent.sketch import (
+    Planned,
+    loaded_with_words,
+    messages,
+    places,
+    planned,
+    saved,
+)
 from crazychoir.config.network import changes, in_words
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.commands import Desk
@@ -44,7 +51,9 @@ class Operator:
     """One page's operator."""
 
     def __init__(self, config: SwarmConfig, desk: Desk, board: TaskBoard) -> None:
-        self.config, self.desk, self.board = config, desk, board
+        self.config = config
+        self.desk = desk
+        self.board = board
         self._plan: Planned | None = None
         self._drawn, self._planning = 0, asyncio.Lock()
 
@@ -58,7 +67,8 @@ class Operator:
             case GoTo():
                 self._go_to(message)
             case Draw():
-                self._plan, self._drawn = None, self._drawn + 1
+                self._plan = None
+                self._drawn = self._drawn + 1
                 return partial(self._draw, message, self._drawn)
             case Fly():
                 self._fly(message)
@@ -69,8 +79,14 @@ class Operator:
             case Impair():
                 self._impair(message)
             case AddTask(pickup, delivery, load):
-                words = f"{list(pickup)} to {list(delivery)}" if delivery else f"{list(pickup)}"
-                self.board.begin("task_add", words, pickup=pickup, delivery=delivery, load=load)
+                words = (
+                    f"{list(pickup)} to {list(delivery)}"
+                    if delivery
+                    else f"{list(pickup)}"
+                )
+                self.board.begin(
+                    "task_add", words, pickup=pickup, delivery=delivery, load=load
+                )
             case CancelTask(j):
                 self.board.begin("task_cancel", str(j), id=j)
         return None
@@ -79,37 +95,59 @@ class Operator:
         """Every drone is told: each simulates the network of what it sends, and says what is in force there then."""
         drones = self._those(message.drones)
         told: dict[str, Any] = {"clear": True} if message.clear else {}
-        given = {name: value for name in ("loss", "delay") if (value := getattr(message, name)) is not None}
-        words = [f"{name} {value:g}" for name, value in given.items()] + (["clear"] if message.clear else [])
+        given = {
+            name: value
+            for name in ("loss", "delay")
+            if (value := getattr(message, name)) is not None
+        }
+        words = [f"{name} {value:g}" for name, value in given.items()] + (
+            ["clear"] if message.clear else []
+        )
         if message.cut:
             if drones is None:
                 raise ConfigError("cut off", "no drones", "the drones of one side")
             told["cut"] = {"since": 0.0, "a": list(drones)}
             words.append("cut off")
         elif drones is not None and len(drones) > SCOPE:
-            raise ConfigError("drones", f"{len(drones)} of them", "none for all links, one for its links, two for one")
+            raise ConfigError(
+                "drones",
+                f"{len(drones)} of them",
+                "none for all links, one for its links, two for one",
+            )
         elif drones is not None:
             told |= {"drone": drones[0]} if len(drones) == 1 else {"edge": list(drones)}
         words.append(span(drones) if drones else "all links")
         self.desk.order(
-            "impair", words=", ".join(words), each=lambda i: told | changes(given),
+            "impair",
+            words=", ".join(words),
+            each=lambda i: told | changes(given),
             says=lambda network: "; ".join(in_words(network)),
-        )  # fmt: skip
+        )
 
     def _go_to(self, message: GoTo) -> None:
         drones = self._checked(message.drones)
         goals = places(message.p, message.offset, drones, self.config)
         self.desk.order(
-            "go-to", goals, words=f"{list(message.p)} m", each=lambda i: {"p": goals[i], "yaw": message.yaw}
+            "go-to",
+            goals,
+            words=f"{list(message.p)} m",
+            each=lambda i: {"p": goals[i], "yaw": message.yaw},
         )
 
     async def _draw(self, message: Draw, number: int) -> dict[str, Any] | None:
         """Plan in a thread, one drawing at a time; of those that wait, and of what was planned, the newest counts."""
         pen = Pen(
-            height=message.height, lift=message.lift, yaw=message.yaw, timing=message.timing,
+            height=message.height,
+            lift=message.lift,
+            yaw=message.yaw,
+            timing=message.timing,
             smoothing=message.smoothing,
-        )  # fmt: skip
-        limits = {"v_max": message.v_max, "a_max": message.a_max, "slower": message.slower}
+        )
+        limits = {
+            "v_max": message.v_max,
+            "a_max": message.a_max,
+            "slower": message.slower,
+        }
         async with self._planning:
             if number != self._drawn:
                 return None
@@ -123,12 +161,20 @@ class Operator:
         """What each is told is made in a thread: it may take seconds, and a stop comes between."""
         plan = self._plan
         if plan is None:
-            raise ConfigError("fly", "nothing that was planned", "a drawing that was planned, and shown, before")
+            raise ConfigError(
+                "fly",
+                "nothing that was planned",
+                "a drawing that was planned, and shown, before",
+            )
         drones = self._checked(message.drones)
-        told = asyncio.create_task(_aside(messages, plan.path, drones, message.offset, self.config))
+        told = asyncio.create_task(
+            _aside(messages, plan.path, drones, message.offset, self.config)
+        )
         seconds = plan.path.duration + REACHES
         words = f"{plan.path.duration:.1f} s"
-        self.desk.order("fly", drones, seconds, words, each=lambda i: told.result()[i], first=told)
+        self.desk.order(
+            "fly", drones, seconds, words, each=lambda i: told.result()[i], first=told
+        )
 
     def _those(self, drones: Ids | None) -> Ids | None:
         return None if drones is None else self._checked(drones)
@@ -152,7 +198,12 @@ async def _loaded(name: str, text: str) -> dict[str, Any]:
 
 
 async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:
-    return {"saved": {"text": await _aside(saved, [np.array(stroke) for stroke in strokes], kind), "kind": kind}}
+    return {
+        "saved": {
+            "text": await _aside(saved, [np.array(stroke) for stroke in strokes], kind),
+            "kind": kind,
+        }
+    }
 
 
 async def _aside(work: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:

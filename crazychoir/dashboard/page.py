@@ -10,14 +10,28 @@ import nicegui
 from nicegui import ui
 
 from crazychoir.dashboard import drawing_tab
-from crazychoir.dashboard.layout import button, card, choice, field, panel, row, tabs, text
+from crazychoir.dashboard.layout import (
+    button,
+    card,
+    choice,
+    field,
+    panel,
+    row,
+    tabs,
+    text,
+)
 
 THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 """The folder of NiceGUI's own three.js."""
 VERBS = {
-    "arm": "Arm", "take-off": "Take off", "start": "Start", "hold": "Hold", "go": "Go on", "land": "Land",
+    "arm": "Arm",
+    "take-off": "Take off",
+    "start": "Start",
+    "hold": "Hold",
+    "go": "Go on",
+    "land": "Land",
     "home": "Fly home",
-}  # fmt: skip
+}
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 
@@ -36,11 +50,16 @@ class Page:
     """The same for all browsers; about: what SwarmModel.about says."""
 
     def __init__(self, about: dict[str, Any]) -> None:
-        self.about, self.swarm = about, str(about["swarm"])
+        self.about = about
+        self.swarm = str(about["swarm"])
         self.panels: dict[str, tuple[str, Callable[[], None]]] = {
-            "fly": ("Fly", self._fly), "draw": ("Draw", partial(drawing_tab.build, about)), "tasks": ("Tasks", _tasks),
-            "network": ("Network", _network), "plots": ("Plots", self._plots), "log": ("Log", _log),
-        }  # fmt: skip
+            "fly": ("Fly", self._fly),
+            "draw": ("Draw", partial(drawing_tab.build, about)),
+            "tasks": ("Tasks", _tasks),
+            "network": ("Network", _network),
+            "plots": ("Plots", self._plots),
+            "log": ("Log", _log),
+        }
 
     def build(self) -> None:
         """One browser's page."""
@@ -60,7 +79,9 @@ class Page:
 
     def _top(self) -> None:
         with ui.element("header").classes("top"):
-            text(f"<h1>{escape(self.swarm)} · {escape(Path(str(self.about['mission'])).stem)}</h1>")
+            text(
+                f"<h1>{escape(self.swarm)} · {escape(Path(str(self.about['mission'])).stem)}</h1>"
+            )
             text('<span id="connection" role="status">connecting</span>')
             ui.element("span").classes("gap")
             button("Light or dark", "turn()", "flat dense")
@@ -78,13 +99,16 @@ class Page:
         text("<h3>Go to a place</h3>")
         with row():
             text(
-                field("goal_x", "Place x", 0, "m", step=0.1) + field("goal_y", "Place y", 0, "m", step=0.1)
+                field("goal_x", "Place x", 0, "m", step=0.1)
+                + field("goal_y", "Place y", 0, "m", step=0.1)
                 + field("goal_z", "Place z", self.about["height"], "m", step=0.1)
                 + field("apart_y", "Offset y from drone to drone", 0.5, "m", step=0.1)
-            )  # fmt: skip
+            )
             button("Go there", "goTo()")
-            text('<span class="field"><label for="pick">A click on the floor says where</label>'
-                 '<input id="pick" type="checkbox"></span>')  # fmt: skip
+            text(
+                '<span class="field"><label for="pick">A click on the floor says where</label>'
+                '<input id="pick" type="checkbox"></span>'
+            )
         text('<h3>Receipts</h3><ul id="receipts" class="lines"></ul>')
 
     def _plots(self) -> None:
@@ -98,18 +122,26 @@ def _tasks() -> None:
         text(
             '<span class="field"><label for="placing">Clicks on the floor: pickup, then delivery</label>'
             '<input id="placing" type="checkbox"></span>'
-            + choice("task_kind", "A task is", {"two": "pickup and delivery", "one": "done at one place"})
-            + field("pickup_x", "Pickup x", 0, "m", step=0.1) + field("pickup_y", "Pickup y", 0, "m", step=0.1)
-            + field("delivery_x", "Delivery x", 1, "m", step=0.1) + field("delivery_y", "Delivery y", 1, "m", step=0.1)
+            + choice(
+                "task_kind",
+                "A task is",
+                {"two": "pickup and delivery", "one": "done at one place"},
+            )
+            + field("pickup_x", "Pickup x", 0, "m", step=0.1)
+            + field("pickup_y", "Pickup y", 0, "m", step=0.1)
+            + field("delivery_x", "Delivery x", 1, "m", step=0.1)
+            + field("delivery_y", "Delivery y", 1, "m", step=0.1)
             + field("load", "Load", 1, "", min=0, step=0.5)
-        )  # fmt: skip
+        )
         button("Add task", "tasks.add()")
     text('<ul id="tasks" class="lines"></ul>')
 
 
 def _network() -> None:
-    text('<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
-         "between them.</p><p>In force: <span id=\"network-said\">not known yet</span></p>")  # fmt: skip
+    text(
+        '<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
+        'between them.</p><p>In force: <span id="network-said">not known yet</span></p>'
+    )
     with row():
         text(
             field("loss", "Loss", 0, "%", "range", min=0, max=100, step=1)
@@ -122,5 +154,7 @@ def _network() -> None:
 
 
 def _log() -> None:
-    levels = choice("level", "From level", {name: name for name in ("info", "warning", "error")})
+    levels = choice(
+        "level", "From level", {name: name for name in ("info", "warning", "error")}
+    )
     text(f'<h2>Log</h2>{levels}<ul id="log" class="lines" role="log"></ul>')

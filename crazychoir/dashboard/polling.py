@@ -34,7 +34,8 @@ class Overview(Actor):
     name = "overview"
 
     def __init__(self, desk: Desk) -> None:
-        self.desk, self.ids = desk, desk.place.config.ids
+        self.desk = desk
+        self.ids = desk.place.config.ids
         self.watched = False
         self.lost: dict[tuple[int, int], float] = {}
         self.routes: dict[int, list[list[float]]] = {}
@@ -43,7 +44,8 @@ class Overview(Actor):
 
     async def run(self) -> None:
         """One drone after the other; of one that does not answer no route or network is known."""
-        k, window = 0, max(WINDOW, 2.0 * len(self.ids) / OVERVIEWS)
+        k = 0
+        window = max(WINDOW, 2.0 * len(self.ids) / OVERVIEWS)
         async for _ in self.desk.place.clock.ticks(OVERVIEWS):
             if not self.watched:
                 continue
@@ -72,11 +74,19 @@ class Overview(Actor):
             same.setdefault("; ".join(in_words(self.networks[i])), []).append(i)
         if not same:
             return None
-        words = [text if len(same) == 1 else f"drones {span(ids)}: {text}" for text, ids in same.items()]
-        return {"rules": self.networks[min(self.networks)]["rules"], "words": " | ".join(words)}
+        words = [
+            text if len(same) == 1 else f"drones {span(ids)}: {text}"
+            for text, ids in same.items()
+        ]
+        return {
+            "rules": self.networks[min(self.networks)]["rules"],
+            "words": " | ".join(words),
+        }
 
     def _note(self, i: int, j: int, sent: int, lost: int, window: float) -> None:
-        self._of.setdefault((i, j), Lately(window)).note(self.desk.place.clock.now(), sent, lost)
+        self._of.setdefault((i, j), Lately(window)).note(
+            self.desk.place.clock.now(), sent, lost
+        )
         both = [self._of[pair] for pair in ((i, j), (j, i)) if pair in self._of]
         self.lost[min(i, j), max(i, j)] = share(*both)
 
@@ -87,11 +97,14 @@ class TaskBoard(Actor):
     name = "tasks"
 
     def __init__(self, desk: Desk, model: SwarmModel) -> None:
-        self.desk, self.ids, self.model = desk, desk.place.config.ids, model
+        self.desk = desk
+        self.ids = desk.place.config.ids
+        self.model = model
         self.watched = False
         self.tasks: list[dict[str, Any]] | None = None
         """As TaskSource lists them; None for a mission without."""
-        self._k, self._again = 0, -math.inf
+        self._k = 0
+        self._again = -math.inf
         self._asking: dict[asyncio.Task[Receipt], None] = {}
 
     async def run(self) -> None:
@@ -106,9 +119,15 @@ class TaskBoard(Actor):
         Then its list is that of who is cut off, and the next one is asked that hears more, if any does.
         """
         n = len(self.ids)
-        steps = (k for k in range(n) if 2 * self.model.heard_by(self.ids[(self._k + k) % n]) > n)
+        steps = (
+            k
+            for k in range(n)
+            if 2 * self.model.heard_by(self.ids[(self._k + k) % n]) > n
+        )
         self._k += next(steps, 0)
-        answer = await _answer(self.desk, self.ids[self._k % len(self.ids)], "task_list")
+        answer = await _answer(
+            self.desk, self.ids[self._k % len(self.ids)], "task_list"
+        )
         if answer is None:
             self._k += 1
             if self._k % len(self.ids) == 0:
@@ -118,7 +137,9 @@ class TaskBoard(Actor):
 
     def begin(self, verb: str, words: str, **arguments: Any) -> None:
         """`ask`, and wait for nothing: whoever wants it may be gone before it is done."""
-        task = asyncio.get_running_loop().create_task(self.ask(verb, words, **arguments))
+        task = asyncio.get_running_loop().create_task(
+            self.ask(verb, words, **arguments)
+        )
         self._asking[task] = None
         task.add_done_callback(lambda done: self._asking.pop(done, None))
 

@@ -21,7 +21,9 @@ Stroke = Annotated[tuple[Row, ...], Meta(min_length=1, max_length=5000)]
 Strokes = Annotated[tuple[Stroke, ...], Meta(min_length=1, max_length=200)]
 
 
-class Ask(Struct, frozen=True, forbid_unknown_fields=True, tag_field="ask", tag=str.lower):
+class Ask(
+    Struct, frozen=True, forbid_unknown_fields=True, tag_field="ask", tag=str.lower
+):
     """One message of a page."""
 
 

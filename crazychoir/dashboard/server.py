@@ -74,32 +74,52 @@ class Served:
 
     def __post_init__(self) -> None:
         if self.password is not None and len(self.password) < 8:
-            raise ConfigError("password", f"{len(self.password)} characters", "8 or more")
+            raise ConfigError(
+                "password", f"{len(self.password)} characters", "8 or more"
+            )
         if not self.loopback and self.password is None and self.authority is None:
             do = "Name --password-file or --authority, or leave --host out and use `ssh -L` to come from elsewhere."
-            allowed = "a password or an authority, where others than this machine can come in"
+            allowed = (
+                "a password or an authority, where others than this machine can come in"
+            )
             raise ConfigError("--host", self.host, allowed, do)
         if (self.certificate is None) != (self.key is None):
-            raise ConfigError("--certificate", "without --key, or --key without it", "both, or none")
+            raise ConfigError(
+                "--certificate", "without --key, or --key without it", "both, or none"
+            )
         if self.authority is not None and self.certificate is None:
-            raise ConfigError("--authority", "no --certificate and no --key", "https, in which browsers show theirs")
+            raise ConfigError(
+                "--authority",
+                "no --certificate and no --key",
+                "https, in which browsers show theirs",
+            )
         self._check_files()
 
     def _check_files(self) -> None:
         """Raises ConfigError for files that nobody can be served with."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         if self.certificate is not None:
-            with _readable("--certificate", f"{self.certificate}, {self.key}", "a PEM certificate and its own key"):
-                context.load_cert_chain(self.certificate, self.key, lambda: "")  # never ask for a key's password
+            with _readable(
+                "--certificate",
+                f"{self.certificate}, {self.key}",
+                "a PEM certificate and its own key",
+            ):
+                context.load_cert_chain(
+                    self.certificate, self.key, lambda: ""
+                )  # never ask for a key's password
         if self.authority is not None:
-            with _readable("--authority", str(self.authority), "a PEM file of certificates"):
+            with _readable(
+                "--authority", str(self.authority), "a PEM file of certificates"
+            ):
                 context.load_verify_locations(self.authority)
 
     @property
     def loopback(self) -> bool:
         """Whether only this machine can come in."""
         try:
-            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+            return (
+                self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+            )
         except ValueError:
             return False
 
@@ -130,8 +150,17 @@ class Served:
                 return socket.create_server((self.host, port), family=family)
             except OSError as error:
                 problem = error.strerror or str(error)
-        where = f"{self.host}:{self.port}" if self.port is not None else f"{self.host}:{PORT} to {PORT + PORTS - 1}"
-        raise ConfigError("--port", where, "an address of this machine and a free port", problem=problem)
+        where = (
+            f"{self.host}:{self.port}"
+            if self.port is not None
+            else f"{self.host}:{PORT} to {PORT + PORTS - 1}"
+        )
+        raise ConfigError(
+            "--port",
+            where,
+            "an address of this machine and a free port",
+            problem=problem,
+        )
 
 
 @contextlib.contextmanager
@@ -140,34 +169,68 @@ def _readable(option: str, found: str, allowed: str) -> Iterator[None]:
         yield
     except ssl.SSLError as error:
         reason = (error.reason or str(error)).replace("_", " ").lower()
-        raise ConfigError(option, found, allowed, problem=f"OpenSSL says {reason}") from error
+        raise ConfigError(
+            option, found, allowed, problem=f"OpenSSL says {reason}"
+        ) from error
     except OSError as error:
-        raise ConfigError(option, found, allowed, problem=str(error.strerror)) from error
+        raise ConfigError(
+            option, found, allowed, problem=str(error.strerror)
+        ) from error
 
 
 async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> None:
     """The page of a swarm, until a signal ends it."""
-    bus, clock, config = place.link.bus, place.clock, place.config
+    bus = place.link.bus
+    clock = place.clock
+    config = place.config
     watch = Watch(clock)
-    model, desk = SwarmModel(bus, place.address, config, watch), Desk(place, watch)
-    overview, board = Overview(desk), TaskBoard(desk, model)
+    model = SwarmModel(bus, place.address, config, watch)
+    desk = Desk(place, watch)
+    overview = Overview(desk)
+    board = TaskBoard(desk, model)
     stream = Stream(model, desk, watch, overview, board)
     listening = served.bound()
     port = listening.getsockname()[1]
     app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
-    gate = Gate(app, clock, served.hosts(port), served.password, tls=served.scheme == "https")
-    server = uvicorn.Server(uvicorn.Config(
-        gate, http=Guest, log_level="warning", lifespan="on", ws_max_size=MOST_BODY, ws_per_message_deflate=False,
-        ws_max_queue=8, timeout_graceful_shutdown=GRACE, server_header=False, proxy_headers=False,
-        limit_concurrency=MOST_CONNECTIONS, ssl_certfile=served.certificate, ssl_keyfile=served.key,
-        ssl_ca_certs=served.authority,
-        ssl_cert_reqs=ssl.CERT_NONE if served.authority is None else ssl.CERT_REQUIRED,
-    ))  # fmt: skip
+    gate = Gate(
+        app, clock, served.hosts(port), served.password, tls=served.scheme == "https"
+    )
+    server = uvicorn.Server(
+        uvicorn.Config(
+            gate,
+            http=Guest,
+            log_level="warning",
+            lifespan="on",
+            ws_max_size=MOST_BODY,
+            ws_per_message_deflate=False,
+            ws_max_queue=8,
+            timeout_graceful_shutdown=GRACE,
+            server_header=False,
+            proxy_headers=False,
+            limit_concurrency=MOST_CONNECTIONS,
+            ssl_certfile=served.certificate,
+            ssl_keyfile=served.key,
+            ssl_ca_certs=served.authority,
+            ssl_cert_reqs=ssl.CERT_NONE
+            if served.authority is None
+            else ssl.CERT_REQUIRED,
+        )
+    )
     if served.port is None and port != PORT:
-        say(f"port {PORT} is taken, as by the page of another swarm: this one is at {port}")
-    say(f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on")
-    console = [Console(place.commander, config.ids)] if not place.replays and is_console(config, bus.host) else []
-    streaming = asyncio.create_task(Supervisor(clock, "page").run([stream, overview, board, *console]))
+        say(
+            f"port {PORT} is taken, as by the page of another swarm: this one is at {port}"
+        )
+    say(
+        f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on"
+    )
+    console = (
+        [Console(place.commander, config.ids)]
+        if not place.replays and is_console(config, bus.host)
+        else []
+    )
+    streaming = asyncio.create_task(
+        Supervisor(clock, "page").run([stream, overview, board, *console])
+    )
     try:
         await server.serve(sockets=[listening])
     finally:
@@ -209,7 +272,11 @@ class _Line:
 def _ending() -> Iterator[None]:
     try:
         yield
-    except (WebSocketDisconnect, RuntimeError, KeyError) as error:  # after the end; a KeyError: of bytes for a text
+    except (
+        WebSocketDisconnect,
+        RuntimeError,
+        KeyError,
+    ) as error:  # after the end; a KeyError: of bytes for a text
         raise ConnectionError(str(error)) from error
 
 
@@ -224,6 +291,13 @@ def _app(stream: Stream, operator: Callable[[], Operator], page: Page) -> FastAP
     app.mount("/own", StaticFiles(directory=STATIC))
     app.mount("/three", StaticFiles(directory=THREE))
     ui.page("/", title=f"{page.swarm} · crazychoir")(page.build)
-    ui.run_with(app, binding_refresh_interval=None, show_welcome_message=False, dark=None, reconnect_timeout=5.0,
-                tailwind=False, cache_control_directives="no-cache")  # fmt: skip
+    ui.run_with(
+        app,
+        binding_refresh_interval=None,
+        show_welcome_message=False,
+        dark=None,
+        reconnect_timeout=5.0,
+        tailwind=False,
+        cache_control_directives="no-cache",
+    )
     return app

@@ -69,7 +69,10 @@ class _Pace:
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self._all, self._taken = deque[float](maxlen=FLOOD), deque[float](maxlen=MOST_ASKED)
+        self._all, self._taken = (
+            deque[float](maxlen=FLOOD),
+            deque[float](maxlen=MOST_ASKED),
+        )
         self._told = -math.inf
 
     def takes(self) -> bool:
@@ -99,38 +102,56 @@ class Stream(Actor):
 
     name = "stream"
 
-    def __init__(self, model: SwarmModel, desk: Desk, watch: Watch, overview: Overview, board: TaskBoard) -> None:
-        self.overview, self.board = overview, board
-        self.model, self.desk, self.watch, self.clock = model, desk, watch, model.bus.clock
+    def __init__(
+        self,
+        model: SwarmModel,
+        desk: Desk,
+        watch: Watch,
+        overview: Overview,
+        board: TaskBoard,
+    ) -> None:
+        self.overview = overview
+        self.board = board
+        self.model = model
+        self.desk = desk
+        self.watch = watch
+        self.clock = model.bus.clock
         self.pages = 0
-        self.frame, self.table = b"", b""
+        self.frame = b""
+        self.table = b""
         self.tables = 0  # how many there were
         self._tick: asyncio.Future[None] = self.clock.future()
 
     async def run(self) -> None:
         """Make each frame once for all pages."""
-        every, count = round(RATE / TABLES), 0
+        every = round(RATE / TABLES)
+        count = 0
         async for _ in self.clock.ticks(RATE):
             self.overview.watched = self.board.watched = self.pages > 0
             if not self.pages:
                 continue
             self.frame = self.model.frame()
             if count % every == 0:
-                self.table, self.tables = json_bytes(self.news()), self.tables + 1
+                self.table = json_bytes(self.news())
+                self.tables = self.tables + 1
             count += 1
             self.wake()
 
     def wake(self) -> None:
         """Let every page look for something new."""
-        tick, self._tick = self._tick, self.clock.future()
+        tick = self._tick
+        self._tick = self.clock.future()
         tick.set_result(None)
 
     def news(self) -> dict[str, Any]:
         """What changes slowly."""
         return {
-            "ended": self.desk.ended(), "drones": self.model.table(), "costs": self.model.costs(),
-            "tasks": self.board.tasks, **self.overview.news(),
-        }  # fmt: skip
+            "ended": self.desk.ended(),
+            "drones": self.model.table(),
+            "costs": self.model.costs(),
+            "tasks": self.board.tasks,
+            **self.overview.news(),
+        }
 
     async def serve(self, socket: Socket, answering: Answering) -> None:
         """One page, until it is gone."""
@@ -154,17 +175,24 @@ class Stream(Actor):
 
     async def _tell(self, socket: Socket) -> None:
         await socket.send_text(_text({"about": self.model.about()}))
-        told, line, version, frame = 0, 0, 0, b""
+        told = 0
+        line = 0
+        version = 0
+        frame = b""
         while True:
             await asyncio.shield(self._tick)
             if self.frame is not frame:
                 frame = self.frame
                 await socket.send_bytes(frame)
             if self.desk.version > version:
-                receipts, version = self.desk.after(version), self.desk.version
-                await socket.send_text(_text({"receipts": [asdict(receipt) for receipt in receipts]}))
+                receipts = self.desk.after(version)
+                version = self.desk.version
+                await socket.send_text(
+                    _text({"receipts": [asdict(receipt) for receipt in receipts]})
+                )
             if self.watch.count > line:
-                lines, line = self.watch.after(line), self.watch.count
+                lines = self.watch.after(line)
+                line = self.watch.count
                 await socket.send_text(_text({"log": [asdict(one) for one in lines]}))
             if self.tables != told:
                 told = self.tables
@@ -186,7 +214,9 @@ class Stream(Actor):
                 if reply is not None:
                     group.create_task(self._reply(socket, reply))
 
-    def _asked(self, text: str, answering: Answering, pace: _Pace) -> Work | dict[str, Any] | None:
+    def _asked(
+        self, text: str, answering: Answering, pace: _Pace
+    ) -> Work | dict[str, Any] | None:
         """What the page is told, at once or when the work is done."""
         message = _message(text)
         if not isinstance(message, Stop) and not pace.takes():

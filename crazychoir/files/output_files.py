@@ -15,7 +15,9 @@ PROBE = b"\0" * 4096
 """Written into a new place and taken away again: a full disk makes files, but does not fill them."""
 
 
-def require_writable_file(path: str | Path, option: str, endings: Sequence[str] = (), parents: bool = False) -> None:
+def require_writable_file(
+    path: str | Path, option: str, endings: Sequence[str] = (), parents: bool = False
+) -> None:
     """Raise ConfigError, before anything is computed, for a file that could not be written.
 
     option: what errors call it;  endings: those that its name may have, in any case, all if there are none.
@@ -23,9 +25,16 @@ def require_writable_file(path: str | Path, option: str, endings: Sequence[str] 
     """
     path = Path(path)
     if endings and path.suffix.lower() not in endings:
-        raise ConfigError(option, str(path), f"a name that ends in {', '.join(endings)}")
+        raise ConfigError(
+            option, str(path), f"a name that ends in {', '.join(endings)}"
+        )
     if os.path.isdir(path):
-        raise ConfigError(option, f"{path}, a folder", "the name of a file", f"Add a name to it: {path / 'NAME'}.")
+        raise ConfigError(
+            option,
+            f"{path}, a folder",
+            "the name of a file",
+            f"Add a name to it: {path / 'NAME'}.",
+        )
     try:
         _make_folder(path.parent, parents)
         place = Path(os.path.realpath(path))
@@ -34,7 +43,12 @@ def require_writable_file(path: str | Path, option: str, endings: Sequence[str] 
         else:
             _probe(place)
     except (OSError, ValueError) as error:
-        raise _cannot(option, path, error, "a name in a folder that is there or can be made in one") from error
+        raise _cannot(
+            option,
+            path,
+            error,
+            "a name in a folder that is there or can be made in one",
+        ) from error
 
 
 def require_writable_folder(path: str | Path, option: str) -> None:
@@ -44,7 +58,12 @@ def require_writable_folder(path: str | Path, option: str) -> None:
         _make_folder(path, parents=True)
         _probe(path / "probe")
     except (OSError, ValueError) as error:
-        raise _cannot(option, path, error, "a folder that is there or can be made, and written into") from error
+        raise _cannot(
+            option,
+            path,
+            error,
+            "a folder that is there or can be made, and written into",
+        ) from error
 
 
 def require_different(paths: Mapping[str, Path | None]) -> None:
@@ -55,7 +74,12 @@ def require_different(paths: Mapping[str, Path | None]) -> None:
             continue
         place = Path(os.path.realpath(path))
         if place in seen:
-            raise ConfigError(option, str(path), f"another file than that of {seen[place]}", "Name two files.")
+            raise ConfigError(
+                option,
+                str(path),
+                f"another file than that of {seen[place]}",
+                "Name two files.",
+            )
         seen[place] = option
 
 
@@ -70,7 +94,9 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
     path = Path(path)
     place = Path(os.path.realpath(path))
     beside = place.with_name(f".{os.getpid()}.{path.stem[:64]}.new{path.suffix}")
-    direct = place.exists() and (not place.is_file() or not os.access(place.parent, os.W_OK))
+    direct = place.exists() and (
+        not place.is_file() or not os.access(place.parent, os.W_OK)
+    )
     try:
         if place.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(place))
@@ -119,5 +145,7 @@ def _probe(path: Path) -> None:
 def _cannot(option: str, path: Path, error: Exception, allowed: str) -> ConfigError:
     why = getattr(error, "strerror", None) or str(error)
     named = getattr(error, "filename", None)
-    there = f"{named}: " if isinstance(named, str) and Path(named) == path.parent else ""
+    there = (
+        f"{named}: " if isinstance(named, str) and Path(named) == path.parent else ""
+    )
     return ConfigError(option, str(path), allowed, f"{there}{why}.")

@@ -23,7 +23,9 @@ def readable(text: str, other: str = "backslashreplace") -> str:
     if text.isascii():
         return text
     try:
-        return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+        return text.encode("utf-8", "surrogateescape").decode(
+            "utf-8", "backslashreplace"
+        )
     except UnicodeEncodeError:  # a surrogate that stands for no byte
         return text.encode("utf-8", other).decode()
 
@@ -33,24 +35,33 @@ def readable_texts(value: Any, other: str = "backslashreplace") -> Any:
     if isinstance(value, str):
         return readable(value, other)
     if isinstance(value, Mapping):
-        return {readable_texts(key, other): readable_texts(item, other) for key, item in value.items()}
+        return {
+            readable_texts(key, other): readable_texts(item, other)
+            for key, item in value.items()
+        }
     if isinstance(value, list):
         return [readable_texts(item, other) for item in value]
     if isinstance(value, tuple):
         return tuple(readable_texts(item, other) for item in value)
     if isinstance(value, msgspec.Struct):
-        return msgspec.structs.replace(value, **readable_texts(msgspec.structs.asdict(value), other))
+        return msgspec.structs.replace(
+            value, **readable_texts(msgspec.structs.asdict(value), other)
+        )
     return value
 
 
 def json_bytes(
-    value: Any, order: Literal["sorted"] | None = None, enc_hook: Callable[[Any], Any] | None = None
+    value: Any,
+    order: Literal["sorted"] | None = None,
+    enc_hook: Callable[[Any], Any] | None = None,
 ) -> bytes:
     """Return the value as JSON, with `readable` texts."""
     try:
         return msgspec.json.encode(value, order=order, enc_hook=enc_hook)
     except UnicodeEncodeError:
-        return msgspec.json.encode(readable_texts(value), order=order, enc_hook=enc_hook)
+        return msgspec.json.encode(
+            readable_texts(value), order=order, enc_hook=enc_hook
+        )
 
 
 def as_path(name: str) -> str:

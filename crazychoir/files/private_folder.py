@@ -7,11 +7,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
-from crazychoir.files.user_folders import RUNTIME_VARIABLE, make_private, owner_fault, private_folder, write_fault
+from crazychoir.files.user_folders import (
+    RUNTIME_VARIABLE,
+    make_private,
+    owner_fault,
+    private_folder,
+    write_fault,
+)
 
 ALLOWED = "a folder of this user alone"
 REMOVE_IT = (
-    f"Remove it, if need be as root; or set {RUNTIME_VARIABLE} to a folder of yours, alike in every shell and service."
+    f"Remove it, if need be as root; or set {RUNTIME_VARIABLE} to a folder of yours, "
+    "alike in every shell and service."
 )
 """What to do where another user, by mistake or on purpose, has taken the place."""
 
@@ -60,4 +67,6 @@ def scratch_folder(prefix: str) -> Iterator[Path]:
 
 def _no_scratch(found: str) -> ConfigError:
     do = "Free some room, or set TMPDIR to another folder."
-    return ConfigError("temporary folder", found, "a folder that can be written and has room", do)
+    return ConfigError(
+        "temporary folder", found, "a folder that can be written and has room", do
+    )

@@ -17,7 +17,12 @@ AS_UTF_8 = "Save it as UTF-8: with an editor, or by `iconv -f ENCODING -t UTF-8 
 
 
 def read_text(
-    path: str | Path, allowed: str, *, kind: type[ConfigError] = ConfigError, do: str = "", exact: bool = False
+    path: str | Path,
+    allowed: str,
+    *,
+    kind: type[ConfigError] = ConfigError,
+    do: str = "",
+    exact: bool = False,
 ) -> str:
     """Return the text of a file in UTF-8; a byte-order mark is left out, and every line ends in a line feed.
 
@@ -34,13 +39,23 @@ def read_text(
 
 
 def decode_text(
-    data: bytes, where: str, allowed: str, *, kind: type[ConfigError] = ConfigError, exact: bool = False
+    data: bytes,
+    where: str,
+    allowed: str,
+    *,
+    kind: type[ConfigError] = ConfigError,
+    exact: bool = False,
 ) -> str:
     """Return the bytes of a file as text; `where` is what errors call it. The rest is as in `read_text`."""
     for mark, encoding in WIDE_MARKS:
         if data.startswith(mark):
             found = f"a text in {encoding}, by its first bytes {mark.hex(' ')}"
-            raise kind(where, found, f"{allowed}, in UTF-8", AS_UTF_8.replace("ENCODING", encoding))
+            raise kind(
+                where,
+                found,
+                f"{allowed}, in UTF-8",
+                AS_UTF_8.replace("ENCODING", encoding),
+            )
     zero = data.find(b"\0")
     if zero >= 0:
         found = f"a zero byte at {_place(data, zero)}: UTF-16 without a byte-order mark, or no text"
@@ -57,7 +72,12 @@ def decode_text(
 
 def _place(data: bytes, position: int) -> str:
     """The line and the column of a byte, both from 1; columns count characters."""
-    before = data[:position].removeprefix(UTF_8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    before = (
+        data[:position]
+        .removeprefix(UTF_8)
+        .replace(b"\r\n", b"\n")
+        .replace(b"\r", b"\n")
+    )
     line = before.count(b"\n") + 1
     column = len(before[before.rfind(b"\n") + 1 :].decode(errors="replace")) + 1
     return f"line {line}, column {column} (byte {position})"

@@ -152,7 +152,10 @@ def prepare_matplotlib() -> None:
     own = home()
     configuration = os.environ.get("XDG_CONFIG_HOME") or (own and own / ".config")
     cache = os.environ.get("XDG_CACHE_HOME") or (own and own / ".cache")
-    if all(place and _may_write(Path(place) / "matplotlib") for place in (configuration, cache)):
+    if all(
+        place and _may_write(Path(place) / "matplotlib")
+        for place in (configuration, cache)
+    ):
         return
     folder = private_folder()
     try:

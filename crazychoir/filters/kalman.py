@@ -7,25 +7,57 @@ import numpy as np
 from crazychoir.filters.motion import RATE_LAG, STANDING, Commanded, fly, stands
 from crazychoir.filters.velocity import ROUNDING, SOONEST, lateness, readable
 from crazychoir.numerics.kernels import kernel, memory, real, table, vector
-from crazychoir.numerics.math3d import Triple, clip, conjugate, exponential, finite, logarithm, product, unit
+from crazychoir.numerics.math3d import (
+    Triple,
+    clip,
+    conjugate,
+    exponential,
+    finite,
+    logarithm,
+    product,
+    unit,
+)
 from crazychoir.types import Mat, Pose, State, Vec
 
 GATE = 25.0  # chi-square of 3 degrees of freedom: beyond it is one good pose of 65 000
-SLACK_P, SLACK_ANGLE = 0.002, 0.035  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone
+SLACK_P, SLACK_ANGLE = (
+    0.002,
+    0.035,
+)  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone
 DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
-UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = 1.0, 5.0, 3.0  # m/s, m/s2, rad/s: standard deviations at a start
+UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = (
+    1.0,
+    5.0,
+    3.0,
+)  # m/s, m/s2, rad/s: standard deviations at a start
 SHAKY_V, DOUBTFUL_D = 0.01, 0.5  # m/s, m/s2: the same of who stands on the floor
 FADE = 0.5  # s, in which d fades where nothing is measured
 HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
 LATE = 0.02  # s, a lag in place of the delays of command and measurement, behind a rate loop that is known
-FINE, FORGOTTEN = 0.0025, 0.5  # s: of the integration of that loop at most; without a command it is at rest by then
+FINE, FORGOTTEN = (
+    0.0025,
+    0.5,
+)  # s: of the integration of that loop at most; without a command it is at rest by then
 
 # The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
 # the last call, the row of the newest command; r, r' and the integral of e of the rate loop, (3,) each.
 D, P, A, CALLED, NEWEST, RATE, TURN, SUM, MEMORY = 13, 16, 22, 25, 26, 27, 30, 33, 36
 # The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, the lag of the
 # rates behind what is recorded, whether their loop is known, its rows (15,), Platform.flat.
-R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFORM = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 25
+R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFORM = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+    25,
+)
 
 
 @kernel()
@@ -38,16 +70,27 @@ def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
         return (mem[RATE], mem[RATE + 1], mem[RATE + 2])
     if not h < FORGOTTEN:
         for c in range(3):
-            mem[RATE + c], mem[TURN + c], mem[SUM + c] = u[1 + c], 0.0, 0.0
+            mem[RATE + c] = u[1 + c]
+            mem[TURN + c] = 0.0
+            mem[SUM + c] = 0.0
         return (u[1], u[2], u[3])
     steps = math.ceil(h / FINE)
-    step, mean = h / steps, (0.0, 0.0, 0.0)
+    step = h / steps
+    mean = (0.0, 0.0, 0.0)
     for _ in range(steps):
         for c in range(3):
-            lag, kp, ki, kd, most = loop[5 * c], loop[5 * c + 1], loop[5 * c + 2], loop[5 * c + 3], loop[5 * c + 4]
+            lag = loop[5 * c]
+            kp = loop[5 * c + 1]
+            ki = loop[5 * c + 2]
+            kd = loop[5 * c + 3]
+            most = loop[5 * c + 4]
             error = u[1 + c] - mem[RATE + c]
             mem[SUM + c] = mem[SUM + c] + step * error if u[0] > 0.0 else 0.0
-            wanted = clip(kp * error + ki * mem[SUM + c] - kd * mem[TURN + c], -most, most) if u[0] > 0.0 else 0.0
+            wanted = (
+                clip(kp * error + ki * mem[SUM + c] - kd * mem[TURN + c], -most, most)
+                if u[0] > 0.0
+                else 0.0
+            )
             mem[TURN + c] = (lag * mem[TURN + c] + step * wanted) / (lag + step)
             mem[RATE + c] += step * mem[TURN + c]
         r = (mem[RATE], mem[RATE + 1], mem[RATE + 2])
@@ -86,17 +129,29 @@ def _move(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
     for c in range(3):
         x[c] += h * (x[3 + c] + 0.5 * h * d[c])
         x[3 + c] += h * d[c]
-    x[6], x[7], x[8], x[9] = product((x[6], x[7], x[8], x[9]), exponential(h * x[10], h * x[11], h * x[12]))
+    x[6], x[7], x[8], x[9] = product(
+        (x[6], x[7], x[8], x[9]), exponential(h * x[10], h * x[11], h * x[12])
+    )
     return False
 
 
 @kernel()
-def _advance(x: Vec, d: Triple, mem: Vec, history: Mat, figures: Vec, t: float, end: float, fade: float) -> Triple:
+def _advance(
+    x: Vec,
+    d: Triple,
+    mem: Vec,
+    history: Mat,
+    figures: Vec,
+    t: float,
+    end: float,
+    fade: float,
+) -> Triple:
     """Move x from the instant t to `end` under what was commanded meanwhile; returns d then.
 
     d fades with the rate `fade`, 1/s; each part of the way takes its mean.
     """
-    newest, rows = int(mem[NEWEST]), history.shape[0]
+    newest = int(mem[NEWEST])
+    rows = history.shape[0]
     k = newest
     for _ in range(rows - 1):
         if history[k, 0] <= t:
@@ -109,20 +164,40 @@ def _advance(x: Vec, d: Triple, mem: Vec, history: Mat, figures: Vec, t: float, 
         if h > ROUNDING:
             keep = math.exp(-fade * h)
             mean = (1.0 - keep) / (fade * h) if fade > 0.0 else 1.0
-            stands = _move(x, (mean * d[0], mean * d[1], mean * d[2]), history[k, 1:5], figures, h)
+            stands = _move(
+                x, (mean * d[0], mean * d[1], mean * d[2]), history[k, 1:5], figures, h
+            )
             d = (0.0, 0.0, 0.0) if stands else (keep * d[0], keep * d[1], keep * d[2])
-        t, k = max(t, until), after
+        t = max(t, until)
+        k = after
     return d
 
 
 @kernel()
 def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
     """Both covariances h s later: (pp, pv, pd), (vv, vd, dd) and, of the attitude, (aa, aw, ww)."""
-    pp, pv, pd, vv, vd, dd = mem[P], mem[P + 1], mem[P + 2], mem[P + 3], mem[P + 4], mem[P + 5]
-    j, s, g = figures[JERK], figures[PUSH], figures[SWING]
-    h2, h3 = h * h, h * h * h
-    pp += 2.0 * h * pv + h2 * (vv + pd) + h3 * vd + 0.25 * h2 * h2 * dd + j * h2 * h3 / 20.0 + s * h3 / 3.0
-    pv += h * (vv + pd) + 1.5 * h2 * vd + 0.5 * h3 * dd + j * h2 * h2 / 8.0 + s * h2 / 2.0
+    pp = mem[P]
+    pv = mem[P + 1]
+    pd = mem[P + 2]
+    vv = mem[P + 3]
+    vd = mem[P + 4]
+    dd = mem[P + 5]
+    j = figures[JERK]
+    s = figures[PUSH]
+    g = figures[SWING]
+    h2 = h * h
+    h3 = h * h * h
+    pp += (
+        2.0 * h * pv
+        + h2 * (vv + pd)
+        + h3 * vd
+        + 0.25 * h2 * h2 * dd
+        + j * h2 * h3 / 20.0
+        + s * h3 / 3.0
+    )
+    pv += (
+        h * (vv + pd) + 1.5 * h2 * vd + 0.5 * h3 * dd + j * h2 * h2 / 8.0 + s * h2 / 2.0
+    )
     pd += h * vd + 0.5 * h2 * dd + j * h3 / 6.0
     vv += 2.0 * h * vd + h2 * dd + j * h3 / 3.0 + s * h
     vd += h * dd + j * h2 / 2.0
@@ -132,17 +207,23 @@ def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
 
 
 @kernel()
-def _joseph(p: float, p_1m: float, p_1n: float, k_m: float, k_n: float, s: float) -> float:
+def _joseph(
+    p: float, p_1m: float, p_1n: float, k_m: float, k_n: float, s: float
+) -> float:
     """Element (m, n) of (I - K H) P (I - K H)^T + K r K^T where H = (1, 0, ..): p is that of P, s = P_11 + r."""
     return p - k_m * p_1n - k_n * p_1m + k_m * k_n * s
 
 
 @kernel()
-def _correct_place(mem: Vec, x: Vec, d: Triple, e: Triple, first: Triple, second: Triple, r: float) -> None:
+def _correct_place(
+    mem: Vec, x: Vec, d: Triple, e: Triple, first: Triple, second: Triple, r: float
+) -> None:
     """Take in the innovation e of the position: x in place, d and the covariance into the memory."""
     (pp, pv, pd), (vv, vd, dd) = first, second
     s = pp + r
-    kp, kv, kd = pp / s, pv / s, pd / s
+    kp = pp / s
+    kv = pv / s
+    kd = pd / s
     for c in range(3):
         x[c] += kp * e[c]
         x[3 + c] += kv * e[c]
@@ -160,8 +241,12 @@ def _rest(mem: Vec, x: Vec, r: float) -> None:
     """It stands on the floor: no velocity, and a thrust of which nothing is known yet."""
     for c in range(3):
         x[3 + c] = mem[D + c] = 0.0
-    mem[P], mem[P + 1], mem[P + 2], mem[P + 3] = min(mem[P], r), 0.0, 0.0, SHAKY_V**2
-    mem[P + 4], mem[P + 5] = 0.0, DOUBTFUL_D**2
+    mem[P] = min(mem[P], r)
+    mem[P + 1] = 0.0
+    mem[P + 2] = 0.0
+    mem[P + 3] = SHAKY_V**2
+    mem[P + 4] = 0.0
+    mem[P + 5] = DOUBTFUL_D**2
 
 
 @kernel()
@@ -169,8 +254,11 @@ def _correct_attitude(mem: Vec, x: Vec, e: Triple, grown: Triple, r: float) -> N
     """Take in the innovation e of the attitude, rad, body: x in place, the covariance into the memory."""
     aa, aw, ww = grown
     s = aa + r
-    ka, kw = aa / s, aw / s
-    x[6], x[7], x[8], x[9] = unit(product((x[6], x[7], x[8], x[9]), exponential(ka * e[0], ka * e[1], ka * e[2])))
+    ka = aa / s
+    kw = aw / s
+    x[6], x[7], x[8], x[9] = unit(
+        product((x[6], x[7], x[8], x[9]), exponential(ka * e[0], ka * e[1], ka * e[2]))
+    )
     for c in range(3):
         x[10 + c] += kw * e[c]
     mem[A] = _joseph(aa, aa, aa, ka, ka, s)
@@ -192,7 +280,16 @@ def _speed(x: Vec) -> float:
 
 @kernel(vector, memory, table, vector, vector, real, real, real, real, memory)
 def _measure(
-    pose: Vec, mem: Vec, history: Mat, figures: Vec, u: Vec, last: float, h: float, t: float, now: float, out: Vec
+    pose: Vec,
+    mem: Vec,
+    history: Mat,
+    figures: Vec,
+    u: Vec,
+    last: float,
+    h: float,
+    t: float,
+    now: float,
+    out: Vec,
 ) -> float:
     """Take in a pose of the instant last + h; `last`: s, of the one before; out: (13,) the state t s after it.
 
@@ -202,7 +299,16 @@ def _measure(
     if not readable(pose):
         return -1.0
     out[:] = mem[0:D]
-    d = _advance(out, (mem[D], mem[D + 1], mem[D + 2]), mem, history, figures, last, last + h, 0.0)
+    d = _advance(
+        out,
+        (mem[D], mem[D + 1], mem[D + 2]),
+        mem,
+        history,
+        figures,
+        last,
+        last + h,
+        0.0,
+    )
     first, second, attitude = _grow(mem, figures, h)
     e = (pose[0] - out[0], pose[1] - out[1], pose[2] - out[2])
     q = unit((pose[3], pose[4], pose[5], pose[6]))
@@ -223,14 +329,32 @@ def _measure(
 
 @kernel(vector, memory, table, vector, vector, real, real, real, real, memory)
 def _go_on(
-    x: Vec, mem: Vec, history: Mat, figures: Vec, u: Vec, measured: float, t: float, end: float, now: float, out: Vec
+    x: Vec,
+    mem: Vec,
+    history: Mat,
+    figures: Vec,
+    u: Vec,
+    measured: float,
+    t: float,
+    end: float,
+    now: float,
+    out: Vec,
 ) -> float:
     """Carry x (13,) from the instant t to `end` into out; measured: s, the instant of the memory; returns the speed."""
     _record(mem, history, figures, u, now)
     out[:] = x
     fade = figures[FADING]
     left = math.exp(fade * (measured - t))
-    _advance(out, (left * mem[D], left * mem[D + 1], left * mem[D + 2]), mem, history, figures, t, end, fade)
+    _advance(
+        out,
+        (left * mem[D], left * mem[D + 1], left * mem[D + 2]),
+        mem,
+        history,
+        figures,
+        t,
+        end,
+        fade,
+    )
     return _speed(out)
 
 
@@ -289,7 +413,8 @@ class KalmanFilter:
         swing: float = 0.3,
         loop: Mat | None = None,
     ) -> None:
-        self.horizon, self.period = horizon, period
+        self.horizon = horizon
+        self.period = period
         self.cutoff = math.inf
         self.commanded: Vec = np.zeros(4)
         self.refused = 0
@@ -297,9 +422,16 @@ class KalmanFilter:
         self.measured = -math.inf
         known = None if motion is None or loop is None else loop.ravel()
         rates = (RATE_LAG, 0.0, *np.zeros(15)) if known is None else (LATE, 1.0, *known)
-        model = (0.0, 0.0, *rates, *np.zeros(9)) if motion is None else (1.0, motion.floor, *rates, *motion.platform)
-        self._figures = np.array([noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model])
-        self._memory, self._history = np.zeros(MEMORY), np.zeros((HISTORY, 5))
+        model = (
+            (0.0, 0.0, *rates, *np.zeros(9))
+            if motion is None
+            else (1.0, motion.floor, *rates, *motion.platform)
+        )
+        self._figures = np.array(
+            [noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model]
+        )
+        self._memory = np.zeros(MEMORY)
+        self._history = np.zeros((HISTORY, 5))
         self._memory[CALLED] = -math.inf
         self._history[:, 0] = -math.inf
         self._doubted = 0
@@ -307,7 +439,8 @@ class KalmanFilter:
 
     def update(self, pose: Pose, now: float) -> State | None:
         """The state at `now` with a new pose; None only before the first pose that counts."""
-        age, horizon = pose.age, self.horizon
+        age = pose.age
+        horizon = self.horizon
         last = self.measured
         h = now - age - last
         if h <= 1e-6:  # a repeated or an older pose says nothing new
@@ -316,15 +449,31 @@ class KalmanFilter:
             return self._begin(pose, now, h)
         if self.period > 0.0:  # their rate tells it better than a clock
             late = lateness(h, self.period)
-            age, h = age + late, h - late
+            age = age + late
+            h = h - late
             if h < SOONEST * self.period:
-                last, h = now - age - self.period, self.period
-        out, t = np.empty(13), age if age < horizon else horizon
-        speed = _measure(pose.flat, self._memory, self._history, self._figures, self.commanded, last, h, t, now, out)
+                last = now - age - self.period
+                h = self.period
+        out = np.empty(13)
+        t = age if age < horizon else horizon
+        speed = _measure(
+            pose.flat,
+            self._memory,
+            self._history,
+            self._figures,
+            self.commanded,
+            last,
+            h,
+            t,
+            now,
+            out,
+        )
         if speed < 0.0:
             return self._refuse(pose, now, doubtful=speed < -1.5)
         out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
-        self.speed, self.measured, self._doubted = speed, now - age, 0
+        self.speed = speed
+        self.measured = now - age
+        self._doubted = 0
         self._state = state = State(out, age)
         return state
 
@@ -333,12 +482,23 @@ class KalmanFilter:
         last = self._state
         if last is None:
             return None
-        measured, horizon = self.measured, self.horizon
+        measured = self.measured
+        horizon = self.horizon
         age = now - measured
-        t, end = measured + min(last.age, horizon), measured + min(age, horizon)
+        t = measured + min(last.age, horizon)
+        end = measured + min(age, horizon)
         out = np.empty(13)
         self.speed = _go_on(
-            last.flat, self._memory, self._history, self._figures, self.commanded, measured, t, end, now, out
+            last.flat,
+            self._memory,
+            self._history,
+            self._figures,
+            self.commanded,
+            measured,
+            t,
+            end,
+            now,
+            out,
         )
         out.setflags(False)  # type: ignore[call-arg]
         self._state = state = State(out, age)
@@ -348,7 +508,9 @@ class KalmanFilter:
         """Count a pose that is missing; or believe it after all, when too many in a row were doubtful."""
         self._doubted += doubtful
         if doubtful and self._doubted >= DOUBTS:
-            return self._start(pose, now, self._memory[3:6].copy(), self._memory[10:13].copy())
+            return self._start(
+                pose, now, self._memory[3:6].copy(), self._memory[10:13].copy()
+            )
         self.refused += 1
         return self.predict(now)
 
@@ -362,10 +524,16 @@ class KalmanFilter:
     def _start(self, pose: Pose, now: float, v: Vec, w: Vec) -> State | None:
         """Take this readable pose for the truth, and v (3,) m/s, w (3,) rad/s for a guess."""
         memory, (r_p, r_angle) = self._memory, self._figures[:2]
-        memory[0:3], memory[3:6], memory[6:10], memory[10:13] = pose.p, v, pose.q / np.linalg.norm(pose.q), w
+        memory[0:3], memory[3:6], memory[6:10], memory[10:13] = (
+            pose.p,
+            v,
+            pose.q / np.linalg.norm(pose.q),
+            w,
+        )
         memory[D:P] = 0.0
         memory[P:A] = r_p, 0.0, 0.0, UNKNOWN_V**2, 0.0, UNKNOWN_D**2
         memory[A:CALLED] = r_angle, 0.0, UNKNOWN_W**2
-        self.measured, self._doubted = now - pose.age, 0
+        self.measured = now - pose.age
+        self._doubted = 0
         self._state = State(memory[:D].copy())
         return self.predict(now)

@@ -6,7 +6,15 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, exponential, product, unit
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Triple,
+    columns,
+    dot,
+    exponential,
+    product,
+    unit,
+)
 from crazychoir.types import Vec
 
 STEP = 0.01  # s, of the integration at most
@@ -62,7 +70,9 @@ def _turn(x: Vec, u: Vec, lag: float, h: float) -> None:
     keep = math.exp(-h / lag)
     mean = lag * (1.0 - keep)
     turn = exponential(
-        h * u[1] + mean * (x[10] - u[1]), h * u[2] + mean * (x[11] - u[2]), h * u[3] + mean * (x[12] - u[3])
+        h * u[1] + mean * (x[10] - u[1]),
+        h * u[2] + mean * (x[11] - u[2]),
+        h * u[3] + mean * (x[12] - u[3]),
     )
     x[6], x[7], x[8], x[9] = unit(product((x[6], x[7], x[8], x[9]), turn))
     for c in range(3):
@@ -70,13 +80,17 @@ def _turn(x: Vec, u: Vec, lag: float, h: float) -> None:
 
 
 @kernel()
-def fly(x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t: float) -> bool:
+def fly(
+    x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t: float
+) -> bool:
     """Replace x (13,) by what the law of Commanded makes of it in t s; returns whether it stands on the floor then.
 
     lag: s, of the body rates;  push: m/s2, world, a constant acceleration that the law does not know.
     """
     steps = math.ceil(t / STEP)
-    lowest = min(x[2], floor)  # who is seen below the floor stays there: it is not where it was thought to be
+    lowest = min(
+        x[2], floor
+    )  # who is seen below the floor stays there: it is not where it was thought to be
     standing = False
     for _ in range(steps):
         h = t / steps
@@ -87,9 +101,15 @@ def fly(x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t
             continue
         bx, by, bz = columns((x[6], x[7], x[8], x[9]))
         v = (x[3], x[4], x[5])
-        drag = (platform[1] * dot(bx, v), platform[2] * dot(by, v), platform[3] * dot(bz, v) - u[0])
+        drag = (
+            platform[1] * dot(bx, v),
+            platform[2] * dot(by, v),
+            platform[3] * dot(bz, v) - u[0],
+        )
         for c in range(3):
-            a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (GRAVITY if c == 2 else 0.0)
+            a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (
+                GRAVITY if c == 2 else 0.0
+            )
             x[c] += h * (v[c] + 0.5 * h * (a + push[c]))
             x[3 + c] += h * (a + push[c])
         _turn(x, u, lag, 0.5 * h)
@@ -117,7 +137,8 @@ class Commanded:
     """
 
     def __init__(self, platform: Vec, floor: float) -> None:
-        self.platform, self.floor = platform, floor
+        self.platform = platform
+        self.floor = floor
 
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
         """A new state (13,)."""

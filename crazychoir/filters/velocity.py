@@ -79,9 +79,15 @@ class VelocityFilter:
     """
 
     def __init__(
-        self, cutoff: float = 50.0, horizon: float = 0.5, period: float = 0.0, motion: Motion | None = None
+        self,
+        cutoff: float = 50.0,
+        horizon: float = 0.5,
+        period: float = 0.0,
+        motion: Motion | None = None,
     ) -> None:
-        self.cutoff, self.horizon, self.period = cutoff, horizon, period
+        self.cutoff = cutoff
+        self.horizon = horizon
+        self.period = period
         self.motion = ConstantVelocity() if motion is None else motion
         self.commanded: Vec = np.zeros(4)
         self.refused = 0
@@ -100,14 +106,17 @@ class VelocityFilter:
             return self._start(pose, now)
         if self.period > 0.0:  # their rate tells it better than a clock
             late = lateness(h, self.period)
-            age, h = age + late, h - late
+            age = age + late
+            h = h - late
             if h < SOONEST * self.period:
                 h = self.period
-        out, t = np.empty(13), age if age < self.horizon else self.horizon
+        out = np.empty(13)
+        t = age if age < self.horizon else self.horizon
         speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:
             out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
-            self.speed, self.measured = speed, now - age
+            self.speed = speed
+            self.measured = now - age
             self._state = state = State(out, age)
             return state
         self.refused += 1

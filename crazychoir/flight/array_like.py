@@ -14,15 +14,30 @@ def as_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
     big-endian or not contiguous are converted; texts, complex numbers, missing values and other shapes are not.
     A masked entry becomes NaN.
     """
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape and value.flags.carray:
+    if (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and value.shape == shape
+        and value.flags.carray
+    ):
         return value
     try:
-        found = np.asarray(np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else value)
+        found = np.asarray(
+            np.ma.filled(value.astype(float), np.nan)
+            if isinstance(value, np.ma.MaskedArray)
+            else value
+        )
         if found.shape != shape:
             return None
-        if found.dtype.kind == "O" and not all(isinstance(one, numbers.Real) for one in found.flat):
+        if found.dtype.kind == "O" and not all(
+            isinstance(one, numbers.Real) for one in found.flat
+        ):
             return None
-        return np.array(found, dtype=np.float64, order="C") if found.dtype.kind in "biufO" else None
+        return (
+            np.array(found, dtype=np.float64, order="C")
+            if found.dtype.kind in "biufO"
+            else None
+        )
     except (TypeError, ValueError, OverflowError):
         return None
 

@@ -32,10 +32,16 @@ class Clearance:
     flights: of its pilot, which wait, or go on, for a drone that was pushed aside;  period: s, of a tick.
     """
 
-    def __init__(self, collision: CollisionFilter | PlannedFlights | None, flights: Flights, period: float) -> None:
+    def __init__(
+        self,
+        collision: CollisionFilter | PlannedFlights | None,
+        flights: Flights,
+        period: float,
+    ) -> None:
         self.filter = collision if isinstance(collision, CollisionFilter) else None
         self.planned = collision if isinstance(collision, PlannedFlights) else None
-        self.flights, self.period = flights, period
+        self.flights = flights
+        self.period = period
         self.traffic = None if collision is None else collision.traffic
         self.aside = False
         """Whether it was pushed off its plan, and is not back."""
@@ -44,10 +50,17 @@ class Clearance:
         self.gave_way = -math.inf
         """s, when it last gave way to another drone."""
         self._cut_off = math.inf  # since when
-        self._kept_up = -math.inf  # s, since when it has done so, or has chosen another place to land for it
+        self._kept_up = (
+            -math.inf
+        )  # s, since when it has done so, or has chosen another place to land for it
 
     def evasion(
-        self, state: State, reference: Acceleration | FullState, gains: Vec, now: float, lands: bool = False
+        self,
+        state: State,
+        reference: Acceleration | FullState,
+        gains: Vec,
+        now: float,
+        lands: bool = False,
     ) -> Vec | None:
         """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants.
 
@@ -88,13 +101,20 @@ class Clearance:
         if flights.resume(FullState.at(state.p, yaw=yaw_of(state.q)), now):
             return flights.sample(now) or planned
         if flights.wait(self.period):
-            return FullState.at(planned.p, yaw=planned.yaw)  # a plan that waits stands still
+            return FullState.at(
+                planned.p, yaw=planned.yaw
+            )  # a plan that waits stands still
         return planned
 
     def planned_flight(
-        self, planned: PlannedFlights, state: State, wanted: FullState, now: float, lands: bool = False,
+        self,
+        planned: PlannedFlights,
+        state: State,
+        wanted: FullState,
+        now: float,
+        lands: bool = False,
         must_land: bool = False,
-    ) -> FullState:  # fmt: skip
+    ) -> FullState:
         """The plan's reference, as far as the others have agreed to it; who must land asks nobody unheard."""
         if must_land and not planned.hears(state, now):
             return planned.lands(wanted, now)
@@ -110,9 +130,15 @@ class Clearance:
         return flown
 
     def agreed(
-        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False,
+        self,
+        state: State,
+        wanted: FullState,
+        future: Future,
+        whole: float,
+        now: float,
+        lands: bool = False,
         waits: bool = False,
-    ) -> FullState:  # fmt: skip
+    ) -> FullState:
         """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
         planned = self.planned
         if planned is None:
@@ -130,7 +156,9 @@ class Clearance:
         if self.planned is not None:
             self.planned.rest(now)
 
-    def begins_landing_anew(self, planned: PlannedFlights, wanted: FullState, now: float) -> bool:
+    def begins_landing_anew(
+        self, planned: PlannedFlights, wanted: FullState, now: float
+    ) -> bool:
         """Whether one that lands, and is not answered, rests elsewhere than where it was to come down."""
         rests = planned.unanswered and planned.delayed and planned.left(now) == 0.0
         return rests and not planned.comes_to(wanted.p)
@@ -140,7 +168,9 @@ class Clearance:
         planned = self.planned
         if planned is None or self.delayed_by is None or planned.left(now) > 0.0:
             return None
-        if now - self._kept_up < (STAYS if planned.obstacles.stands(self.delayed_by) else LEAVES):
+        if now - self._kept_up < (
+            STAYS if planned.obstacles.stands(self.delayed_by) else LEAVES
+        ):
             return None
         self._kept_up = now
         return planned.obstacles.beside(p, self.flights.fence)
@@ -149,7 +179,11 @@ class Clearance:
     def silent(self) -> str:
         """What keeps it from flying where it is wanted: somebody who does not answer; empty if nobody does."""
         mine = None if self.planned is None else self.planned.agreement
-        return "" if mine is None or mine.in_vain < SOON else f"drone {mine.lacking} does not answer"
+        return (
+            ""
+            if mine is None or mine.in_vain < SOON
+            else f"drone {mine.lacking} does not answer"
+        )
 
     @property
     def gives_up(self) -> bool:
@@ -159,4 +193,8 @@ class Clearance:
     @property
     def delayed_by(self) -> int | None:
         """Whose way it waits for, or turns aside from, of those that have told theirs."""
-        return None if self.planned is None or not self.planned.delayed else self.planned.gives_way_to
+        return (
+            None
+            if self.planned is None or not self.planned.delayed
+            else self.planned.gives_way_to
+        )

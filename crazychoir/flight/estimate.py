@@ -25,7 +25,11 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
 
     ground: m, height of the floor;  rate: Hz, of the poses.
     """
-    motion = Commanded(chosen.platform.flat, ground) if isinstance(chosen.sender, FPQRSender) else None
+    motion = (
+        Commanded(chosen.platform.flat, ground)
+        if isinstance(chosen.sender, FPQRSender)
+        else None
+    )
     if name == "kalman":
         loop = rates_on_board(chosen.platform) if chosen.plant == "motors" else None
         return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion, loop=loop)
@@ -38,10 +42,15 @@ def rates_on_board(platform: Platform) -> Mat:
     As the firmware is compiled: its parameters pid_rate may make it another. Left out: that it holds a heading rather
     than a yaw rate, and the limit of its integrals.
     """
-    firmware, rows = platform.firmware, []
-    for axis, (gain, _, _) in enumerate((firmware.rate_pid, firmware.rate_pid, firmware.yaw_rate_pid)):
+    firmware = platform.firmware
+    rows = []
+    for axis, (gain, _, _) in enumerate(
+        (firmware.rate_pid, firmware.rate_pid, firmware.yaw_rate_pid)
+    ):
         lag, damped, kp, ki = rate_loop(platform, axis)[1]
-        rows.append((lag, kp, ki, damped - 1.0, kp * MOST_TURN / (gain * math.degrees(1.0))))
+        rows.append(
+            (lag, kp, ki, damped - 1.0, kp * MOST_TURN / (gain * math.degrees(1.0)))
+        )
     return np.array(rows)
 
 
@@ -54,4 +63,6 @@ def believed(state: State, flown: FullState | None) -> Vec:
     if flown is None:
         return state.flat
     half = 0.5 * flown.yaw
-    return np.array([*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0])
+    return np.array(
+        [*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0]
+    )

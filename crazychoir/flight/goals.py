@@ -15,7 +15,9 @@ SLACK = 1e-6  # m by which a place may be outside the room: rounding
 PLACE = "three finite numbers, m"
 
 
-def require_goal(where: str, p: object, yaw: object, duration: object, guard: Guard, planar: bool) -> Vec:
+def require_goal(
+    where: str, p: object, yaw: object, duration: object, guard: Guard, planar: bool
+) -> Vec:
     """Return the place p as (3,) m, world; raise ConfigError for a goal that must not be flown to.
 
     where: what errors call it, such as "drone 0: go_to()".
@@ -47,19 +49,32 @@ def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> N
     is_outside = _leaves(path, guard, planar)
     if is_outside.any():
         k = int(np.argmax(is_outside))
-        raise _outside(f"{where}: set-point at {t[k]:.2f} s", path[k, 0:3].round(3).tolist(), guard)
+        raise _outside(
+            f"{where}: set-point at {t[k]:.2f} s", path[k, 0:3].round(3).tolist(), guard
+        )
 
 
 def require_trajectory(where: str, trajectory: object) -> None:
     """Raise ConfigError for what is no trajectory, or has no finite duration."""
-    missing = [name for name in ("duration", "sample", "done") if not hasattr(trajectory, name)]
+    missing = [
+        name for name in ("duration", "sample", "done") if not hasattr(trajectory, name)
+    ]
     do = "Make one of places: crazychoir.planning.minimum_snap.minimum_snap(places)."
     if missing:
-        raise ConfigError(where, type(trajectory).__name__, "a trajectory: duration, sample(t), done(t)", do)
+        raise ConfigError(
+            where,
+            type(trajectory).__name__,
+            "a trajectory: duration, sample(t), done(t)",
+            do,
+        )
     found = trajectory.duration  # type: ignore[attr-defined]
     duration = as_floats(found, ())
-    if duration is None or not (math.isfinite(float(duration)) and float(duration) > 0.0):
-        raise ConfigError(f"{where}: duration", described(found), "a positive number of seconds", do)
+    if duration is None or not (
+        math.isfinite(float(duration)) and float(duration) > 0.0
+    ):
+        raise ConfigError(
+            f"{where}: duration", described(found), "a positive number of seconds", do
+        )
     for t in (0.0, 0.5 * float(duration), float(duration)):
         require_setpoint(trajectory.sample(t), t)  # type: ignore[attr-defined]
 
@@ -71,7 +86,11 @@ def require_setpoint(found: object, t: float) -> FullState:
     """
     flat = as_floats(getattr(found, "flat", None), (14,))
     if flat is None or not isinstance(found, FullState):
-        raise ConfigError(f"trajectory: sample({t:.2f})", described(found), "a FullState of 14 numbers")
+        raise ConfigError(
+            f"trajectory: sample({t:.2f})",
+            described(found),
+            "a FullState of 14 numbers",
+        )
     return found if flat is found.flat else FullState(flat)
 
 
@@ -89,4 +108,10 @@ def _outside(where: str, place: Iterable[float], guard: Guard) -> ConfigError:
     high = [round(x, 4) for x in guard.room.high]
     allowed = f"{low} to {high} m, inside [fence] by the margins of the guard"
     do = "Choose a place further inside, or widen [fence]."
-    return ConfigError(where, str(place), allowed, do, "outside the fence, at its edge, or on the floor")
+    return ConfigError(
+        where,
+        str(place),
+        allowed,
+        do,
+        "outside the fence, at its edge, or on the floor",
+    )

@@ -22,7 +22,10 @@ class Homecoming:
 
     def __init__(self, p: Vec, home: Point, z: float) -> None:
         level = max(z, float(p[2]))
-        self.legs: list[Vec] = [np.array([p[0], p[1], level]), np.array([home[0], home[1], level])]
+        self.legs: list[Vec] = [
+            np.array([p[0], p[1], level]),
+            np.array([home[0], home[1], level]),
+        ]
         self.tries = 0
 
     def leg(self, p: Vec) -> Vec | None:
@@ -39,7 +42,9 @@ class Homecoming:
         return bool(self.legs)
 
 
-def level_above(p: Point, home: Point, others: Iterable[Point], rank: int, top: float) -> float:
+def level_above(
+    p: Point, home: Point, others: Iterable[Point], rank: int, top: float
+) -> float:
     """m, the height of a return that is above the others in the way; at most `top`.
 
         z = max(z of those within ASIDE of the way from p to home, own z) + CLEARANCE, + rank CLEARANCE
@@ -47,8 +52,13 @@ def level_above(p: Point, home: Point, others: Iterable[Point], rank: int, top: 
     others: (3,) m each, of which it knows;  rank: among those that return at the same time, who fly at levels of their
     own, as far as the room is high enough.
     """
-    a, b = np.asarray(p[:2], dtype=float), np.asarray(home[:2], dtype=float)
-    highest = [float(q[2]) for q in others if _beside(np.asarray(q[:2], dtype=float), a, b) < ASIDE]
+    a = np.asarray(p[:2], dtype=float)
+    b = np.asarray(home[:2], dtype=float)
+    highest = [
+        float(q[2])
+        for q in others
+        if _beside(np.asarray(q[:2], dtype=float), a, b) < ASIDE
+    ]
     if not highest and rank == 0:
         return min(float(p[2]), top)
     return min(max([float(p[2]), *highest]) + (bool(highest) + rank) * CLEARANCE, top)

@@ -158,34 +158,60 @@ class Pilot(Actor):
     name = "pilot"
 
     def __init__(
-        self, port: Port, link: Link, limits: Flight, fence: Fence, rate: float = 100.0,
-        chosen: Controls | None = None, state_filter: StateFilter | None = None, body: int | None = None,
-        collision: CollisionFilter | PlannedFlights | None = None, limit_area: Fence | None = None,
+        self,
+        port: Port,
+        link: Link,
+        limits: Flight,
+        fence: Fence,
+        rate: float = 100.0,
+        chosen: Controls | None = None,
+        state_filter: StateFilter | None = None,
+        body: int | None = None,
+        collision: CollisionFilter | PlannedFlights | None = None,
+        limit_area: Fence | None = None,
         reached: Reached = "no",
-    ) -> None:  # fmt: skip
-        self.port, self.link, self.limits = port, link, limits
+    ) -> None:
+        self.port = port
+        self.link = link
+        self.limits = limits
         self.controls = controls() if chosen is None else chosen
         self.parameters = Parameters(self.controls)
         platform = self.controls.platform
         a_max = braking(limits, platform, HEIGHT_SHARE * HEADROOM)
-        self._takes_off, self._planar = self.controls.takes_off, self.controls.planar
+        self._takes_off = self.controls.takes_off
+        self._planar = self.controls.planar
         ground = max(fence.low[2], limits.ground)
-        self.fence = fence.with_floor(ground if self._takes_off else ground - BELOW_GROUND)
+        self.fence = fence.with_floor(
+            ground if self._takes_off else ground - BELOW_GROUND
+        )
         self.flights = Flights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
-        table = TABLE if reached == "no" else REACHED if self.controls.sender.kind != "xyz" else PLANS_ON_BOARD
-        self.guard = Guard(self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area)
+        table = (
+            TABLE
+            if reached == "no"
+            else REACHED
+            if self.controls.sender.kind != "xyz"
+            else PLANS_ON_BOARD
+        )
+        self.guard = Guard(
+            self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area
+        )
         self._reached = reached != "no"
         self._gate = PoseGate() if reached == "seen" else None
-        self._down_at = math.inf  # s, when its firmware has landed it, to which it was handed over
+        self._down_at = (
+            math.inf
+        )  # s, when its firmware has landed it, to which it was handed over
         self._to_firmware: XYZ | None = None  # the command for that
         self._tell_owner_at = 0.0
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
-        self.clock, self._stages = port.bus.clock, port.bus.stages
+        self.clock = port.bus.clock
+        self._stages = port.bus.stages
         self.drone = port.address
         self.mode: Mode = GROUND
         self.state: State | None = None
-        self.note = self._evades = ""  # the latter: what the collision filter has said last
+        self.note = self._evades = (
+            ""  # the latter: what the collision filter has said last
+        )
         self.grave = False
         """Whether somebody should act upon the note: its motors were cut, or it lands for its safety."""
         self.brought_down = ""
@@ -209,20 +235,28 @@ class Pilot(Actor):
         """(3,) m, where it stood when it took off first."""
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
-        self.filter = filter_of("kalman", self.controls, limits.ground, rate) if state_filter is None else state_filter
+        self.filter = (
+            filter_of("kalman", self.controls, limits.ground, rate)
+            if state_filter is None
+            else state_filter
+        )
         self._reference: Reference | None = None
         self._reference_ns = 0
         seen = Call(self.clock, self._posed, f"drone {self.drone} pose")
         port.bus.subscribe(POSE, self.drone if body is None else body, self.drone, seen)
         self.period_ns = round(SECOND / rate)
-        self.restart = Restart(limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0)  # a drone in flight cannot wait
+        self.restart = Restart(
+            limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0
+        )  # a drone in flight cannot wait
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, what the last command asks of the drone
         self._flown: FullState | None = None  # in the last tick, if it was a FullState
         self._stops: Trajectory | None = None  # the plan that last brought it to rest
         self._lift_off = 0.0  # m, the height above which a drone that takes off flies
-        self._rises_at = 0.0  # s, when it last was not on the floor while it should be in the air
+        self._rises_at = (
+            0.0  # s, when it last was not on the floor while it should be in the air
+        )
         self._outside_at = math.inf  # s, since when its body is seen outside
         self._outside_seen = -math.inf  # s, when a pose was judged last
         self._up_at = math.inf  # s, when it was not seen on the floor
@@ -237,7 +271,10 @@ class Pilot(Actor):
         """Ticks in which it was held at the fence, for what guidance wanted is beyond it."""
         self._beyond = False  # whether it flies to the fence only, as the place that was wanted is beyond it
         self._takes_over = False
-        self._idle, self._level = self.controls.sender.idle, self.controls.sender.steady(platform.weight)
+        self._idle, self._level = (
+            self.controls.sender.idle,
+            self.controls.sender.steady(platform.weight),
+        )
         self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
@@ -249,7 +286,9 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
-        if pose is not None and not pose.age >= age:  # it was on its way; or its age is no number
+        if (
+            pose is not None and not pose.age >= age
+        ):  # it was on its way; or its age is no number
             pose = Pose(pose.flat, age)
         if pose is not None and self._gate is not None:
             pose = self._believed(pose, self._gate)
@@ -260,7 +299,8 @@ class Pilot(Actor):
     def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
         """The pose, unless it cannot be its."""
         now = self.clock.now()
-        believed, beyond = gate.believes(pose, now, self.airborne), self.guard.beyond(pose.p)
+        believed = gate.believes(pose, now, self.airborne)
+        beyond = self.guard.beyond(pose.p)
         if believed or not beyond > 0.0:
             self._outside_at = math.inf
         elif self._outside_at == math.inf or now - self._outside_seen > SEEN:
@@ -270,7 +310,10 @@ class Pilot(Actor):
             return pose
         if now - self._outside_at > OUTSIDE:
             self.guard.tell("gone", beyond)
-        self._say("jump", "the pose has jumped: another body, or a mistake of the cameras: not believed")
+        self._say(
+            "jump",
+            "the pose has jumped: another body, or a mistake of the cameras: not believed",
+        )
         return None
 
     def _fail(self, error: BaseException) -> None:
@@ -279,8 +322,14 @@ class Pilot(Actor):
         if run is None or isinstance(error, KeyboardInterrupt | SystemExit):
             raise error
         if not run.done():
-            bare = not isinstance(error, Exception) or isinstance(error, StopIteration)  # no future takes these
-            run.set_exception(RuntimeError(f"{type(error).__name__} in a tick: {error}") if bare else error)
+            bare = not isinstance(error, Exception) or isinstance(
+                error, StopIteration
+            )  # no future takes these
+            run.set_exception(
+                RuntimeError(f"{type(error).__name__} in a tick: {error}")
+                if bare
+                else error
+            )
         self._steady()
 
     def _steady(self) -> None:
@@ -290,7 +339,9 @@ class Pilot(Actor):
         try:
             self._send(self._level)
         except Exception as error:  # noqa: BLE001 - it may be the link that has failed
-            self._say("link", f"no command reaches the drone: {type(error).__name__}: {error}")
+            self._say(
+                "link", f"no command reaches the drone: {type(error).__name__}: {error}"
+            )
 
     def on_restart(self) -> None:
         """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
@@ -317,10 +368,18 @@ class Pilot(Actor):
         try:
             now_ns = self._ticked_ns = self.clock.now_ns()
             now = now_ns / SECOND
-            state = self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+            state = (
+                self.filter.predict(now)
+                if pose is None
+                else self.filter.update(pose, now)
+            )
             if state is not None:
                 known = self._models or state.age <= SEEN
-                flat = state.flat if known else believed(state, self.flights.sample(now) or self._flown)
+                flat = (
+                    state.flat
+                    if known
+                    else believed(state, self.flights.sample(now) or self._flown)
+                )
                 state = State(flat, state.age, self._a)
             self.state = state
         except BaseException as error:  # noqa: BLE001 - see _fail
@@ -343,7 +402,8 @@ class Pilot(Actor):
 
     def _act(self) -> None:
         """Send the command for the state of this tick, unless the tick has failed before."""
-        state, run = self.state, self._run
+        state = self.state
+        run = self._run
         if state is None or (run is not None and run.done()):
             return
         try:
@@ -373,7 +433,8 @@ class Pilot(Actor):
         """
         rule, why = self.unready()
         if height is not None and not math.isfinite(height):
-            rule, why = "rise", f"a take-off to {height} m: not flown"
+            rule = "rise"
+            why = f"a take-off to {height} m: not flown"
         if why:
             self._say(rule, why)
             return 0.0
@@ -385,7 +446,8 @@ class Pilot(Actor):
         goal = self.above(height)
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
         duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
-        self._flown, self._beyond = start, False
+        self._flown = start
+        self._beyond = False
         self._lift_off, self._rises_at = self.state.p[2] + LIFTED, self.clock.now()
         if self.started_at is None:
             self.started_at = start.p
@@ -396,19 +458,28 @@ class Pilot(Actor):
     def unready(self) -> tuple[str, str]:
         """The rule that keeps it from taking off now, and the words; both empty if none does."""
         if self.port.bus.stopped:
-            return "stop", "emergency stop in force: no take-off until `crazychoir stop --clear`"
+            return (
+                "stop",
+                "emergency stop in force: no take-off until `crazychoir stop --clear`",
+            )
         if why := self.cut_for or self.guard.latched:
             return "again", f"{why}: no take-off until its agent is started again"
         if problems := self.unfit():
             return "unfit", f"{'; '.join(problems)}: no take-off"
-        return ("held", f"{HELD}: no take-off until it is let go") if self.held else ("", "")
+        return (
+            ("held", f"{HELD}: no take-off until it is let go")
+            if self.held
+            else ("", "")
+        )
 
     def above(self, height: float | None) -> Vec:
         """(3,) m, where a take-off from here to a height m above the ground ends; here, for who does not take off."""
         assert self.state is not None  # noqa: S101 - callers have looked
         goal = self.state.p.copy()
         if self._takes_off:
-            goal[2] = self.limits.ground + (self.limits.takeoff_height if height is None else height)
+            goal[2] = self.limits.ground + (
+                self.limits.takeoff_height if height is None else height
+            )
             goal[2] = self.fence.nearest(goal)[2]
         return goal
 
@@ -419,8 +490,12 @@ class Pilot(Actor):
         return float(np.linalg.norm(away[0:2] if self._planar else away))
 
     def go_to(
-        self, p: Point, yaw: float | None = None, duration: float = 0.0, commanded: bool = False
-    ) -> float:  # fmt: skip
+        self,
+        p: Point,
+        yaw: float | None = None,
+        duration: float = 0.0,
+        commanded: bool = False,
+    ) -> float:
         """Fly to p (3,) m, world, inside the fence; returns the time it will take.
 
         0: it may not, as it is not in the air, is held, waits for its operator's start, or brakes because the safety
@@ -429,19 +504,30 @@ class Pilot(Actor):
         """
         if not self._may_fly(commanded):
             return 0.0
-        start, now = self._departure(), self.clock.now()
+        start = self._departure()
+        now = self.clock.now()
         wanted = np.asarray(p, dtype=float)
         goal = self.guard.room.nearest(wanted, inset=0.0)
         if self._planar:
-            wanted, goal = np.array([*wanted[0:2], start.p[2]]), np.array([*goal[0:2], start.p[2]])
-            seconds = self.flights.drive_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
+            wanted = np.array([*wanted[0:2], start.p[2]])
+            goal = np.array([*goal[0:2], start.p[2]])
+            seconds = self.flights.drive_to(
+                start, goal, start.yaw if yaw is None else yaw, duration, now
+            )
         else:
-            seconds = self.flights.go_to(start, goal, start.yaw if yaw is None else yaw, duration, now)
-        self._flown, self._reference, self._obeyed = start, None, NOMINAL
+            seconds = self.flights.go_to(
+                start, goal, start.yaw if yaw is None else yaw, duration, now
+            )
+        self._flown = start
+        self._reference = None
+        self._obeyed = NOMINAL
         self._change(Event.FLY)
         self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
         if self._beyond:
-            self._say("goal", f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}")
+            self._say(
+                "goal",
+                f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}",
+            )
         return seconds
 
     def fly(self, trajectory: Trajectory, commanded: bool = False) -> float:
@@ -452,12 +538,15 @@ class Pilot(Actor):
         if not self._may_fly(commanded):
             return 0.0
         self._flown = require_setpoint(trajectory.sample(0.0), 0.0)
-        self._reference, self._obeyed = None, NOMINAL
+        self._reference = None
+        self._obeyed = NOMINAL
         self._beyond = False
         self._change(Event.FLY)
         return self.flights.fly(trajectory, self.clock.now())
 
-    def require_goal(self, where: str, p: object, yaw: object = None, duration: object = 0.0) -> Vec:
+    def require_goal(
+        self, where: str, p: object, yaw: object = None, duration: object = 0.0
+    ) -> Vec:
         """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
         return require_goal(where, p, yaw, duration, self.guard, self._planar)
 
@@ -488,11 +577,18 @@ class Pilot(Actor):
             self._say("sender", why)
             return False
         if isinstance(wanted, Acceleration):
-            wanted = self.reference_limits.acceleration(wanted, state, self.filter.speed) or wanted
+            wanted = (
+                self.reference_limits.acceleration(wanted, state, self.filter.speed)
+                or wanted
+            )
         if isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
-            self._reference, self._reference_ns, self._beyond = wanted, self.clock.now_ns(), False
+            self._reference, self._reference_ns, self._beyond = (
+                wanted,
+                self.clock.now_ns(),
+                False,
+            )
             if self.mode is not FOLLOW:
                 self._change(Event.FLY)
         return True
@@ -516,13 +612,18 @@ class Pilot(Actor):
 
     def _fly_goto(self, wanted: Goto) -> None:
         """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
-        asked = (*np.asarray(wanted.p, dtype=float).tolist(), wanted.yaw, wanted.duration)
+        asked = (
+            *np.asarray(wanted.p, dtype=float).tolist(),
+            wanted.yaw,
+            wanted.duration,
+        )
         plan = self.flights.plan
         begun = self._reference is None and plan is self._goto_plan and plan is not None
         if begun and asked == self._goto:
             return
         if self.go_to(wanted.p, wanted.yaw, wanted.duration):
-            self._goto, self._goto_plan = asked, self.flights.plan
+            self._goto = asked
+            self._goto_plan = self.flights.plan
 
     def hover(self) -> None:
         """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is.
@@ -533,7 +634,9 @@ class Pilot(Actor):
             self._rest()
 
     def _rest(self) -> None:
-        stops = self.flights.plan is self._stops  # who says so in each step would begin anew, and never get there
+        stops = (
+            self.flights.plan is self._stops
+        )  # who says so in each step would begin anew, and never get there
         if self._reference is not None or (self.remaining() > 0.0 and not stops):
             self._brake()
         self._reference = None
@@ -544,7 +647,11 @@ class Pilot(Actor):
 
         Without a reason it is guidance that wants it: one that is held or returns goes on so, and 0 is returned.
         """
-        if self.mode in (*DOWN, LAND) or self.state is None or (not reason and (self.held or self.mode is RETURN)):
+        if (
+            self.mode in (*DOWN, LAND)
+            or self.state is None
+            or (not reason and (self.held or self.mode is RETURN))
+        ):
             return 0.0
         if reason:
             self._say("land", reason, grave)
@@ -553,9 +660,14 @@ class Pilot(Actor):
     def misjudged(self) -> str:
         """What is wrong with the thrust that one behind a radio has learnt to need in hover; empty if it is right."""
         factor = self.controls.trim.thrust
-        if not self._reached or self.controls.sender.kind not in THRUST or abs(factor - 1.0) <= MISJUDGED:
+        if (
+            not self._reached
+            or self.controls.sender.kind not in THRUST
+            or abs(factor - 1.0) <= MISJUDGED
+        ):
             return ""
-        low, high = 1.0 - MISJUDGED, 1.0 + MISJUDGED
+        low = 1.0 - MISJUDGED
+        high = 1.0 + MISJUDGED
         return (
             f"hovers with {factor:.2f} times the thrust that its platform and firmware are known for, {low:g} to "
             f"{high:g} are allowed: look at platform, thrust_map, propellers and battery"
@@ -585,13 +697,24 @@ class Pilot(Actor):
     def guidance_failed(self, reason: str) -> None:
         """Guidance is gone: hover, then land, whoever has commanded its flight; on the ground, stay there."""
         if not self.airborne:
-            self._say("guidance", f"guidance failed ({reason}): stays on the ground", grave=True)
+            self._say(
+                "guidance",
+                f"guidance failed ({reason}): stays on the ground",
+                grave=True,
+            )
             return
-        self._say("guidance", f"guidance failed ({reason}): hovering, then landing", grave=True)
-        self.unguided, self.commanded = reason, False
+        self._say(
+            "guidance",
+            f"guidance failed ({reason}): hovering, then landing",
+            grave=True,
+        )
+        self.unguided = reason
+        self.commanded = False
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
-        self.clock.call_at(due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone)
+        self.clock.call_at(
+            due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone
+        )
 
     def remaining(self) -> float:
         """s until the flight that is planned is over; 0 for a landing that may begin anew for ever."""
@@ -612,7 +735,11 @@ class Pilot(Actor):
     @property
     def steerable(self) -> bool:
         """Whether it flies where its operator wants: it is in the air, and guidance is there and waits for him."""
-        return self.mode in (HOVER, FOLLOW) and (self.held or self.awaits_start) and not self.unguided
+        return (
+            self.mode in (HOVER, FOLLOW)
+            and (self.held or self.awaits_start)
+            and not self.unguided
+        )
 
     # What its operator commands ---------------------------------------------------------------------------------
 
@@ -628,7 +755,8 @@ class Pilot(Actor):
         """Stay where it is, whatever guidance wants, or go on. One that lands cannot be held."""
         if self.refuses(Event.HOLD if on else Event.GO):
             return
-        self.held, self.commanded = on, False
+        self.held = on
+        self.commanded = False
         if on and self.airborne:
             self._rest()
         elif not on and self.mode is HOVER and self._way is not None:
@@ -638,9 +766,15 @@ class Pilot(Actor):
         """Rise to `level` m, fly to above where it took off, else home (3,) m, and land there."""
         if self.refuses(Event.HOME) or self.state is None:
             return
-        inside = self.guard.room.nearest(np.array([*self.state.p[:2], level]), inset=0.0)
-        self._way = Homecoming(inside, home if self.started_at is None else self.started_at, inside[2])
-        self.held, self.commanded, self._reference = False, False, None
+        inside = self.guard.room.nearest(
+            np.array([*self.state.p[:2], level]), inset=0.0
+        )
+        self._way = Homecoming(
+            inside, home if self.started_at is None else self.started_at, inside[2]
+        )
+        self.held = False
+        self.commanded = False
+        self._reference = None
         self._brake()
         self._change(Event.HOME)
 
@@ -649,11 +783,17 @@ class Pilot(Actor):
         way = self._way
         leg = None if way is None else way.leg(state.p)
         if leg is None:
-            self.land("does not get home: lands where it is" if way is not None and way.stuck else "home: landing")
+            self.land(
+                "does not get home: lands where it is"
+                if way is not None and way.stuck
+                else "home: landing"
+            )
             return
         start = self._departure()
         self._flown = start
-        self.flights.go_to(start, self.guard.room.nearest(leg, inset=0.0), start.yaw, 0.0, now)
+        self.flights.go_to(
+            start, self.guard.room.nearest(leg, inset=0.0), start.yaw, 0.0, now
+        )
 
     def _change(self, event: Event) -> None:
         self.mode = after(self.mode, event)
@@ -670,7 +810,9 @@ class Pilot(Actor):
         if self.unheard():
             self.guard.bear_unseen(state.age + TOUCHDOWN_LATE)
         if self._reference is not None:
-            verdict = self.guard.check(now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND)
+            verdict = self.guard.check(
+                now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND
+            )
         else:
             verdict = self.guard.check(now, state, state.age, None, mode in LOW)
         if verdict.action is not NOMINAL or self._obeyed is not NOMINAL:
@@ -680,13 +822,24 @@ class Pilot(Actor):
         if self.mode is TAKEOFF and self._reached:
             self.guard.tell("body", float(self._stays_down(state, now)))
         if self._reached and self._down_at == math.inf and (why := self.astray()):
-            falls = state.flat[2] < self._lift_off - LIFTED + FALLS or self.controls.sender.kind not in THRUST
+            falls = (
+                state.flat[2] < self._lift_off - LIFTED + FALLS
+                or self.controls.sender.kind not in THRUST
+            )
             self.guard.tell("astray", 2.0 if falls else LANDS_ASTRAY, why)
-        if self._reached and self.mode is LAND and (state.age > BLIND or self.guard.told("astray") == LANDS_ASTRAY):
+        if (
+            self._reached
+            and self.mode is LAND
+            and (state.age > BLIND or self.guard.told("astray") == LANDS_ASTRAY)
+        ):
             self._hand_over()
         if self._reached and self._fallen(state, now):
             silent = self.guard.told("link")
-            why = f"its radio is silent for {silent:.2f} s, and it is " if silent > SILENT else ""
+            why = (
+                f"its radio is silent for {silent:.2f} s, and it is "
+                if silent > SILENT
+                else ""
+            )
             self._give_up(f"{why}seen on the floor, where it should fly: landing")
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
@@ -710,12 +863,18 @@ class Pilot(Actor):
 
     def _stays_down(self, state: State, now: float) -> bool:
         """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
-        plan, flown, floor = self.flights.sample(now), self._flown, self._lift_off - LIFTED
-        kept_down = self.clearance.aside and flown is not None and flown.a[2] <= 0.0  # by others, in the last tick
+        plan = self.flights.sample(now)
+        flown = self._flown
+        floor = self._lift_off - LIFTED
+        kept_down = (
+            self.clearance.aside and flown is not None and flown.a[2] <= 0.0
+        )  # by others, in the last tick
         low = plan is None or plan.p[2] - floor <= RISING
         if low or kept_down or state.flat[2] >= self._lift_off or not self.turning():
             self._rises_at = now
-        return now - self._rises_at > (STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD)
+        return now - self._rises_at > (
+            STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD
+        )
 
     def _fallen(self, state: State, now: float) -> bool:
         """Whether it has come down by itself, and its motors push the floor."""
@@ -738,7 +897,11 @@ class Pilot(Actor):
     @property
     def unreached(self) -> bool:
         """Whether it may not obey, and flies nevertheless: its planner is on board, and its radio is silent."""
-        return self._reached and self.controls.sender.kind == "xyz" and self.guard.told("link") > UNREACHED
+        return (
+            self._reached
+            and self.controls.sender.kind == "xyz"
+            and self.guard.told("link") > UNREACHED
+        )
 
     def _land_unheard(self, state: State, now: float) -> Command | None:
         """Of one that may not hear: its landing begins anew where it is seen, as soon as that leaves it behind."""
@@ -765,27 +928,40 @@ class Pilot(Actor):
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         if not seen and (self.turning() or self.unheard()):
-            return not self.turning()  # its owner has seen it land, or does not come back
+            return (
+                not self.turning()
+            )  # its owner has seen it land, or does not come back
         late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
-        over = landing and self.flights.done(now, late) and now > self.clearance.gave_way + late
+        over = (
+            landing
+            and self.flights.done(now, late)
+            and now > self.clearance.gave_way + late
+        )
         planned = self.clearance.planned
-        over = over and not (planned is not None and planned.delayed)  # it waits until it may go down
+        over = over and not (
+            planned is not None and planned.delayed
+        )  # it waits until it may go down
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
-        chosen, flights = self.controls, self.flights
+        chosen = self.controls
+        flights = self.flights
         if self.mode is FOLLOW and self._obeyed is NOMINAL:
             reference = self._reference
             if isinstance(reference, Acceleration) and chosen.follower is not None:
-                self._flown, flights.plan = None, None
+                self._flown = None
+                flights.plan = None
                 if (safe := self._kept_clear(state, reference, now)) is not None:
                     return self._evade(state, safe, reference.yaw, now)
                 return self._commanded(chosen.follower, state, reference, now)
             if isinstance(reference, Velocity):
                 reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
             if isinstance(reference, FullState):
-                wanted, flights.plan = self.reference_limits.full_state(reference, state), None
-                self._flown = self.clearance.agreed(state, wanted, partial(ahead, reference), 0.0, now)
+                wanted = self.reference_limits.full_state(reference, state)
+                flights.plan = None
+                self._flown = self.clearance.agreed(
+                    state, wanted, partial(ahead, reference), 0.0, now
+                )
                 self._say_delayed()
                 if (safe := self._kept_clear(state, self._flown, now)) is not None:
                     return self._evade(state, safe, self._flown.yaw, now)
@@ -796,7 +972,11 @@ class Pilot(Actor):
         planned = flights.sample(now)
         assert planned is not None  # noqa: S101 - there is a plan
         self._flown = flown = self._flown_of(state, planned, now)
-        if self.mode in (TAKEOFF, FOLLOW) and self._reference is None and flights.done(now):
+        if (
+            self.mode in (TAKEOFF, FOLLOW)
+            and self._reference is None
+            and flights.done(now)
+        ):
             self._change(Event.ARRIVED)
         if (safe := self._kept_clear(state, flown, now)) is not None:
             self.clearance.aside = True
@@ -813,21 +993,33 @@ class Pilot(Actor):
             if lands:
                 planned = self._down_elsewhere(clearance.planned, planned, now)
             flown = clearance.planned_flight(
-                clearance.planned, state, planned, now, lands, self._obeyed is Action.LAND
-            )  # fmt: skip
+                clearance.planned,
+                state,
+                planned,
+                now,
+                lands,
+                self._obeyed is Action.LAND,
+            )
             self._say_delayed()
             return flown
-        if not clearance.aside or self._obeyed is Action.BRAKE:  # at the fence, say: it may not drift
+        if (
+            not clearance.aside or self._obeyed is Action.BRAKE
+        ):  # at the fence, say: it may not drift
             return planned
         if clearance.astray(state, planned, now):
             planned = self._come_back(state, planned, now)
         return self.reference_limits.full_state(planned, state)
 
-    def _down_elsewhere(self, planner: PlannedFlights, planned: FullState, now: float) -> FullState:
+    def _down_elsewhere(
+        self, planner: PlannedFlights, planned: FullState, now: float
+    ) -> FullState:
         """The reference of one that lands: beside others that keep it up; or where it is, if nobody answers."""
         beside = self.clearance.lands_beside(planned.p, now)
         if beside is not None:
-            self._say("beside", f"cannot come down for drone {self.clearance.delayed_by}: lands beside")
+            self._say(
+                "beside",
+                f"cannot come down for drone {self.clearance.delayed_by}: lands beside",
+            )
         elif not self.clearance.begins_landing_anew(planner, planned, now):
             return planned
         self._descend(beside)
@@ -853,10 +1045,15 @@ class Pilot(Actor):
         elif other is not None:
             self._say("collision", f"keeps clear of drone {other}")
 
-    def _kept_clear(self, state: State, reference: Acceleration | FullState, now: float) -> Vec | None:
-        safe = self.clearance.evasion(state, reference, self.reference_limits.gains, now, lands=self.mode is LAND)
+    def _kept_clear(
+        self, state: State, reference: Acceleration | FullState, now: float
+    ) -> Vec | None:
+        safe = self.clearance.evasion(
+            state, reference, self.reference_limits.gains, now, lands=self.mode is LAND
+        )
         if safe is None and self.note == self._evades:
-            self.note, self.grave = "", False
+            self.note = ""
+            self.grave = False
         return safe
 
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
@@ -865,20 +1062,27 @@ class Pilot(Actor):
         if self._obeyed is NOMINAL:  # else the safety table has said why
             self._say_evades(self.clearance.filter.gives_way_to)
         self.controls.trim.frozen = True
-        self._flown = FullState(np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0]))
+        self._flown = FullState(
+            np.array([*state.flat[0:6], *a, 0.0, 0.0, 0.0, yaw, 0.0])
+        )
         return self._commanded(self.controls.tracker, state, self._flown, now)
 
     def _say_evades(self, other: int | None) -> None:
         if other is None:
             self._say("collision", "braking: who is near is not heard")
         else:
-            self.note, self.grave = f"keeps clear of drone {other}", False
+            self.note = f"keeps clear of drone {other}"
+            self.grave = False
             if self.clearance.ticks == 1:
                 log.info("drone %d: %s", self.drone, self.note)
         self._evades = self.note
 
     def _commanded(
-        self, controller: CrazyflieController, state: State, reference: Reference | None, now: float
+        self,
+        controller: CrazyflieController,
+        state: State,
+        reference: Reference | None,
+        now: float,
     ) -> Command | None:
         """The controller's command; the acceleration that it asks for is told in the next state."""
         command = controller.command(state, reference, now)
@@ -888,7 +1092,11 @@ class Pilot(Actor):
     def _obey(self, verdict: Verdict) -> None:
         """Do what the safety table says, on its edges."""
         if verdict.action is not Action.NOMINAL:
-            self._say(f"{verdict.action.name} {verdict.measure}", verdict.reason, verdict.action >= Action.LAND)
+            self._say(
+                f"{verdict.action.name} {verdict.measure}",
+                verdict.reason,
+                verdict.action >= Action.LAND,
+            )
         if verdict.action is self._obeyed:
             return
         self._obeyed = verdict.action
@@ -909,7 +1117,9 @@ class Pilot(Actor):
         self._down_at = self.clock.now() + seconds
         self.guard.bear_unseen(self.state.age + seconds + TOUCHDOWN_LATE)
         floor = self.limits.ground - BLIND_DEPTH
-        self._to_firmware = XYZ("land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds]))
+        self._to_firmware = XYZ(
+            "land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds])
+        )
         self._tell_owner(self.clock.now())
 
     def _tell_owner(self, now: float) -> None:
@@ -931,16 +1141,22 @@ class Pilot(Actor):
         if self.mode is not LAND:
             self.controls.trim.keep()
         self._flown = start = self._departure()
-        self._reference, self._way, self.commanded = None, None, False
+        self._reference = None
+        self._way = None
+        self.commanded = False
         self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
         if not self._takes_off:
             return self.flights.brake(start, self.clock.now())
-        return self.flights.descend(start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside)
+        return self.flights.descend(
+            start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside
+        )
 
     def _departure(self) -> FullState:
         """Where a new plan begins."""
         assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
-        if self._planar or self.clearance.aside:  # its plan says where to, not where it is
+        if (
+            self._planar or self.clearance.aside
+        ):  # its plan says where to, not where it is
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
         planned = self.clearance.planned
         if planned is not None and self._flown is not None:
@@ -951,7 +1167,9 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         self._change(Event.DOWN)
-        self._down_at, self._to_firmware, self._tell_owner_at = math.inf, None, 0.0
+        self._down_at = math.inf
+        self._to_firmware = None
+        self._tell_owner_at = 0.0
         self._flown = None
         self.flights.clear()
         self.controls.trim.frozen = True
@@ -965,7 +1183,12 @@ class Pilot(Actor):
         self.braked = 0
 
     def _say(self, topic: str, text: str, grave: bool = False) -> None:
-        text = text.removeprefix(f"drone {self.drone}: ")  # errors name their drone; the line does so too
-        self.note, self.grave = text, grave
-        if self._said.due(self.clock.now(), topic) and self._said.due(self.clock.now(), text):
+        text = text.removeprefix(
+            f"drone {self.drone}: "
+        )  # errors name their drone; the line does so too
+        self.note = text
+        self.grave = grave
+        if self._said.due(self.clock.now(), topic) and self._said.due(
+            self.clock.now(), text
+        ):
             log.warning("drone %d: %s", self.drone, text)

@@ -6,7 +6,12 @@ from crazychoir.config.tables import Flight
 from crazychoir.flight.goals import require_setpoint
 from crazychoir.numerics.math3d import GRAVITY, yaw_of
 from crazychoir.planning.landing import Landing, Legs
-from crazychoir.planning.point_to_point import PEAK_SPEED, PointToPoint, duration_for, stopping
+from crazychoir.planning.point_to_point import (
+    PEAK_SPEED,
+    PointToPoint,
+    duration_for,
+    stopping,
+)
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.platforms import Platform
 from crazychoir.safety.rules.guard import INSET, Fence
@@ -20,7 +25,9 @@ LONGEST_WAIT, IN_VAIN = 60.0, 1.5
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:
     """m/s2, with which a drone comes to rest from any direction; share: of its thrust that goes upwards at most."""
-    lift = share * platform.max_thrust / platform.mass - GRAVITY  # with which a fall is stopped
+    lift = (
+        share * platform.max_thrust / platform.mass - GRAVITY
+    )  # with which a fall is stopped
     return min(limits.acceleration_limit, lift)
 
 
@@ -31,7 +38,9 @@ class Flights:
     """
 
     def __init__(self, limits: Flight, fence: Fence, a_max: float) -> None:
-        self.limits, self.fence, self.a_max = limits, fence, a_max
+        self.limits = limits
+        self.fence = fence
+        self.a_max = a_max
         self.plan: Trajectory | None = None
         self.start = 0.0
         self.waited = 0.0
@@ -55,30 +64,48 @@ class Flights:
 
     def remaining(self, now: float) -> float:
         """s until the plan is over."""
-        return 0.0 if self.plan is None else max(0.0, self.start + self.plan.duration - now)
+        return (
+            0.0
+            if self.plan is None
+            else max(0.0, self.start + self.plan.duration - now)
+        )
 
     def departure(self, state: State, now: float) -> FullState:
         """Where a new plan begins: on the plan that is flown, else at the state, with the speed it has."""
         return self.sample(now) or FullState.at(state.p, state.v, yaw=yaw_of(state.q))
 
-    def go_to(self, start: FullState, goal: Vec, yaw: float, duration: float, now: float) -> float:
+    def go_to(
+        self, start: FullState, goal: Vec, yaw: float, duration: float, now: float
+    ) -> float:
         """Fly to rest at goal (3,) m, in `duration` s or as fast as the limits allow; returns the time it takes."""
         limits = self.limits
-        fastest = duration_for(start, goal, yaw, limits.speed_limit, limits.acceleration_limit)
+        fastest = duration_for(
+            start, goal, yaw, limits.speed_limit, limits.acceleration_limit
+        )
         return self.fly(PointToPoint(start, goal, yaw, max(duration, fastest)), now)
 
-    def drive_to(self, start: FullState, goal: Vec, yaw: float, duration: float, now: float) -> float:
+    def drive_to(
+        self, start: FullState, goal: Vec, yaw: float, duration: float, now: float
+    ) -> float:
         """Be at a pose, on a way that the robot finds; returns the time that it is given for that."""
-        v_max, a_max = self.limits.speed_limit, self.limits.acceleration_limit
-        fastest = duration_for(FullState.at(start.p, yaw=start.yaw), goal, yaw, v_max, a_max)
+        v_max = self.limits.speed_limit
+        a_max = self.limits.acceleration_limit
+        fastest = duration_for(
+            FullState.at(start.p, yaw=start.yaw), goal, yaw, v_max, a_max
+        )
         there = FullState.at(goal, yaw=yaw)
-        return self.fly(PointToPoint(there, goal, yaw, max(duration, DETOUR * fastest + PARKING)), now)
+        return self.fly(
+            PointToPoint(there, goal, yaw, max(duration, DETOUR * fastest + PARKING)),
+            now,
+        )
 
     def brake(self, start: FullState, now: float) -> float:
         """Come to rest, the shortest way, and inside the fence."""
         return self.fly(Legs(*self._stop(start, self.fence)), now)
 
-    def descend(self, start: FullState, now: float, touchdown: float, beside: Vec | None = None) -> float:
+    def descend(
+        self, start: FullState, now: float, touchdown: float, beside: Vec | None = None
+    ) -> float:
         """Come to rest, then straight down; returns s until it is at the height `touchdown` m.
 
         beside: (3,) m, where it first flies, to come down there.
@@ -87,13 +114,20 @@ class Flights:
         stop = self._stop(start, self.fence.with_floor(limits.ground - INSET))
         if beside is not None:
             here = FullState.at(stop[-1].goal, yaw=start.yaw)
-            duration = duration_for(here, beside, start.yaw, limits.speed_limit, limits.acceleration_limit)
+            duration = duration_for(
+                here, beside, start.yaw, limits.speed_limit, limits.acceleration_limit
+            )
             stop = [*stop, PointToPoint(here, beside, start.yaw, duration)]
-        above, floor = FullState.at(stop[-1].goal, yaw=start.yaw), stop[-1].goal.copy()
+        above = FullState.at(stop[-1].goal, yaw=start.yaw)
+        floor = stop[-1].goal.copy()
         floor[2] = limits.ground - 0.05
-        fastest = duration_for(above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit)
+        fastest = duration_for(
+            above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit
+        )
         slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
-        landing = Landing(*stop, PointToPoint(above, floor, start.yaw, max(slow, fastest)))
+        landing = Landing(
+            *stop, PointToPoint(above, floor, start.yaw, max(slow, fastest))
+        )
         self.fly(landing, now)
         return landing.reaches(touchdown)
 
@@ -104,7 +138,9 @@ class Flights:
         if np.array_equal(inside, stop.goal):
             return [stop]
         outside = FullState.at(stop.goal, yaw=start.yaw)
-        duration = duration_for(outside, inside, start.yaw, self.limits.speed_limit, self.a_max)
+        duration = duration_for(
+            outside, inside, start.yaw, self.limits.speed_limit, self.a_max
+        )
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
     def wait(self, seconds: float) -> bool:
@@ -119,14 +155,25 @@ class Flights:
         """Go on to the place where a flight to one leads, in the time that is left if the limits allow it, from a start
         off its way; the time that this costs counts as waiting. False as in `wait`, and for other plans.
         """
-        plan, left, waited = self.plan, self.remaining(now), self.waited
-        if not isinstance(plan, PointToPoint) or waited >= LONGEST_WAIT or waited - self._resumed < IN_VAIN:
+        plan = self.plan
+        left = self.remaining(now)
+        waited = self.waited
+        if (
+            not isinstance(plan, PointToPoint)
+            or waited >= LONGEST_WAIT
+            or waited - self._resumed < IN_VAIN
+        ):
             return False
         yaw = plan.sample(plan.duration).yaw
-        self.waited = self._resumed = waited + self.go_to(start, plan.goal, yaw, left, now) - left
+        self.waited = self._resumed = (
+            waited + self.go_to(start, plan.goal, yaw, left, now) - left
+        )
         return True
 
     def fly(self, plan: Trajectory, now: float) -> float:
         """Begin this one; returns the time it takes."""
-        self.plan, self.start, self.waited, self._resumed = plan, now, 0.0, 0.0
+        self.plan = plan
+        self.start = now
+        self.waited = 0.0
+        self._resumed = 0.0
         return plan.duration

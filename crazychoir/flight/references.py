@@ -49,7 +49,9 @@ def _taken(
     x, y, z = vector.tolist()
     if not math.isfinite(x + y + z + yaw):
         return None
-    return reference if vector is direction and yaw is reference.yaw else kind(vector, yaw)
+    return (
+        reference if vector is direction and yaw is reference.yaw else kind(vector, yaw)
+    )
 
 
 def _number(value: object) -> float:
@@ -62,8 +64,12 @@ def _number(value: object) -> float:
 
 def ahead(reference: FullState, later: float) -> FullState:
     """Where a reference will be `later` s from now if it goes on as it does."""
-    p, v, a = reference.p, reference.v, reference.a
-    return FullState.at(p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw)
+    p = reference.p
+    v = reference.v
+    a = reference.a
+    return FullState.at(
+        p + later * v + 0.5 * later**2 * a, v + later * a, a, yaw=reference.yaw
+    )
 
 
 def unflyable(reference: object) -> str:
@@ -76,13 +82,21 @@ def unflyable(reference: object) -> str:
         case FullState():
             parts = {"flat": (reference.flat, (14,))}
         case Goto():
-            parts = {"p": (reference.p, (3,)), "yaw": (reference.yaw, ()), "duration": (reference.duration, ())}
+            parts = {
+                "p": (reference.p, (3,)),
+                "yaw": (reference.yaw, ()),
+                "duration": (reference.duration, ()),
+            }
         case _:
             kinds = ", ".join(f"{kind.__name__}(...)" for kind in get_args(Reference))
             return f"found {described(reference)}; allowed: {kinds} or None"
     for name, (value, shape) in parts.items():
         found = as_floats(value, shape)
         if found is None or not np.isfinite(found).all():
-            wanted = f"{shape[0]} finite numbers of shape {shape}" if shape else "a finite number"
+            wanted = (
+                f"{shape[0]} finite numbers of shape {shape}"
+                if shape
+                else "a finite number"
+            )
             return f"{type(reference).__name__}.{name}: found {described(value)}; allowed: {wanted}"
     return ""

@@ -53,7 +53,9 @@ class Defence:
 
         With equal weights x_i = (r_i + t) / 2.  r: (N, d);  returns (N, d).
         """
-        a, b, c = self.intruder, self.goal, self.team
+        a = self.intruder
+        b = self.goal
+        c = self.team
         s = (a * r.mean(axis=0) + b * self.target) / (a + b)
         found: Mat = (a * r + c * s - b * (s - self.target)) / (a + c)
         return found
@@ -73,7 +75,9 @@ class AggregativeGuidance(CFDistributedFeedback):
     smoother: Smoother
 
     def __init__(self, mates: tuple[int, ...], round_rate: float = 20.0) -> None:
-        self.mates, self.round_rate, self.way = mates, round_rate, Way()
+        self.mates = mates
+        self.round_rate = round_rate
+        self.way = Way()
 
     @abstractmethod
     def algorithm(self, place: Vec) -> AggregativeTracking:
@@ -87,17 +91,21 @@ class AggregativeGuidance(CFDistributedFeedback):
 
     def step(self, me: State, heard: Heard) -> FullState:
         """One period on the way to x_i."""
-        now, x = self.member.clock.now(), self.agent.x
+        now = self.member.clock.now()
+        x = self.agent.x
         self.way.note(now, me.p)
-        seconds, self._last = now - self._last, now
+        seconds = now - self._last
+        self._last = now
         return self.smoother.step(np.array([*x, *self._place[len(x) :]]), seconds)
 
     async def run_law(self) -> None:
         """The law, and the rounds beside it as long as it lasts."""
-        flight, place = self.member.config.flight, self.state.p.copy()
+        flight = self.member.config.flight
+        place = self.state.p.copy()
         self._place, self._last = place, self.member.clock.now()
         self.agent = self.algorithm(place)
-        v_max, a_max = SPEED_SHARE * flight.speed_limit, ACCELERATION_SHARE * flight.acceleration_limit
+        v_max = SPEED_SHARE * flight.speed_limit
+        a_max = ACCELERATION_SHARE * flight.acceleration_limit
         self.smoother = Smoother(place, v_max, a_max, 1.0 / self.rate)
         rounds = asyncio.create_task(self._rounds(), name=f"drone {self.id} rounds")
         try:
@@ -109,23 +117,34 @@ class AggregativeGuidance(CFDistributedFeedback):
 
     async def _rounds(self) -> None:
         """Round after round; what ends them ends the law."""
-        clock, agent, due = self.member.clock, self.agent, self.member.clock.now()
+        clock = self.member.clock
+        agent = self.agent
+        due = self.member.clock.now()
         try:
             while not agent.done:
-                heard = await self.neighbors_exchange(agent.message(), self.mates, self.mates, channel=CHANNEL)
+                heard = await self.neighbors_exchange(
+                    agent.message(), self.mates, self.mates, channel=CHANNEL
+                )
                 agent.step(heard)
                 due = max(due + 1.0 / self.round_rate, clock.now())
                 await clock.sleep(due - clock.now(), drone=self.id)
         except Exception as error:
             if self._law is not None and not self._law.done():
                 self._law.set_exception(error)
-            elif not isinstance(error, CrazyChoirError):  # of a team that has ended, nothing is lost any more
+            elif not isinstance(
+                error, CrazyChoirError
+            ):  # of a team that has ended, nothing is lost any more
                 raise
 
     async def mission(self) -> dict[str, Any]:
         """The law, with what came of the optimisation."""
         result = await super().mission()
-        return {**result, "rounds": self.agent.k, "x": self.agent.x.tolist(), "way": self.way.rows}
+        return {
+            **result,
+            "rounds": self.agent.k,
+            "x": self.agent.x.tolist(),
+            "way": self.way.rows,
+        }
 
 
 class Defender(AggregativeGuidance):
@@ -136,13 +155,22 @@ class Defender(AggregativeGuidance):
     """
 
     def __init__(
-        self, mates: tuple[int, ...], defence: Defence, intruder: int | Vec, weights: Mapping[int, float],
-        step_size: float = 0.05, round_rate: float = 20.0,
-    ) -> None:  # fmt: skip
+        self,
+        mates: tuple[int, ...],
+        defence: Defence,
+        intruder: int | Vec,
+        weights: Mapping[int, float],
+        step_size: float = 0.05,
+        round_rate: float = 20.0,
+    ) -> None:
         super().__init__(mates, round_rate)
-        self.defence, self.weights, self.step_size = defence, weights, step_size
+        self.defence = defence
+        self.weights = weights
+        self.step_size = step_size
         self.seen: int | None = intruder if isinstance(intruder, int) else None
-        self.r = np.zeros(2) if isinstance(intruder, int) else np.asarray(intruder, float)
+        self.r = (
+            np.zeros(2) if isinstance(intruder, int) else np.asarray(intruder, float)
+        )
         self.intruder_way = Way()
 
     def algorithm(self, place: Vec) -> AggregativeTracking:
@@ -151,9 +179,15 @@ class Defender(AggregativeGuidance):
         if self.seen is not None:
             self.r = np.array(self.member.config.drone(self.seen).home[:2])
         return AggregativeTracking(
-            self.id, place[:2], self.weights, lambda x: x, lambda x: one,
-            lambda x, s: self.defence.gradient_own(x, s, self.r), self.defence.gradient_mean, self.step_size,
-        )  # fmt: skip
+            self.id,
+            place[:2],
+            self.weights,
+            lambda x: x,
+            lambda x: one,
+            lambda x, s: self.defence.gradient_own(x, s, self.r),
+            self.defence.gradient_mean,
+            self.step_size,
+        )
 
     def step(self, me: State, heard: Heard) -> FullState:
         """See the intruder, while it is heard of, and fly on."""

@@ -22,7 +22,13 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
     unawaited: the calls of this guidance that nothing has awaited yet; this one leaves it when it begins.
     """
 
-    def __init__(self, inner: Coroutine[Any, Any, R], name: str, place: str, unawaited: "dict[int, Call[Any]]") -> None:
+    def __init__(
+        self,
+        inner: Coroutine[Any, Any, R],
+        name: str,
+        place: str,
+        unawaited: "dict[int, Call[Any]]",
+    ) -> None:
         self.inner = inner
         self.name = name
         self.place = place
@@ -44,9 +50,15 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
             text = f"self.{self.name}(...) called {exit_call(end)}"
             raise RuntimeError(text).with_traceback(end.__traceback__) from end
 
-    def throw(self, kind: Any, value: Any = None, traceback: TracebackType | None = None) -> Any:
+    def throw(
+        self, kind: Any, value: Any = None, traceback: TracebackType | None = None
+    ) -> Any:
         """Raise an exception in the coroutine, as a task does that is cancelled."""
-        error = kind if isinstance(kind, BaseException) else kind(*([] if value is None else [value]))
+        error = (
+            kind
+            if isinstance(kind, BaseException)
+            else kind(*([] if value is None else [value]))
+        )
         return self._begin().throw(error)
 
     def close(self) -> None:
@@ -77,19 +89,33 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
         return f"<call of {self.name} at {self.place}>"
 
 
-def awaited(function: Callable[P, Coroutine[Any, Any, R]]) -> Callable[P, Coroutine[Any, Any, R]]:
+def awaited(
+    function: Callable[P, Coroutine[Any, Any, R]],
+) -> Callable[P, Coroutine[Any, Any, R]]:
     """Decorate a coroutine function of a guidance: its calls are known until they are awaited."""
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> Coroutine[Any, Any, R]:
         caller = sys._getframe(1)
-        return called_from(caller.f_code.co_filename, caller.f_lineno, args[0], function, *args, **kwargs)
+        return called_from(
+            caller.f_code.co_filename,
+            caller.f_lineno,
+            args[0],
+            function,
+            *args,
+            **kwargs,
+        )
 
     return called
 
 
 def called_from(
-    file: str, line: int, guidance: object, function: Callable[..., Coroutine[Any, Any, R]], *args: Any, **kwargs: Any
+    file: str,
+    line: int,
+    guidance: object,
+    function: Callable[..., Coroutine[Any, Any, R]],
+    *args: Any,
+    **kwargs: Any,
 ) -> Coroutine[Any, Any, R]:
     """Return the call of a coroutine function, made in this line of this file for this guidance."""
     calls: dict[int, Call[Any]] = guidance.__dict__.setdefault("_unawaited", {})
@@ -108,7 +134,9 @@ def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
 
 def forgotten(guidance: object) -> str:
     """Say which calls of a guidance nothing has awaited, and what to write; empty if there are none. They are ended."""
-    calls: dict[int, Call[Any]] = getattr(guidance, "__dict__", {}).get("_unawaited", {})
+    calls: dict[int, Call[Any]] = getattr(guidance, "__dict__", {}).get(
+        "_unawaited", {}
+    )
     texts = [
         f"{call.place}: self.{call.name}(...) was called without await, so it did nothing: "
         f"write `await self.{call.name}(...)`"

@@ -20,7 +20,15 @@ from crazychoir.guidance.user_hook import Hook, place_of
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.modes import Mode
-from crazychoir.types import Acceleration, FullState, Goto, Heard, Reference, State, Velocity
+from crazychoir.types import (
+    Acceleration,
+    FullState,
+    Goto,
+    Heard,
+    Reference,
+    State,
+    Velocity,
+)
 
 log = logging.getLogger(__name__)
 LAW = "feedback law"
@@ -64,15 +72,24 @@ class CFDistributedFeedback(CFGuidance):
         self._hearings: dict[int, Hearing | Paired] = {}
         for j in self.graph.in_neighbors(self.id):
             hearing = self._hearings[j] = self._hearing(f"drone {self.id} state of {j}")
-            bus.subscribe(STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0)
-        self._own, self._measured = self._sum(), 0.0
+            bus.subscribe(
+                STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0
+            )
+        self._own = self._sum()
+        self._measured = 0.0
         self._unheard = dict.fromkeys(self._hearings, 0)
         self._steps = self._nothing = self._refused = 0
         self._amiss = ""
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
-        self._me, self._stages = self.state, bus.stages
-        bus.subscribe(STATE, self.id, self.id, Call(member.clock, self._moved, f"drone {self.id} state"))
+        self._me = self.state
+        self._stages = bus.stages
+        bus.subscribe(
+            STATE,
+            self.id,
+            self.id,
+            Call(member.clock, self._moved, f"drone {self.id} state"),
+        )
 
     def _hearing(self, name: str) -> Hearing | Paired:
         if self.paired:
@@ -81,7 +98,9 @@ class CFDistributedFeedback(CFGuidance):
 
     def _sum(self) -> VelocitySum:
         member = self.member
-        return VelocitySum(member.pilot.filter.cutoff, 1.0 / member.config.mocap.rate, 1.0 / self.rate)
+        return VelocitySum(
+            member.pilot.filter.cutoff, 1.0 / member.config.mocap.rate, 1.0 / self.rate
+        )
 
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
@@ -97,20 +116,32 @@ class CFDistributedFeedback(CFGuidance):
         self.member.announce()
         started = self.member.clock.now()
         await self.run_law()
-        law_s, place = self.member.clock.now() - started, self.state.p.tolist()
+        law_s = self.member.clock.now() - started
+        place = self.state.p.tolist()
         self.member.pilot.hover()
         self.member.report = lambda: {"task": "landing"}
         self.member.announce()
         await self.land()
         unheard = {j: steps / self.rate for j, steps in self._unheard.items() if steps}
         usable = self._steps - self._nothing - self._refused
-        result = {"law_s": law_s, "references": usable, "place": place, "unheard_s": unheard}
-        return result | ({"success": False, "reason": self._useless()} if self._refused and not usable else {})
+        result = {
+            "law_s": law_s,
+            "references": usable,
+            "place": place,
+            "unheard_s": unheard,
+        }
+        return result | (
+            {"success": False, "reason": self._useless()}
+            if self._refused and not usable
+            else {}
+        )
 
     def _useless(self) -> str:
         """Why a law of which nothing could be flown has failed."""
         where = f"drone {self.id}: the law gave no usable reference in {self._refused} of {self._steps} steps"
-        return f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
+        return (
+            f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
+        )
 
     def height(self) -> float | None:
         """m, of the take-off; None for that of the swarm file. Asked before anybody flies, and at the take-off."""
@@ -121,9 +152,16 @@ class CFDistributedFeedback(CFGuidance):
 
         And for a `rate` and a `duration` that are no such numbers; a law may last for ever.
         """
-        for name, least, most, unit in (("rate", SLOWEST, FASTEST, "Hz"), ("duration", 0.0, math.inf, "s")):
+        for name, least, most, unit in (
+            ("rate", SLOWEST, FASTEST, "Hz"),
+            ("duration", 0.0, math.inf, "s"),
+        ):
             value = getattr(self, name)
-            if not (isinstance(value, int | float | np.number) and value > 0.0 and least <= value <= most):
+            if not (
+                isinstance(value, int | float | np.number)
+                and value > 0.0
+                and least <= value <= most
+            ):
                 where = f"drone {member.id}: {type(self).__name__}.{name}"
                 allowed = f"{least:g} to {most:g}" if least else "above 0"
                 raise ConfigError(where, value, f"a number of {unit}, {allowed}")
@@ -137,7 +175,13 @@ class CFDistributedFeedback(CFGuidance):
         """Its height; None, too, if that needs what `bind` or the mission gives: it is asked again at the take-off."""
         code = getattr(self.height, "__code__", None)
         file = code.co_filename if code else type(self).__name__
-        hook = Hook(file, "height", self.height, (), "m above the ground, or None: that of the swarm file")
+        hook = Hook(
+            file,
+            "height",
+            self.height,
+            (),
+            "m above the ground, or None: that of the swarm file",
+        )
         hook.check()
         try:
             height: float | None = hook()
@@ -157,7 +201,9 @@ class CFDistributedFeedback(CFGuidance):
             hearing.forget()
         self._law = asyncio.get_running_loop().create_future()
         seconds = min(float(self.duration), FOR_EVER)
-        end = clock.call_at(self._due_ns + round(seconds * SECOND), wake, self._law, drone=self.id)
+        end = clock.call_at(
+            self._due_ns + round(seconds * SECOND), wake, self._law, drone=self.id
+        )
         try:
             await self._law
         finally:
@@ -197,8 +243,11 @@ class CFDistributedFeedback(CFGuidance):
 
     def _stepped(self, me: State) -> Reference | None:
         """What `step` wants, under the eyes of the watchdog."""
-        watchdog, measured = self.member.watchdog, self.member.pilot.filter.measured
-        poses = round((measured - self._measured) / self._own.h)  # a whole number: clocks jitter, cameras do not
+        watchdog = self.member.watchdog
+        measured = self.member.pilot.filter.measured
+        poses = round(
+            (measured - self._measured) / self._own.h
+        )  # a whole number: clocks jitter, cameras do not
         self._measured = measured
         heard = self.hear(poses)
         if poses == 1 and self._own.even:
@@ -226,7 +275,9 @@ class CFDistributedFeedback(CFGuidance):
 
     def _deaf(self) -> str:
         """Whom it does not hear: the usual reason of a law that says nothing."""
-        silent = ", ".join(str(j) for j, box in self._hearings.items() if box.fresh() is None)
+        silent = ", ".join(
+            str(j) for j, box in self._hearings.items() if box.fresh() is None
+        )
         return f"; hears nothing of drone(s) {silent}" if silent else ""
 
     def hear(self, held: int) -> Heard:
@@ -245,22 +296,31 @@ def amiss(reference: object) -> str:
     numbers: list[Any]
     match reference:
         case Acceleration():
-            numbers, size = [reference.a, reference.yaw], 3
+            numbers = [reference.a, reference.yaw]
+            size = 3
         case FullState():
-            numbers, size = [reference.flat], 14
+            numbers = [reference.flat]
+            size = 14
         case Velocity():
-            numbers, size = [reference.v, reference.yaw], 3
+            numbers = [reference.v, reference.yaw]
+            size = 3
         case Goto():
-            numbers, size = [reference.p, reference.yaw, reference.duration], 3
+            numbers = [reference.p, reference.yaw, reference.duration]
+            size = 3
         case _:
             of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
             found = f"{type(reference).__name__}{of}"
-            kinds = "Acceleration(...), Velocity(...), FullState(...), Goto(...) or None"
+            kinds = (
+                "Acceleration(...), Velocity(...), FullState(...), Goto(...) or None"
+            )
             return f"step() must return {kinds}; found {found}"
-    kind, found = type(reference).__name__, " ".join(f"{numbers}"[1:-1].split())
+    kind = type(reference).__name__
+    found = " ".join(f"{numbers}"[1:-1].split())
     return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
 
 
 def idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
     """Whether all drones flew laws that returned None in every step: nobody moved."""
-    return bool(results) and all(r.get("success") and r.get("references") == 0 for r in results.values())
+    return bool(results) and all(
+        r.get("success") and r.get("references") == 0 for r in results.values()
+    )

@@ -5,7 +5,15 @@ import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from types import MethodType
-from typing import Any, Concatenate, Generic, ParamSpec, SupportsFloat, TypeVar, overload
+from typing import (
+    Any,
+    Concatenate,
+    Generic,
+    ParamSpec,
+    SupportsFloat,
+    TypeVar,
+    overload,
+)
 
 import numpy as np
 
@@ -14,7 +22,14 @@ from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
 from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.awaited_call import awaited, called_from, watch_coroutines
-from crazychoir.guidance.member import PATIENCE, SETTLE, Interrupted, Member, standing, touch_down
+from crazychoir.guidance.member import (
+    PATIENCE,
+    SETTLE,
+    Interrupted,
+    Member,
+    standing,
+    touch_down,
+)
 from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.guidance.user_hook import shown
@@ -50,7 +65,10 @@ TOUCHDOWN = 5.0
 """s beyond the planned time of a landing that a mission waits for its end."""
 UNCOMMANDED = 1800.0
 """s that a drone waits on the ground for an operator, in a run that has one."""
-GATES = {"take-off": "waits for its operator: take-off", "start": "waits for its operator: start"}
+GATES = {
+    "take-off": "waits for its operator: take-off",
+    "start": "waits for its operator: start",
+}
 
 
 WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
@@ -64,7 +82,9 @@ class Verb(Generic[P, R]):
         self.verb = verb
 
     @overload
-    def __get__(self, guidance: None, owner: type) -> Callable[Concatenate[Communicator, P], R]: ...
+    def __get__(
+        self, guidance: None, owner: type
+    ) -> Callable[Concatenate[Communicator, P], R]: ...
     @overload
     def __get__(self, guidance: "CFGuidance", owner: type) -> Callable[P, R]: ...
     def __get__(self, guidance: "CFGuidance | None", owner: type) -> Callable[..., R]:
@@ -73,14 +93,22 @@ class Verb(Generic[P, R]):
         return MethodType(_talk, (guidance, self.verb))
 
 
-def _talk(verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any) -> Any:
+def _talk(
+    verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any
+) -> Any:
     """Call a verb of the communicator of a guidance, which is known until it is awaited."""
     caller = sys._getframe(1)
     guidance, function = verb
     communicator = guidance.member.communicator
     return called_from(
-        caller.f_code.co_filename, caller.f_lineno, guidance, function, communicator, *args, **kwargs
-    )  # fmt: skip
+        caller.f_code.co_filename,
+        caller.f_lineno,
+        guidance,
+        function,
+        communicator,
+        *args,
+        **kwargs,
+    )
 
 
 class CFGuidance:
@@ -130,7 +158,9 @@ class CFGuidance:
     def state(self) -> State:
         """The newest estimate of this drone's own state."""
         state = self.member.pilot.state
-        return State.at(self.member.config.drone(self.id).home) if state is None else state
+        return (
+            State.at(self.member.config.drone(self.id).home) if state is None else state
+        )
 
     def log(self, *names: str, period: float = 0.1) -> Readings:
         """What this drone's sensors say, by the firmware's names: `self.log("pm.vbat", period=0.5)["pm.vbat"]`, V.
@@ -141,7 +171,11 @@ class CFGuidance:
         Raises ConfigError for names that its platform does not have, with the nearest that it has.
         """
         if self.member.sensors is None:
-            raise ConfigError(f"drone {self.id}: log", ", ".join(names), "nothing: this drone has no sensors")
+            raise ConfigError(
+                f"drone {self.id}: log",
+                ", ".join(names),
+                "nothing: this drone has no sensors",
+            )
         return self.member.sensors.log(names, period)
 
     # Talking --------------------------------------------------------------------------------------------------
@@ -153,7 +187,11 @@ class CFGuidance:
 
     @awaited
     async def optimize(
-        self, algorithm: Round, channel: str = "optimize", deadline: float | None = None, pace: Pace | None = None
+        self,
+        algorithm: Round,
+        channel: str = "optimize",
+        deadline: float | None = None,
+        pace: Pace | None = None,
     ) -> None:
         """Run a distributed algorithm to its end, together with the neighbours, and end the channel.
 
@@ -165,7 +203,9 @@ class CFGuidance:
         """
         communicator = self.member.communicator
         require_graph(algorithm, communicator.graph)
-        await run_algorithm(communicator, algorithm, channel=channel, deadline=deadline, pace=pace)
+        await run_algorithm(
+            communicator, algorithm, channel=channel, deadline=deadline, pace=pace
+        )
         if not getattr(algorithm, "asynchronous", False):
             await communicator.close(channel)
 
@@ -196,7 +236,9 @@ class CFGuidance:
         if pilot.awaits_start:
             self.member.rise = height
             await self._told("take-off", UNCOMMANDED, lambda: not pilot.airborne)
-            await self._told("start", PATIENCE, lambda: pilot.awaits_start and pilot.airborne)
+            await self._told(
+                "start", PATIENCE, lambda: pilot.awaits_start and pilot.airborne
+            )
         ends = self.member.clock.now() + PATIENCE
         while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
             await self.sleep(SETTLE)
@@ -223,10 +265,17 @@ class CFGuidance:
             return
         rise = _number(height)
         if rise is None or not 0.0 <= rise <= top:
-            found, do = shown(height), "It must be one number, as float(...)."
+            found = shown(height)
+            do = "It must be one number, as float(...)."
             if rise is not None:
-                found, do = f"{rise!r}", "Lower it, or raise fence.max."
-            raise ConfigError(f"drone {self.id}: {where}", found, f"0 to {top:g} m above the ground, by the fence", do)
+                found = f"{rise!r}"
+                do = "Lower it, or raise fence.max."
+            raise ConfigError(
+                f"drone {self.id}: {where}",
+                found,
+                f"0 to {top:g} m above the ground, by the fence",
+                do,
+            )
 
     def foresee(self, member: Member) -> None:
         """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
@@ -245,11 +294,17 @@ class CFGuidance:
 
     async def _told(self, gate: str, seconds: float, waits: Callable[[], bool]) -> None:
         """Wait for a command of the operator, as long as `waits` says so; Interrupted after so many s without it."""
-        member, pilot = self.member, self.member.pilot
-        ends, report = member.clock.now() + seconds, member.report
+        member = self.member
+        pilot = self.member.pilot
+        ends = member.clock.now() + seconds
+        report = member.report
 
         def lands() -> str:
-            return f", or lands in {max(0.0, ends - member.clock.now()):.0f} s" if pilot.airborne else ""
+            return (
+                f", or lands in {max(0.0, ends - member.clock.now()):.0f} s"
+                if pilot.airborne
+                else ""
+            )
 
         member.gate, member.report = gate, lambda: {"task": GATES[gate] + lands()}
         member.announce()
@@ -257,25 +312,35 @@ class CFGuidance:
             if pilot.commanded and pilot.remaining() > 0.0:
                 ends = member.clock.now() + seconds  # its operator is at work
             await self.sleep(SETTLE)
-        member.gate, member.report = "", report
+        member.gate = ""
+        member.report = report
         self._may_fly()
         if waits():
-            raise Interrupted(f"drone {self.id}: no {gate} by its operator within {seconds:g} s")
+            raise Interrupted(
+                f"drone {self.id}: no {gate} by its operator within {seconds:g} s"
+            )
         if pilot.mode is Mode.CUT:
             raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     async def _settle(self, goal: Vec) -> None:
         """Wait, at most PATIENT s, until it has stood still at goal: then it has learnt its thrust and its trim."""
-        clock, pilot, stood = self.member.clock, self.member.pilot, 0
+        clock = self.member.clock
+        pilot = self.member.pilot
+        stood = 0
         ends = clock.now() + PATIENT
         while pilot.mode in FLYING and clock.now() < ends and stood * SETTLE < STOOD:
             state = self.state
-            there = np.linalg.norm(state.p - goal) < THERE and np.linalg.norm(state.v) < STILL
+            there = (
+                np.linalg.norm(state.p - goal) < THERE
+                and np.linalg.norm(state.v) < STILL
+            )
             stood = stood + 1 if there else 0
             await self.sleep(SETTLE)
 
     @awaited
-    async def go_to(self, p: Point, duration: float = 0.0, yaw: float | None = None) -> None:
+    async def go_to(
+        self, p: Point, duration: float = 0.0, yaw: float | None = None
+    ) -> None:
         """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
@@ -283,16 +348,24 @@ class CFGuidance:
         Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
         the floor; Interrupted when the pilot lands, and when p cannot be reached.
         """
-        place = self.member.pilot.require_goal(f"drone {self.id}: go_to()", p, yaw, duration)
+        place = self.member.pilot.require_goal(
+            f"drone {self.id}: go_to()", p, yaw, duration
+        )
         await self._fly_to_place(place, duration, yaw)
 
-    async def _fly_to_place(self, p: Vec, duration: float = 0.0, yaw: float | None = None) -> None:
+    async def _fly_to_place(
+        self, p: Vec, duration: float = 0.0, yaw: float | None = None
+    ) -> None:
         """Fly to p (3,) m, which may be flown to, and be there."""
-        attempts, hindered, pilot, clock = 0, 0, self.member.pilot, self.member.clock
+        attempts = 0
+        hindered = 0
+        pilot = self.member.pilot
+        clock = self.member.clock
         ends = clock.now() + PATIENCE
         while attempts < ATTEMPTS and clock.now() < ends:
             self._may_fly()
-            began, seconds = clock.now(), pilot.go_to(p, yaw, duration)
+            began = clock.now()
+            seconds = pilot.go_to(p, yaw, duration)
             await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
             hindered = hindered + 1 if blocked(pilot) else 0
             blown = clock.now() + BLOWN if seconds > 0.0 and not hindered else 0.0
@@ -305,11 +378,14 @@ class CFGuidance:
                 await self._wait_aside(p)
         place = np.round(p, 2).tolist()
         why = HELD if pilot.held else pilot.note or "no reason"
-        raise Interrupted(f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}")
+        raise Interrupted(
+            f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
+        )
 
     async def _wait_aside(self, p: Vec) -> None:
         """Leave a place to another one whose turn it is, at most TURN s."""
-        pilot, clock = self.member.pilot, self.member.clock
+        pilot = self.member.pilot
+        clock = self.member.clock
         ends = clock.now() + TURN
         await self._while(pilot.go_to(aside(self.state.p, p, pilot.fence)), Mode.FOLLOW)
         while first_at(pilot, p) < self.id and clock.now() < ends:
@@ -327,10 +403,15 @@ class CFGuidance:
         """
         require_trajectory(f"drone {self.id}: fly()", trajectory)
         require_feasible(trajectory, self.member.pilot)
-        pilot, clock, left, attempts = self.member.pilot, self.member.clock, trajectory, 0
-        end, ends = trajectory.sample(trajectory.duration), clock.now() + trajectory.duration + PATIENCE
+        pilot = self.member.pilot
+        clock = self.member.clock
+        left = trajectory
+        attempts = 0
+        end = trajectory.sample(trajectory.duration)
+        ends = clock.now() + trajectory.duration + PATIENCE
         while attempts < ATTEMPTS and clock.now() < ends:
-            start, braked = left.sample(0.0), pilot.braked
+            start = left.sample(0.0)
+            braked = pilot.braked
             await self.go_to(start.p, yaw=start.yaw)
             t = await self._flown(left)
             if pilot.flights.plan is left and pilot.gap(end.p) <= ARRIVED:
@@ -340,14 +421,22 @@ class CFGuidance:
             if 0.0 < t < left.duration:
                 flight = self.member.config.flight
                 attempts += 1
-                left = Resumed(left, t, max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit))
+                left = Resumed(
+                    left,
+                    t,
+                    max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit),
+                )
             await self.sleep(SETTLE)
         why = HELD if pilot.held else standing(pilot)
-        raise Interrupted(f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}")
+        raise Interrupted(
+            f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}"
+        )
 
     async def _flown(self, trajectory: Trajectory) -> float:
         """Begin it, and wait until it ends, or is stopped: s of it that were flown then."""
-        pilot, clock, t = self.member.pilot, self.member.clock, 0.0
+        pilot = self.member.pilot
+        clock = self.member.clock
+        t = 0.0
         left = pilot.fly(trajectory)
         while pilot.flights.plan is trajectory and left > 0.0:
             t = clock.now() - pilot.flights.start
@@ -377,7 +466,9 @@ class CFGuidance:
         if pilot.follow(reference) is False:
             caller = sys._getframe(1)
             place = f"{caller.f_code.co_filename}:{caller.f_lineno}"
-            said: set[str] = self.__dict__.setdefault("_said_at", set())  # places whose reference was not flown
+            said: set[str] = self.__dict__.setdefault(
+                "_said_at", set()
+            )  # places whose reference was not flown
             if place not in said:
                 said.add(place)
                 log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
@@ -390,16 +481,23 @@ class CFGuidance:
     def _may_fly(self) -> None:
         """A mission that is over does not fly."""
         if self.member.ended:
-            raise Interrupted(f"drone {self.id}: its mission is over: {self.member.ended}")
+            raise Interrupted(
+                f"drone {self.id}: its mission is over: {self.member.ended}"
+            )
 
     async def _while(self, seconds: float, *modes: Mode) -> None:
         """Wait for a flight of `seconds`, and while others hinder it.
 
         Raises Interrupted in other modes than these and hovering, as landing.
         """
-        pilot, flying, clock = self.member.pilot, (*modes, Mode.HOVER), self.member.clock
+        pilot = self.member.pilot
+        flying = (*modes, Mode.HOVER)
+        clock = self.member.clock
         ends = clock.now() + seconds - pilot.flights.waited
-        while pilot.mode in flying and (left := ends + pilot.flights.waited - clock.now()) > 0.0:
+        while (
+            pilot.mode in flying
+            and (left := ends + pilot.flights.waited - clock.now()) > 0.0
+        ):
             await self.sleep(min(SETTLE, max(left, 1e-3)))
         if pilot.mode not in flying:
             raise Interrupted(f"drone {self.id}: {standing(pilot)}")
@@ -407,12 +505,16 @@ class CFGuidance:
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
     """Raise ConfigError for a trajectory that leaves the guard's room, or that the drone or [flight] forbids."""
-    flight, platform = pilot.limits, pilot.controls.platform
+    flight = pilot.limits
+    platform = pilot.controls.platform
     t, path = references(trajectory)
     limits = Limits(
-        v_max=flight.speed_limit, a_max=flight.acceleration_limit, mass=platform.mass,
-        thrust_max=HEADROOM * platform.max_thrust, rate_max=platform.max_rate,
-    )  # fmt: skip
+        v_max=flight.speed_limit,
+        a_max=flight.acceleration_limit,
+        mass=platform.mass,
+        thrust_max=HEADROOM * platform.max_thrust,
+        rate_max=platform.max_rate,
+    )
     require_path("trajectory", t, path, pilot.guard, pilot.controls.planar)
     check_references(t, path, limits)
 
@@ -420,6 +522,10 @@ def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
 def _number(value: object) -> float | None:
     """The number that it is, None if it is none: an array is none, even of one."""
     try:
-        return float(value) if isinstance(value, SupportsFloat) and np.asarray(value).ndim == 0 else None
+        return (
+            float(value)
+            if isinstance(value, SupportsFloat) and np.asarray(value).ndim == 0
+            else None
+        )
     except (TypeError, ValueError, OverflowError):
         return None

@@ -31,7 +31,9 @@ class Member:
     watchdog: Guards | None = None
     report: Callable[[], dict[str, Any]] = dict
     """Says how the mission goes: task, round, cost, for the status."""
-    announce: Callable[[], None] = lambda: None  # publishes the status now, not at its next tick
+    announce: Callable[[], None] = lambda: (
+        None
+    )  # publishes the status now, not at its next tick
     ended: str = ""
     """Why the mission is over; from then on it flies no more, whatever it catches and goes on with."""
     sensors: Sensors | None = None
@@ -68,7 +70,8 @@ async def touch_down(pilot: Pilot, grace: float) -> None:
     At most PATIENCE s while it gives way to others.
     """
     clock = pilot.clock
-    ends, patient = clock.now() + grace, clock.now() + PATIENCE
+    ends = clock.now() + grace
+    patient = clock.now() + PATIENCE
     while pilot.airborne and clock.now() < ends:
         if pilot.held and pilot.mode is Mode.HOVER:  # on its way home
             ends = clock.now() + grace
@@ -81,7 +84,9 @@ async def touch_down(pilot: Pilot, grace: float) -> None:
 
 def raisable(error: BaseException, where: str) -> BaseException:
     """An error that a task may end with: what asyncio and generators take for signals of their own becomes ordinary."""
-    if isinstance(error, Exception | SystemExit) and not isinstance(error, StopIteration):
+    if isinstance(error, Exception | SystemExit) and not isinstance(
+        error, StopIteration
+    ):
         return error
     ordinary = RuntimeError(f"{where} raised {error!r}")
     ordinary.__cause__ = error

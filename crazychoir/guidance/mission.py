@@ -45,21 +45,34 @@ class Mission(Protocol):
         """Where the drones are to be at the end of the law, if the mission has such a place."""
         ...
 
-    def report(self, config: SwarmConfig, results: dict[int, dict[str, Any]]) -> dict[str, Any]:
+    def report(
+        self, config: SwarmConfig, results: dict[int, dict[str, Any]]
+    ) -> dict[str, Any]:
         """What all drones' results say together; among it `success`, and `reasons` by drone if it failed."""
         ...
 
-    def picture(self, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:
+    def picture(
+        self, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str
+    ) -> None:
         """Draw what was planned or flown."""
         ...
 
 
 def load(name: str) -> Mission:
     """The mission of this name in agents/, or of this .py file, with its hooks guarded; raises ConfigError."""
-    module = from_file(Path(name), "mission") if name.endswith(".py") else _from_package(name)
+    module = (
+        from_file(Path(name), "mission")
+        if name.endswith(".py")
+        else _from_package(name)
+    )
     if not callable(getattr(module, "guidance", None)):
         do = "See agents/bearing_formation.py."
-        raise ConfigError(f"mission {name}", "no function guidance(i, config)", "a mission file defines it", do)
+        raise ConfigError(
+            f"mission {name}",
+            "no function guidance(i, config)",
+            "a mission file defines it",
+            do,
+        )
     return cast(Mission, MissionFile(module))
 
 
@@ -68,7 +81,9 @@ def has(mission: Mission, what: str) -> bool:
     return callable(getattr(mission, what, None))
 
 
-def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> list[str]:
+def look_before(
+    mission: Mission, config: SwarmConfig, force: bool = False
+) -> list[str]:
     """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict.
 
     And for dongles that do not carry what their drones would be sent.
@@ -76,7 +91,10 @@ def look_before(mission: Mission, config: SwarmConfig, force: bool = False) -> l
     rates(config)
     warnings = mission.check(config, force) if has(mission, "check") else []
     if has(mission, "goal"):
-        goals = {i: (float(p[0]), float(p[1]), float(p[2])) for i, p in mission.goal(config).items()}
+        goals = {
+            i: (float(p[0]), float(p[1]), float(p[2]))
+            for i, p in mission.goal(config).items()
+        }
         refuse_conflicts(config, goals, "goals")
     return warnings
 
@@ -89,7 +107,9 @@ def mission_hash(config: SwarmConfig, mission: Mission) -> str:
     text = Path(getattr(mission, "__file__", None) or "")
     code = text.read_bytes() if text.is_file() else b""
     whole = hashlib.blake2b(config.digest().encode() + code, digest_size=8).hexdigest()
-    return f"{whole}:{config.digests()}{hashlib.blake2b(code, digest_size=1).hexdigest()}"
+    return (
+        f"{whole}:{config.digests()}{hashlib.blake2b(code, digest_size=1).hexdigest()}"
+    )
 
 
 def names() -> list[str]:
@@ -120,11 +140,21 @@ def from_file(path: Path, kind: str) -> ModuleType:
     except Exception as error:
         if isinstance(error.__cause__, SystemExit):
             raise
-        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == spec.origin]
+        lines = [
+            at.lineno
+            for at in traceback.extract_tb(error.__traceback__)
+            if at.filename == spec.origin
+        ]
         where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
         hangs = isinstance(error, Hung)
-        found = f"no end within {HOOK:g} s of its import" if hangs else f"{type(error).__name__}: {error}"
-        raise ConfigError(where, found, "a file that Python can import", "Mend it.") from error
+        found = (
+            f"no end within {HOOK:g} s of its import"
+            if hangs
+            else f"{type(error).__name__}: {error}"
+        )
+        raise ConfigError(
+            where, found, "a file that Python can import", "Mend it."
+        ) from error
     return module
 
 

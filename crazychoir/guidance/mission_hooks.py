@@ -22,12 +22,15 @@ from crazychoir.guidance.user_hook import README, Hook, require_signature, shown
 from crazychoir.team.graph import span
 
 log = logging.getLogger(__name__)
+
+
 class MissionFile:
     """A mission file with its hooks guarded; its other names are those of the module."""
 
     def __init__(self, module: ModuleType) -> None:
         """Raises ConfigError for a hook that cannot be called as it will be."""
-        self._module, self.__file__ = module, str(module.__file__)
+        self._module = module
+        self.__file__ = str(module.__file__)
         self._guarded: dict[str, Callable[..., Any]] = {}
         for name, (arguments, returns, guard) in HOOKS.items():
             function = getattr(module, name, None)
@@ -47,18 +50,35 @@ def require_complete(guidance: CFGuidance, where: str) -> None:
     """
     kind = f"{where}: class {type(guidance).__name__}"
     if isinstance(guidance, CFDistributedFeedback):
-        _require_own(guidance, CFDistributedFeedback.step, "def step(self, me, heard)", kind)
+        _require_own(
+            guidance, CFDistributedFeedback.step, "def step(self, me, heard)", kind
+        )
         require_signature(guidance.step, ("me", "heard"), kind, "step")
     _require_own(guidance, CFGuidance.mission, "async def mission(self)", kind)
     if not inspect.iscoroutinefunction(guidance.mission):
-        raise ConfigError(f"{kind}: mission", "def mission", "async def mission(self)", "Write `async` before it.")
+        raise ConfigError(
+            f"{kind}: mission",
+            "def mission",
+            "async def mission(self)",
+            "Write `async` before it.",
+        )
 
 
-def _require_own(guidance: CFGuidance, inherited: Callable[..., Any], wanted: str, kind: str) -> None:
+def _require_own(
+    guidance: CFGuidance, inherited: Callable[..., Any], wanted: str, kind: str
+) -> None:
     name = inherited.__name__
     if getattr(getattr(guidance, name), "__func__", None) is not inherited:
         return
-    near = get_close_matches(name, [own for own in vars(type(guidance)) if not hasattr(CFDistributedFeedback, own)], 1)
+    near = get_close_matches(
+        name,
+        [
+            own
+            for own in vars(type(guidance))
+            if not hasattr(CFDistributedFeedback, own)
+        ],
+        1,
+    )
     do = f"Is {near[0]!r} meant to be {name!r}?" if near else README
     raise ConfigError(kind, f"no {name} of its own", wanted, do)
 
@@ -83,7 +103,9 @@ def _swarm(hook: Hook, *values: Any) -> SwarmConfig:
 
 def _check(hook: Hook, config: SwarmConfig, force: bool = False) -> list[str]:
     found = hook(config, force)
-    if found is not None and not (isinstance(found, list | tuple) and all(isinstance(text, str) for text in found)):
+    if found is not None and not (
+        isinstance(found, list | tuple) and all(isinstance(text, str) for text in found)
+    ):
         raise hook.wrong(shown(found))
     return list(found or [])
 
@@ -98,7 +120,9 @@ def _goal(hook: Hook, config: SwarmConfig) -> dict[int, Any]:
     return dict(found)
 
 
-def _report(hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]]) -> dict[str, Any]:
+def _report(
+    hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]]
+) -> dict[str, Any]:
     """What it reports; where it fails, that, and not the loss of what was flown."""
     try:
         found = hook(config, results)
@@ -113,7 +137,9 @@ def _report(hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]])
     return figures
 
 
-def _picture(hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:
+def _picture(
+    hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str
+) -> None:
     """Draw it, or say why there is no picture."""
     try:
         hook(config, results, path)
@@ -122,12 +148,28 @@ def _picture(hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]]
 
 
 HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
-    "guidance": (("i", "config"), "a CFGuidance or a CFDistributedFeedback, one for each drone", _guidance),
+    "guidance": (
+        ("i", "config"),
+        "a CFGuidance or a CFDistributedFeedback, one for each drone",
+        _guidance,
+    ),
     "swarm": (("drones",), "a SwarmConfig", _swarm),
     "scatter": (("config",), "a SwarmConfig", _swarm),
     "check": (("config", "force"), "a list of warnings, each a text", _check),
-    "goal": (("config",), "{i: (3,) m}, a place for each drone that is to be somewhere", _goal),
-    "report": (("config", "results"), 'a dictionary of figures, with "success" and "reasons" {i: text}', _report),
-    "picture": (("config", "results", "path"), "nothing: a PNG written to path", _picture),
+    "goal": (
+        ("config",),
+        "{i: (3,) m}, a place for each drone that is to be somewhere",
+        _goal,
+    ),
+    "report": (
+        ("config", "results"),
+        'a dictionary of figures, with "success" and "reasons" {i: text}',
+        _report,
+    ),
+    "picture": (
+        ("config", "results", "path"),
+        "nothing: a PNG written to path",
+        _picture,
+    ),
 }
 """Arguments, result in words, and guard of each hook."""

@@ -14,11 +14,15 @@ from crazychoir.team.graph import span
 T = TypeVar("T", bound=Table)
 Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]
 Spot = Annotated[
-    tuple[Coordinate, Coordinate], Meta(description="a place [x, y] in m, within 1000 m", examples=[[1.0, 2.5]])
+    tuple[Coordinate, Coordinate],
+    Meta(description="a place [x, y] in m, within 1000 m", examples=[[1.0, 2.5]]),
 ]
 Spots = Annotated[
     tuple[tuple[Coordinate, Coordinate], ...],
-    Meta(description="places [x, y] in m, within 1000 m", examples=[[[1.0, 2.5], [0.0, 1.0]]]),
+    Meta(
+        description="places [x, y] in m, within 1000 m",
+        examples=[[[1.0, 2.5], [0.0, 1.0]]],
+    ),
 ]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 Places = Annotated[
@@ -31,15 +35,45 @@ Places = Annotated[
 Spread = Annotated[float, Meta(ge=0, le=10)]
 Spreads = Annotated[
     tuple[Spread, Spread, Spread],
-    Meta(description="three lengths in m, 0 to 10, at most so far along x, y and z", examples=[[0.3, 0.3, 0.2]]),
+    Meta(
+        description="three lengths in m, 0 to 10, at most so far along x, y and z",
+        examples=[[0.3, 0.3, 0.2]],
+    ),
 ]
-Offset = Annotated[float, Meta(ge=0, le=10, description="a length in m, 0 to 10", examples=[0.1])]
-Length = Annotated[float, Meta(gt=0, le=100, description="a length in m, above 0, at most 100", examples=[0.4])]
-Gain = Annotated[float, Meta(gt=0, le=1000, description="a gain, above 0, at most 1000", examples=[1.6])]
-Duration = Annotated[float, Meta(gt=0, le=1e6, description="a time in s, above 0, at most 1e6", examples=[20.0])]
-Period = Annotated[float, Meta(gt=0, le=600, description="a time in s, above 0, at most 600", examples=[10.0])]
-Ramp = Annotated[float, Meta(ge=0, le=600, description="a time in s, 0 to 600", examples=[5.0])]
-Laps = Annotated[float, Meta(gt=0, le=20, description="a number of laps, above 0, at most 20", examples=[2.0])]
+Offset = Annotated[
+    float, Meta(ge=0, le=10, description="a length in m, 0 to 10", examples=[0.1])
+]
+Length = Annotated[
+    float,
+    Meta(
+        gt=0, le=100, description="a length in m, above 0, at most 100", examples=[0.4]
+    ),
+]
+Gain = Annotated[
+    float,
+    Meta(gt=0, le=1000, description="a gain, above 0, at most 1000", examples=[1.6]),
+]
+Duration = Annotated[
+    float,
+    Meta(
+        gt=0, le=1e6, description="a time in s, above 0, at most 1e6", examples=[20.0]
+    ),
+]
+Period = Annotated[
+    float,
+    Meta(
+        gt=0, le=600, description="a time in s, above 0, at most 600", examples=[10.0]
+    ),
+]
+Ramp = Annotated[
+    float, Meta(ge=0, le=600, description="a time in s, 0 to 600", examples=[5.0])
+]
+Laps = Annotated[
+    float,
+    Meta(
+        gt=0, le=20, description="a number of laps, above 0, at most 20", examples=[2.0]
+    ),
+]
 
 Yaw = Annotated[
     Annotated[float, Meta(ge=-7, le=7)] | Literal["along"],
@@ -59,12 +93,16 @@ class HeightOption(Table, frozen=True, kw_only=True):
 
 def given(config: SwarmConfig, kind: type[T]) -> T:
     """[mission_options] as the table `kind`; raises ConfigError that names the key, what was found, what is allowed."""
-    return read(config.mission_options, kind, f"swarm {config.name}", "mission_options", Swarm)
+    return read(
+        config.mission_options, kind, f"swarm {config.name}", "mission_options", Swarm
+    )
 
 
 def own(config: SwarmConfig, drone: Drone, kind: type[T]) -> T:
     """`options` of a drone as the table `kind`; raises ConfigError as `given`."""
-    return read(drone.options, kind, f"swarm {config.name}: drone {drone.id}", "options", Swarm)
+    return read(
+        drone.options, kind, f"swarm {config.name}: drone {drone.id}", "options", Swarm
+    )
 
 
 def require_none(config: SwarmConfig) -> None:
@@ -76,5 +114,6 @@ def require_none(config: SwarmConfig) -> None:
 def require_each(config: SwarmConfig, found: Collection[int], key: str) -> None:
     """Raise ConfigError unless [mission_options] has a place for each drone under this key, and for nobody else."""
     if tuple(sorted(found)) != config.ids:
-        where, allowed = f"swarm {config.name}: mission_options.{key}", f"one for each drone, {span(config.ids)}"
+        where = f"swarm {config.name}: mission_options.{key}"
+        allowed = f"one for each drone, {span(config.ids)}"
         raise ConfigError(where, f"places of drones {sorted(found)}", allowed)

@@ -11,7 +11,12 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.timed import Way
-from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, SequentialMPC, integrators
+from crazychoir.optimization.predictive_control import (
+    Prediction,
+    PredictiveControl,
+    SequentialMPC,
+    integrators,
+)
 from crazychoir.types import FullState, Heard, State, Vec
 
 log = logging.getLogger(__name__)
@@ -46,12 +51,21 @@ class Motion:
         """
         A, B = integrators(self.step, 2)
         most = [*2 * [self.speed], *2 * [self.acceleration]]
-        both, push = np.vstack([np.eye(6), -np.eye(6)]), np.vstack([np.eye(2), -np.eye(2)])
+        both = np.vstack([np.eye(6), -np.eye(6)])
+        push = np.vstack([np.eye(2), -np.eye(2)])
         return Prediction(
-            A=A, B=B, C=np.eye(2, 6), Q=np.diag([*2 * [self.place], *4 * [self.rate]]), R=self.effort * np.eye(2),
-            E=both, f=np.concatenate([high, most, -low, most]), G=push, h=np.full(4, self.jerk), T=self.horizon,
+            A=A,
+            B=B,
+            C=np.eye(2, 6),
+            Q=np.diag([*2 * [self.place], *4 * [self.rate]]),
+            R=self.effort * np.eye(2),
+            E=both,
+            f=np.concatenate([high, most, -low, most]),
+            G=push,
+            h=np.full(4, self.jerk),
+            T=self.horizon,
             Z=np.eye(6)[2:],
-        )  # fmt: skip
+        )
 
 
 class MPCGuidance(CFDistributedFeedback):
@@ -69,17 +83,30 @@ class MPCGuidance(CFDistributedFeedback):
     """
 
     def __init__(
-        self, goal: Vec, motion: Motion, low: Vec, high: Vec, reach: float, neighbors: tuple[int, ...]
+        self,
+        goal: Vec,
+        motion: Motion,
+        low: Vec,
+        high: Vec,
+        reach: float,
+        neighbors: tuple[int, ...],
     ) -> None:
-        self.goal, self.motion, self.way = np.asarray(goal, float), motion, Way()
-        self.control = PredictiveControl(motion.prediction(low, high), reach if neighbors else None)
+        self.goal = np.asarray(goal, float)
+        self.motion = motion
+        self.way = Way()
+        self.control = PredictiveControl(
+            motion.prediction(low, high), reach if neighbors else None
+        )
         self.mates = neighbors
 
     async def run_law(self) -> None:
         """The law, and the talk beside it as long as it lasts."""
-        place, self._next = self.state.p, self.member.clock.now() + self.motion.step
-        self._z, self._off = place[2], False
-        self._x, self._u = np.concatenate([place[:2] - self.goal, np.zeros(4)]), np.zeros(2)
+        place = self.state.p
+        self._next = self.member.clock.now() + self.motion.step
+        self._z = place[2]
+        self._off = False
+        self._x = np.concatenate([place[:2] - self.goal, np.zeros(4)])
+        self._u = np.zeros(2)
         self.scheme = SequentialMPC(self.id, self.mates, self.control, self._x)
         talk = asyncio.create_task(self._talk(), name=f"drone {self.id} talk")
         try:
@@ -91,17 +118,25 @@ class MPCGuidance(CFDistributedFeedback):
 
     def step(self, me: State, heard: Heard) -> FullState:
         """Where the plan is now: a polynomial of degree 3 from step to step."""
-        now, h = self.member.clock.now(), self.motion.step
+        now = self.member.clock.now()
+        h = self.motion.step
         while now >= self._next - 1e-9:
             self._begin(me)
         self.way.note(now, me.p)
-        x, u, s = self._x, self._u, now - self._next + h
-        p, v, a = x[0:2], x[2:4], x[4:6]
+        x = self._x
+        u = self._u
+        s = now - self._next + h
+        p = x[0:2]
+        v = x[2:4]
+        a = x[4:6]
         place = self.goal + p + s * (v + s * (0.5 * a + s * u / 6.0))
         self._off = bool(np.linalg.norm(me.p[:2] - place) > TUBE)
         return FullState.at(
-            (*place, self._z), (*(v + s * (a + 0.5 * s * u)), 0.0), (*(a + s * u), 0.0), (*u, 0.0)
-        )  # fmt: skip
+            (*place, self._z),
+            (*(v + s * (a + 0.5 * s * u)), 0.0),
+            (*(a + s * u), 0.0),
+            (*u, 0.0),
+        )
 
     def _begin(self, me: State) -> None:
         """A step begins: what is decided is flown, and the next one is to be decided from where it leads."""
@@ -112,21 +147,35 @@ class MPCGuidance(CFDistributedFeedback):
 
     async def _talk(self) -> None:
         """Listen, decide, say it, again and again: what is lost is said once more."""
-        clock, scheme, pause = self.member.clock, self.scheme, self.motion.step / TALKS
+        clock = self.member.clock
+        scheme = self.scheme
+        pause = self.motion.step / TALKS
         try:
             while True:
                 failed = scheme.tally.infeasible
-                scheme.step(await self.asynchronous_receive(self.mates, channel=CHANNEL))
+                scheme.step(
+                    await self.asynchronous_receive(self.mates, channel=CHANNEL)
+                )
                 if scheme.tally.infeasible > failed:
-                    log.warning("drone %d: %s: it goes on with its last plan", self.id, scheme.tally.why)
+                    log.warning(
+                        "drone %d: %s: it goes on with its last plan",
+                        self.id,
+                        scheme.tally.why,
+                    )
                 await self.send(scheme.message(), self.mates, channel=CHANNEL)
                 await clock.sleep(pause, drone=self.id)
         except Exception as error:
             if self._law is not None and not self._law.done():
                 self._law.set_exception(error)
-            elif not isinstance(error, CrazyChoirError):  # of a team that has ended, nothing is lost any more
+            elif not isinstance(
+                error, CrazyChoirError
+            ):  # of a team that has ended, nothing is lost any more
                 raise
 
     async def mission(self) -> dict[str, Any]:
         """The law, with how its steps went."""
-        return {**await super().mission(), **asdict(self.scheme.tally), "way": self.way.rows}
+        return {
+            **await super().mission(),
+            **asdict(self.scheme.tally),
+            "way": self.way.rows,
+        }

@@ -16,7 +16,15 @@ NOTHING = 1e-7  # m; less is not owed
 
 @kernel(vector, real, vector, real, real, real, real, memory, memory)
 def _settle(
-    x: Vec, reach: float, last: Vec, last_reach: float, held: float, spread: float, new: float, mem: Vec, out: Vec
+    x: Vec,
+    reach: float,
+    last: Vec,
+    last_reach: float,
+    held: float,
+    spread: float,
+    new: float,
+    mem: Vec,
+    out: Vec,
 ) -> float:
     """The law of VelocitySum from the state `last` to x, into out (13,); returns the largest part that is owed, m.
 
@@ -30,7 +38,8 @@ def _settle(
             owed += (x[c] - reach * x[3 + c]) - (last[c] - last_reach * last[3 + c])
             owed = owed if held < 2.0 * spread and math.isfinite(owed) else 0.0
             out[3 + c] += owed / spread
-        mem[c], mem[3 + c] = out[3 + c], owed
+        mem[c] = out[3 + c]
+        mem[3 + c] = owed
         most = max(most, abs(owed))
     return most
 
@@ -57,7 +66,9 @@ class VelocitySum:
     """
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:
-        self.h, self.reach, self.spread = h, -h / math.expm1(-cutoff * h), SPREAD * period
+        self.h = h
+        self.reach = -h / math.expm1(-cutoff * h)
+        self.spread = SPREAD * period
         self.even = True
         """Nothing is owed: while each state is told for h, the next may be told as it is; `last` is to know it."""
         self.last: State | None = None
@@ -66,7 +77,8 @@ class VelocitySum:
 
     def forget(self) -> None:
         """As before the first state: nothing was told, there is nothing to make up for."""
-        self.last, self.even = None, True
+        self.last = None
+        self.even = True
 
     def told(self, state: State, age: float, held: int, steps: int) -> State:
         """The state with the velocity that keeps the sum right, and this age.
@@ -78,11 +90,25 @@ class VelocitySum:
         if (held == 1 and steps == 1 and self.even) or last is None:
             self.last = state
             return state if age == state.age else State(state.flat, age, state.a)
-        memory, out = self._memory, np.empty(13)
+        memory = self._memory
+        out = np.empty(13)
         if self.even:
-            memory[0:3], memory[3:6] = last.v, 0.0
-        before, now, new = self.reach + last.age, self.reach + state.age, float(steps > 0)
-        owed = _settle(state.flat, now, last.flat, before, held * self.h, self.spread, new, memory, out)
+            memory[0:3] = last.v
+            memory[3:6] = 0.0
+        before = self.reach + last.age
+        now = self.reach + state.age
+        new = float(steps > 0)
+        owed = _settle(
+            state.flat,
+            now,
+            last.flat,
+            before,
+            held * self.h,
+            self.spread,
+            new,
+            memory,
+            out,
+        )
         self.even = owed < NOTHING
         if steps > 0:
             self.last = state
@@ -98,7 +124,8 @@ class Hearing(Latest[State]):
     def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
         super().__init__(clock, name, STATE.max_age)
         self.sums = sums
-        self._h_ns, self._max_ns = round(sums.h * SECOND), round(STATE.max_age * SECOND)
+        self._h_ns = round(sums.h * SECOND)
+        self._max_ns = round(STATE.max_age * SECOND)
         self._half_ns = self._h_ns // 2
         self._told_version = self._told_ns = 0
 
@@ -111,16 +138,23 @@ class Hearing(Latest[State]):
 
         held: poses for which the last step's reference was flown.
         """
-        born_ns, sums, state = self._born_ns, self.sums, self._value
+        born_ns = self._born_ns
+        sums = self.sums
+        state = self._value
         if now_ns - born_ns > self._max_ns or state is None:
             self.stale += state is not None
             sums.forget()
             return None
-        age, version = (now_ns - born_ns) / SECOND, self.version
+        age = (now_ns - born_ns) / SECOND
+        version = self.version
         steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
-        self._told_ns, self._seen = born_ns, version
-        if steps == 1 == held and sums.even:  # as a rule: all is as the filter adds it up
-            self._told_version, sums.last = version, state
+        self._told_ns = born_ns
+        self._seen = version
+        if (
+            steps == 1 == held and sums.even
+        ):  # as a rule: all is as the filter adds it up
+            self._told_version = version
+            sums.last = state
             return state if age == state.age else State(state.flat, age, state.a)
         if version == self._told_version:
             state = State(moved_on(state.flat, age - state.age), age, state.a)
@@ -142,7 +176,8 @@ class Paired(Latest[State]):
 
     def __init__(self, clock: Clock, name: str, h: float) -> None:
         super().__init__(clock, name, STATE.max_age)
-        self._h_ns, self._max_ns = round(h * SECOND), round(STATE.max_age * SECOND)
+        self._h_ns = round(h * SECOND)
+        self._max_ns = round(STATE.max_age * SECOND)
         self._told_version = self._told_ns = 0
         self._last: State | None = None
         self._flat = STILL
@@ -153,7 +188,9 @@ class Paired(Latest[State]):
 
     def state(self, now_ns: int, held: int) -> State | None:
         """The neighbour's state for this step, with the age of the message; None if that is too old."""
-        born_ns, state, last = self._born_ns, self._value, self._last
+        born_ns = self._born_ns
+        state = self._value
+        last = self._last
         if now_ns - born_ns > self._max_ns or state is None:
             self.stale += state is not None
             self._last = None
@@ -165,7 +202,9 @@ class Paired(Latest[State]):
                 self._flat = state.flat
             else:
                 self._flat = between(state.flat, last.flat, 1.0 / steps)
-            self._told_version, self._told_ns, self._last = self.version, born_ns, state
+            self._told_version = self.version
+            self._told_ns = born_ns
+            self._last = state
         return State(self._flat, (now_ns - born_ns) / SECOND, state.a)
 
 

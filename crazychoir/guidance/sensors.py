@@ -19,7 +19,9 @@ class Readings:
     """The newest values of some log variables: `readings["pm.vbat"]`, None before the first and when it is stale."""
 
     def __init__(self, clock: Clock, names: tuple[str, ...], max_age: float) -> None:
-        self.clock, self.names, self.max_age = clock, names, max_age
+        self.clock = clock
+        self.names = names
+        self.max_age = max_age
         self._born_ns: dict[str, int] = {}
         self._values: dict[str, float] = {}
 
@@ -31,17 +33,24 @@ class Readings:
                 value, old = said[name]
                 born_ns = now_ns - round((age + old) * SECOND)
                 if born_ns >= self._born_ns.get(name, born_ns):
-                    self._values[name], self._born_ns[name] = value, born_ns
+                    self._values[name] = value
+                    self._born_ns[name] = born_ns
 
     def __getitem__(self, name: str) -> float | None:
         if name not in self.names:
-            raise KeyError(f"{name!r} was not asked for; there are {', '.join(self.names)}")
+            raise KeyError(
+                f"{name!r} was not asked for; there are {', '.join(self.names)}"
+            )
         return self._values[name] if self.age(name) <= self.max_age else None
 
     def age(self, name: str) -> float:
         """s since the value was measured; infinite before the first."""
         born_ns = self._born_ns.get(name)
-        return float("inf") if born_ns is None else (self.clock.now_ns() - born_ns) / SECOND
+        return (
+            float("inf")
+            if born_ns is None
+            else (self.clock.now_ns() - born_ns) / SECOND
+        )
 
     def fresh(self) -> dict[str, float]:
         """All that are not stale."""
@@ -55,8 +64,12 @@ class Sensors:
     so many s; raises ConfigError, or says later in the log what it does not have.
     """
 
-    def __init__(self, port: Port, body: int, known: Iterable[str] | None, ask: Ask) -> None:
-        self.port, self.known, self.ask = port, known, ask
+    def __init__(
+        self, port: Port, body: int, known: Iterable[str] | None, ask: Ask
+    ) -> None:
+        self.port = port
+        self.known = known
+        self.ask = ask
         self._readings: dict[tuple[tuple[str, ...], float], Readings] = {}
         self._body = body
 
@@ -64,7 +77,8 @@ class Sensors:
         """The newest values of these, one every `period` s; ConfigError for names that there are not."""
         if (names, period) in self._readings:
             return self._readings[names, period]
-        where, clock = f"drone {self.port.address}: log", self.port.bus.clock
+        where = f"drone {self.port.address}: log"
+        clock = self.port.bus.clock
         check_period(period, where)
         if self.known is not None:
             check(names, self.known, where)
@@ -72,7 +86,9 @@ class Sensors:
         if not self._readings:
             told = Call(clock, self._told, f"drone {self.port.address} telemetry")
             self.port.bus.subscribe(TELEMETRY, self._body, self.port.address, told)
-        readings = self._readings[names, period] = Readings(clock, names, MISSED * period + TELEMETRY.max_age)
+        readings = self._readings[names, period] = Readings(
+            clock, names, MISSED * period + TELEMETRY.max_age
+        )
         return readings
 
     def _told(self, said: dict[str, list[float]], age: float) -> None:

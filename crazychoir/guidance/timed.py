@@ -45,8 +45,8 @@ class Way:
 async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
     """Where a drone is gets noted as long as the block lasts.
 
-        async with noted(self, way):
-            await self.fly(...)
+    async with noted(self, way):
+        await self.fly(...)
     """
 
     async def note() -> None:
@@ -71,13 +71,16 @@ class TimedFlight(CFDistributedFeedback):
     """
 
     def __init__(self, trajectory: Trajectory, marks: Sequence[float] = ()) -> None:
-        self.trajectory, self.marks = trajectory, tuple(marks)
+        self.trajectory = trajectory
+        self.marks = tuple(marks)
         self.duration = trajectory.duration + SETTLE
         self.way, self._at_marks, self._off = Way(), list[float](), list[float]()
 
     def height(self) -> float:
         """m above the ground, of where the trajectory begins."""
-        return float(self.trajectory.sample(0.0).p[2]) - self.member.config.flight.ground
+        return (
+            float(self.trajectory.sample(0.0).p[2]) - self.member.config.flight.ground
+        )
 
     def step(self, me: State, heard: Heard) -> FullState:
         """Where the trajectory is now."""
@@ -85,15 +88,27 @@ class TimedFlight(CFDistributedFeedback):
         wanted = self.trajectory.sample(t)
         off = float(np.linalg.norm(me.p - wanted.p))
         self._off.append(off)
-        while len(self._at_marks) < len(self.marks) and t >= self.marks[len(self._at_marks)] - 1e-9:
+        while (
+            len(self._at_marks) < len(self.marks)
+            and t >= self.marks[len(self._at_marks)] - 1e-9
+        ):
             self._at_marks.append(off)
         return wanted
 
     async def mission(self) -> dict[str, Any]:
         """The law, with how well it was flown."""
-        result, off = await super().mission(), np.array(self._off)
-        figures = {"tracking_rms_m": float(np.sqrt(np.mean(off**2))), "tracking_max_m": float(off.max())}
-        return {**result, **figures, "mark_errors_m": self._at_marks, "way": self.way.rows}
+        result = await super().mission()
+        off = np.array(self._off)
+        figures = {
+            "tracking_rms_m": float(np.sqrt(np.mean(off**2))),
+            "tracking_max_m": float(off.max()),
+        }
+        return {
+            **result,
+            **figures,
+            "mark_errors_m": self._at_marks,
+            "way": self.way.rows,
+        }
 
 
 class TargetList(CFDistributedFeedback):
@@ -113,18 +128,26 @@ class TargetList(CFDistributedFeedback):
 
     def step(self, me: State, heard: Heard) -> Goto:
         """To the first target that was not reached; to the last one when all were."""
-        t, k = self.way.note(self.member.clock.now(), me.p), len(self._reached)
+        t = self.way.note(self.member.clock.now(), me.p)
+        k = len(self._reached)
         if k < len(self.targets) and np.linalg.norm(me.p - self.targets[k]) <= THERE:
             self._reached.append(t)
         return Goto(self.targets[min(len(self._reached), len(self.targets) - 1)])
 
     async def mission(self) -> dict[str, Any]:
         """The law, with when it was where."""
-        return {**await super().mission(), "reached_s": [round(t, 2) for t in self._reached], "way": self.way.rows}
+        return {
+            **await super().mission(),
+            "reached_s": [round(t, 2) for t in self._reached],
+            "way": self.way.rows,
+        }
 
 
 def planned_s(places: Sequence[Vec], flight: Flight) -> float:
     """s from each place to the next, as fast as the limits allow, at rest at each."""
-    v, a = flight.speed_limit, flight.acceleration_limit
+    v = flight.speed_limit
+    a = flight.acceleration_limit
     pairs = pairwise(places)
-    return sum(duration_for(FullState.at(start), goal, 0.0, v, a) for start, goal in pairs)
+    return sum(
+        duration_for(FullState.at(start), goal, 0.0, v, a) for start, goal in pairs
+    )

@@ -33,8 +33,15 @@ def first_at(pilot: Pilot, p: Vec) -> int:
 def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
     """Where a drone at `at` (3,) m waits for its turn at p (3,) m, as high: on its own side, if the fence allows."""
     angle = math.atan2(at[1] - p[1], at[0] - p[0])
-    places = [p + AROUND * np.array([math.cos(angle + side), math.sin(angle + side), 0.0]) for side in SIDES]
-    inside = [place for place in places if np.array_equal(fence.nearest(place, inset=EDGE)[0:2], place[0:2])]
+    places = [
+        p + AROUND * np.array([math.cos(angle + side), math.sin(angle + side), 0.0])
+        for side in SIDES
+    ]
+    inside = [
+        place
+        for place in places
+        if np.array_equal(fence.nearest(place, inset=EDGE)[0:2], place[0:2])
+    ]
     return inside[0] if inside else places[0]
 
 
@@ -44,7 +51,8 @@ def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
     if traffic is None:
         return {}
     now = pilot.clock.now()
-    rows, floor = traffic.rows, pilot.limits.ground + STANDING
+    rows = traffic.rows
+    floor = pilot.limits.ground + STANDING
     near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
     fly = near & (rows[:, 2] > floor) & (now - rows[:, BORN] < USABLE)
     return {traffic.ids[k]: rows[k, 0:3].copy() for k in np.flatnonzero(fly)}
@@ -55,29 +63,37 @@ class Turns:
 
     def __init__(self, pilot: Pilot) -> None:
         self.pilot = pilot
-        self._aside, self._until = np.zeros(3), 0.0
+        self._aside = np.zeros(3)
+        self._until = 0.0
         self._free = 0.0  # s, when nobody was in its way for the last time
 
     def to(self, p: Vec) -> Vec:
         """Where to fly now for who wants to be at p (3,) m: aside, while it is another one's turn, at most LEAVES s."""
-        pilot, now = self.pilot, self.pilot.clock.now()
+        pilot = self.pilot
+        now = self.pilot.clock.now()
         if not blocked(pilot):
             self._free = now
         if now < self._until and first_at(pilot, p) < pilot.drone:
             return self._aside
         self._until = 0.0
-        if now - self._free > PATIENT and pilot.gap(p) < NEAR and first_at(pilot, p) < pilot.drone:
+        if (
+            now - self._free > PATIENT
+            and pilot.gap(p) < NEAR
+            and first_at(pilot, p) < pilot.drone
+        ):
             return self._leave(p)
         return p
 
     def away(self) -> Vec | None:
         """Where to fly for who wants nothing, but is in another's way; None: nowhere."""
-        pilot, now = self.pilot, self.pilot.clock.now()
+        pilot = self.pilot
+        now = self.pilot.clock.now()
         assert pilot.state is not None  # noqa: S101 - who flies has a state
         here = pilot.state.p
         if now < self._until and pilot.gap(self._aside) > CLOSE:
             return self._aside
-        self._until, self._free = 0.0, now
+        self._until = 0.0
+        self._free = now
         others = _flying_near(pilot, here, AROUND) if blocked(pilot) else {}
         if not others:
             return None

@@ -12,7 +12,10 @@ from crazychoir.errors import ConfigError, CrazyChoirError, Hung, without_exit
 from crazychoir.runtime.user_code_guard import HOOK, limited
 
 README = 'See "Write your own mission" in README.md.'
-CHAPTERS = {"mission": README, "algorithm": 'See "A new distributed algorithm" in README.md.'}
+CHAPTERS = {
+    "mission": README,
+    "algorithm": 'See "A new distributed algorithm" in README.md.',
+}
 """Of README.md, by the kind of the file."""
 
 
@@ -38,12 +41,21 @@ class Hook:
 
     def check(self) -> None:
         """Raise ConfigError unless it is a plain function that takes its arguments."""
-        require_signature(self.function, self.arguments, f"{self.kind} {self.file}", self.name, CHAPTERS[self.kind])
+        require_signature(
+            self.function,
+            self.arguments,
+            f"{self.kind} {self.file}",
+            self.name,
+            CHAPTERS[self.kind],
+        )
 
     def __call__(self, *values: Any) -> Any:
         """Call it; an error that is no word of this package becomes one that names file, line and hook."""
         try:
-            with limited(HOOK, f"{self.kind} {self.file}: {self.call}"), without_exit(f"{self.kind} {self.call}"):
+            with (
+                limited(HOOK, f"{self.kind} {self.file}: {self.call}"),
+                without_exit(f"{self.kind} {self.call}"),
+            ):
                 return self.function(*values)
         except Hung as error:
             raise self.wrong(f"no end within {HOOK:g} s", self._line(error)) from error
@@ -55,28 +67,53 @@ class Hook:
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
         """The error of a hook that did not return what is allowed."""
-        return ConfigError(f"{self.kind} {self.file}{line}: {self.call}", found, self.returns, CHAPTERS[self.kind])
+        return ConfigError(
+            f"{self.kind} {self.file}{line}: {self.call}",
+            found,
+            self.returns,
+            CHAPTERS[self.kind],
+        )
 
     def _line(self, error: Exception) -> str:
         """Where in the user's file it happened."""
-        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == self.file]
+        lines = [
+            at.lineno
+            for at in traceback.extract_tb(error.__traceback__)
+            if at.filename == self.file
+        ]
         return f":{lines[-1]}" if lines else ""
 
 
 def require_signature(
-    function: object, arguments: tuple[str, ...], where: str, name: str, chapter: str = README
+    function: object,
+    arguments: tuple[str, ...],
+    where: str,
+    name: str,
+    chapter: str = README,
 ) -> None:
     """Raise ConfigError unless `function` is a plain function that can be called with `arguments`, by position."""
     wanted = f"def {name}({', '.join(arguments)})"
     if not callable(function):
-        raise ConfigError(f"{where}: {name}", f"{name} = {shown(function)}", wanted, "Or give it another name.")
+        raise ConfigError(
+            f"{where}: {name}",
+            f"{name} = {shown(function)}",
+            wanted,
+            "Or give it another name.",
+        )
     if inspect.iscoroutinefunction(function):
-        raise ConfigError(f"{where}: {name}", f"async {wanted}", wanted, "Drop `async`: it may not wait.")
+        raise ConfigError(
+            f"{where}: {name}",
+            f"async {wanted}",
+            wanted,
+            "Drop `async`: it may not wait.",
+        )
     signature = inspect.signature(function)
     try:
         signature.bind(*arguments)
     except TypeError:
-        raise ConfigError(f"{where}: {name}", f"def {name}{signature}", wanted, chapter) from None
+        raise ConfigError(
+            f"{where}: {name}", f"def {name}{signature}", wanted, chapter
+        ) from None
 
 
 def place_of(function: Callable[..., Any]) -> str:
@@ -91,4 +128,8 @@ def shown(value: object) -> str:
     """What a value is, in a few words."""
     if value is None:
         return "None"
-    return f"ndarray {value.shape}" if isinstance(value, np.ndarray) else f"{type(value).__name__} {value!r:.60}"
+    return (
+        f"ndarray {value.shape}"
+        if isinstance(value, np.ndarray)
+        else f"{type(value).__name__} {value!r:.60}"
+    )

@@ -82,12 +82,16 @@ def set_up_logging(level: int = logging.WARNING) -> None:
     if sys.stderr.isatty():
         from rich.logging import RichHandler
 
-        handler: logging.Handler = RichHandler(console=STDERR, show_path=False, rich_tracebacks=False)
+        handler: logging.Handler = RichHandler(
+            console=STDERR, show_path=False, rich_tracebacks=False
+        )
     else:
         handler = logging.StreamHandler()
     handler.setFormatter(TracesOnce())
     logging.basicConfig(level=level, handlers=[handler], force=True)
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it says where it keeps its list of fonts
+    logging.getLogger("matplotlib").setLevel(
+        logging.ERROR
+    )  # it says where it keeps its list of fonts
 
 
 @contextlib.contextmanager
@@ -95,7 +99,10 @@ def prints_aside() -> Iterator[None]:
     """Standard output is for what a command answers: what missions, and programs that they start, print goes aside,
     to standard error.
     """
-    with contextlib.redirect_stdout(sys.stderr), contextlib.nullcontext() if handshakes.overhears() else _aside():
+    with (
+        contextlib.redirect_stdout(sys.stderr),
+        contextlib.nullcontext() if handshakes.overhears() else _aside(),
+    ):
         yield
 
 
@@ -143,8 +150,14 @@ def require_drawable(path: Path | None) -> None:
 def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
     """Raise ConfigError for a drone that no radio reaches; which: a text that says which swarm it is."""
     if drone not in config.reached:
-        do = "" if config.reached else f"There are none in {which}: name another swarm file by --swarm."
-        raise ConfigError("DRONE", drone, f"drones that a radio reaches: {list(config.reached)}", do)
+        do = (
+            ""
+            if config.reached
+            else f"There are none in {which}: name another swarm file by --swarm."
+        )
+        raise ConfigError(
+            "DRONE", drone, f"drones that a radio reaches: {list(config.reached)}", do
+        )
 
 
 class Outputs:
@@ -162,7 +175,11 @@ class Outputs:
         try:
             yield
         except Exception as error:
-            text = str(error) if isinstance(error, CrazyChoirError) else f"{type(error).__name__}: {error}"
+            text = (
+                str(error)
+                if isinstance(error, CrazyChoirError)
+                else f"{type(error).__name__}: {error}"
+            )
             self.failed[option] = text
             log.debug("%s", option, exc_info=error)
 
@@ -170,7 +187,13 @@ class Outputs:
         """One line on standard error for each that is not there."""
         for option, why in self.failed.items():
             text = why if why.startswith(option) else f"{option}: {why}"
-            STDERR.print(f"Not written: {text}", style="red", markup=False, highlight=False, soft_wrap=True)
+            STDERR.print(
+                f"Not written: {text}",
+                style="red",
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
 
     @property
     def told(self) -> dict[str, Any]:
@@ -181,9 +204,13 @@ class Outputs:
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
     """Say what is wrong, and end with exit code 2."""
     if as_json:
-        write_json({"success": False, "error": str(error), "kind": type(error).__name__})
+        write_json(
+            {"success": False, "error": str(error), "kind": type(error).__name__}
+        )
     STDERR.print(Text.assemble((type(error).__name__, "bold red"), ": "), end="")
-    text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)  # its name is said already
+    text = (
+        f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)
+    )  # its name is said already
     STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)
 
@@ -200,19 +227,37 @@ def interrupted(as_json: bool) -> NoReturn:
 def warn_of(recording: "Recording", left: str) -> None:
     """Say what a recording lacks: its end, and `left`, what is done with the rest; messages lost or missed."""
     said = [f"the recording was {recording.fault}: {left}"] if recording.fault else []
-    said += [f"messages lost while it was recorded: {recording.lost}"] if recording.lost else []
-    said += [f"messages that the network did not bring to its recorder: {recording.missed}"] if recording.missed else []
+    said += (
+        [f"messages lost while it was recorded: {recording.lost}"]
+        if recording.lost
+        else []
+    )
+    said += (
+        [f"messages that the network did not bring to its recorder: {recording.missed}"]
+        if recording.missed
+        else []
+    )
     for text in said:
-        STDERR.print(f"{recording.path}: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+        STDERR.print(
+            f"{recording.path}: {text}",
+            style="yellow",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def result_table(results: dict[Any, dict[str, Any]]) -> Table:
     """One row a drone."""
     table = Table("drone", "success", "detail")
     for i, result in results.items():
-        rest = ", ".join(f"{k} {_short(v)}" for k, v in result.items() if k != "success")
+        rest = ", ".join(
+            f"{k} {_short(v)}" for k, v in result.items() if k != "success"
+        )
         detail = _of(i, result["reason"]) if result.get("reason") else rest
-        table.add_row(str(i), "yes" if result.get("success") else Text("no", "red"), Text(detail))
+        table.add_row(
+            str(i), "yes" if result.get("success") else Text("no", "red"), Text(detail)
+        )
     return table
 
 
@@ -230,7 +275,8 @@ def status_table(score: "Score") -> Group:
     """The live view of a swarm: a line a drone, and below what troubles any. Narrow ones leave out two counters."""
     counters = ("sent", "lost", "resent") if STDERR.width >= WIDE else ("lost",)
     columns = ("drone", "phase", "task", "round", "cost", *counters, "silent")
-    table, below = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False), []
+    table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    below = []
     marked = False
     for i in score.ids:
         status = score.statuses.get(i)
@@ -240,13 +286,24 @@ def status_table(score: "Score") -> Group:
         silent = _silent(status, score.statuses)
         marked = marked or bool(silent)
         cost = "" if status.cost != status.cost else f"{status.cost:.3f}"
-        numbers = [str(status.round), cost, *(str(getattr(status, name)) for name in counters)]
-        table.add_row(str(i), *(_line(text) for text in (status.phase, status.task, *numbers, silent)))
+        numbers = [
+            str(status.round),
+            cost,
+            *(str(getattr(status, name)) for name in counters),
+        ]
+        table.add_row(
+            str(i),
+            *(_line(text) for text in (status.phase, status.task, *numbers, silent)),
+        )
         if status.note:
             below.append(_line(f"drone {i}: {status.note}"))
     below += [_line(text) for text in _clocks(score.statuses.values())]
     if marked:
-        below.append(_line("silent: those that it does not hear; ? for a second or more, ! given up"))
+        below.append(
+            _line(
+                "silent: those that it does not hear; ? for a second or more, ! given up"
+            )
+        )
     return Group(table, *below)
 
 
@@ -254,7 +311,9 @@ def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
     """Whom a drone misses, without those that are back on the ground: they have ended and owe nobody a word."""
     from crazychoir.agent.drone import WAITING
 
-    ended = [j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING]
+    ended = [
+        j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING
+    ]
     marks = [*((j, "?") for j in status.suspect), *((j, "!") for j in status.gone)]
     return ", ".join(f"{j}{mark}" for j, mark in marks if j not in ended)
 
@@ -263,9 +322,14 @@ def _clocks(statuses: Iterable["Status"]) -> list[str]:
     """How far the clocks of hosts are apart, a line a pair."""
     said: dict[frozenset[str], str] = {}
     for status in statuses:
-        for host, offset, error in zip(status.hosts, status.offsets, status.offset_errors, strict=False):
+        for host, offset, error in zip(
+            status.hosts, status.offsets, status.offset_errors, strict=False
+        ):
             how = f"{abs(offset):.6f} s {'ahead of' if offset > 0.0 else 'behind'} that of {status.host}"
-            said.setdefault(frozenset((host, status.host)), f"the clock of host {host} is {how}, within {error:.6f} s")
+            said.setdefault(
+                frozenset((host, status.host)),
+                f"the clock of host {host} is {how}, within {error:.6f} s",
+            )
     return list(said.values())
 
 
@@ -281,7 +345,11 @@ class Progress(Generic[T]):
         from rich.live import Live
 
         self.table = table
-        self.live = Live(console=STDERR, refresh_per_second=REFRESH, transient=True) if enabled else None
+        self.live = (
+            Live(console=STDERR, refresh_per_second=REFRESH, transient=True)
+            if enabled
+            else None
+        )
         self._due = 0.0
 
     def __call__(self, seen: T) -> None:
@@ -315,19 +383,40 @@ def summary_table(run: dict[str, Any]) -> Table:
     """The result of a run, one row a figure."""
     table = Table("figure", "value", title=f"{_flown(run)}: {_verdict(run)}")
     shown = [
-        ("drones", "{}"), ("tasks", "{}"), ("cost", "{:.4f} m"), ("plan_digest", "{:.16}"), ("simulated_s", "{:.2f} s"),
-        ("startup_s", "{:.2f} s"), ("wall_s", "{:.2f} s"), ("real_time_factor", "{:.1f}"), ("rounds", "{}"),
-        ("messages", "{}"), ("min_separation_m", "{:.3f} m"), ("kept_clear_s", "{}"), ("at_fence_s", "{}"),
+        ("drones", "{}"),
+        ("tasks", "{}"),
+        ("cost", "{:.4f} m"),
+        ("plan_digest", "{:.16}"),
+        ("simulated_s", "{:.2f} s"),
+        ("startup_s", "{:.2f} s"),
+        ("wall_s", "{:.2f} s"),
+        ("real_time_factor", "{:.1f}"),
+        ("rounds", "{}"),
+        ("messages", "{}"),
+        ("min_separation_m", "{:.3f} m"),
+        ("kept_clear_s", "{}"),
+        ("at_fence_s", "{}"),
         ("apart", "{}"),
-        ("formation_error_m", "{:.4f} m"), ("settling_s", "{:.2f} s"),
-        ("planned_m", "{}"), ("flown_m", "{}"), ("digest", "{}"), ("picture", "{}"),
-    ]  # fmt: skip
+        ("formation_error_m", "{:.4f} m"),
+        ("settling_s", "{:.2f} s"),
+        ("planned_m", "{}"),
+        ("flown_m", "{}"),
+        ("digest", "{}"),
+        ("picture", "{}"),
+    ]
     if len(run["here"]) < run["drones"]:
         table.add_row("started here", ", ".join(map(str, run["here"])))
-    same = () if run.get("digest") else ("simulated_s", "real_time_factor")  # on the wall clock they say nothing
+    same = (
+        () if run.get("digest") else ("simulated_s", "real_time_factor")
+    )  # on the wall clock they say nothing
     for key, form in shown:
         if run.get(key) is not None and key not in same:
-            table.add_row(key, form.format(run[key] if not isinstance(run[key], dict) else _pairs(run[key])))
+            table.add_row(
+                key,
+                form.format(
+                    run[key] if not isinstance(run[key], dict) else _pairs(run[key])
+                ),
+            )
     for key in run.get("report", ()):
         if key not in dict(shown) and (text := _figures(run[key])):
             table.add_row(key, Text(text))
@@ -350,8 +439,11 @@ def _flown(run: dict[str, Any]) -> str:
 
 def _recording(recording: dict[str, Any]) -> str:
     """Where it is, and what is not in it."""
-    text, error = f"{recording['file']}: {recording['messages']} messages", recording["error"]
-    text += "".join(f", {recording[name]} {name}" for name in ("lost", "missed") if recording[name])
+    text = f"{recording['file']}: {recording['messages']} messages"
+    error = recording["error"]
+    text += "".join(
+        f", {recording[name]} {name}" for name in ("lost", "missed") if recording[name]
+    )
     return text + (f"; ended early: {error}" if error else "")
 
 

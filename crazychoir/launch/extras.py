@@ -32,4 +32,9 @@ def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> 
 def _require(where: str, module: str, extra: str) -> None:
     if importlib.util.find_spec(module) is None:
         do = f"pip install 'crazychoir[{extra}]'."
-        raise ConfigError(where, f"no module {module}", f"the extra {extra}, installed on this machine", do)
+        raise ConfigError(
+            where,
+            f"no module {module}",
+            f"the extra {extra}, installed on this machine",
+            do,
+        )

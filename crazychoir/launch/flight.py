@@ -36,12 +36,17 @@ HELD = {
 }
 """What has kept a drone from where it wanted to be, by the key of its result."""
 NO_RESULT = "its process has ended without a result; the log says how"
-NOBODY_MOVED = "the law returned None in every step of every drone: all hovered, nobody moved"
+NOBODY_MOVED = (
+    "the law returned None in every step of every drone: all hovered, nobody moved"
+)
 Results = dict[int, dict[str, Any]]
 
 
 def fly_fast(
-    config: SwarmConfig, mission: Mission, watch: Watch | None = None, file: RecordingFile | None = None
+    config: SwarmConfig,
+    mission: Mission,
+    watch: Watch | None = None,
+    file: RecordingFile | None = None,
 ) -> dict[str, Any]:
     """The whole swarm in this process, in virtual time; recorded into `file`."""
     began = time.perf_counter()
@@ -49,55 +54,98 @@ def fly_fast(
     async def main(clock: Clock) -> dict[str, Any]:
         trace = Trace()
         agent = Agent(clock, config, mission, config.ids, trace=trace)
-        score = Score(agent.bus, config.ids, goal_of(mission, config), watch or (lambda score: None))
+        score = Score(
+            agent.bus,
+            config.ids,
+            goal_of(mission, config),
+            watch or (lambda score: None),
+        )
         agent.services.append(score)
         outcome = lambda: {"digest": trace.digest()}  # noqa: E731 - of the whole flight, when the drones have ended
-        recorder = Recorder(agent.bus, config.ids, file, outcome=outcome) if file else None
+        recorder = (
+            Recorder(agent.bus, config.ids, file, outcome=outcome) if file else None
+        )
         agent.services += [recorder] if recorder else []
         ready = time.perf_counter()
         with HangWatch() as agent.watchdog:
             results = await agent.run()
         rounds = max(drone.communicator.rounds for drone in agent.drones.values())
         counters = [drone.port.counters for drone in agent.drones.values()]
-        messages = {name: sum(getattr(c, name) for c in counters) for name in ("sent", "lost", "resent")}
+        messages = {
+            name: sum(getattr(c, name) for c in counters)
+            for name in ("sent", "lost", "resent")
+        }
         wall = time.perf_counter() - ready
         return summary(config, mission, results, score, clock.now(), wall) | {
-            "startup_s": ready - began, "messages": messages, "rounds": rounds, "digest": trace.digest(),
+            "startup_s": ready - began,
+            "messages": messages,
+            "rounds": rounds,
+            "digest": trace.digest(),
             "recording": recorder.result() if recorder else None,
-        }  # fmt: skip
+        }
 
     return run_virtual(main)
 
 
 def fly_real(
-    path: Path, config: SwarmConfig, mission: Mission, options: Iterable[str] = (), watch: Watch | None = None,
-    say: Callable[[str], None] = lambda line: None, started: tuple[int, ...] | None = None,
+    path: Path,
+    config: SwarmConfig,
+    mission: Mission,
+    options: Iterable[str] = (),
+    watch: Watch | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    started: tuple[int, ...] | None = None,
     file: RecordingFile | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """One process a group of the swarm file, over Zenoh; this process looks on, and records into `file`.
 
     path: the file of `config`, for the processes;  started: the drones to start, None for all: whole groups.
     """
-    groups = [group for group in config.groups() if started is None or any(i in started for i in group)]
+    groups = [
+        group
+        for group in config.groups()
+        if started is None or any(i in started for i in group)
+    ]
 
     async def main(clock: Clock) -> dict[str, Any]:
-        link, began = observer(clock, config), clock.now()
+        link = observer(clock, config)
+        began = clock.now()
         address = next(iter(link.bus.ports))
         watched = watch or (lambda score: None)
         score = Score(
-            link.bus, config.ids, goal_of(mission, config), watched, address=address, source=config.source,
+            link.bus,
+            config.ids,
+            goal_of(mission, config),
+            watched,
+            address=address,
+            source=config.source,
             unseen=config.unseen,
-        )  # fmt: skip
-        recorder = Recorder(link.bus, config.ids, file, address, config.source) if file else None
-        console = [Console(Commander(link.bus.ports[address]), config.ids)] if is_console(config, link.bus.host) else []
+        )
+        recorder = (
+            Recorder(link.bus, config.ids, file, address, config.source)
+            if file
+            else None
+        )
+        console = (
+            [Console(Commander(link.bus.ports[address]), config.ids)]
+            if is_console(config, link.bus.host)
+            else []
+        )
         async with attached(link, score, *([recorder] if recorder else []), *console):
             results = await run_children(
-                groups, path, config, list(options), say, lambda: all_wait(config, score), owners(config, started)
+                groups,
+                path,
+                config,
+                list(options),
+                say,
+                lambda: all_wait(config, score),
+                owners(config, started),
             )
         ready = began if score.go_at is None else score.go_at
         wall = clock.now() - ready
         return summary(config, mission, results, score, wall, wall, started) | {
-            "startup_s": ready - began, "recording": recorder.result() if recorder else None
+            "startup_s": ready - began,
+            "recording": recorder.result() if recorder else None,
         }
 
     return run_wall(main)
@@ -120,8 +168,14 @@ def summary(
     """
     started = config.ids if started is None else started
     ended = {i: r[ENDED] for i, r in sorted(results.items()) if ENDED in r}
-    report = mission.report(config, unended(results)) if started == config.ids and has(mission, "report") else {}
-    reached, off, said = bool(report.pop("success", True)), report.pop("reasons", {}), report.pop("reason", None)
+    report = (
+        mission.report(config, unended(results))
+        if started == config.ids and has(mission, "report")
+        else {}
+    )
+    reached = bool(report.pop("success", True))
+    off = report.pop("reasons", {})
+    said = report.pop("reason", None)
     if ended and not reached:
         of_all = said is not None and any(i not in ended for i in config.ids)
         reached, off, ended = excused(off, ended)
@@ -135,7 +189,14 @@ def summary(
     reasons |= dict.fromkeys(absent, NO_RESULT)
     if not (reached or reasons):
         said = spoken(said, NO_REASONS)
-    for_all = [str(said), *(f"drone {i}: {', '.join(texts)}" for i, texts in held.items() if i not in reasons)]
+    for_all = [
+        str(said),
+        *(
+            f"drone {i}: {', '.join(texts)}"
+            for i, texts in held.items()
+            if i not in reasons
+        ),
+    ]
     separation = score.min_separation
     if idle(results):
         log.warning(NOBODY_MOVED)
@@ -151,7 +212,10 @@ def summary(
         "wall_s": wall,
         "real_time_factor": simulated / wall,
         "min_separation_m": separation if np.isfinite(separation) else None,
-        **{key: {i: r[key] for i, r in sorted(results.items()) if key in r} or None for key in HELD},
+        **{
+            key: {i: r[key] for i, r in sorted(results.items()) if key in r} or None
+            for key in HELD
+        },
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
         "digest": None,
@@ -169,21 +233,37 @@ def summary(
 
 def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
     """Those that are started here: with all drones, or with the lowest one of their host."""
-    found = [WORLD_OWNER] if config.owned and _starts(config, config.world.host, started) else []
+    found = (
+        [WORLD_OWNER]
+        if config.owned and _starts(config, config.world.host, started)
+        else []
+    )
     if config.seen and _starts(config, config.mocap.host, started):
         found.append(Owner("mocap", "crazychoir.cli.fly.mocap", again=True))
     for k in dongles(config, started):
         options = ("--dongle", str(k))
-        found.append(Owner(f"dongle {k}", "crazychoir.cli.fly.radio_owner", options, again=True, ids=config.dongles[k]))
+        found.append(
+            Owner(
+                f"dongle {k}",
+                "crazychoir.cli.fly.radio_owner",
+                options,
+                again=True,
+                ids=config.dongles[k],
+            )
+        )
     return found
 
 
 def dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[int]:
     """Those whose owners are started here."""
-    return [k for k in config.dongles if _starts(config, config.dongle_host(k), started)]
+    return [
+        k for k in config.dongles if _starts(config, config.dongle_host(k), started)
+    ]
 
 
-def _starts(config: SwarmConfig, host: str | None, started: tuple[int, ...] | None) -> bool:
+def _starts(
+    config: SwarmConfig, host: str | None, started: tuple[int, ...] | None
+) -> bool:
     here = config.ids if started is None else started
     beside = [i for i in config.ids if config.drone(i).host == host]
     return here == config.ids or any(i in here for i in beside[:1])
@@ -191,12 +271,17 @@ def _starts(config: SwarmConfig, host: str | None, started: tuple[int, ...] | No
 
 def all_wait(config: SwarmConfig, score: Score) -> bool:
     """Whether every drone must be there for the start, and none is known to have begun."""
-    return config.start == "all" and all(status.task == WAITING for status in score.statuses.values())
+    return config.start == "all" and all(
+        status.task == WAITING for status in score.statuses.values()
+    )
 
 
 def hindrances(results: Results) -> dict[int, list[str]]:
     """What has kept each drone from where it wanted to be, of those that something has."""
-    told = {i: [text.format(r[key]) for key, text in HELD.items() if key in r] for i, r in sorted(results.items())}
+    told = {
+        i: [text.format(r[key]) for key, text in HELD.items() if key in r]
+        for i, r in sorted(results.items())
+    }
     return {i: texts for i, texts in told.items() if texts}
 
 
@@ -215,15 +300,24 @@ def excused(
     reasons that were taken.
     """
     others = {i: text for i, text in off.items() if i not in ended}
-    words = {i: "; ".join([text, *([str(off[i])] if i in off else [])]) for i, text in ended.items()}
+    words = {
+        i: "; ".join([text, *([str(off[i])] if i in off else [])])
+        for i, text in ended.items()
+    }
     return not others, others, words
 
 
 def failures(
-    results: Results, touching: Mapping[tuple[int, int], float], started: tuple[int, ...]
+    results: Results,
+    touching: Mapping[tuple[int, int], float],
+    started: tuple[int, ...],
 ) -> dict[int, str]:
     """Why each drone has failed: by its own result, or because it came near enough to others to touch them."""
-    reasons = {i: [spoken(r.get("reason"), NO_REASON)] for i, r in sorted(results.items()) if not r.get("success")}
+    reasons = {
+        i: [spoken(r.get("reason"), NO_REASON)]
+        for i, r in sorted(results.items())
+        if not r.get("success")
+    }
     for (i, j), gap in touching.items():
         for one, other in ((i, j), (j, i)):
             if one in started:

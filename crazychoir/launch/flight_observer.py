@@ -66,7 +66,9 @@ class Score(Actor):
         self.errors: list[tuple[float, float]] = []
         self._tracks: dict[int, list[tuple[float, ...]]] = {i: [] for i in self.ids}
         self._apart = dict.fromkeys(self.ids, DRAWN)
-        self._truth: dict[int, tuple[Vec, Vec, float]] = {}  # p, v, and when they were so
+        self._truth: dict[
+            int, tuple[Vec, Vec, float]
+        ] = {}  # p, v, and when they were so
         self._law_began: float | None = None
         self._law_ended = False
         self.go_at: float | None = None
@@ -78,8 +80,12 @@ class Score(Actor):
             self._listen(STATUS, i, partial(self._hear_status, i))
             self._listen(LOG, i, self._hear_log)
 
-    def _listen(self, topic: Topic, i: int, function: Callable[[Any, float], None]) -> None:
-        self.bus.subscribe(topic, self.source(topic, i), self.address, Call(self.bus.clock, function))
+    def _listen(
+        self, topic: Topic, i: int, function: Callable[[Any, float], None]
+    ) -> None:
+        self.bus.subscribe(
+            topic, self.source(topic, i), self.address, Call(self.bus.clock, function)
+        )
 
     async def run(self) -> None:
         """Look at the whole swarm as often as truth comes."""
@@ -107,7 +113,9 @@ class Score(Actor):
     @property
     def flown(self) -> dict[int, float]:
         """m: how far each drone has moved, in truth; 0 for one that stands, however what it takes for that drifts."""
-        return {i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()}
+        return {
+            i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()
+        }
 
     def _stands(self, i: int) -> bool:
         """Whether it has never taken off, as it says, and nobody but itself sees where it is."""
@@ -127,7 +135,9 @@ class Score(Actor):
     def law_s(self) -> float | None:
         """s since the law began; None before and after it."""
         began = self._law_began
-        return None if began is None or self._law_ended else self.bus.clock.now() - began
+        return (
+            None if began is None or self._law_ended else self.bus.clock.now() - began
+        )
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
@@ -150,7 +160,10 @@ class Score(Actor):
         now = self.bus.clock.now()
         self._compare(now)
         if self._law_began is not None and not self._law_ended:
-            far = max(float(np.linalg.norm(self._truth[i][0] - self.goal[i])) for i in self.goal)
+            far = max(
+                float(np.linalg.norm(self._truth[i][0] - self.goal[i]))
+                for i in self.goal
+            )
             beyond = [error for error in self.errors if error[1] > SETTLED]
             self.errors = [*beyond[-1:], (now - self._law_began, far)]
 
@@ -159,7 +172,10 @@ class Score(Actor):
         ids = [i for i in self.ids if now - self._truth[i][2] <= COMPARABLE]
         if len(ids) < 2:
             return
-        p, v, when = (np.array(column) for column in zip(*(self._truth[i] for i in ids), strict=True))
+        p, v, when = (
+            np.array(column)
+            for column in zip(*(self._truth[i] for i in ids), strict=True)
+        )
         gaps = pdist(p + (now - when)[:, None] * v)
         stand = [self._stands(i) for i in ids]
         if any(stand):
@@ -182,9 +198,16 @@ class Score(Actor):
     def messages(self) -> dict[str, int]:
         """Totals over the drones, from their last statuses."""
         of = self.statuses.values()
-        return {name: sum(getattr(status, name) for status in of) for name in ("sent", "lost", "resent")}
+        return {
+            name: sum(getattr(status, name) for status in of)
+            for name in ("sent", "lost", "resent")
+        }
 
 
 def goal_of(mission: Mission, config: SwarmConfig) -> dict[int, Vec]:
     """Where the drones are to be, if the mission says so."""
-    return {i: np.asarray(p) for i, p in mission.goal(config).items()} if has(mission, "goal") else {}
+    return (
+        {i: np.asarray(p) for i, p in mission.goal(config).items()}
+        if has(mission, "goal")
+        else {}
+    )

@@ -10,11 +10,17 @@ LOOK = 0.01
 async def joined(link: ZenohLink, links: Graph) -> None:
     """Wait until HELLO has gone both ways with every process that holds a neighbour of ours."""
     here = link.bus.ports
-    elsewhere = dict.fromkeys(j for i in here for j in links.neighbors(i) if j not in here)
+    elsewhere = dict.fromkeys(
+        j for i in here for j in links.neighbors(i) if j not in here
+    )
     while not all(_greeted(link, j) for j in elsewhere):
         await link.bus.clock.sleep(LOOK)
 
 
 def _greeted(link: ZenohLink, j: int) -> bool:
     peer = link.directory.get(j)
-    return peer is not None and peer.hello is not None and link.bus.process in peer.hello.heard
+    return (
+        peer is not None
+        and peer.hello is not None
+        and link.bus.process in peer.hello.heard
+    )

@@ -73,19 +73,43 @@ def namespace(name: str) -> Iterator[str]:
 def cable(one: tuple[str, str], other: tuple[str, str]) -> None:
     """Two devices (namespace, name) joined, and up."""
     (here, device), (there, peer) = one, other
-    ip("link", "add", device, "netns", here, "type", "veth", "peer", "name", peer, "netns", there)
+    ip(
+        "link",
+        "add",
+        device,
+        "netns",
+        here,
+        "type",
+        "veth",
+        "peer",
+        "name",
+        peer,
+        "netns",
+        there,
+    )
     ip("-n", here, "link", "set", device, "up")
     ip("-n", there, "link", "set", peer, "up")
 
 
 def ip(*arguments: str) -> None:
     """Raises ConfigError with what iproute2 says."""
-    where, needed = "network namespaces", "They need Linux, root and iproute2."
+    where = "network namespaces"
+    needed = "They need Linux, root and iproute2."
     program = shutil.which("ip")
     if program is None:
         raise ConfigError(where, "no program `ip`", "that of iproute2", needed)
     done = subprocess.run(
-        [program, *arguments], capture_output=True, text=True, errors="replace", check=False, timeout=30.0
+        [program, *arguments],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+        timeout=30.0,
     )
     if done.returncode:
-        raise ConfigError(where, f"`ip {' '.join(arguments)}`: {done.stderr.strip()}", "success", needed)
+        raise ConfigError(
+            where,
+            f"`ip {' '.join(arguments)}`: {done.stderr.strip()}",
+            "success",
+            needed,
+        )

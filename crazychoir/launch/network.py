@@ -39,7 +39,9 @@ def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
     """The link of an observer under a name and an address of its own: many may look on at once, from many hosts."""
     draw = random.SystemRandom()
     host = own_name(config)
-    bus = Bus(clock, process=f"{OBSERVERS}-{host}.{draw.getrandbits(32):08x}", host=host)
+    bus = Bus(
+        clock, process=f"{OBSERVERS}-{host}.{draw.getrandbits(32):08x}", host=host
+    )
     bus.port(OBSERVER + 1 + draw.getrandbits(24), draw.getrandbits(32))
     return observer_link(bus, config)
 
@@ -47,11 +49,16 @@ def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
 def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
     """The network as an observer sees it: connected to every process of the swarm file, listening nowhere known."""
     return ZenohLink(
-        bus, config.name, listen=[f"{config.scheme}/127.0.0.1:0"], connect=list(config.endpoints().values()),
+        bus,
+        config.name,
+        listen=[f"{config.scheme}/127.0.0.1:0"],
+        connect=list(config.endpoints().values()),
         routers=config.routers,
-        incarnation=random.SystemRandom().getrandbits(62), version=VERSION, lease=config.lease,
+        incarnation=random.SystemRandom().getrandbits(62),
+        version=VERSION,
+        lease=config.lease,
         access=config.access(bus.host),
-    )  # fmt: skip
+    )
 
 
 def own_name(config: SwarmConfig) -> str:
@@ -61,8 +68,15 @@ def own_name(config: SwarmConfig) -> str:
     names = list(dict.fromkeys([*config.security.operators, *config.hosts]))
     here = [name for name in names if (Path(config.security.keys) / name).is_dir()]
     if not here:
-        do = f"Copy the folder of this host there; see `crazychoir keys add {names[0]}`."
-        raise ConfigError("security.keys", config.security.keys, f"a folder with that of {', '.join(names)}", do)
+        do = (
+            f"Copy the folder of this host there; see `crazychoir keys add {names[0]}`."
+        )
+        raise ConfigError(
+            "security.keys",
+            config.security.keys,
+            f"a folder with that of {', '.join(names)}",
+            do,
+        )
     return here[0]
 
 
@@ -70,8 +84,12 @@ def own_name(config: SwarmConfig) -> str:
 async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
     """On the network, with these actors at work; afterwards all have stopped."""
     link.open()
-    serving = asyncio.create_task(Supervisor(link.bus.clock, "observer").run([link, *actors]))
-    await link.bus.clock.sleep(0.0)  # it has begun: one that is cancelled before closes nothing, and the process stays
+    serving = asyncio.create_task(
+        Supervisor(link.bus.clock, "observer").run([link, *actors])
+    )
+    await link.bus.clock.sleep(
+        0.0
+    )  # it has begun: one that is cancelled before closes nothing, and the process stays
     try:
         yield
     finally:
@@ -95,26 +113,36 @@ def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
 
 
 @contextlib.contextmanager
-def set_apart(config: SwarmConfig, processes: int | None, *, keeps_port: bool = False) -> Iterator[SwarmConfig]:
+def set_apart(
+    config: SwarmConfig, processes: int | None, *, keeps_port: bool = False
+) -> Iterator[SwarmConfig]:
     """Give a swarm a name and ports of its own, in so many processes, and hold the ports for them meanwhile.
 
     keeps_port: whether a base_port of the swarm file is used, if it is another than the default. Raises ConfigError if
     one of its ports is taken.
     """
-    groups = [list(map(int, part)) for part in np.array_split(config.ids, processes)] if processes else None
+    groups = (
+        [list(map(int, part)) for part in np.array_split(config.ids, processes)]
+        if processes
+        else None
+    )
     suffix = f"{random.SystemRandom().getrandbits(32):08x}"
     changes: dict[str, Any] = {"name": f"{config.name[:30]}-{suffix}"}
     if groups:
         changes["processes"] = [group for group in groups if group]
     changed = config.replace(**changes)
-    places = {process: _address(endpoint) for process, endpoint in changed.endpoints().items()}
+    places = {
+        process: _address(endpoint) for process, endpoint in changed.endpoints().items()
+    }
     given = config.base_port if keeps_port and config.base_port != BASE_PORT else None
     with held_ports(places, given, highest=max(config.ids)) as base:
         yield changed.replace(base_port=base)
 
 
 @contextlib.contextmanager
-def held_ports(places: Mapping[int, str], given: int | None = None, highest: int = 0) -> Iterator[int]:
+def held_ports(
+    places: Mapping[int, str], given: int | None = None, highest: int = 0
+) -> Iterator[int]:
     """Choose a base port such that base + offset is free for each offset, and hold these ports meanwhile.
 
     places: the address for each offset;  given: the base port to use, None to choose one;
@@ -127,15 +155,28 @@ def held_ports(places: Mapping[int, str], given: int | None = None, highest: int
     _allow_files(len(places))
     for base in _bases([*places, highest]) if given is None else [given]:
         with contextlib.ExitStack() as kept:
-            taken = next((n for n, address in places.items() if not _held(address, base + n, kept)), None)
+            taken = next(
+                (
+                    n
+                    for n, address in places.items()
+                    if not _held(address, base + n, kept)
+                ),
+                None,
+            )
             if taken is None:
                 yield base
                 return
         if given is not None:
-            name = f"drone {taken}" if taken >= 0 else "the router, or of what owns the world, the cameras or a dongle"
+            name = (
+                f"drone {taken}"
+                if taken >= 0
+                else "the router, or of what owns the world, the cameras or a dongle"
+            )
             do = f"End what has it (`ss -anp sport = :{base + taken}`), set another, or leave it out: a run chooses."
             problem = f"port {base + taken}, that of {name}, is taken"
-            raise ConfigError("base_port", given, "each process needs a free port", do, problem)
+            raise ConfigError(
+                "base_port", given, "each process needs a free port", do, problem
+            )
     raise _no_block(len(places))
 
 
@@ -149,7 +190,12 @@ def free_ports(offsets: list[int]) -> int:
 
 def _no_block(count: int) -> ConfigError:
     found = f"no free block for {count} processes"
-    return ConfigError("base_port", found, "free ports", "Let drones share processes (--processes), or set base_port.")
+    return ConfigError(
+        "base_port",
+        found,
+        "free ports",
+        "Let drones share processes (--processes), or set base_port.",
+    )
 
 
 def _bases(offsets: list[int]) -> Iterator[int]:
@@ -159,7 +205,8 @@ def _bases(offsets: list[int]) -> Iterator[int]:
     root could listen below, so there every port may be chosen.
     """
     draw = random.SystemRandom()
-    lowest, end = LOWEST_PORT - min(0, *offsets), _first_of_connections() - max(offsets)
+    lowest = LOWEST_PORT - min(0, *offsets)
+    end = _first_of_connections() - max(offsets)
     below = range(max(lowest, min(LOWEST, end // 2)), end)
     if below:
         for _ in range(ATTEMPTS):
@@ -170,7 +217,11 @@ def _bases(offsets: list[int]) -> Iterator[int]:
 
 def _first_of_connections() -> int:
     try:
-        return int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text(encoding="utf-8").split()[0])
+        return int(
+            Path("/proc/sys/net/ipv4/ip_local_port_range")
+            .read_text(encoding="utf-8")
+            .split()[0]
+        )
     except (OSError, ValueError, IndexError):
         return 32_768
 
@@ -190,7 +241,9 @@ def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
         return True
     except OSError as error:
         return error.errno == errno.EADDRNOTAVAIL
-    holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # not before: bound like this it could be shared
+    holder.setsockopt(
+        socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+    )  # not before: bound like this it could be shared
     return True
 
 
@@ -207,5 +260,7 @@ def _allow_files(processes: int) -> None:
         return
     if hard != resource.RLIM_INFINITY and hard < needed:
         do = f"Raise it as root (`ulimit -Hn {needed}`), or let drones share processes: --processes."
-        raise ConfigError("limit of open files", hard, f"{needed} for {processes} processes", do)
+        raise ConfigError(
+            "limit of open files", hard, f"{needed} for {processes} processes", do
+        )
     resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))

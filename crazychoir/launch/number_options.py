@@ -54,10 +54,16 @@ class Real:
     @property
     def allowed(self) -> str:
         """The limits in words."""
-        kind = {"s": "a finite number of s", "share": "a probability"}.get(self.unit, "a finite number")
+        kind = {"s": "a finite number of s", "share": "a probability"}.get(
+            self.unit, "a finite number"
+        )
         above = "above " if self.open_below else ""
         if self.least == -math.inf:
-            return kind if self.most == math.inf else f"{kind}, at most {_plain(self.most)}"
+            return (
+                kind
+                if self.most == math.inf
+                else f"{kind}, at most {_plain(self.most)}"
+            )
         if self.most == math.inf:
             return f"{kind}, {above}{_plain(self.least)}{'' if above else ' or more'}"
         if self.open_below:
@@ -103,12 +109,18 @@ class Whole:
 
 
 def _refused(found: str, allowed: str, hint: str) -> typer.BadParameter:
-    return typer.BadParameter(f"found {_shown(found)}; allowed: {allowed}. {hint}".rstrip())
+    return typer.BadParameter(
+        f"found {_shown(found)}; allowed: {allowed}. {hint}".rstrip()
+    )
 
 
 def real(
-    text: str, *names: str, least: float = -math.inf, most: float = math.inf, open_below: bool = False
-) -> Any:  # fmt: skip
+    text: str,
+    *names: str,
+    least: float = -math.inf,
+    most: float = math.inf,
+    open_below: bool = False,
+) -> Any:
     """Return an option that takes a finite number.
 
     text: its help;  names: as "--speed", if not the parameter's.
@@ -121,7 +133,13 @@ def share(text: str, *names: str) -> Any:
     return _option(text, names, Real(0.0, 1.0, unit="share"))
 
 
-def seconds(text: str, *names: str, least: float = 0.0, most: float = YEAR, open_below: bool = False) -> Any:
+def seconds(
+    text: str,
+    *names: str,
+    least: float = 0.0,
+    most: float = YEAR,
+    open_below: bool = False,
+) -> Any:
     """Return an option that takes a time in s."""
     return _option(text, names, Real(least, most, open_below, unit="s"))
 
@@ -147,7 +165,12 @@ def seed(text: str, *names: str) -> Any:
 
 
 def _option(text: str, names: tuple[str, ...], reader: Real | Whole) -> Any:
-    return typer.Option(*names, help=text, parser=reader, metavar="<int>" if isinstance(reader, Whole) else "<float>")
+    return typer.Option(
+        *names,
+        help=text,
+        parser=reader,
+        metavar="<int>" if isinstance(reader, Whole) else "<float>",
+    )
 
 
 def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph":
@@ -160,13 +183,19 @@ def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph"
         raise ConfigError("--graph", error.found, error.allowed, error.do) from error
 
 
-def finite_numbers(text: str, where: str, allowed: str, count: int | None = None) -> list[float]:
+def finite_numbers(
+    text: str, where: str, allowed: str, count: int | None = None
+) -> list[float]:
     """Return the numbers of a text such as "1,0.5,1.2"; raise ConfigError where they are not finite, or not `count`."""
     try:
         found = [float(word) for word in text.strip().strip("[]()").split(",")]
     except ValueError:
         found = []
-    if not found or not all(map(math.isfinite, found)) or count not in (None, len(found)):
+    if (
+        not found
+        or not all(map(math.isfinite, found))
+        or count not in (None, len(found))
+    ):
         raise ConfigError(where, _shown(text), allowed)
     return found
 

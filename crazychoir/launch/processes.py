@@ -90,7 +90,9 @@ async def run_children(
         found = read_results(files[group])
         results |= found
         if not found:
-            say(f"drone(s) {', '.join(map(str, group))}: no result: the process {_end_of(child)}")
+            say(
+                f"drone(s) {', '.join(map(str, group))}: no result: the process {_end_of(child)}"
+            )
     return results
 
 
@@ -110,7 +112,9 @@ async def _run_agents(
     async def until_its_end(group: tuple[int, ...]) -> None:
         await _listen(children[group], say)
         if all_wait() and not read_results(files[group]):
-            say(f"drone(s) {', '.join(map(str, group))}: ended before the start: the others wait no more")
+            say(
+                f"drone(s) {', '.join(map(str, group))}: ended before the start: the others wait no more"
+            )
             _signal(children.values(), signal.SIGTERM)
 
     try:
@@ -118,20 +122,32 @@ async def _run_agents(
             children[group] = await _spawn(group, path, file, options)
         await asyncio.gather(*map(until_its_end, files))
     finally:
-        await _end([child for child in children.values() if child.returncode is None], patience(config))
+        await _end(
+            [child for child in children.values() if child.returncode is None],
+            patience(config),
+        )
 
 
 @contextlib.asynccontextmanager
-async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncIterator[None]:
+async def _owner(
+    owner: Owner, path: Path, agents: Children, say: Say
+) -> AsyncIterator[None]:
     """An owner that the agents need: it is there before them and ends after them."""
     command = (owner.module, "--swarm", str(path), *owner.options, "--child")
-    child, over, now = await _start(*command), asyncio.Event(), asyncio.get_running_loop().time
+    child = await _start(*command)
+    over = asyncio.Event()
+    now = asyncio.get_running_loop().time
 
     async def watch() -> None:
         nonlocal child
         starts = [-math.inf] * STARTS_AGAIN  # s, of the last ones
         await _listen(child, say)
-        while owner.again and starts[0] < now() - WITHIN and not over.is_set() and child.returncode != REFUSED:
+        while (
+            owner.again
+            and starts[0] < now() - WITHIN
+            and not over.is_set()
+            and child.returncode != REFUSED
+        ):
             say(f"{owner.name}: its owner {_end_of(child)}: started again")
             starts = [*starts[1:], now()]
             child = await _start(*command)
@@ -140,12 +156,22 @@ async def _owner(owner: Owner, path: Path, agents: Children, say: Say) -> AsyncI
             await _listen(child, say)
         if over.is_set():
             return
-        refused = child.returncode == REFUSED and starts[-1] == -math.inf  # before it ever had a drone
-        say(f"{owner.name}: its owner {_end_of(child)}: its drones {'do not fly' if refused else 'stop'}")
+        refused = (
+            child.returncode == REFUSED and starts[-1] == -math.inf
+        )  # before it ever had a drone
+        say(
+            f"{owner.name}: its owner {_end_of(child)}: its drones {'do not fly' if refused else 'stop'}"
+        )
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(0.0 if child.returncode == REFUSED else ORPHANED):
+            async with asyncio.timeout(
+                0.0 if child.returncode == REFUSED else ORPHANED
+            ):
                 await over.wait()
-        needed = [agent for ids, agent in agents.items() if owner.ids is None or {*ids} <= {*owner.ids}]
+        needed = [
+            agent
+            for ids, agent in agents.items()
+            if owner.ids is None or {*ids} <= {*owner.ids}
+        ]
         _signal([agent for agent in needed if agent.returncode is None], signal.SIGTERM)
 
     watching = asyncio.create_task(watch())
@@ -183,25 +209,45 @@ def patience(config: SwarmConfig) -> float:
     """s that processes get to land their drones and end: from the top of the fence down, and what may delay that."""
     flight = config.flight
     height = config.fence.max[2] - flight.ground
-    top, floor = FullState.at((0.0, 0.0, height)), np.zeros(3)
-    fastest = duration_for(top, floor, 0.0, flight.speed_limit, flight.acceleration_limit)
-    return max(PEAK_SPEED * height / flight.landing_speed, fastest) + LANDING_DEADLINE + GRACE
+    top = FullState.at((0.0, 0.0, height))
+    floor = np.zeros(3)
+    fastest = duration_for(
+        top, floor, 0.0, flight.speed_limit, flight.acceleration_limit
+    )
+    return (
+        max(PEAK_SPEED * height / flight.landing_speed, fastest)
+        + LANDING_DEADLINE
+        + GRACE
+    )
 
 
-async def _spawn(group: tuple[int, ...], path: Path, result: Path, options: list[str]) -> Process:
+async def _spawn(
+    group: tuple[int, ...], path: Path, result: Path, options: list[str]
+) -> Process:
     ids = [word for i in group for word in ("--id", str(i))]
-    return await _start("crazychoir.cli.fly.agent", "--swarm", str(path), *ids, "--child", str(result), *options)
+    return await _start(
+        "crazychoir.cli.fly.agent",
+        "--swarm",
+        str(path),
+        *ids,
+        "--child",
+        str(result),
+        *options,
+    )
 
 
 async def _start(module: str, *words: str) -> Process:
     return await asyncio.create_subprocess_exec(
-        sys.executable, "-m", module, *words,
+        sys.executable,
+        "-m",
+        module,
+        *words,
         stdin=DEVNULL,
         stdout=PIPE,
         stderr=STDOUT,
         env=child_environment(),
         start_new_session=True,  # Ctrl-C reaches this process alone, which passes it on once
-    )  # fmt: skip
+    )
 
 
 async def _listen(child: Process, say: Say) -> None:
@@ -211,7 +257,8 @@ async def _listen(child: Process, say: Say) -> None:
     while chunk := await child.stdout.read(CHUNK):
         *lines, rest = (rest + chunk).split(b"\n")
         if len(rest) > LONGEST:
-            lines, rest = [*lines, rest], b""
+            lines = [*lines, rest]
+            rest = b""
         for line in lines:
             say(line.decode(errors="replace").rstrip())
     if rest:
@@ -225,7 +272,9 @@ def _once(say: Say) -> Say:
 
     def passed(line: str) -> None:
         cache = line.removeprefix(WARNING).partition(":")[0]
-        reason = line if line == COMPILES else cache if line.startswith(WARNING) else None
+        reason = (
+            line if line == COMPILES else cache if line.startswith(WARNING) else None
+        )
         if reason is None or reason not in told:
             say(line)
         if reason is not None:

@@ -36,7 +36,9 @@ def recording_file(
         yield file
 
 
-def new_recording(path: Path, config: SwarmConfig, mission: Mission | None, virtual: bool) -> RecordingFile:
+def new_recording(
+    path: Path, config: SwarmConfig, mission: Mission | None, virtual: bool
+) -> RecordingFile:
     """A new file for a flight of this swarm; raises ConfigError."""
     told = about(config, virtual) | {FILES: json.dumps(digests(config, mission))}
     return RecordingFile(path, told, config.dumps(), not virtual, text_of(mission))
@@ -54,30 +56,44 @@ def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:
     The files that the swarm file names, by its keys; and by their paths within the mission's folder the modules that
     were imported from there.
     """
-    found = {name: _digest(path) for name, path in (config.files | _modules(mission)).items()}
+    found = {
+        name: _digest(path) for name, path in (config.files | _modules(mission)).items()
+    }
     return {name: digest for name, digest in found.items() if digest}
 
 
-def other_files(told: Mapping[str, str], config: SwarmConfig, mission: Mission) -> dict[str, str]:
+def other_files(
+    told: Mapping[str, str], config: SwarmConfig, mission: Mission
+) -> dict[str, str]:
     """Which of the files with these digests are others now, and how."""
-    named, folder = config.files, _folder(mission)
+    named = config.files
+    folder = _folder(mission)
     now = {name: _digest(named.get(name, folder / name)) for name in told}
     return {
         name: "its content is another now" if now[name] else "it is not there any more"
-        for name, digest in told.items() if now[name] != digest
-    }  # fmt: skip
+        for name, digest in told.items()
+        if now[name] != digest
+    }
 
 
 def _modules(mission: Mission | None) -> dict[str, Path]:
     """The files beside a mission's, or below, from which modules were imported; none of the package or of libraries."""
     if not (name := getattr(mission, "__file__", None)):
         return {}
-    folder, found = _folder(mission), dict[str, Path]()
+    folder = _folder(mission)
+    found = dict[str, Path]()
     for module, loaded in sorted(sys.modules.items()):
         file = str(getattr(loaded, "__file__", None) or "")
-        path, within = Path(file).resolve(), f"{module}."
-        ours = within.startswith(("crazychoir.", "__main__.")) and not within.startswith(f"{PACKAGE}.")
-        if path != Path(name).resolve() and path.is_relative_to(folder) and not (ours or is_library(file)):
+        path = Path(file).resolve()
+        within = f"{module}."
+        ours = within.startswith(
+            ("crazychoir.", "__main__.")
+        ) and not within.startswith(f"{PACKAGE}.")
+        if (
+            path != Path(name).resolve()
+            and path.is_relative_to(folder)
+            and not (ours or is_library(file))
+        ):
             found[path.relative_to(folder).as_posix()] = path
     return found
 

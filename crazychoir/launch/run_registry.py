@@ -17,7 +17,12 @@ from pathlib import Path
 
 from crazychoir.errors import ConfigError
 from crazychoir.files.private_folder import existing_runtime_folder, runtime_folder
-from crazychoir.files.user_folders import RUNTIME_VARIABLE, SHARED_FOLDER, owner_fault, private_folder_of
+from crazychoir.files.user_folders import (
+    RUNTIME_VARIABLE,
+    SHARED_FOLDER,
+    owner_fault,
+    private_folder_of,
+)
 
 log = logging.getLogger(__name__)
 LARGEST_RECORD = 1 << 16  # bytes
@@ -48,7 +53,12 @@ def recorded(run: Run) -> Iterator[None]:
             kept.enter_context(_record(run))
         except OSError as error:
             do = f"Other shells must name it: crazychoir land --swarm {run.file}"
-            log.warning("%s: %s: no record of this run. %s", error.filename or "record", error.strerror or error, do)
+            log.warning(
+                "%s: %s: no record of this run. %s",
+                error.filename or "record",
+                error.strerror or error,
+                do,
+            )
         yield
 
 
@@ -56,7 +66,9 @@ def recorded(run: Run) -> Iterator[None]:
 def _record(run: Run) -> Iterator[None]:
     """The record of a run; raises OSError if it cannot be written."""
     folder = runtime_folder()
-    path, hidden = (folder / f"{prefix}{run.swarm}-{os.getpid()}" for prefix in ("", "."))
+    path, hidden = (
+        folder / f"{prefix}{run.swarm}-{os.getpid()}" for prefix in ("", ".")
+    )
     with contextlib.ExitStack() as kept:
         for left in (path, hidden):
             kept.callback(_remove, left)
@@ -103,14 +115,21 @@ def _runs_by_user() -> Iterator[list[Run]]:
         folder = existing_runtime_folder()
         yield _runs_in(folder, os.getuid()) if folder else []
     except (ConfigError, OSError) as error:
-        _warn_once(f"runs of this user are not found: {error}. Or name the swarm: --swarm FILE")
+        _warn_once(
+            f"runs of this user are not found: {error}. Or name the swarm: --swarm FILE"
+        )
     if os.getuid() != 0 or RUNTIME_VARIABLE in os.environ:
         return
     caller = os.environ.get("SUDO_UID", "")
     if caller.isdecimal() and int(caller) != 0:
         yield _runs_of(int(caller))
-    others = [path.name.rpartition("-")[2] for path in sorted(Path(SHARED_FOLDER).glob("crazychoir-*"))]
-    uids = [int(text) for text in others if text.isdecimal() and text not in ("0", caller)]
+    others = [
+        path.name.rpartition("-")[2]
+        for path in sorted(Path(SHARED_FOLDER).glob("crazychoir-*"))
+    ]
+    uids = [
+        int(text) for text in others if text.isdecimal() and text not in ("0", caller)
+    ]
     yield [run for uid in uids for run in _runs_of(uid)]
 
 

@@ -66,7 +66,9 @@ def angles(q: Vec) -> tuple[float, float, float]:
     return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
 
 
-def from_rest(poses: Mat, home_z: float, heading: float | None = None, yaw: float = 0.0) -> Rest:
+def from_rest(
+    poses: Mat, home_z: float, heading: float | None = None, yaw: float = 0.0
+) -> Rest:
     """Rotation and height of a body whose drone stands level, its centre at the height home_z m.
 
         R(q_b) = Rz(psi) R(q_m):  roll and pitch of q_b are those of q_m;  yaw of q_m = yaw of q_b - psi
@@ -78,10 +80,18 @@ def from_rest(poses: Mat, home_z: float, heading: float | None = None, yaw: floa
     q = mean_attitude(poses[:, 3:7])
     p = poses[:, 0:3].mean(axis=0)
     far = float(np.linalg.norm(poses[:, 0:3] - p, axis=1).max())
-    swing = max(float(np.linalg.norm(logarithm(product(conjugate(tuple(q)), tuple(one))))) for one in poses[:, 3:7])
+    swing = max(
+        float(np.linalg.norm(logarithm(product(conjugate(tuple(q)), tuple(one)))))
+        for one in poses[:, 3:7]
+    )
     if far > STILL or swing > STEADY:
         found = f"it moved by {far:.3f} m and {math.degrees(swing):.1f} deg"
-        raise ConfigError("calibration at rest", found, f"{STILL} m and 1 deg at most", "Put it down, and leave it.")
+        raise ConfigError(
+            "calibration at rest",
+            found,
+            f"{STILL} m and 1 deg at most",
+            "Put it down, and leave it.",
+        )
     roll, pitch, about = angles(q)
     spread = float(np.sqrt(poses[:, 0:3].var(axis=0).sum()))
     turn = yaw if heading is None else math.remainder(about - heading, 2.0 * math.pi)
@@ -99,12 +109,19 @@ def from_turn(times: Vec, poses: Mat, mounted: Sequence[float], height: float) -
     Errors: ConfigError for less than half a turn, or too few poses.
     """
     _enough(poses)
-    drone = np.array([product(tuple(q), conjugate(tuple(turned(mounted)))) for q in poses[:, 3:7]])
+    drone = np.array(
+        [product(tuple(q), conjugate(tuple(turned(mounted)))) for q in poses[:, 3:7]]
+    )
     turns = np.array([rotation(q) for q in drone])
     angle = float(np.ptp(np.unwrap(np.arctan2(turns[:, 1, 0], turns[:, 0, 0]))))
     if angle < TURN:
         do = "Turn it about itself, slowly, once around."
-        raise ConfigError("calibration by a turn", f"a turn of {math.degrees(angle):.0f} deg", "180 deg or more", do)
+        raise ConfigError(
+            "calibration by a turn",
+            f"a turn of {math.degrees(angle):.0f} deg",
+            "180 deg or more",
+            do,
+        )
     rows = _rows(times - times.mean(), turns)
     sides = (poses[:, 0:3] - height * turns[:, :, 2]).ravel()
     found, *_ = np.linalg.lstsq(rows, sides, rcond=None)
@@ -117,10 +134,17 @@ def from_turn(times: Vec, poses: Mat, mounted: Sequence[float], height: float) -
 def _rows(times: Vec, turns: Mat) -> Mat:
     """(3 k, 8): what c, d, o_x and o_y do to each coordinate."""
     eye = np.eye(3)
-    blocks = [np.hstack([eye, t * eye, r[:, 0:2]]) for t, r in zip(times, turns, strict=True)]
+    blocks = [
+        np.hstack([eye, t * eye, r[:, 0:2]]) for t, r in zip(times, turns, strict=True)
+    ]
     return np.vstack(blocks)
 
 
 def _enough(poses: Mat) -> None:
     if len(poses) < FEW:
-        raise ConfigError("calibration", f"{len(poses)} poses", f"{FEW} or more", "Look for longer; is the body seen?")
+        raise ConfigError(
+            "calibration",
+            f"{len(poses)} poses",
+            f"{FEW} or more",
+            "Look for longer; is the body seen?",
+        )

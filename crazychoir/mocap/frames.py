@@ -51,7 +51,9 @@ class Frame:
         for name in self.doubled:
             rows += [(name, NO_POSE), (name, NO_POSE)]
         if len(rows) > MOST or any(len(name.encode()) > NAME for name, _ in rows):
-            raise CodecError(f"frame of {len(rows)} bodies; allowed: {MOST}, names of {NAME} bytes at most.")
+            raise CodecError(
+                f"frame of {len(rows)} bodies; allowed: {MOST}, names of {NAME} bytes at most."
+            )
         head = _HEAD.pack(_MARK, self.number & 0xFFFFFFFF, self.time, len(rows))
         return head + b"".join(_BODY.pack(name.encode(), *flat) for name, flat in rows)
 
@@ -75,8 +77,10 @@ def parse(datagram: bytes) -> Frame:
         raise CodecError(f"{len(datagram)} bytes that are no frame of poses.")
     _, number, time, count = _HEAD.unpack_from(datagram)
     if len(datagram) != _HEAD.size + count * _BODY.size:
-        raise CodecError(f"frame of poses: {len(datagram)} bytes; allowed for {count} bodies: "
-                         f"{_HEAD.size + count * _BODY.size}.")  # fmt: skip
+        raise CodecError(
+            f"frame of poses: {len(datagram)} bytes; allowed for {count} bodies: "
+            f"{_HEAD.size + count * _BODY.size}."
+        )
     rows = []
     for name, *flat in _BODY.iter_unpack(datagram[_HEAD.size :]):
         try:

@@ -14,7 +14,9 @@ FIRST = 10.0
 LOOK = 0.02
 
 
-async def gather(clock: Clock, source: Source, view: View, seconds: float) -> list[Frame]:
+async def gather(
+    clock: Clock, source: Source, view: View, seconds: float
+) -> list[Frame]:
     """What a source shows in so many s from its first frame on; times of frames are those of their source.
 
     Raises Refused if none comes within FIRST s, whatever the source does meanwhile.
@@ -26,12 +28,20 @@ async def gather(clock: Clock, source: Source, view: View, seconds: float) -> li
         if seen is not None:
             frames.append(seen[0])
 
-    began, running = clock.now(), asyncio.create_task(source.run(take))
+    began = clock.now()
+    running = asyncio.create_task(source.run(take))
     try:
         while not frames:
             if clock.now() - began > FIRST:
-                dropped = f" {view.timeless} were dropped, whose time is no time in s." if view.timeless else ""
-                raise Refused(source.where, f"no frame within {FIRST:g} s ({source.state}).{dropped}")
+                dropped = (
+                    f" {view.timeless} were dropped, whose time is no time in s."
+                    if view.timeless
+                    else ""
+                )
+                raise Refused(
+                    source.where,
+                    f"no frame within {FIRST:g} s ({source.state}).{dropped}",
+                )
             await clock.sleep(LOOK)
         await clock.sleep(seconds)
     finally:

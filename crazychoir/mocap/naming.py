@@ -62,6 +62,14 @@ def matched(seen: Sequence[Seen], homes: Mapping[int, Sequence[float]]) -> list[
     if not seen or not homes:
         return []
     ids = sorted(homes)
-    cost = np.array([[float(np.linalg.norm(body.p - np.asarray(homes[i]))) for body in seen] for i in ids])
+    cost = np.array(
+        [
+            [float(np.linalg.norm(body.p - np.asarray(homes[i]))) for body in seen]
+            for i in ids
+        ]
+    )
     rows, columns = linear_sum_assignment(cost)
-    return [Match(ids[r], seen[c].name, float(cost[r, c])) for r, c in zip(rows, columns, strict=True)]
+    return [
+        Match(ids[r], seen[c].name, float(cost[r, c]))
+        for r, c in zip(rows, columns, strict=True)
+    ]

@@ -40,12 +40,16 @@ def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Sour
         return VirtualSource(clock, mocap.hostname, mocap.port, say)
     if mocap.source == "replay":
         return ReplaySource(clock, mocap.file, say)
-    return SystemSource(clock, mocap.source, mocap.hostname, mocap.options, mocap.connect_deadline, say)
+    return SystemSource(
+        clock, mocap.source, mocap.hostname, mocap.options, mocap.connect_deadline, say
+    )
 
 
 def view_of(config: SwarmConfig) -> View:
     """How the frames of [mocap] are seen: virtual ones as if by cameras."""
-    return View(config.mocap.rate, Blur(config) if config.mocap.source == "virtual" else None)
+    return View(
+        config.mocap.rate, Blur(config) if config.mocap.source == "virtual" else None
+    )
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,8 @@ class Track:
 class Feed(Actor):
     """Runs a source; one that fails runs again."""
 
-    name, restart = "cameras", ON_FAILURE
+    name = "cameras"
+    restart = ON_FAILURE
 
     def __init__(self, process: "MocapProcess") -> None:
         self._process = process
@@ -91,20 +96,42 @@ class MocapProcess(Actor):
     name = "mocap"
 
     def __init__(
-        self, clock: Clock, config: SwarmConfig, source: Source, process: str, host: str, incarnation: int,
+        self,
+        clock: Clock,
+        config: SwarmConfig,
+        source: Source,
+        process: str,
+        host: str,
+        incarnation: int,
         recorder: Recorder | None = None,
-    ) -> None:  # fmt: skip
-        self.clock, self.bus = clock, Bus(clock, process=process, host=host)
-        self.source, self.recorder = source, recorder
+    ) -> None:
+        self.clock = clock
+        self.bus = Bus(clock, process=process, host=host)
+        self.source = source
+        self.recorder = recorder
         if not config.seen:
             do = 'Those with uri = "udp://..." or "radio://..." are, unless pose = "onboard".'
-            raise ConfigError(f"swarm {config.name}", "no drone that is seen by motion capture", "one or more", do)
-        self.tracks = {i: _track(config, self.bus.port(EYES + i, incarnation), i) for i in config.seen}
-        self.watch = Watch({i: track.name for i, track in self.tracks.items()}, config.mocap.rate, source.live)
-        self.view, self.failure = view_of(config), ""
+            raise ConfigError(
+                f"swarm {config.name}",
+                "no drone that is seen by motion capture",
+                "one or more",
+                do,
+            )
+        self.tracks = {
+            i: _track(config, self.bus.port(EYES + i, incarnation), i)
+            for i in config.seen
+        }
+        self.watch = Watch(
+            {i: track.name for i, track in self.tracks.items()},
+            config.mocap.rate,
+            source.live,
+        )
+        self.view = view_of(config)
+        self.failure = ""
         self._truth = RateLimit(TRUTH.rate)
         self._link: ZenohLink | None = None
-        self._ending, self._until = "", 0.0
+        self._ending = ""
+        self._until = 0.0
         self._supervisor = Supervisor(clock, "mocap", self._failed)
 
     async def serve(self, link: ZenohLink, *services: Actor) -> None:
@@ -119,7 +146,11 @@ class MocapProcess(Actor):
         """Why no drone got a pose; empty if one did."""
         where = f"{self.source.where} ({self.source.state})"
         if not self.watch.frames:
-            dropped = f"; {self.view.timeless} were dropped, whose time is no time in s" if self.view.timeless else ""
+            dropped = (
+                f"; {self.view.timeless} were dropped, whose time is no time in s"
+                if self.view.timeless
+                else ""
+            )
             return f"{where}: no frame was seen{dropped}"
         names = [track.name for track in self.tracks.values()]
         if any(name in self.watch.sights for name in names):
@@ -146,7 +177,8 @@ class MocapProcess(Actor):
         if self.recorder is not None:
             self.recorder.write(seen, now)
         self.watch.note(seen, now)
-        exact, due = frame if self.view.blur else None, self._truth.passes(frame.time)
+        exact = frame if self.view.blur else None
+        due = self._truth.passes(frame.time)
         for track in self.tracks.values():
             pose = self._publish(track, seen.bodies.get(track.name), age + late, now)
             true = pose if exact is None else _pose(exact.bodies.get(track.name), age)
@@ -155,7 +187,9 @@ class MocapProcess(Actor):
                 if due and state is not None:
                     track.port.publish(TRUTH, state, state.age)
 
-    def _publish(self, track: Track, flat: Vec | None, age: float, now: float) -> Pose | None:
+    def _publish(
+        self, track: Track, flat: Vec | None, age: float, now: float
+    ) -> Pose | None:
         """One drone's pose; a body that shows the very same pose again is as old as that is."""
         if flat is None:
             return None
@@ -168,7 +202,11 @@ class MocapProcess(Actor):
         if not self._ending:
             self._ending, self._until = reason, self.clock.now() + PATIENT
             if flown := self.flown:
-                log.warning("mocap: %s: it goes on until drone(s) %s are down and without agents", reason, _ids(flown))
+                log.warning(
+                    "mocap: %s: it goes on until drone(s) %s are down and without agents",
+                    reason,
+                    _ids(flown),
+                )
         self._end_if_alone()
 
     @property
@@ -197,7 +235,9 @@ class MocapProcess(Actor):
 
     def report(self) -> dict[str, Any]:
         """What was seen: frames in all, lost on the way, and by drone."""
-        sights = {i: self.watch.sights.get(track.name) for i, track in self.tracks.items()}
+        sights = {
+            i: self.watch.sights.get(track.name) for i, track in self.tracks.items()
+        }
         return {
             "success": not self.failure,
             "reason": self.failure,
@@ -208,16 +248,30 @@ class MocapProcess(Actor):
             "timeless": self.view.timeless,
             "restarts": self.source.again,
             "seen": {i: 0 if one is None else one.frames for i, one in sights.items()},
-            "dropped": {i: self.watch.frames if one is None else one.dropped for i, one in sights.items()},
-            "others": sorted(name for name in self.watch.sights if name not in self.watch.names.values()),
+            "dropped": {
+                i: self.watch.frames if one is None else one.dropped
+                for i, one in sights.items()
+            },
+            "others": sorted(
+                name
+                for name in self.watch.sights
+                if name not in self.watch.names.values()
+            ),
             "recorded": None if self.recorder is None else self.recorder.report(),
         }
 
 
 def _track(config: SwarmConfig, port: Port, i: int) -> Track:
-    drone, body = config.drone(i), Latest[Body](port.bus.clock, "body", BODY.max_age)
+    drone = config.drone(i)
+    body = Latest[Body](port.bus.clock, "body", BODY.max_age)
     port.bus.subscribe(BODY, config.source(BODY, i), port.address, body)
-    return Track(config.body_name(i), Mounting(drone.body_offset, drone.body_rotation), port, VelocityFilter(), body)
+    return Track(
+        config.body_name(i),
+        Mounting(drone.body_offset, drone.body_rotation),
+        port,
+        VelocityFilter(),
+        body,
+    )
 
 
 def _pose(flat: Vec | None, age: float) -> Pose | None:

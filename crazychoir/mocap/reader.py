@@ -29,7 +29,9 @@ def main(words: list[str]) -> None:
         import motioncapture  # what it does when it is loaded is in the time that it gets to start
 
         out.send(CONNECTING)
-        system = motioncapture.connect(words[1], dict(word.split("=", 1) for word in words[2:]))
+        system = motioncapture.connect(
+            words[1], dict(word.split("=", 1) for word in words[2:])
+        )
         out.send(CONNECTED)
         _send_frames(system, out)
     except Exception as error:  # noqa: BLE001 - whatever a foreign library raises is told
@@ -37,15 +39,20 @@ def main(words: list[str]) -> None:
 
 
 def _send_frames(system: Any, out: socket.socket) -> None:
-    clock, number = Stopwatch(), 0
+    clock = Stopwatch()
+    number = 0
     while True:
         system.waitForNextFrame()
-        bodies = [(_short(name), _flat(body)) for name, body in system.rigidBodies.items()]
+        bodies = [
+            (_short(name), _flat(body)) for name, body in system.rigidBodies.items()
+        ]
         frame = frame_of(number, clock.now(), bodies)
         number += 1
         try:
             out.send(frame.packed(), socket.MSG_DONTWAIT)
-        except BlockingIOError:  # who reads is late: the next frame is worth more; the numbers tell
+        except (
+            BlockingIOError
+        ):  # who reads is late: the next frame is worth more; the numbers tell
             continue
 
 

@@ -34,11 +34,15 @@ class Recorder:
     """Writes frames into a new file, until its `with` ends; ConfigError if it cannot be made."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.frames, self.error = path, 0, ""
+        self.path = path
+        self.frames = 0
+        self.error = ""
         try:
             self._file: TextIO = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 - closed by __exit__
         except OSError as error:
-            raise ConfigError("--record", str(path), "a new file", f"{error.strerror}.") from error
+            raise ConfigError(
+                "--record", str(path), "a new file", f"{error.strerror}."
+            ) from error
         self._writer = csv.writer(self._file, lineterminator="\n")
         self._writer.writerow(HEAD)
         self._began = math.nan
@@ -51,7 +55,10 @@ class Recorder:
             self._began = at
         t = repr(at - self._began)
         try:
-            self._writer.writerows([t, name, *map(repr, flat.tolist())] for name, flat in frame.bodies.items())
+            self._writer.writerows(
+                [t, name, *map(repr, flat.tolist())]
+                for name, flat in frame.bodies.items()
+            )
             self.frames += 1
         except OSError as error:
             self._fail(error)
@@ -85,9 +92,15 @@ def read_recording(path: str | Path) -> list[Frame]:
     if not rows or tuple(cell.strip() for cell in rows[0]) != HEAD:
         found = ",".join(rows[0]) if rows else "an empty file"
         raise ConfigError(f"{path}, line 1", found, ",".join(HEAD))
-    read = [_row(path, line, cells) for line, cells in enumerate(rows[1:], 2) if any(cell.strip() for cell in cells)]
+    read = [
+        _row(path, line, cells)
+        for line, cells in enumerate(rows[1:], 2)
+        if any(cell.strip() for cell in cells)
+    ]
     if not read:
-        raise ConfigError(str(path), "no row", "at least one row below the names of the columns")
+        raise ConfigError(
+            str(path), "no row", "at least one row below the names of the columns"
+        )
     return _frames(path, read)
 
 
@@ -99,12 +112,21 @@ def _row(path: str | Path, line: int, cells: list[str]) -> Row:
     try:
         t, *numbers = (float(cell) for cell in (cells[0], *cells[2:]))
     except (ValueError, IndexError):
-        t, numbers = math.nan, []
+        t = math.nan
+        numbers = []
     if len(numbers) != 7 or not all(map(math.isfinite, (t, *numbers))):
-        raise ConfigError(f"{path}, line {line}", ",".join(cells), f"{','.join(HEAD)}: finite numbers, and a name")
+        raise ConfigError(
+            f"{path}, line {line}",
+            ",".join(cells),
+            f"{','.join(HEAD)}: finite numbers, and a name",
+        )
     name = cells[1].strip()
     if not name:
-        raise ConfigError(f"{path}, line {line}", ",".join(cells), f"{','.join(HEAD)}: a name in the second column")
+        raise ConfigError(
+            f"{path}, line {line}",
+            ",".join(cells),
+            f"{','.join(HEAD)}: a name in the second column",
+        )
     return line, t, name, numbers
 
 
@@ -116,7 +138,9 @@ def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
         line = seen[0][0]
         if frames:
             _require_later(path, line, frames[-1].time, t)
-        frame = frame_of(len(frames), t, [(name, np.array(flat)) for _, _, name, flat in seen])
+        frame = frame_of(
+            len(frames), t, [(name, np.array(flat)) for _, _, name, flat in seen]
+        )
         if frame.doubled:
             raise _doubled(path, seen, frame.doubled[0])
         frames.append(frame)
@@ -125,15 +149,25 @@ def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
 
 def _require_seconds(path: str | Path, rows: list[Row]) -> None:
     """Raise ConfigError for times that are in another unit than s: too large, or too far from each other."""
-    line, largest = max(((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1]))
+    line, largest = max(
+        ((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1])
+    )
     times = sorted({row[1] for row in rows})
     periods = sorted(b - a for a, b in itertools.pairwise(times))
     period = periods[len(periods) // 2] if periods else 0.0
     if abs(largest) < LARGEST_TIME and (len(times) < 3 or period < SLOWEST_PERIOD):
         return
     found = f"t = {largest!r}, frames {period:g} apart"
-    fits = [unit for unit, factor in UNITS.items() if PERIODS[0] <= period * factor <= PERIODS[1]]
-    do = f"They are {' or '.join(fits)}, as it seems: convert t to s." if fits else "Convert t to s."
+    fits = [
+        unit
+        for unit, factor in UNITS.items()
+        if PERIODS[0] <= period * factor <= PERIODS[1]
+    ]
+    do = (
+        f"They are {' or '.join(fits)}, as it seems: convert t to s."
+        if fits
+        else "Convert t to s."
+    )
     allowed = f"t in s: below {LARGEST_TIME:g} s, from any origin, and mostly less than {SLOWEST_PERIOD:g} s apart"
     raise ConfigError(f"{path}, line {line}", found, allowed, do)
 
@@ -145,13 +179,20 @@ def _require_later(path: str | Path, line: int, before: float, t: float) -> None
     if t < before:
         raise ConfigError(where, f"t = {t!r}", f"{before!r} or more, as before", do)
     if t - before > LONGEST_GAP:
-        raise ConfigError(where, f"t = {t!r}, {t - before:.6g} s after the frame before", f"{LONGEST_GAP:g} s", do)
+        raise ConfigError(
+            where,
+            f"t = {t!r}, {t - before:.6g} s after the frame before",
+            f"{LONGEST_GAP:g} s",
+            do,
+        )
 
 
 def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:
     """The error of a body that has two poses in one frame."""
     lines = [row[0] for row in seen if row[2] == name]
-    found = f"body {name!r} twice at t = {seen[0][1]!r}, in lines {lines[0]} and {lines[1]}"
+    found = (
+        f"body {name!r} twice at t = {seen[0][1]!r}, in lines {lines[0]} and {lines[1]}"
+    )
     do = "Remove one of them, give it another name, or write t with more digits."
     return ConfigError(str(path), found, "each body once in a frame", do)
 
@@ -162,10 +203,13 @@ class ReplaySource:
     The times of the recording count from any origin, those of the frames that are handed out from the first frame.
     """
 
-    live, again = False, 0
+    live = False
+    again = 0
 
     def __init__(self, clock: Clock, path: str, say: Say | None = None) -> None:
-        self.clock, self.where, self.state = clock, f"replay of {path}", "replaying"
+        self.clock = clock
+        self.where = f"replay of {path}"
+        self.state = "replaying"
         self.frames = read_recording(path)
         self._complain = Complaints(self.where, say)
 
@@ -180,4 +224,8 @@ class ReplaySource:
             take(replace(frame, time=seconds), (self.clock.now_ns() - due_ns) / SECOND)
         self.state = "over"
         seconds = self.frames[-1].time - origin
-        self._complain(self.clock.now(), "over", f"it is over after {seconds:.1f} s, no more frames")
+        self._complain(
+            self.clock.now(),
+            "over",
+            f"it is over after {seconds:.1f} s, no more frames",
+        )

@@ -13,10 +13,14 @@ from crazychoir.types import Mat, Pose, Vec
 
 
 @kernel(matrix, matrix, real, real, vector, table)
-def _disturb(x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilt: Vec, out: Mat) -> None:
+def _disturb(
+    x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilt: Vec, out: Mat
+) -> None:
     """Poses out (N, 7) of the states x (N, 13): p + n_p, q q_tilt exp(n_angle), n from standard normals (N, 6)."""
     for i in range(x.shape[0]):
-        q = product((x[i, 6], x[i, 7], x[i, 8], x[i, 9]), (tilt[0], tilt[1], tilt[2], tilt[3]))
+        q = product(
+            (x[i, 6], x[i, 7], x[i, 8], x[i, 9]), (tilt[0], tilt[1], tilt[2], tilt[3])
+        )
         a = noise_angle
         r = exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
         out[i, 3], out[i, 4], out[i, 5], out[i, 6] = product(q, r)
@@ -47,9 +51,16 @@ class SimulatedMocap:
         dt: float = 0.01,
         tilt: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self.ids, self.seed, self.dt = tuple(ids), seed, dt
-        self.noise_p, self.noise_angle, self.dropout, self.latency_steps = noise_p, noise_angle, dropout, latency_steps
-        self._tilt = np.array(product(exponential(0.0, tilt[1], 0.0), exponential(tilt[0], 0.0, 0.0)))
+        self.ids = tuple(ids)
+        self.seed = seed
+        self.dt = dt
+        self.noise_p = noise_p
+        self.noise_angle = noise_angle
+        self.dropout = dropout
+        self.latency_steps = latency_steps
+        self._tilt = np.array(
+            product(exponential(0.0, tilt[1], 0.0), exponential(tilt[0], 0.0, 0.0))
+        )
         self._rows = np.array(self.ids)
         self._exposures: deque[tuple[int, Mat]] = deque()
 
@@ -66,8 +77,13 @@ class SimulatedMocap:
         flat = np.empty((len(self.ids), 7))
         _disturb(truth, normal, self.noise_p, self.noise_angle, self._tilt, flat)
         age = (k - exposed) * self.dt
-        seen = normal[:, 6] >= (ndtri(self.dropout) if self.dropout > 0.0 else -math.inf)
-        return [Pose(row, age) if here else None for row, here in zip(flat, seen.tolist(), strict=True)]
+        seen = normal[:, 6] >= (
+            ndtri(self.dropout) if self.dropout > 0.0 else -math.inf
+        )
+        return [
+            Pose(row, age) if here else None
+            for row, here in zip(flat, seen.tolist(), strict=True)
+        ]
 
     def _normal(self, tick: int) -> Mat:
         """Standard normals (N, 7) of one exposure: six for the noise, one for the dropout."""

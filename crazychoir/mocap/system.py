@@ -47,18 +47,33 @@ class SystemSource:
     live = True
 
     def __init__(
-        self, clock: Clock, system: str, hostname: str, options: Mapping[str, object] | None = None,
-        deadline: float = 5.0, say: Say | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        clock: Clock,
+        system: str,
+        hostname: str,
+        options: Mapping[str, object] | None = None,
+        deadline: float = 5.0,
+        say: Say | None = None,
+    ) -> None:
         if importlib.util.find_spec(MODULE) is None:
             do = f"pip install 'crazychoir[{EXTRA}]'"
-            raise ConfigError(f'[mocap] source = "{system}"', f"no module {MODULE}", f"the extra {EXTRA}", f"{do}.")
-        self.clock, self.where, self.state = clock, f"{system} at {hostname}", "starting"
-        self.again, self.malformed, self._deadline = 0, 0, deadline
+            raise ConfigError(
+                f'[mocap] source = "{system}"',
+                f"no module {MODULE}",
+                f"the extra {EXTRA}",
+                f"{do}.",
+            )
+        self.clock = clock
+        self.where = f"{system} at {hostname}"
+        self.state = "starting"
+        self.again = 0
+        self.malformed = 0
+        self._deadline = deadline
         settings = {"hostname": hostname, **(options or {})}
         self._words = [system, *(f"{key}={value}" for key, value in settings.items())]
         self._running = f"Is {PROGRAMS.get(system, system)} running there?"
-        self._complain, self._wait = Complaints(self.where, say), FIRST
+        self._complain = Complaints(self.where, say)
+        self._wait = FIRST
 
     async def run(self, take: Take) -> None:
         """One reader after the other."""
@@ -67,7 +82,11 @@ class SystemSource:
                 await self._attempt(take)
             except _Failed as failed:
                 self.state = "trying again"
-                self._complain(self.clock.now(), str(failed), f"{failed} Trying again in {self._wait:g} s.")
+                self._complain(
+                    self.clock.now(),
+                    str(failed),
+                    f"{failed} Trying again in {self._wait:g} s.",
+                )
             self.again += 1
             await self.clock.sleep(self._wait)
             self._wait = min(2.0 * self._wait, LONGEST)
@@ -79,9 +98,15 @@ class SystemSource:
         with ours:
             with its:
                 process = await asyncio.create_subprocess_exec(
-                    sys.executable, "-m", "crazychoir.mocap.reader", str(its.fileno()), *self._words,
-                    pass_fds=[its.fileno()], stdin=DEVNULL, stdout=DEVNULL,
-                )  # fmt: skip
+                    sys.executable,
+                    "-m",
+                    "crazychoir.mocap.reader",
+                    str(its.fileno()),
+                    *self._words,
+                    pass_fds=[its.fileno()],
+                    stdin=DEVNULL,
+                    stdout=DEVNULL,
+                )
             try:
                 await self._read(ours, take)
             finally:
@@ -89,13 +114,17 @@ class SystemSource:
 
     async def _read(self, ours: socket.socket, take: Take) -> None:
         self.state = "starting"
-        await self._next(ours, STARTED, f"its reader does not start within {STARTED:g} s.")
+        await self._next(
+            ours, STARTED, f"its reader does not start within {STARTED:g} s."
+        )
         self.state = "connecting"
         hangs = f"no connection within {self._deadline:g} s; its library waits for ever where nobody answers."
         await self._next(ours, self._deadline, hangs)
         self.state = "connected"
         while True:
-            data = await self._next(ours, SILENT, f"connected, and no frame for {SILENT:g} s.")
+            data = await self._next(
+                ours, SILENT, f"connected, and no frame for {SILENT:g} s."
+            )
             try:
                 frame = parse(data)
             except CodecError:
@@ -116,7 +145,9 @@ class SystemSource:
         if not data:
             raise _Failed("its reader has ended.")
         if data.startswith(FAILED):
-            raise _Failed(f"{data.removeprefix(FAILED).decode(errors='replace')}. {self._running}")
+            raise _Failed(
+                f"{data.removeprefix(FAILED).decode(errors='replace')}. {self._running}"
+            )
         return data
 
 

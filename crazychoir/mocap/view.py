@@ -49,25 +49,43 @@ class Blur:
     """
 
     def __init__(self, config: SwarmConfig) -> None:
-        mocap, ids = config.mocap, config.seen
+        mocap = config.mocap
+        ids = config.seen
         self._names = [config.body_name(i) for i in ids]
         self._cameras = SimulatedMocap(
-            ids, config.seed, noise_p=mocap.noise, noise_angle=mocap.noise_angle, dropout=mocap.dropout,
-            latency_steps=round(mocap.latency * mocap.rate), dt=1.0 / mocap.rate, tilt=mocap.tilt,
-        )  # fmt: skip
-        self._rate, self._tick, self._began = mocap.rate, -1, math.nan
+            ids,
+            config.seed,
+            noise_p=mocap.noise,
+            noise_angle=mocap.noise_angle,
+            dropout=mocap.dropout,
+            latency_steps=round(mocap.latency * mocap.rate),
+            dt=1.0 / mocap.rate,
+            tilt=mocap.tilt,
+        )
+        self._rate = mocap.rate
+        self._tick = -1
+        self._began = math.nan
 
     def see(self, frame: Frame) -> tuple[Frame, float]:
         """The frame that arrives instead of this one, and how old it is, in s."""
         x = np.full((len(self._names), 13), np.nan)
         for row, name in enumerate(self._names):
             if name in frame.bodies:
-                x[row, 0:3], x[row, 6:10] = frame.bodies[name][0:3], frame.bodies[name][3:7]
+                x[row, 0:3] = frame.bodies[name][0:3]
+                x[row, 6:10] = frame.bodies[name][3:7]
         poses = self._cameras.sample(x, self._next_tick(frame.time))
-        bodies = {name: flat for name, flat in frame.bodies.items() if name not in self._names}
-        shown = {name: pose for name, pose in zip(self._names, poses, strict=True) if pose and readable(pose.flat)}
+        bodies = {
+            name: flat for name, flat in frame.bodies.items() if name not in self._names
+        }
+        shown = {
+            name: pose
+            for name, pose in zip(self._names, poses, strict=True)
+            if pose and readable(pose.flat)
+        }
         age = next((pose.age for pose in shown.values()), 0.0)
-        return replace(frame, bodies=bodies | {name: pose.flat for name, pose in shown.items()}), age
+        return replace(
+            frame, bodies=bodies | {name: pose.flat for name, pose in shown.items()}
+        ), age
 
     def _next_tick(self, t: float) -> int:
         """The exposure of a frame: periods since the first, one at least."""
@@ -88,9 +106,12 @@ class View:
     """
 
     def __init__(self, rate: float, blur: Blur | None = None) -> None:
-        self.blur, self.lost, self.late = blur, 0, 0
+        self.blur = blur
+        self.lost = 0
+        self.late = 0
         self.timeless = 0
-        self._pace, self._last = RateLimit(rate), Frame(-1, -math.inf, {})
+        self._pace = RateLimit(rate)
+        self._last = Frame(-1, -math.inf, {})
 
     def see(self, frame: Frame) -> tuple[Frame, float] | None:
         """The frame to publish, and by how many s it is older than the one that came; None for none."""

@@ -17,7 +17,8 @@ class _Client(asyncio.DatagramProtocol):
     """One UDP socket, connected: the system lets in only what its server sends."""
 
     def __init__(self, source: "VirtualSource", take: Take) -> None:
-        self.source, self.take = source, take
+        self.source = source
+        self.take = take
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         try:
@@ -39,11 +40,17 @@ class VirtualSource:
     malformed: datagrams that were no frames.
     """
 
-    live, again = False, 0
+    live = False
+    again = 0
 
-    def __init__(self, clock: Clock, hostname: str, port: int, say: Say | None = None) -> None:
-        self.clock, self.address, self.where = clock, (hostname, port), f"virtual at {hostname}:{port}"
-        self.state, self.malformed = "asking", 0
+    def __init__(
+        self, clock: Clock, hostname: str, port: int, say: Say | None = None
+    ) -> None:
+        self.clock = clock
+        self.address = (hostname, port)
+        self.where = f"virtual at {hostname}:{port}"
+        self.state = "asking"
+        self.malformed = 0
         self._complain = Complaints(self.where, say)
         self._heard = clock.now()
 
@@ -67,19 +74,28 @@ class VirtualSource:
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(RESOLVED):
-                found = await loop.create_datagram_endpoint(lambda: _Client(self, take), remote_addr=self.address)
+                found = await loop.create_datagram_endpoint(
+                    lambda: _Client(self, take), remote_addr=self.address
+                )
         except (OSError, TimeoutError) as error:
-            self._complain(self.clock.now(), "address", f"{str(error) or 'its address is not found'}; trying again")
+            self._complain(
+                self.clock.now(),
+                "address",
+                f"{str(error) or 'its address is not found'}; trying again",
+            )
             return None
         return found[0]
 
     def heard(self, frame: Frame) -> None:
         """A frame has come."""
-        self._heard, self.state = self.clock.now(), "connected"
+        self._heard = self.clock.now()
+        self.state = "connected"
 
     def _look(self) -> None:
         silence = self.clock.now() - self._heard
         if silence > SILENT:
             self.state = "silent"
             do = "Is `crazychoir virtual` running there, and does it tell poses at this port?"
-            self._complain(self.clock.now(), "silent", f"no frame for {silence:.0f} s. {do}")
+            self._complain(
+                self.clock.now(), "silent", f"no frame for {silence:.0f} s. {do}"
+            )

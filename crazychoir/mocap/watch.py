@@ -55,13 +55,16 @@ class Sight:
         if live and self.frames and np.array_equal(flat, self.flat):
             return  # shown again: some systems hand out what they had, as often as they are asked
         self.gap = max(self.gap, now - self.last)
-        self.flat, self.last = flat, now
+        self.flat = flat
+        self.last = now
         self.frames += 1
 
     def average(self, seconds: float) -> None:
         """Its rate and share, over what was counted since this was called last."""
-        seen, gone = self.frames - self._counted[0], self.dropped - self._counted[1]
-        self.rate, self.share = seen / seconds, gone / max(1, seen + gone)
+        seen = self.frames - self._counted[0]
+        gone = self.dropped - self._counted[1]
+        self.rate = seen / seconds
+        self.share = gone / max(1, seen + gone)
         self._counted = self.frames, self.dropped
 
 
@@ -73,12 +76,21 @@ class Watch:
     """
 
     def __init__(self, names: Mapping[int, str], rate: float, live: bool) -> None:
-        self.names, self.rate, self.live = dict(names), rate, live
+        self.names = dict(names)
+        self.rate = rate
+        self.live = live
         self.sights: dict[str, Sight] = {}
-        self.frames, self.mean_rate = 0, math.nan
-        self._began, self._last, self._gap = math.nan, math.nan, 0.0
-        self._window, self._counted, self._frames_gap = math.nan, 0, 0.0
-        self._longest, self._gaps = 0.0, 0  # since gaps were said last
+        self.frames = 0
+        self.mean_rate = math.nan
+        self._began = math.nan
+        self._last = math.nan
+        self._gap = 0.0
+        self._window = math.nan
+        self._counted = 0
+        self._frames_gap = 0.0
+        # since gaps were said last
+        self._longest = 0.0
+        self._gaps = 0
         self._throttle = Throttle()
         self._doubled: dict[str, float] = {}  # when a name was last there twice, s
 
@@ -86,8 +98,10 @@ class Watch:
         """A frame has come."""
         if math.isnan(self._began):
             self._began = self._window = self._last = now
-        gap, self._last = now - self._last, now
-        self._gap, self._longest = max(self._gap, gap), max(self._longest, gap)
+        gap = now - self._last
+        self._last = now
+        self._gap = max(self._gap, gap)
+        self._longest = max(self._longest, gap)
         self._gaps += gap > self._limit
         self.frames += 1
         for name in frame.doubled:
@@ -113,9 +127,12 @@ class Watch:
         found = [*self._of_frames(), *self._of_strangers(now), *self._of_doubled(now)]
         for i, name in self.names.items():
             found += self._of_body(i, name, now)
-        found = [(topic, text) for topic, text in found if self._throttle.due(now, topic)]
+        found = [
+            (topic, text) for topic, text in found if self._throttle.due(now, topic)
+        ]
         if any(topic == "gap" for topic, _ in found):
-            self._longest, self._gaps = 0.0, 0
+            self._longest = 0.0
+            self._gaps = 0
         return [text for _, text in found]
 
     @property
@@ -126,7 +143,8 @@ class Watch:
     def _average(self, now: float) -> None:
         seconds = now - self._window
         self.mean_rate = (self.frames - self._counted) / seconds
-        self._window, self._counted = now, self.frames
+        self._window = now
+        self._counted = self.frames
         for sight in self.sights.values():
             sight.average(seconds)
 
@@ -135,19 +153,40 @@ class Watch:
         self._frames_gap = gap
         if self.mean_rate < SLOW * self.rate:
             slow = f"frames come at {self.mean_rate:.0f} Hz; the drones count on [mocap] rate = {self.rate:g}"
-            found.append(("rate", f"{slow}. Raise it at the cameras, or lower it in the swarm file."))
+            found.append(
+                (
+                    "rate",
+                    f"{slow}. Raise it at the cameras, or lower it in the swarm file.",
+                )
+            )
         if gap > self._limit:
             often = f"; {self._gaps} such gaps" if self._gaps > 1 else ""
-            found.append(("gap", f"no frame for {self._longest:.3f} s, more than {self._limit:g} s{often}"))
+            found.append(
+                (
+                    "gap",
+                    f"no frame for {self._longest:.3f} s, more than {self._limit:g} s{often}",
+                )
+            )
         return found
 
     def _of_strangers(self, now: float) -> list[tuple[str, str]]:
         """Bodies that are seen and belong to nobody."""
         own = self.names.values()
-        strange = [name for name, one in self.sights.items() if name not in own and one.shown - one.first > STRANGE]
-        if not strange or all(now - self.sights[name].shown > WINDOW for name in strange):
+        strange = [
+            name
+            for name, one in self.sights.items()
+            if name not in own and one.shown - one.first > STRANGE
+        ]
+        if not strange or all(
+            now - self.sights[name].shown > WINDOW for name in strange
+        ):
             return []
-        return [("strangers", f"seen, and nobody's: {_list(strange)}. The swarm file has {_list(list(own))}.")]
+        return [
+            (
+                "strangers",
+                f"seen, and nobody's: {_list(strange)}. The swarm file has {_list(list(own))}.",
+            )
+        ]
 
     def _of_doubled(self, now: float) -> list[tuple[str, str]]:
         """Names that were lately given to two bodies of a frame."""
@@ -156,37 +195,68 @@ class Watch:
         return [(f"{name} doubled", f"body {name!r} {said}") for name in names]
 
     def _of_body(self, i: int, name: str, now: float) -> list[tuple[str, str]]:
-        sight, who = self.sights.get(name), f"body {name!r} of drone {i}"
+        sight = self.sights.get(name)
+        who = f"body {name!r} of drone {i}"
         if sight is None:
             if now - self._began < MISSING:
                 return []
             return [(f"{i} missing", f"{who} was never seen. {self._meant(name)}")]
         if now - sight.shown > MISSING:
-            return [(f"{i} missing", f"{who} is not seen for {now - sight.shown:.1f} s")]
+            return [
+                (f"{i} missing", f"{who} is not seen for {now - sight.shown:.1f} s")
+            ]
         if now - sight.last > FROZEN:
             still = f"{who} shows the very same pose for {now - sight.last:.1f} s"
-            return [(f"{i} frozen", f"{still}: no camera measures that; it counts as not seen")]
+            return [
+                (
+                    f"{i} frozen",
+                    f"{still}: no camera measures that; it counts as not seen",
+                )
+            ]
         return self._of_rate(i, who, sight)
 
     def _of_rate(self, i: int, who: str, sight: Sight) -> list[tuple[str, str]]:
         """Gaps, dropouts, and measurements that come less often than frames."""
-        gap, sight.gap = sight.gap, 0.0
-        if gap > max(GAP, 1.0 + self._frames_gap * self.rate) / self.rate:  # else there were no frames at all
+        gap = sight.gap
+        sight.gap = 0.0
+        if (
+            gap > max(GAP, 1.0 + self._frames_gap * self.rate) / self.rate
+        ):  # else there were no frames at all
             return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
         if self.live and sight.share > OFTEN:
-            return [(f"{i} often", f"{who} is missing in {100.0 * sight.share:.0f} % of the frames")]
+            return [
+                (
+                    f"{i} often",
+                    f"{who} is missing in {100.0 * sight.share:.0f} % of the frames",
+                )
+            ]
         if self.live and sight.rate < SLOW * min(self.rate, self.mean_rate):
-            return [(f"{i} slow", f"{who} is measured at {sight.rate:.0f} Hz, shown at {self.mean_rate:.0f} Hz")]
+            return [
+                (
+                    f"{i} slow",
+                    f"{who} is measured at {sight.rate:.0f} Hz, shown at {self.mean_rate:.0f} Hz",
+                )
+            ]
         return []
 
     def _meant(self, name: str) -> str:
         """What there is, and which of it may be meant."""
         own = self.names.values()
         free = [other for other in self.sights if other not in own]
-        near = difflib.get_close_matches(name.lower(), [other.lower() for other in free], n=1, cutoff=0.5)
-        meant = next((other for other in free if near and other.lower() == near[0]), None)
-        there = f"Seen are {_list(list(self.sights))}" if self.sights else "No body is seen"
-        return f'{there}. Did you mean body = "{meant}"?' if meant else f"{there}. See `crazychoir mocap names`."
+        near = difflib.get_close_matches(
+            name.lower(), [other.lower() for other in free], n=1, cutoff=0.5
+        )
+        meant = next(
+            (other for other in free if near and other.lower() == near[0]), None
+        )
+        there = (
+            f"Seen are {_list(list(self.sights))}" if self.sights else "No body is seen"
+        )
+        return (
+            f'{there}. Did you mean body = "{meant}"?'
+            if meant
+            else f"{there}. See `crazychoir mocap names`."
+        )
 
 
 def _list(names: list[str]) -> str:

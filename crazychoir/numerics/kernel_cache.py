@@ -32,7 +32,13 @@ from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
-from crazychoir.files.user_folders import TOLD_VARIABLE, WARNING, cache_home, first_warning, write_fault
+from crazychoir.files.user_folders import (
+    TOLD_VARIABLE,
+    WARNING,
+    cache_home,
+    first_warning,
+    write_fault,
+)
 
 locks: Any
 try:
@@ -47,7 +53,9 @@ NAME = "compiled laws"
 CHECK_SIZE = 16  # bytes at the begin of a file: the digest of the rest
 LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
 """Packages whose functions and constants are told by their names: the versions say the rest."""
-COMPILES = "crazychoir compiles its laws, once on this machine; that takes a minute or two"
+COMPILES = (
+    "crazychoir compiles its laws, once on this machine; that takes a minute or two"
+)
 PATIENCE, LOOK = 2400, 0.05
 """Looks, and s between them, at whether another process has compiled a law; then we do it, too."""
 EXACT = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
@@ -60,7 +68,10 @@ _REBUILD: Any = CompileResult._rebuild
 
 # Of the byte code: by how many bits the number of a name is shifted, and what may stand between a name's attributes.
 GLOBAL, EXTENDED = opmap["LOAD_GLOBAL"], opmap["EXTENDED_ARG"]
-ATTRIBUTES = {opmap["LOAD_ATTR"]: int(sys.version_info >= (3, 12)), opmap.get("LOAD_METHOD", GLOBAL): 0}
+ATTRIBUTES = {
+    opmap["LOAD_ATTR"]: int(sys.version_info >= (3, 12)),
+    opmap.get("LOAD_METHOD", GLOBAL): 0,
+}
 SILENT = (opmap["CACHE"], EXTENDED)
 
 
@@ -76,7 +87,9 @@ class Kept(NullCache):
     """
 
     def __init__(self, law: Callable[..., Any], *options: Any) -> None:
-        self._law, self._options, self._busy = law, options, False
+        self._law = law
+        self._options = options
+        self._busy = False
         self._turn: _Turn | None = None
 
     @cached_property
@@ -87,7 +100,9 @@ class Kept(NullCache):
         self._busy = True
         try:
             # Machine code names the modules of its pieces: it cannot be loaded where a module has moved.
-            content = repr((VERSIONS, self._options, self._law.__module__, _function(self._law)))
+            content = repr(
+                (VERSIONS, self._options, self._law.__module__, _function(self._law))
+            )
         finally:
             self._busy = False
         return blake2b(content.encode(), digest_size=16).hexdigest()
@@ -116,7 +131,12 @@ class Kept(NullCache):
         found = self._read(key)
         if found is None:
             self._tell()
-            self._turn = _Turn(next((store.place for store in self._stores if not _fault(store.folder)), ""))
+            self._turn = _Turn(
+                next(
+                    (store.place for store in self._stores if not _fault(store.folder)),
+                    "",
+                )
+            )
             found = self._read(key)
             if found is not None:
                 self._turn.end()
@@ -132,20 +152,28 @@ class Kept(NullCache):
 
     def _tell(self) -> None:
         """Say in one line why the user waits: the law is compiled."""
-        stores, named = self._stores, _SETTINGS.CACHE_DIR
+        stores = self._stores
+        named = _SETTINGS.CACHE_DIR
         free = [store for store in stores if not _fault(store.folder)]
         if stores and not free:
             _warn_of_no_folder(stores)
         elif damaged := [store for store in stores if store.damaged]:
-            warn(f"files in {damaged[0].folder} are damaged: the laws are compiled anew, which takes a minute or two.")
+            warn(
+                f"files in {damaged[0].folder} are damaged: the laws are compiled anew, which takes a minute or two."
+            )
         elif named and free and free[0] is not stores[0]:
-            warn(f"NUMBA_CACHE_DIR = {named}: {_fault(stores[0].folder)}: laws are kept in {free[0].folder} instead.")
+            warn(
+                f"NUMBA_CACHE_DIR = {named}: {_fault(stores[0].folder)}: laws are kept in {free[0].folder} instead."
+            )
         else:
             say_once()
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for these types in the first folder that takes it."""
-        if all(part.can_cache for part in data.lifted) and not data.library.has_dynamic_globals:
+        if (
+            all(part.can_cache for part in data.lifted)
+            and not data.library.has_dynamic_globals
+        ):
             self._save((sig, data.codegen.magic_tuple()), data._reduce())
         self.give_up()
 
@@ -178,7 +206,8 @@ def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
 
     What breaks compiling off, as a signal does, ends our turn: we would wait for ourselves, and the others, too.
     """
-    kept, compile_law = Kept(law, *options), dispatcher.compile
+    kept = Kept(law, *options)
+    compile_law = dispatcher.compile
 
     def compile_in_turn(types: Any) -> Any:
         try:
@@ -187,7 +216,8 @@ def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
             kept.give_up()
             raise
 
-    dispatcher._cache, dispatcher.compile = kept, compile_in_turn
+    dispatcher._cache = kept
+    dispatcher.compile = compile_in_turn
 
 
 def say(text: str) -> None:
@@ -280,7 +310,8 @@ class _Turn:
     """The only process that compiles a law, until `end`, or its own end; place: of a file that says so, "" for none."""
 
     def __init__(self, place: str) -> None:
-        self._place, self._file = place, -1
+        self._place = place
+        self._file = -1
         if locks is None or not place:
             return
         with suppress(OSError):  # where nothing can be written nothing is kept
@@ -314,8 +345,10 @@ class _Store:
     """
 
     def __init__(self, folder: Path, name: str, digest: str) -> None:
-        self.folder, self.damaged = folder, False
-        self._name, self._digest = name, digest
+        self.folder = folder
+        self.damaged = False
+        self._name = name
+        self._digest = digest
         self._base = f"{name}-{digest}.{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}"
 
     @property
@@ -334,18 +367,24 @@ class _Store:
         if content is None:
             return None
         saved_key, data = pickle.loads(content)  # noqa: S301 - from folders of this user, of root, or of the package
-        return data if saved_key == key else None  # else another process has taken the same number for its file
+        return (
+            data if saved_key == key else None
+        )  # else another process has taken the same number for its file
 
     def save(self, key: Any, data: Any) -> None:
         """Write it, and remove the files of other digests of the law; raises OSError if it cannot be written."""
         index = self._index()
         numbers = itertools.count(1)
         taken = list(index.values())
-        name = index.get(key) or next(n for k in numbers if (n := f"{self._base}.{k}.nbc") not in taken)
+        name = index.get(key) or next(
+            n for k in numbers if (n := f"{self._base}.{k}.nbc") not in taken
+        )
         self._write(name, (key, data))
         self._write(self._index_name, index | {key: name})
         others = glob.escape(self._base).replace(self._digest, "?" * len(self._digest))
-        for path in glob.glob(os.path.join(glob.escape(str(self.folder)), f"{others}.*nb[ic]")):
+        for path in glob.glob(
+            os.path.join(glob.escape(str(self.folder)), f"{others}.*nb[ic]")
+        ):
             if self._digest not in path:
                 _remove(path)
 
@@ -364,7 +403,8 @@ class _Store:
             content = (self.folder / name).read_bytes()
         except OSError:
             return None
-        check, rest = content[:CHECK_SIZE], content[CHECK_SIZE:]
+        check = content[:CHECK_SIZE]
+        rest = content[CHECK_SIZE:]
         if check != blake2b(rest, digest_size=CHECK_SIZE).digest():
             self.damaged = True
             return None
@@ -375,7 +415,9 @@ class _Store:
         content = dumps(value)  # type: ignore[no-untyped-call]
         partial = self.folder / f"{name}.tmp.{uuid.uuid4().hex[:16]}"
         try:
-            partial.write_bytes(blake2b(content, digest_size=CHECK_SIZE).digest() + content)
+            partial.write_bytes(
+                blake2b(content, digest_size=CHECK_SIZE).digest() + content
+            )
             partial.replace(self.folder / name)
         except BaseException:
             _remove(str(partial))
@@ -397,16 +439,27 @@ def _function(law: Callable[..., Any]) -> Any:
         cells = [cell.cell_contents for cell in law.__closure__ or ()]
     except ValueError as empty:
         raise Untold(law.__qualname__) from empty
-    given = (law.__defaults__, tuple(sorted((law.__kwdefaults__ or {}).items())), tuple(cells))
+    given = (
+        law.__defaults__,
+        tuple(sorted((law.__kwdefaults__ or {}).items())),
+        tuple(cells),
+    )
     return _code(law.__code__, law.__globals__, law.__doc__), _value(given)
 
 
 def _code(code: CodeType, names: Mapping[str, Any], doc: str | None = None) -> Any:
     """Byte code with its constants and what its global names mean."""
-    constants = [None if k == 0 and c == doc else c for k, c in enumerate(code.co_consts)]
+    constants = [
+        None if k == 0 and c == doc else c for k, c in enumerate(code.co_consts)
+    ]
     return (
         (code.co_code, code.co_exceptiontable, code.co_flags, code.co_names),
-        (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_varnames),
+        (
+            code.co_argcount,
+            code.co_posonlyargcount,
+            code.co_kwonlyargcount,
+            code.co_varnames,
+        ),
         (code.co_freevars, code.co_cellvars),
         [_code(c, names) if isinstance(c, CodeType) else _value(c) for c in constants],
         [_meaning(path, names) for path in _paths(code)],
@@ -419,7 +472,8 @@ def _paths(code: CodeType) -> list[list[str]]:
     As `dis` would say, in a twentieth of its time.
     """
     paths: list[list[str]] = []
-    inside, high = False, 0
+    inside = False
+    high = 0
     for operation, low in zip(code.co_code[::2], code.co_code[1::2], strict=True):
         number = high | low
         high = number << 8 if operation == EXTENDED else 0
@@ -456,12 +510,25 @@ def _value(value: Any) -> Any:
     if isinstance(value, Dispatcher):
         return _piece(value)
     if isinstance(value, tuple):
-        return f"{kind.__module__}.{kind.__qualname__}", getattr(value, "_fields", ()), [_value(v) for v in value]
+        return (
+            f"{kind.__module__}.{kind.__qualname__}",
+            getattr(value, "_fields", ()),
+            [_value(v) for v in value],
+        )
     if isinstance(value, frozenset):
         return "frozenset", sorted(repr(_value(v)) for v in value)
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:
-        return "array", repr(value.dtype), value.shape, value.strides, value.flags.writeable, value.tobytes()
-    if isinstance(value, type | FunctionType | BuiltinFunctionType) and _of_library(value.__module__):
+        return (
+            "array",
+            repr(value.dtype),
+            value.shape,
+            value.strides,
+            value.flags.writeable,
+            value.tobytes(),
+        )
+    if isinstance(value, type | FunctionType | BuiltinFunctionType) and _of_library(
+        value.__module__
+    ):
         return value.__module__, value.__qualname__
     raise Untold(repr(value))
 

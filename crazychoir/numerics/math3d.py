@@ -17,6 +17,7 @@ Quaternion = tuple[float, float, float, float]
 GRAVITY = 9.80665  # m/s2, standard gravity
 E3 = np.array([0.0, 0.0, 1.0])
 
+
 def projector(d: Vec) -> Mat:
     """Orthogonal projector onto the plane normal to d.
 
@@ -104,7 +105,10 @@ def logarithm(q: Quaternion) -> Triple:
 @kernel()
 def columns(q: Quaternion) -> tuple[Triple, Triple, Triple]:
     """Body axes x_b, y_b, z_b in the world: the columns of R(q), q of length 1."""
-    x, y, z, w = q[0], q[1], q[2], q[3]
+    x = q[0]
+    y = q[1]
+    z = q[2]
+    w = q[3]
     return (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)),
         (2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)),
@@ -127,18 +131,29 @@ def flat_attitude(f: Triple, yaw: float) -> tuple[Triple, Triple, Triple]:
     f: m/s2 or N, world.  f = 0 gives the level attitude; z_b along x_c takes y_b = (-sin yaw, cos yaw, 0).
     Source: Mellinger & Kumar 2011, ICRA.
     """
-    c, s = math.cos(yaw), math.sin(yaw)
+    c = math.cos(yaw)
+    s = math.sin(yaw)
     n = math.sqrt(dot(f, f))
     z = (f[0] / n, f[1] / n, f[2] / n) if n > 1e-9 else (0.0, 0.0, 1.0)
     y = (-z[2] * s, z[2] * c, z[0] * s - z[1] * c)
     m = math.sqrt(dot(y, y))
     y = (y[0] / m, y[1] / m, y[2] / m) if m > 1e-6 else (-s, c, 0.0)
-    x = (y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0])
+    x = (
+        y[1] * z[2] - y[2] * z[1],
+        y[2] * z[0] - y[0] * z[2],
+        y[0] * z[1] - y[1] * z[0],
+    )
     return x, y, z
 
 
 @kernel()
-def flat_rates(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: float, yaw_rate: float) -> Triple:
+def flat_rates(
+    f: Triple,
+    j: Triple,
+    axes: tuple[Triple, Triple, Triple],
+    yaw: float,
+    yaw_rate: float,
+) -> Triple:
     """Body rates of `flat_attitude` while f changes by j a second and yaw by yaw_rate.
 
         h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
@@ -147,9 +162,16 @@ def flat_rates(f: Triple, j: Triple, axes: tuple[Triple, Triple, Triple], yaw: f
     """
     x, y, z = axes
     length = math.sqrt(dot(f, f))
-    p, q = -dot(j, y) / length, dot(j, x) / length
-    c, s = math.cos(yaw), math.sin(yaw)
-    return p, q, (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s)) / (x[0] * c + x[1] * s)
+    p = -dot(j, y) / length
+    q = dot(j, x) / length
+    c = math.cos(yaw)
+    s = math.sin(yaw)
+    return (
+        p,
+        q,
+        (p * (z[0] * c + z[1] * s) + yaw_rate * (y[1] * c - y[0] * s))
+        / (x[0] * c + x[1] * s),
+    )
 
 
 def rotation(q: Vec) -> Mat:
@@ -171,9 +193,12 @@ def quaternion(r: Mat) -> Vec:
     squares = np.array([r[0, 0], r[1, 1], r[2, 2], trace])
     i = int(np.argmax(squares))
     if i == 3:
-        q = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1.0 + trace])
+        q = np.array(
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1.0 + trace]
+        )
     else:
-        j, k = (i + 1) % 3, (i + 2) % 3
+        j = (i + 1) % 3
+        k = (i + 2) % 3
         q = np.empty(4)
         q[i] = 1.0 + 2.0 * r[i, i] - trace
         q[j] = r[j, i] + r[i, j]

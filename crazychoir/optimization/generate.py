@@ -42,7 +42,10 @@ def random_quadratics(agents: int, n: int, seed: int = 0) -> Quadratics:
     """Quadratic costs of N agents in n variables: P_i = R R' + I/2, entries of R and q_i/2 standard normal."""
     chance = _chance(seed, agents=agents, n=n)
     roots = chance.normal(size=(agents, n, n))
-    return Quadratics(roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(n), 2.0 * chance.normal(size=(agents, n)))
+    return Quadratics(
+        roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(n),
+        2.0 * chance.normal(size=(agents, n)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +77,25 @@ def random_lp(agents: int, n: int, constraints: int, seed: int = 0) -> LinearPro
     """
     chance = _chance(seed, agents=agents, n=n)
     if constraints < n:
-        raise ConfigError("random LP: constraints", constraints, f"{n} or more, as many as variables")
+        raise ConfigError(
+            "random LP: constraints", constraints, f"{n} or more, as many as variables"
+        )
     a = chance.normal(size=(constraints, n))
     a /= np.linalg.norm(a, axis=1, keepdims=True)
-    x, dual, slack = chance.normal(size=n), np.zeros(constraints), chance.uniform(0.2, 2.0, constraints)
+    x = chance.normal(size=n)
+    dual = np.zeros(constraints)
+    slack = chance.uniform(0.2, 2.0, constraints)
     active = chance.permutation(constraints)[:n]
-    dual[active], slack[active] = chance.uniform(0.5, 1.5, n), 0.0
-    return LinearProgram(-a.T @ dual, a, a @ x + slack, x, dual, _dealt(agents, constraints))
+    dual[active] = chance.uniform(0.5, 1.5, n)
+    slack[active] = 0.0
+    return LinearProgram(
+        -a.T @ dual, a, a @ x + slack, x, dual, _dealt(agents, constraints)
+    )
 
 
-def random_standard_lp(agents: int, columns: int, constraints: int, seed: int = 0) -> LinearProgram:
+def random_standard_lp(
+    agents: int, columns: int, constraints: int, seed: int = 0
+) -> LinearProgram:
     """min c'x, A x = b, x >= 0: bounded and feasible; the columns are dealt out to the agents in turn.
 
     A random basis, its x and the multipliers y are drawn first; c = A'y + s, with s above 0 outside the basis.
@@ -91,11 +103,18 @@ def random_standard_lp(agents: int, columns: int, constraints: int, seed: int = 
     """
     chance = _chance(seed, agents=agents, constraints=constraints)
     if columns < constraints:
-        raise ConfigError("random LP: columns", columns, f"{constraints} or more, as many as constraints")
-    a, y = chance.normal(size=(constraints, columns)), chance.normal(size=constraints)
-    x, reduced = np.zeros(columns), chance.uniform(0.2, 2.0, columns)
+        raise ConfigError(
+            "random LP: columns",
+            columns,
+            f"{constraints} or more, as many as constraints",
+        )
+    a = chance.normal(size=(constraints, columns))
+    y = chance.normal(size=constraints)
+    x = np.zeros(columns)
+    reduced = chance.uniform(0.2, 2.0, columns)
     basis = chance.permutation(columns)[:constraints]
-    x[basis], reduced[basis] = chance.uniform(0.5, 2.0, constraints), 0.0
+    x[basis] = chance.uniform(0.5, 2.0, constraints)
+    reduced[basis] = 0.0
     return LinearProgram(a.T @ y + reduced, a, a @ x, x, y, _dealt(agents, columns))
 
 
@@ -114,7 +133,12 @@ class CoupledMixedIntegerProgram:
 
 
 def random_milp(
-    agents: int, n: int = 5, integers: int = 3, coupling: int = 3, tightness: float = 0.4, seed: int = 0
+    agents: int,
+    n: int = 5,
+    integers: int = 3,
+    coupling: int = 3,
+    tightness: float = 0.4,
+    seed: int = 0,
 ) -> CoupledMixedIntegerProgram:
     """A resource allocation: all want much, and share `coupling` resources that are scarce.
 
@@ -123,11 +147,15 @@ def random_milp(
     chance = _chance(seed, agents=agents, n=n, coupling=coupling)
     if not (0.0 < tightness < 1.0 and 0 <= integers <= n):
         found = f"tightness {tightness}, {integers} integers"
-        raise ConfigError("random MILP", found, f"a tightness between 0 and 1, 0 to {n} integers")
+        raise ConfigError(
+            "random MILP", found, f"a tightness between 0 and 1, 0 to {n} integers"
+        )
     upper = np.where(np.arange(n) < integers, 5.0, 3.0)
     a = chance.uniform(0.0, 1.0, (agents, coupling, n))
     b = tightness * (a @ upper).sum(axis=0)
-    return CoupledMixedIntegerProgram(-chance.uniform(0.1, 5.0, (agents, n)), a, b, upper, integers)
+    return CoupledMixedIntegerProgram(
+        -chance.uniform(0.1, 5.0, (agents, n)), a, b, upper, integers
+    )
 
 
 def _chance(seed: int, **sizes: int) -> np.random.Generator:

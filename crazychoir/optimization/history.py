@@ -79,7 +79,10 @@ class History:
         if name == "x" and not self.common:
             return None
         last = list(self.last(name).values())
-        numeric = all(isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "fiu" for x in last)
+        numeric = all(
+            isinstance(x, np.ndarray | np.generic) and x.dtype.kind in "fiu"
+            for x in last
+        )
         if not numeric or len({x.shape for x in last}) != 1:
             return None
         if not all(np.isfinite(x).all() for x in last):
@@ -89,13 +92,30 @@ class History:
     def to_json(self) -> dict[str, Any]:
         """The figures and, of each agent, the last values; the histories are for `save`."""
         traffic = ("messages", "lost", "resent", "bytes")
-        figures = ("rounds", "violation", *traffic, "simulated_s", "wall_s", "critical_path_s")
+        figures = (
+            "rounds",
+            "violation",
+            *traffic,
+            "simulated_s",
+            "wall_s",
+            "critical_path_s",
+        )
         names = next(iter(self.values.values()))
-        last = {i: {name: series[-1] for name, series in values.items()} for i, values in self.values.items()}
+        last = {
+            i: {name: series[-1] for name, series in values.items()}
+            for i, values in self.values.items()
+        }
         for i, result in self.results.items():
-            last[i]["result"] = _told(parts_of(result) if is_dataclass(result) else result)
-        ends = {"disagreement": {name: self.disagreement(name) for name in names}, "agents": last}
-        counted: dict[str, Any] = plain({name: getattr(self, name) for name in figures} | ends)
+            last[i]["result"] = _told(
+                parts_of(result) if is_dataclass(result) else result
+            )
+        ends = {
+            "disagreement": {name: self.disagreement(name) for name in names},
+            "agents": last,
+        }
+        counted: dict[str, Any] = plain(
+            {name: getattr(self, name) for name in figures} | ends
+        )
         return counted
 
     def save(self, path: str | Path) -> None:
@@ -119,24 +139,53 @@ class History:
             told = plain(self.to_json() | {"values": self.values, "times": self.times})
             path.write_text(json.dumps(told), encoding="utf-8")
         else:
-            series = {f"{name}_{i}": x for i, values in self.values.items() for name, x in values.items()}
-            changing = next((name for name, x in series.items() if isinstance(x, list)), None)
+            series = {
+                f"{name}_{i}": x
+                for i, values in self.values.items()
+                for name, x in values.items()
+            }
+            changing = next(
+                (name for name, x in series.items() if isinstance(x, list)), None
+            )
             if changing is not None:
-                raise ConfigError(f"history: {changing}", "a shape that changes", "one shape in .npz", "Save as .json.")
+                raise ConfigError(
+                    f"history: {changing}",
+                    "a shape that changes",
+                    "one shape in .npz",
+                    "Save as .json.",
+                )
             times = {f"time_{i}": time for i, time in self.times.items()}
-            results = {f"{name}_{i}": x for i in self.results for name, x in self._result(i).items()}
-            with path.open("wb") as file:  # np.savez would add .npz to a name that ends in .NPZ
+            results = {
+                f"{name}_{i}": x
+                for i in self.results
+                for name, x in self._result(i).items()
+            }
+            with path.open(
+                "wb"
+            ) as file:  # np.savez would add .npz to a name that ends in .NPZ
                 np.savez(file, allow_pickle=False, **{**series, **times, **results})
 
     def _rows(self) -> list[list[Any]]:
         """Head and rows; an array has a column an entry."""
-        rows = {(i, k): self._entries(i, k) for i, times in self.times.items() for k in range(len(times))}
+        rows = {
+            (i, k): self._entries(i, k)
+            for i, times in self.times.items()
+            for k in range(len(times))
+        }
         found = dict.fromkeys(column for entries in rows.values() for column in entries)
         ends = dict.fromkeys(name for i in self.results for name in self._result(i))
         names = [*next(iter(self.values.values())), *ends]
         columns = sorted(found, key=lambda column: (names.index(column[0]), column[1]))
-        head = ["agent", "round", "time_s", *(name + _place(at) for name, at in columns)]
-        cells = {row: [entries.get(column, "") for column in columns] for row, entries in rows.items()}
+        head = [
+            "agent",
+            "round",
+            "time_s",
+            *(name + _place(at) for name, at in columns),
+        ]
+        cells = {
+            row: [entries.get(column, "") for column in columns]
+            for row, entries in rows.items()
+        }
         return [head, *([i, k, self.times[i][k], *cells[i, k]] for i, k in rows)]
 
     def _entries(self, i: int, k: int) -> dict[tuple[str, tuple[int, ...]], Any]:
@@ -144,23 +193,36 @@ class History:
         arrays = {name: np.array(series[k]) for name, series in self.values[i].items()}
         if k == len(self.times[i]) - 1 and i in self.results:
             arrays |= self._result(i)
-        return {(name, at): x[at].item() for name, x in arrays.items() for at in np.ndindex(x.shape)}
+        return {
+            (name, at): x[at].item()
+            for name, x in arrays.items()
+            for at in np.ndindex(x.shape)
+        }
 
     def _result(self, i: int) -> dict[str, Any]:
         """Of agent i, an array a part."""
         parts = parts_of(self.results[i])
-        return {f"result.{name}" if name else "result": _array(part) for name, part in parts.items()}
+        return {
+            f"result.{name}" if name else "result": _array(part)
+            for name, part in parts.items()
+        }
 
 
 def require_suffix(path: Path, where: str = "history") -> None:
     """Raise ConfigError for the name of a file that is no history's."""
     if path.suffix.lower() not in SUFFIXES:
-        raise ConfigError(where, path.name, f"a file that ends in {', '.join(SUFFIXES)}")
+        raise ConfigError(
+            where, path.name, f"a file that ends in {', '.join(SUFFIXES)}"
+        )
 
 
 def parts_of(result: Any) -> dict[str, Any]:
     """By name, as those of a dataclass; what has no parts is the one without a name."""
-    return {f.name: getattr(result, f.name) for f in fields(result)} if is_dataclass(result) else {"": result}
+    return (
+        {f.name: getattr(result, f.name) for f in fields(result)}
+        if is_dataclass(result)
+        else {"": result}
+    )
 
 
 def _told(value: Any) -> Any:

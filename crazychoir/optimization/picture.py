@@ -23,9 +23,13 @@ MOST_ENTRIES = 4
 
 
 def draw_convergence(
-    series: Mapping[int, Any], path: str | Path, name: str, title: str = "", times: Mapping[int, Vec] | None = None,
+    series: Mapping[int, Any],
+    path: str | Path,
+    name: str,
+    title: str = "",
+    times: Mapping[int, Vec] | None = None,
     common: bool = True,
-) -> None:  # fmt: skip
+) -> None:
     """Write a PNG (or what the suffix of `path` says): above, each agent's entries of x; below, on a logarithmic axis,
     the distance of each agent from the team's mean at the end.
 
@@ -54,27 +58,57 @@ def draw_convergence(
 def _entries(i: int, name: str, values: Any) -> Vec:
     """(K+1, entries)."""
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
-        raise ConfigError(f"picture: {name} of agent {i}", "no numbers of one shape", "an array, to draw it")
+        raise ConfigError(
+            f"picture: {name} of agent {i}",
+            "no numbers of one shape",
+            "an array, to draw it",
+        )
     return values.reshape(len(values), -1).astype(float)
 
 
-def _draw_entries(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str) -> None:
+def _draw_entries(
+    axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str
+) -> None:
     for i, values in x.items():
         for n in range(min(values.shape[1], MOST_ENTRIES)):
-            label = (f"{name}[{n}]" if values.shape[1] > 1 else name) if i == min(x) else None
-            axes.plot(at[i], values[:, n], color=COLOURS[n], linestyle=DASHES[n], linewidth=0.9, alpha=0.8, label=label)
+            label = (
+                (f"{name}[{n}]" if values.shape[1] > 1 else name)
+                if i == min(x)
+                else None
+            )
+            axes.plot(
+                at[i],
+                values[:, n],
+                color=COLOURS[n],
+                linestyle=DASHES[n],
+                linewidth=0.9,
+                alpha=0.8,
+                label=label,
+            )
     axes.set_ylabel(f"{name} of each agent")
     axes.legend(frameon=False, fontsize=8, ncols=MOST_ENTRIES)
 
 
-def _draw_distances(axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], common: bool) -> None:
+def _draw_distances(
+    axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], common: bool
+) -> None:
     """From the mean of all agents' last values, if they have it in common; else each from its own last value."""
     sizes = {values.shape[1] for values in x.values()}
-    mean = np.mean([values[-1] for values in x.values()], axis=0) if common and len(sizes) == 1 else None
+    mean = (
+        np.mean([values[-1] for values in x.values()], axis=0)
+        if common and len(sizes) == 1
+        else None
+    )
     for i, values in x.items():
         distance = np.abs(values - (values[-1] if mean is None else mean)).max(axis=1)
         distance[distance == 0.0] = np.nan
         colour = COLOURS[i % len(COLOURS)]
-        axes.semilogy(at[i], distance, color=colour, linestyle=DASHES[i % len(DASHES)], linewidth=0.9)
+        axes.semilogy(
+            at[i],
+            distance,
+            color=colour,
+            linestyle=DASHES[i % len(DASHES)],
+            linewidth=0.9,
+        )
     what = "its own end" if mean is None else "the mean at the end"
     axes.set_ylabel(f"distance from\n{what}")

@@ -53,7 +53,10 @@ class Prediction:
         """(T + 2, n): x_0 = x, those that inputs u (T, m) lead to, and the one after, by K."""
         found = [x]
         for k in range(self.T + 1):
-            found.append(self.A @ found[-1] + self.B @ (u[k] if k < self.T else self.gain @ found[-1]))
+            found.append(
+                self.A @ found[-1]
+                + self.B @ (u[k] if k < self.T else self.gain @ found[-1])
+            )
         return np.array(found)
 
 
@@ -66,7 +69,9 @@ class _Program:
     def __init__(self, P: Mat, rows: Mat, ends: Mat) -> None:
         self._lengths, scaled = _unit_rows(rows)
         self._end_lengths, scaled_ends = _unit_rows(ends)
-        over = Polyhedron(scaled, np.zeros(len(scaled)), scaled_ends, np.zeros(len(ends)))
+        over = Polyhedron(
+            scaled, np.zeros(len(scaled)), scaled_ends, np.zeros(len(ends))
+        )
         self.program = MovingProgram(0.5 * (P + P.T), np.zeros(len(P)), over)
 
     def solve(self, slope: Vec, bounds: Vec, e: Vec) -> Vec | str:
@@ -87,62 +92,85 @@ class PredictiveControl:
     """
 
     def __init__(self, of: Prediction, reach: float | None = None) -> None:
-        self.of, self.reach = of, reach
+        self.of = of
+        self.reach = reach
         self.F, self.H = _condensed(of.A, of.B, of.T)
         weights = np.kron(np.eye(of.T), of.Q)
         weights[-len(of.A) :, -len(of.A) :] = 0.0 if of.P is None else of.P
-        self._hessian = 2.0 * (self.H.T @ weights @ self.H + np.kron(np.eye(of.T), of.R))
+        self._hessian = 2.0 * (
+            self.H.T @ weights @ self.H + np.kron(np.eye(of.T), of.R)
+        )
         self._slope = 2.0 * self.H.T @ weights @ self.F
         end = np.zeros((0, len(of.A))) if of.Z is None else of.Z
-        self._end, self._ends = end @ self.F[-len(of.A) :], end @ self.H[-len(of.A) :]
+        self._end = end @ self.F[-len(of.A) :]
+        self._ends = end @ self.H[-len(of.A) :]
         self._rows, self._moved, self._fixed = self._constraints()
         try:
             self.program = _Program(self._hessian, self._rows, self._ends)
         except np.linalg.LinAlgError as error:
-            raise ConfigError("Prediction: R", f"{error}", "a positive definite matrix") from error
+            raise ConfigError(
+                "Prediction: R", f"{error}", "a positive definite matrix"
+            ) from error
 
     def _constraints(self) -> tuple[Mat, Mat, Vec]:
         """Rows over U, what x_0 takes of their bounds, and the bounds: of states, of inputs, of what is to stay near.
 
         The bounds of the last ones, above and below, are those of the others: left out of the third.
         """
-        of, steps = self.of, np.eye(self.of.T)
-        state, y = np.kron(steps, of.E), np.kron(steps, of.C)
-        none, near = np.zeros((of.T * len(of.h), len(of.A))), [] if self.reach is None else [y, -y]
-        rows = np.vstack([state @ self.H, np.kron(steps, of.G), *(part @ self.H for part in near)])
+        of = self.of
+        steps = np.eye(self.of.T)
+        state = np.kron(steps, of.E)
+        y = np.kron(steps, of.C)
+        none = np.zeros((of.T * len(of.h), len(of.A)))
+        near = [] if self.reach is None else [y, -y]
+        rows = np.vstack(
+            [state @ self.H, np.kron(steps, of.G), *(part @ self.H for part in near)]
+        )
         moved = np.vstack([state @ self.F, none, *(part @ self.F for part in near)])
         return rows, moved, np.concatenate([np.tile(of.f, of.T), np.tile(of.h, of.T)])
 
     @cached_property
     def _soft(self) -> _Program:
         """The program with one variable more, s: the excess of the reach."""
-        size, near = len(self._hessian), np.arange(len(self._rows)) >= len(self._fixed)
+        size = len(self._hessian)
+        near = np.arange(len(self._rows)) >= len(self._fixed)
         P = np.zeros((size + 1, size + 1))
-        P[:size, :size], P[size, size] = self._hessian, 1.0
-        rows = np.vstack([np.column_stack([self._rows, -1.0 * near]), -np.eye(1, size + 1, size)])
-        return _Program(P, rows, np.column_stack([self._ends, np.zeros(len(self._ends))]))
+        P[:size, :size] = self._hessian
+        P[size, size] = 1.0
+        rows = np.vstack(
+            [np.column_stack([self._rows, -1.0 * near]), -np.eye(1, size + 1, size)]
+        )
+        return _Program(
+            P, rows, np.column_stack([self._ends, np.zeros(len(self._ends))])
+        )
 
     def solve(self, x: Vec, others: Mat) -> Mat | str:
         """The inputs (T, m) from x (n,), or why there are none: "infeasible", "too many steps", "not finite".
 
         others: (J, T, d), what y of the J others will be at t = 1..T.
         """
-        found = self.program.solve(self._slope @ x, self._bounds(x, others), -self._end @ x)
+        found = self.program.solve(
+            self._slope @ x, self._bounds(x, others), -self._end @ x
+        )
         return found if isinstance(found, str) else found.reshape(self.of.T, -1)
 
     def approach(self, x: Vec, others: Mat) -> Mat | str:
         """The same where it is infeasible, as x is out of reach: as little out of reach as it can be.
 
-            |y_t - y_j,t| <= reach + s,  s >= 0,  with DEAR s + s^2 / 2 more to minimise
+        |y_t - y_j,t| <= reach + s,  s >= 0,  with DEAR s + s^2 / 2 more to minimise
         """
-        slope, bounds = np.append(self._slope @ x, DEAR), np.append(self._bounds(x, others), 0.0)
+        slope = np.append(self._slope @ x, DEAR)
+        bounds = np.append(self._bounds(x, others), 0.0)
         found = self._soft.solve(slope, bounds, -self._end @ x)
         return found if isinstance(found, str) else found[:-1].reshape(self.of.T, -1)
 
     def _bounds(self, x: Vec, others: Mat) -> Vec:
         bounds = [self._fixed]
         if self.reach is not None:
-            bounds += [self.reach + others.min(axis=0).reshape(-1), self.reach - others.max(axis=0).reshape(-1)]
+            bounds += [
+                self.reach + others.min(axis=0).reshape(-1),
+                self.reach - others.max(axis=0).reshape(-1),
+            ]
         left: Vec = np.concatenate(bounds) - self._moved @ x
         return left
 
@@ -232,7 +260,13 @@ class SequentialMPC:
         parts(self.i, self.k, heard, INTEGER, np.ndarray)
         for j, (k, y) in heard.items():
             if y.shape != self._y.shape:
-                raise malformed(f"agent {self.i}", j, k, y, f"outputs of shape {self._y.shape}, as its own")
+                raise malformed(
+                    f"agent {self.i}",
+                    j,
+                    k,
+                    y,
+                    f"outputs of shape {self._y.shape}, as its own",
+                )
             self._told_of[j] = (int(k), y)
         if not self.decided and all(self._knows(j) for j in self.neighbors):
             self._solve()
@@ -246,10 +280,12 @@ class SequentialMPC:
             self.tally.kept += 1
             self._decide(self.inputs)
         of = self.control.of
-        states, u = of.states(self.x, self.inputs), self.u
+        states = of.states(self.x, self.inputs)
+        u = self.u
         self.inputs = np.vstack([self.inputs[1:], of.gain @ states[of.T]])
         self.x = states[1] if measured is None else np.asarray(measured, float)
-        self.k, self.decided = self.k + 1, False
+        self.k = self.k + 1
+        self.decided = False
         return u
 
     def restart(self, x: Vec) -> None:
@@ -266,18 +302,21 @@ class SequentialMPC:
         T = self.control.of.T
         plans = [self._told_of[j] for j in self.neighbors]
         others = np.array([y[self.k - k + 1 : self.k - k + 1 + T] for k, y in plans])
-        tally, found = self.tally, self.control.solve(self.x, others)
+        tally = self.tally
+        found = self.control.solve(self.x, others)
         if isinstance(found, str) and self.control.reach is not None:
             tally.loosened += 1
             found = self.control.approach(self.x, others)
         if isinstance(found, str):
-            tally.infeasible, tally.why = tally.infeasible + 1, f"step {self.k}: {found}"
+            tally.infeasible = tally.infeasible + 1
+            tally.why = f"step {self.k}: {found}"
         else:
             tally.solved += 1
         self._decide(self.inputs if isinstance(found, str) else found)
 
     def _decide(self, inputs: Mat) -> None:
-        self.inputs, self.decided = inputs, True
+        self.inputs = inputs
+        self.decided = True
         self._k, self._y = self.k, self._outputs()
 
     def _outputs(self) -> Mat:
@@ -289,7 +328,7 @@ class SequentialMPC:
 def integrators(h: float, axes: int) -> tuple[Mat, Mat]:
     """A (3 d, 3 d), B (3 d, d) of x = (p, v, a) in d axes, steered by the jerk, which is held for h s.
 
-        p+ = p + h v + h^2/2 a + h^3/6 u,   v+ = v + h a + h^2/2 u,   a+ = a + h u
+    p+ = p + h v + h^2/2 a + h^3/6 u,   v+ = v + h a + h^2/2 u,   a+ = a + h u
     """
     one = np.eye(axes)
     A = np.array([[1.0, h, 0.5 * h**2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])

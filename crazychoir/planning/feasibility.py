@@ -15,7 +15,17 @@ from crazychoir.types import Mat, Vec
 RATE = 200.0  # Hz, of the instants that are looked at
 LEAST = 200  # instants, of a short trajectory
 TOLERANCE = 1e-3  # of a limit: what lies between the instants
-DEMANDS = ("speed", "acceleration", "jerk", "yaw_rate", "tilt", "thrust", "roll_rate", "pitch_rate", "body_yaw_rate")
+DEMANDS = (
+    "speed",
+    "acceleration",
+    "jerk",
+    "yaw_rate",
+    "tilt",
+    "thrust",
+    "roll_rate",
+    "pitch_rate",
+    "body_yaw_rate",
+)
 UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
 THRUST = DEMANDS.index("thrust")
 
@@ -24,13 +34,16 @@ THRUST = DEMANDS.index("thrust")
 def _demands(references: Mat, out: Mat) -> None:
     """What each reference (14,) asks for, into a row of out (9,) in the order of DEMANDS; the thrust in N/kg."""
     for k in range(references.shape[0]):
-        x, o = references[k], out[k]
-        a, j = (x[6], x[7], x[8]), (x[9], x[10], x[11])
+        x = references[k]
+        o = out[k]
+        a = (x[6], x[7], x[8])
+        j = (x[9], x[10], x[11])
         f = (a[0], a[1], a[2] + GRAVITY)
         thrust = math.sqrt(dot(f, f))
         o[0] = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
         o[1], o[2], o[3] = math.sqrt(dot(a, a)), math.sqrt(dot(j, j)), abs(x[13])
-        o[4], o[5] = math.acos(min(max(f[2] / max(thrust, 1e-9), -1.0), 1.0)), thrust
+        o[4] = math.acos(min(max(f[2] / max(thrust, 1e-9), -1.0), 1.0))
+        o[5] = thrust
         w = flat_rates(f, j, flat_attitude(f, x[12]), x[12], x[13])
         for c in range(3):
             o[6 + c] = abs(w[c]) if math.isfinite(w[c]) else math.inf
@@ -73,30 +86,55 @@ class Limits:
         for field in fields(self):
             value = np.asarray(getattr(self, field.name), dtype=float)
             if value.shape not in ((), (3,)) or np.isnan(value).any():
-                raise ConfigError(f"Limits: {field.name}", value.tolist(), "a number, or three a list")
+                raise ConfigError(
+                    f"Limits: {field.name}", value.tolist(), "a number, or three a list"
+                )
             if field.name not in ("low", "high") and value.min() <= 0.0:
-                raise ConfigError(f"Limits: {field.name}", value.tolist(), "positive numbers")
+                raise ConfigError(
+                    f"Limits: {field.name}", value.tolist(), "positive numbers"
+                )
         if not np.all(np.less(self.low, self.high)):
-            raise ConfigError("Limits: low", list(self.low), f"below high = {list(self.high)}, each")
+            raise ConfigError(
+                "Limits: low", list(self.low), f"below high = {list(self.high)}, each"
+            )
         if self.thrust_max <= self.mass * GRAVITY:
             weight = self.mass * GRAVITY
-            raise ConfigError("Limits: thrust_max", self.thrust_max, f"more than the weight, {weight:.3g} N")
+            raise ConfigError(
+                "Limits: thrust_max",
+                self.thrust_max,
+                f"more than the weight, {weight:.3g} N",
+            )
 
     @property
     def largest(self) -> Vec:
         """(9,) in the order of DEMANDS."""
-        scalars = (self.v_max, self.a_max, self.j_max, self.yaw_rate_max, self.tilt_max, self.thrust_max)
+        scalars = (
+            self.v_max,
+            self.a_max,
+            self.j_max,
+            self.yaw_rate_max,
+            self.tilt_max,
+            self.thrust_max,
+        )
         return np.array([*scalars, *self.rate_max])
 
     def check_timed(self, where: str) -> None:
         """Raise a ConfigError unless speed and acceleration are limited: without, nothing says how fast to fly."""
         for name in ("v_max", "a_max"):
             if math.isinf(getattr(self, name)):
-                raise ConfigError(f"{where}: limits: {name}", math.inf, "a finite number, since no times are given")
+                raise ConfigError(
+                    f"{where}: limits: {name}",
+                    math.inf,
+                    "a finite number, since no times are given",
+                )
 
     def check_places(self, places: Mat, where: str) -> None:
         """Raise a ConfigError that names the first of places (n, 3) m outside of the fence."""
-        inside = np.all((places >= np.asarray(self.low) - 1e-9) & (places <= np.asarray(self.high) + 1e-9), axis=1)
+        inside = np.all(
+            (places >= np.asarray(self.low) - 1e-9)
+            & (places <= np.asarray(self.high) + 1e-9),
+            axis=1,
+        )
         if not inside.all():
             k = int(np.argmin(inside))
             fence = f"places within the fence, {list(self.low)} to {list(self.high)} m"
@@ -123,17 +161,28 @@ def check_references(t: Vec, x: Mat, limits: Limits) -> None:
     """`check` for references x (n, 14) at the times t (n,) s."""
     if not np.isfinite(x).all():
         k = int(np.argmin(np.isfinite(x).all(axis=1)))
-        raise ConfigError(f"trajectory at {t[k]:.2f} s", x[k].tolist(), "finite numbers")
+        raise ConfigError(
+            f"trajectory at {t[k]:.2f} s", x[k].tolist(), "finite numbers"
+        )
     limits.check_places(x[:, 0:3], "trajectory: set-point")
-    asked, largest = demands(x, limits.mass), limits.largest
+    asked = demands(x, limits.mass)
+    largest = limits.largest
     over = asked > largest * (1.0 + TOLERANCE)
     if over.any():
         k = int(np.argmax(over.any(axis=1)))
         n = int(np.argmax(over[k]))
-        most, when = asked[:, n].max(), t[int(np.argmax(asked[:, n]))]
-        found = f"{asked[k, n]:.3g} {UNITS[n]}, and {most:.3g} {UNITS[n]} at {when:.2f} s"
+        most = asked[:, n].max()
+        when = t[int(np.argmax(asked[:, n]))]
+        found = (
+            f"{asked[k, n]:.3g} {UNITS[n]}, and {most:.3g} {UNITS[n]} at {when:.2f} s"
+        )
         allowed = f"at most {largest[n]:.3g} {UNITS[n]}"
-        raise ConfigError(f"trajectory at {t[k]:.2f} s: {DEMANDS[n]}", found, allowed, "Give it more time.")
+        raise ConfigError(
+            f"trajectory at {t[k]:.2f} s: {DEMANDS[n]}",
+            found,
+            allowed,
+            "Give it more time.",
+        )
 
 
 def keeps(trajectory: Trajectory, limits: Limits) -> bool:

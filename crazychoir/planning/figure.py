@@ -27,7 +27,9 @@ def _eased(s: float, w: float, ramp: float) -> tuple[float, float, float, float]
 
 
 @kernel()
-def _phase(t: float, w: float, ramp: float, duration: float) -> tuple[float, float, float, float]:
+def _phase(
+    t: float, w: float, ramp: float, duration: float
+) -> tuple[float, float, float, float]:
     """phi and its derivatives at t, 0 <= t <= duration."""
     whole = w * (duration - ramp)
     if t < ramp:
@@ -39,15 +41,21 @@ def _phase(t: float, w: float, ramp: float, duration: float) -> tuple[float, flo
 
 
 @kernel()
-def _curve(phi: float, size: float, n: float, offset: float) -> tuple[float, float, float, float]:
+def _curve(
+    phi: float, size: float, n: float, offset: float
+) -> tuple[float, float, float, float]:
     """size sin(n phi + offset) and its derivatives by phi."""
-    s, c = size * math.sin(n * phi + offset), size * math.cos(n * phi + offset)
+    s = size * math.sin(n * phi + offset)
+    c = size * math.cos(n * phi + offset)
     return s, n * c, -n * n * s, -n * n * n * c
 
 
 @kernel()
 def _heading(
-    x: tuple[float, float, float, float], y: tuple[float, float, float, float], is_circle: bool, phi: float
+    x: tuple[float, float, float, float],
+    y: tuple[float, float, float, float],
+    is_circle: bool,
+    phi: float,
 ) -> tuple[float, float]:
     """Direction of (x', y'), unwrapped, and its derivative by phi; an eight never heads to +y."""
     yaw = 0.5 * math.pi + phi if is_circle else math.atan2(x[1], -y[1]) - 0.5 * math.pi
@@ -58,19 +66,24 @@ def _heading(
 def _sample(g: Vec, t: float, out: Vec) -> None:
     """The flat output at t into out (14,);  g: see Figure."""
     phi, d1, d2, d3 = _phase(t, g[3], g[4], g[5])
-    x, y = _curve(phi, g[6], g[7], g[8]), _curve(phi, g[9], g[10], 0.0)
+    x = _curve(phi, g[6], g[7], g[8])
+    y = _curve(phi, g[9], g[10], 0.0)
     for c in range(2):
         q = x if c == 0 else y
         out[c] = g[c] + q[0]
         out[3 + c] = q[1] * d1
         out[6 + c] = q[2] * d1 * d1 + q[1] * d2
         out[9 + c] = q[3] * d1**3 + 3.0 * q[2] * d1 * d2 + q[1] * d3
-    out[2], out[5], out[8], out[11] = g[2], 0.0, 0.0, 0.0
+    out[2] = g[2]
+    out[5] = 0.0
+    out[8] = 0.0
+    out[11] = 0.0
     if g[11] == ALONG:
         out[12], rate = _heading(x, y, g[7] == g[10], phi)
         out[13] = rate * d1
     else:
-        out[12], out[13] = g[12] + g[13] * phi, g[13] * d1
+        out[12] = g[12] + g[13] * phi
+        out[13] = g[13] * d1
 
 
 class Figure:
@@ -85,7 +98,8 @@ class Figure:
     """
 
     def __init__(self, figures: Vec) -> None:
-        self._figures, self.duration = figures, float(figures[5])
+        self._figures = figures
+        self.duration = float(figures[5])
 
     def sample(self, t: float) -> FullState:
         """The reference t seconds after the start."""
@@ -114,7 +128,17 @@ def circle(
     yaw_rate: rad/s at full speed, where the yaw is not that of the path.
     """
     w = _frequency("circle", period, radius=radius)
-    return _figure("circle", center, w, laps, ramp, (radius, 1.0, 0.5 * math.pi), (radius, 1.0), yaw, yaw_rate)
+    return _figure(
+        "circle",
+        center,
+        w,
+        laps,
+        ramp,
+        (radius, 1.0, 0.5 * math.pi),
+        (radius, 1.0),
+        yaw,
+        yaw_rate,
+    )
 
 
 def eight(
@@ -132,7 +156,9 @@ def eight(
     center: (3,) m;  a, b: A and B m;  w = 2 pi / period;  the rest as in `circle`.
     """
     w = _frequency("eight", period, a=a, b=b)
-    return _figure("eight", center, w, laps, ramp, (a, 1.0, 0.0), (b, 2.0), yaw, yaw_rate)
+    return _figure(
+        "eight", center, w, laps, ramp, (a, 1.0, 0.0), (b, 2.0), yaw, yaw_rate
+    )
 
 
 def _frequency(name: str, period: float, **sizes: float) -> float:
@@ -158,12 +184,28 @@ def _figure(
     period = 2.0 * math.pi / w
     ramp = 0.5 * period * min(laps, 1.0) if ramp is None else ramp
     if not 0.0 < ramp <= laps * period:
-        raise ConfigError(f"{name}: ramp", ramp, f"between 0 and {laps * period:g} s, the time of the laps")
+        raise ConfigError(
+            f"{name}: ramp",
+            ramp,
+            f"between 0 and {laps * period:g} s, the time of the laps",
+        )
     along = isinstance(yaw, str)
     if along and (yaw != "along" or yaw_rate != 0.0):
-        raise ConfigError(f"{name}: yaw, yaw_rate", [yaw, yaw_rate], 'rad and rad/s, or "along" without a rate')
+        raise ConfigError(
+            f"{name}: yaw, yaw_rate",
+            [yaw, yaw_rate],
+            'rad and rad/s, or "along" without a rate',
+        )
     angle = 0.0 if isinstance(yaw, str) else yaw
     if len(center) != 3 or not np.all(np.isfinite([*center, angle, yaw_rate])):
-        raise ConfigError(f"{name}: center, yaw, yaw_rate", [*center, yaw, yaw_rate], "three m, rad, rad/s: finite")
+        raise ConfigError(
+            f"{name}: center, yaw, yaw_rate",
+            [*center, yaw, yaw_rate],
+            "three m, rad, rad/s: finite",
+        )
     kind = ALONG if along else GIVEN
-    return Figure(np.array([*center, w, ramp, laps * period + ramp, *x, *y, kind, angle, yaw_rate / w]))
+    return Figure(
+        np.array(
+            [*center, w, ramp, laps * period + ramp, *x, *y, kind, angle, yaw_rate / w]
+        )
+    )

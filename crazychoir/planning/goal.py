@@ -16,7 +16,11 @@ LIMITS = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
 
 
 def goto(
-    start: FullState, goal: Vec, yaw: float | None = None, duration: float = 0.0, limits: Limits = LIMITS
+    start: FullState,
+    goal: Vec,
+    yaw: float | None = None,
+    duration: float = 0.0,
+    limits: Limits = LIMITS,
 ) -> PointToPoint:
     """To rest at a goal from any state, in `duration` s, or longer where speed, acceleration and yaw rate need it.
 
@@ -26,30 +30,51 @@ def goto(
         raise ConfigError("goto: goal", np.asarray(goal).tolist(), "three numbers, m")
     limits.check_places(np.array([goal]), "goto: goal")
     heading = start.yaw if yaw is None else yaw
-    fastest = duration_for(start, goal, heading, limits.v_max, limits.a_max, limits.yaw_rate_max)
-    flight = PointToPoint(start, np.asarray(goal, dtype=float), heading, max(duration, fastest))
+    fastest = duration_for(
+        start, goal, heading, limits.v_max, limits.a_max, limits.yaw_rate_max
+    )
+    flight = PointToPoint(
+        start, np.asarray(goal, dtype=float), heading, max(duration, fastest)
+    )
     limits.check_places(references(flight)[1][:, 0:3], "goto: set-point")
     return flight
 
 
-def takeoff(start: FullState, height: float, duration: float = 0.0, limits: Limits = LIMITS) -> PointToPoint:
+def takeoff(
+    start: FullState, height: float, duration: float = 0.0, limits: Limits = LIMITS
+) -> PointToPoint:
     """Straight up to rest at z = height m, world, which lies above the start."""
     if not height > start.p[2]:
-        raise ConfigError("takeoff: height", height, f"more than the height at the start, {start.p[2]:.3f} m")
+        raise ConfigError(
+            "takeoff: height",
+            height,
+            f"more than the height at the start, {start.p[2]:.3f} m",
+        )
     return goto(start, np.array([*start.p[0:2], height]), None, duration, limits)
 
 
-def land(start: FullState, ground: float = 0.0, speed: float = 0.3, limits: Limits = LIMITS) -> Landing:
+def land(
+    start: FullState, ground: float = 0.0, speed: float = 0.3, limits: Limits = LIMITS
+) -> Landing:
     """To rest from any state, then straight down to z = ground m, world, at most `speed` m/s fast."""
     stop = stopping(start, limits.a_max)
     if not ground < stop.goal[2]:
-        raise ConfigError("land: ground", ground, f"less than the height at rest, {stop.goal[2]:.3f} m")
+        raise ConfigError(
+            "land: ground",
+            ground,
+            f"less than the height at rest, {stop.goal[2]:.3f} m",
+        )
     limits.check_places(references(stop)[1][:, 0:3], "land: set-point")
-    above, floor = FullState.at(stop.goal, yaw=start.yaw), np.array([*stop.goal[0:2], ground])
-    return Landing(stop, goto(above, floor, limits=replace(limits, v_max=min(speed, limits.v_max))))
+    above = FullState.at(stop.goal, yaw=start.yaw)
+    floor = np.array([*stop.goal[0:2], ground])
+    return Landing(
+        stop, goto(above, floor, limits=replace(limits, v_max=min(speed, limits.v_max)))
+    )
 
 
-def timed_goals(start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS) -> Piecewise:
+def timed_goals(
+    start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS
+) -> Piecewise:
     """From `start` at t = 0 to each goal in turn, at rest there at its time.
 
     goals: (k, 5) rows t s, x, y, z m world, yaw rad; the times increase. A first row at t = 0 is the
@@ -59,7 +84,9 @@ def timed_goals(start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS)
     """
     rows = _checked(goals)
     limits.check_places(rows[:, 1:4], "goals")
-    legs, here, before = [], start, 0.0
+    legs = []
+    here = start
+    before = 0.0
     for k, (t, x, y, z, yaw) in enumerate(rows.tolist()):
         if k == 0 and t == 0.0:
             _check_start(start, rows[0, 1:4])
@@ -68,28 +95,43 @@ def timed_goals(start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS)
         try:
             check(leg, limits)
         except ConfigError as error:
-            raise ConfigError(f"goals[{k}]: {error.where}", str(error.found), error.allowed, error.do) from error
+            raise ConfigError(
+                f"goals[{k}]: {error.where}", str(error.found), error.allowed, error.do
+            ) from error
         legs.append(leg)
-        here, before = leg.sample(leg.duration), t
+        here = leg.sample(leg.duration)
+        before = t
     return joined(legs)
 
 
 def _checked(goals: npt.ArrayLike) -> npt.NDArray[np.float64]:
     rows = np.asarray(goals, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 5 or len(rows) == 0:
-        raise ConfigError("goals", f"shape {rows.shape}", "(k, 5): rows of t, x, y, z, yaw")
+        raise ConfigError(
+            "goals", f"shape {rows.shape}", "(k, 5): rows of t, x, y, z, yaw"
+        )
     finite = np.isfinite(rows).all(axis=1)
     if not finite.all():
-        raise ConfigError(f"goals[{int(np.argmin(finite))}]", rows[int(np.argmin(finite))].tolist(), "finite numbers")
+        raise ConfigError(
+            f"goals[{int(np.argmin(finite))}]",
+            rows[int(np.argmin(finite))].tolist(),
+            "finite numbers",
+        )
     increasing = np.diff(rows[:, 0], prepend=0.0) > 0.0
     increasing[0] |= rows[0, 0] == 0.0 and len(rows) > 1
     if not increasing.all():
         k = int(np.argmin(increasing))
-        raise ConfigError(f"goals[{k}]: t", float(rows[k, 0]), "more than the time before, from 0 on")
+        raise ConfigError(
+            f"goals[{k}]: t", float(rows[k, 0]), "more than the time before, from 0 on"
+        )
     return rows
 
 
 def _check_start(start: FullState, first: Vec) -> None:
     if np.linalg.norm(start.p - first) > 0.05:
-        raise ConfigError("goals[0]: at t = 0", first.tolist(), f"the place of the start, {start.p.round(3).tolist()}",
-                          "Give the first goal the time that the way there needs.")  # fmt: skip
+        raise ConfigError(
+            "goals[0]: at t = 0",
+            first.tolist(),
+            f"the place of the start, {start.p.round(3).tolist()}",
+            "Give the first goal the time that the way there needs.",
+        )

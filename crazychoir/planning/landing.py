@@ -8,7 +8,8 @@ class Legs(Piecewise):
     """One flight after the other, each from where the one before comes to rest."""
 
     def __init__(self, *legs: PointToPoint) -> None:
-        flight, last = joined(legs), legs[-1]
+        flight = joined(legs)
+        last = legs[-1]
         super().__init__(flight.coefficients, flight.durations)
         self.legs = legs
         self._end[0:12] = last.sample(last.duration).flat[0:12]  # to the last digit
@@ -27,8 +28,11 @@ class Landing(Legs):
 
     def reaches(self, z: float) -> float:
         """s after the start at which it is, on its way down, at the height z m; to 1 ms."""
-        early, late = self.duration - self.last.duration, self.duration
+        early = self.duration - self.last.duration
+        late = self.duration
         while late - early > 1e-3:
             middle = 0.5 * (early + late)
-            early, late = (middle, late) if self.sample(middle).p[2] > z else (early, middle)
+            early, late = (
+                (middle, late) if self.sample(middle).p[2] > z else (early, middle)
+            )
         return late

@@ -14,7 +14,11 @@ from crazychoir.planning.spline import checked_places, chord_times, spline
 from crazychoir.types import FullState, Mat, Vec
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact for snap^2, of degree 6
-FASTEST, GROWTH, TRIES = 0.5, 1.03, 70  # times the time from rest to rest, where an end moves: up to 3.8
+FASTEST, GROWTH, TRIES = (
+    0.5,
+    1.03,
+    70,
+)  # times the time from rest to rest, where an end moves: up to 3.8
 UNLIMITED = Limits()
 STANDARD = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
 
@@ -51,14 +55,21 @@ def minimum_snap(
 
 
 def _within_limits(
-    t: Vec, w: Mat, yaws: npt.ArrayLike | None, start: FullState | None, goal: FullState | None, limits: Limits
+    t: Vec,
+    w: Mat,
+    yaws: npt.ArrayLike | None,
+    start: FullState | None,
+    goal: FullState | None,
+    limits: Limits,
 ) -> Piecewise:
     """The flight in the proportions of the times t (k,), as fast as the limits allow, to 3 % where an end moves."""
     from_rest = spline(t, w, yaws, degree=7)
     k = slowdown(from_rest, limits)
     if start is None and goal is None:
         return from_rest.slowed(k)
-    ends = np.array([np.zeros(14) if end is None else end.flat for end in (start, goal)])
+    ends = np.array(
+        [np.zeros(14) if end is None else end.flat for end in (start, goal)]
+    )
     ends[:, 0:3] = w[[0, -1]]
     check_references(t[[0, -1]], ends, limits)
     for share in FASTEST * GROWTH ** np.arange(TRIES):
@@ -66,8 +77,12 @@ def _within_limits(
         if keeps(flight, limits):
             return flight
     tried = f"{FASTEST * k * t[-1]:.1f} to {share * k * t[-1]:.1f} s"
-    raise ConfigError("minimum_snap: time for all waypoints", tried, "one that keeps the limits from its moving ends",
-                      "Give times, wider limits, or ends at rest.")  # fmt: skip
+    raise ConfigError(
+        "minimum_snap: time for all waypoints",
+        tried,
+        "one that keeps the limits from its moving ends",
+        "Give times, wider limits, or ends at rest.",
+    )
 
 
 def allocated(waypoints: npt.ArrayLike) -> Vec:
@@ -101,7 +116,8 @@ def allocated(waypoints: npt.ArrayLike) -> Vec:
 
 def snap(flight: Piecewise) -> float:
     """Integral of |p''''|^2 dt, m^2/s^7, by Gauss's rule, which is exact here."""
-    c, durations = flight.coefficients[:, 0:3, 4:], flight.durations
+    c = flight.coefficients[:, 0:3, 4:]
+    durations = flight.durations
     s = 0.5 * durations[:, None] * (NODES + 1.0)
     n = np.arange(4, 8)
     factors = n * (n - 1) * (n - 2) * (n - 3)

@@ -13,13 +13,27 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Mat
 
 CSV = "a readable CSV file, UTF-8"
-UNITS = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "m/s2", "m/s²", "m/s^3", "m/s3", "m/s³")
+UNITS = (
+    "s",
+    "m",
+    "rad",
+    "m/s",
+    "rad/s",
+    "m/s^2",
+    "m/s2",
+    "m/s²",
+    "m/s^3",
+    "m/s3",
+    "m/s³",
+)
 """Units that may follow the name of a column; numbers are never converted."""
 ALIASES = {"time": "t"}
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _SEPARATOR_LINE = re.compile(r"\s*\"?sep=([,;\t])\"?\s*\Z")
 _NAME = re.compile(r"([^\[\](){}]*)[\[(]([^\[\](){}]*)[\])]")
-_NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z")
+_NUMBER = re.compile(
+    r"\s*[-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z"
+)
 
 Line = tuple[int, list[str]]
 """The number of a line, and its cells."""
@@ -29,7 +43,9 @@ class TableError(ConfigError):
     """A CSV file of numbers is wrong: file, line, column."""
 
 
-def read_table(path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()) -> dict[str, Mat]:
+def read_table(
+    path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()
+) -> dict[str, Mat]:
     """Return the columns of a CSV file by name, each (k,), and "line" (k,), where each row stands.
 
     The first line names the columns, in any order and in small letters or capitals; `required` ones must be there, of
@@ -48,7 +64,10 @@ def read_table(path: str | Path, required: Sequence[str], optional: Sequence[Seq
 
 
 def parse_table(
-    text: str, path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()
+    text: str,
+    path: str | Path,
+    required: Sequence[str],
+    optional: Sequence[Sequence[str]] = (),
 ) -> dict[str, Mat]:
     """`read_table` of what a file contains; path: what errors call it."""
     try:
@@ -58,7 +77,11 @@ def parse_table(
     head = [_column(path, first, column, name) for column, name in enumerate(names, 1)]
     _check_head(path, first, head, required, optional)
     if not rows:
-        raise TableError(f"{path}", "no row of numbers", "at least one row below the names of the columns")
+        raise TableError(
+            f"{path}",
+            "no row of numbers",
+            "at least one row below the names of the columns",
+        )
     _check_decimals(path, head, rows)
     numbers = [_numbers(path, number, head, cells) for number, cells in rows]
     table = dict(zip(head, np.array(numbers).T, strict=True))
@@ -77,7 +100,9 @@ def _decoded(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
-def _lines(text: str, path: str | Path, required: Sequence[str]) -> tuple[Line, list[Line]]:
+def _lines(
+    text: str, path: str | Path, required: Sequence[str]
+) -> tuple[Line, list[Line]]:
     """Return the line of names and those of numbers, cut into cells."""
     separator = ""
     comments: list[tuple[int, str]] = []
@@ -89,7 +114,9 @@ def _lines(text: str, path: str | Path, required: Sequence[str]) -> tuple[Line, 
             comments.append((number, comment))
         elif head is None and (declared := _SEPARATOR_LINE.match(line)):
             separator = declared[1]
-        elif head is None and not all(map(_is_number, _cells(line, separator or _separator(line)))):
+        elif head is None and not all(
+            map(_is_number, _cells(line, separator or _separator(line)))
+        ):
             separator = separator or _separator(line)
             head = (number, _cells(line, separator))
         else:
@@ -97,11 +124,17 @@ def _lines(text: str, path: str | Path, required: Sequence[str]) -> tuple[Line, 
                 head = _head_in(comments, required)
                 if head is None:
                     allowed = f"first a line with the names of the columns: {', '.join(required)}"
-                    raise TableError(f"{path}, line {number}", "numbers without names", allowed)
+                    raise TableError(
+                        f"{path}, line {number}", "numbers without names", allowed
+                    )
                 separator = separator or _separator(line)
             rows.append((number, _cells(line, separator)))
     if head is None:
-        raise TableError(f"{path}", "an empty file", "a line with the names of the columns, then rows of numbers")
+        raise TableError(
+            f"{path}",
+            "an empty file",
+            "a line with the names of the columns, then rows of numbers",
+        )
     return head, rows
 
 
@@ -131,7 +164,11 @@ def _column(path: str | Path, line: int, column: int, written: str) -> str:
     """Return the name of a column in small letters, without its unit."""
     name, unit = _name_and_unit(written)
     if unit and unit not in UNITS:
-        raise TableError(f"{path}, line {line}, column {column}", repr(written), f"units: {', '.join(UNITS)}")
+        raise TableError(
+            f"{path}, line {line}, column {column}",
+            repr(written),
+            f"units: {', '.join(UNITS)}",
+        )
     return name
 
 
@@ -149,7 +186,9 @@ def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None
         for column, (name, cell) in enumerate(zip(head, cells, strict=False), 1):
             if "," in cell:
                 where = f"{path}, line {line}, column {column} ({name})"
-                raise TableError(where, repr(cell), "a point in each number, or a comma in each")
+                raise TableError(
+                    where, repr(cell), "a point in each number, or a comma in each"
+                )
 
 
 def _is_number(cell: str) -> bool:
@@ -157,23 +196,47 @@ def _is_number(cell: str) -> bool:
 
 
 def _check_head(
-    path: str | Path, line: int, head: list[str], required: Sequence[str], optional: Sequence[Sequence[str]]
+    path: str | Path,
+    line: int,
+    head: list[str],
+    required: Sequence[str],
+    optional: Sequence[Sequence[str]],
 ) -> None:
     known = [*required, *(name for group in optional for name in group)]
     for column, name in enumerate(head, 1):
         if name not in known or head.index(name) != column - 1:
             allowed = f"each of {', '.join(known)} once"
-            raise TableError(f"{path}, line {line}, column {column}", repr(name), allowed)
-    for group in (required, *(group for group in optional if any(name in head for name in group))):
+            raise TableError(
+                f"{path}, line {line}, column {column}", repr(name), allowed
+            )
+    for group in (
+        required,
+        *(group for group in optional if any(name in head for name in group)),
+    ):
         missing = [name for name in group if name not in head]
         if missing:
-            raise TableError(f"{path}, line {line}", f"no column {', '.join(missing)}", f"{', '.join(group)}")
+            raise TableError(
+                f"{path}, line {line}",
+                f"no column {', '.join(missing)}",
+                f"{', '.join(group)}",
+            )
 
 
-def _numbers(path: str | Path, line: int, head: list[str], cells: list[str]) -> list[float]:
+def _numbers(
+    path: str | Path, line: int, head: list[str], cells: list[str]
+) -> list[float]:
     if len(cells) != len(head):
-        do = "Separate columns by semicolons if decimals have a comma." if len(cells) > len(head) else ""
-        raise TableError(f"{path}, line {line}", f"{len(cells)} columns", f"{len(head)}, as in the line of names", do)
+        do = (
+            "Separate columns by semicolons if decimals have a comma."
+            if len(cells) > len(head)
+            else ""
+        )
+        raise TableError(
+            f"{path}, line {line}",
+            f"{len(cells)} columns",
+            f"{len(head)}, as in the line of names",
+            do,
+        )
     named = enumerate(zip(head, cells, strict=True), 1)
     return [_number(path, line, column, name, cell) for column, (name, cell) in named]
 
@@ -181,7 +244,11 @@ def _numbers(path: str | Path, line: int, head: list[str], cells: list[str]) -> 
 def _number(path: str | Path, line: int, column: int, name: str, cell: str) -> float:
     value = float(cell.replace(",", ".")) if _is_number(cell) else math.nan
     if not math.isfinite(value):
-        raise TableError(f"{path}, line {line}, column {column} ({name})", repr(cell), "a finite number")
+        raise TableError(
+            f"{path}, line {line}, column {column} ({name})",
+            repr(cell),
+            "a finite number",
+        )
     return value
 
 
@@ -191,7 +258,11 @@ def check_increasing(path: str | Path, table: dict[str, Mat], name: str) -> None
     if not steps.all():
         k = int(np.argmin(steps)) + 1
         where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index(name) + 1} ({name})"
-        raise TableError(where, f"{table[name][k]:g}", f"more than the {table[name][k - 1]:g} of the row before")
+        raise TableError(
+            where,
+            f"{table[name][k]:g}",
+            f"more than the {table[name][k - 1]:g} of the row before",
+        )
 
 
 def write_table(path: str | Path, columns: Sequence[str], rows: Mat) -> None:

@@ -18,7 +18,8 @@ FACTORIALS = np.array([math.factorial(n) for n in range(DEGREE + 1)], dtype=floa
 @kernel(matrix, vector, real, memory)
 def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
     """The flat output at t, from the first knot to the last, into out (14,)."""
-    low, high = 0, knots.shape[0] - 1
+    low = 0
+    high = knots.shape[0] - 1
     while high - low > 1:
         middle = (low + high) // 2
         if t >= knots[middle]:
@@ -29,15 +30,21 @@ def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
     for axis in range(4):
         c = coefficients[4 * low + axis]
         p = v = a = j = 0.0
-        for n in range(7, -1, -1):  # Horner's scheme of the polynomial and of its Taylor coefficients at s
+        for n in range(
+            7, -1, -1
+        ):  # Horner's scheme of the polynomial and of its Taylor coefficients at s
             j = j * s + a
             a = a * s + v
             v = v * s + p
             p = p * s + c[n]
         if axis < 3:
-            out[axis], out[3 + axis], out[6 + axis], out[9 + axis] = p, v, 2.0 * a, 6.0 * j
+            out[axis] = p
+            out[3 + axis] = v
+            out[6 + axis] = 2.0 * a
+            out[9 + axis] = 6.0 * j
         else:
-            out[12], out[13] = p, v
+            out[12] = p
+            out[13] = v
 
 
 @kernel(matrix, vector, memory)
@@ -47,7 +54,9 @@ def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
     out[:] = 0.0
     for i in range(knots.shape[0] - 1):
         for k in range(33):
-            _sample(coefficients, knots, knots[i] + (knots[i + 1] - knots[i]) * k / 32.0, at)
+            _sample(
+                coefficients, knots, knots[i] + (knots[i + 1] - knots[i]) * k / 32.0, at
+            )
             out[0] = max(out[0], math.sqrt(at[3] ** 2 + at[4] ** 2 + at[5] ** 2))
             out[1] = max(out[1], math.sqrt(at[6] ** 2 + at[7] ** 2 + at[8] ** 2))
             out[2] = max(out[2], abs(at[13]))
@@ -70,22 +79,39 @@ class Piecewise:
     """
 
     def __init__(self, coefficients: npt.ArrayLike, durations: npt.ArrayLike) -> None:
-        c, d = np.asarray(coefficients, dtype=float), np.asarray(durations, dtype=float)
+        c = np.asarray(coefficients, dtype=float)
+        d = np.asarray(durations, dtype=float)
         if c.shape != (d.size, 4, DEGREE + 1) or d.ndim != 1 or d.size == 0:
-            raise ConfigError("Piecewise: shapes", f"{c.shape} and {d.shape}", "(k, 4, 8) and (k,), k at least 1")
+            raise ConfigError(
+                "Piecewise: shapes",
+                f"{c.shape} and {d.shape}",
+                "(k, 4, 8) and (k,), k at least 1",
+            )
         if not np.isfinite(c).all():
-            raise ConfigError("Piecewise: coefficients of piece", int(np.argmin(np.isfinite(c).all((1, 2)))), "numbers")
+            raise ConfigError(
+                "Piecewise: coefficients of piece",
+                int(np.argmin(np.isfinite(c).all((1, 2)))),
+                "numbers",
+            )
         if not (np.isfinite(d).all() and d.min() > 0.0):
             worst = int(np.argmin(np.isfinite(d) & (d > 0.0)))
-            raise ConfigError(f"Piecewise: duration of piece {worst}", float(d[worst]), "a positive number of seconds")
-        rows, knots = np.ascontiguousarray(c.reshape(-1, DEGREE + 1)), np.concatenate([[0.0], np.cumsum(d)])
+            raise ConfigError(
+                f"Piecewise: duration of piece {worst}",
+                float(d[worst]),
+                "a positive number of seconds",
+            )
+        rows = np.ascontiguousarray(c.reshape(-1, DEGREE + 1))
+        knots = np.concatenate([[0.0], np.cumsum(d)])
         end = np.empty(14)
         _sample(rows, knots, knots[-1], end)
         self._fill(rows, knots, end)
 
     def _fill(self, rows: Mat, knots: Vec, end: Vec) -> None:
         """rows: (4 k, 8), coefficients;  knots: (k + 1,) s;  end: (14,), the state there, exactly."""
-        self._rows, self.knots, self.duration, self._end = rows, knots, float(knots[-1]), end
+        self._rows = rows
+        self.knots = knots
+        self.duration = float(knots[-1])
+        self._end = end
 
     @property
     def durations(self) -> Vec:
@@ -108,7 +134,8 @@ class Piecewise:
     def _at_end(self, t: float) -> FullState:
         out = self._end.copy()
         if t > self.duration:
-            out[3:12], out[13] = 0.0, 0.0
+            out[3:12] = 0.0
+            out[13] = 0.0
         return FullState(out)
 
     def samples(self, t: Vec) -> Mat:
@@ -134,26 +161,37 @@ class Piecewise:
 
         p^(m)(t_i+1 -) = sum_n n! / (n - m)! c_in T_i^(n - m),  p^(m)(t_i+1 +) = m! c_(i+1)m:  exact, not sampled
         """
-        c, jumps = self.coefficients, np.zeros((4, DEGREE + 1))
+        c = self.coefficients
+        jumps = np.zeros((4, DEGREE + 1))
         for m in range(DEGREE + 1):
             n = np.arange(m, DEGREE + 1)
             powers = self.durations[:-1, None, None] ** (n - m)
-            ends = np.sum(FACTORIALS[n] / FACTORIALS[n - m] * c[:-1, :, m:] * powers, axis=2)
-            jumps[:, m] = np.max(np.abs(ends - FACTORIALS[m] * c[1:, :, m]), axis=0, initial=0.0)
+            ends = np.sum(
+                FACTORIALS[n] / FACTORIALS[n - m] * c[:-1, :, m:] * powers, axis=2
+            )
+            jumps[:, m] = np.max(
+                np.abs(ends - FACTORIALS[m] * c[1:, :, m]), axis=0, initial=0.0
+            )
         return jumps
 
     def slowed(self, factor: float) -> "Piecewise":
         """The same path, `factor` times as long: q(t) = p(t / factor)."""
-        return Piecewise(self.coefficients / factor ** np.arange(DEGREE + 1.0), self.durations * factor)
+        return Piecewise(
+            self.coefficients / factor ** np.arange(DEGREE + 1.0),
+            self.durations * factor,
+        )
 
 
 def joined(parts: Sequence[Piecewise]) -> Piecewise:
     """One after the other, the yaw of each shifted by whole turns to where the one before ends."""
-    coefficients, yaw = [], parts[0].sample(0.0).yaw
+    coefficients = []
+    yaw = parts[0].sample(0.0).yaw
     for part in parts:
         c = part.coefficients.copy()
         turns = yaw + wrap(c[0, 3, 0] - yaw) - c[0, 3, 0]
         c[:, 3, 0] += turns
         coefficients.append(c)
         yaw = part.sample(part.duration).yaw + turns
-    return Piecewise(np.concatenate(coefficients), np.concatenate([part.durations for part in parts]))
+    return Piecewise(
+        np.concatenate(coefficients), np.concatenate([part.durations for part in parts])
+    )

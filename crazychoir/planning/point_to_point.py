@@ -26,16 +26,26 @@ class PointToPoint(Polynomial7th):
     yaw: rad, reached the short way;  duration: T, s.  After T it holds the goal, before 0 the start's first instant.
     """
 
-    def __init__(self, start: FullState, goal: Vec, yaw: float, duration: float) -> None:
+    def __init__(
+        self, start: FullState, goal: Vec, yaw: float, duration: float
+    ) -> None:
         if np.shape(goal) != (3,):
-            raise ConfigError("PointToPoint: goal", np.asarray(goal).tolist(), "three numbers, m")
+            raise ConfigError(
+                "PointToPoint: goal", np.asarray(goal).tolist(), "three numbers, m"
+            )
         rest = np.zeros(14)
-        rest[0:3], rest[12] = goal, yaw
+        rest[0:3] = goal
+        rest[12] = yaw
         super().__init__(start, FullState(rest), duration)
 
 
 def duration_for(
-    start: FullState, goal: Vec, yaw: float, v_max: float = 1.0, a_max: float = 2.0, yaw_rate_max: float = 2.0
+    start: FullState,
+    goal: Vec,
+    yaw: float,
+    v_max: float = 1.0,
+    a_max: float = 2.0,
+    yaw_rate_max: float = 2.0,
 ) -> float:
     """Shortest flight time in s that keeps speed, acceleration and yaw rate within their limits, to 5 %.
 
@@ -46,10 +56,17 @@ def duration_for(
     turn = abs(wrap(yaw - start.yaw))
     straight = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max))
     at_rest = max(straight, PEAK_SPEED * turn / yaw_rate_max, SHORTEST)
-    speed, acceleration = float(np.linalg.norm(start.v)), float(np.linalg.norm(start.a))
+    speed = float(np.linalg.norm(start.v))
+    acceleration = float(np.linalg.norm(start.a))
     if speed + acceleration + abs(start.flat[13]) < 1e-9:
         return at_rest
-    limits = np.array([max(v_max, speed), max(a_max, acceleration), max(yaw_rate_max, abs(start.flat[13]))])
+    limits = np.array(
+        [
+            max(v_max, speed),
+            max(a_max, acceleration),
+            max(yaw_rate_max, abs(start.flat[13])),
+        ]
+    )
     return _shortest(lambda t: PointToPoint(start, goal, yaw, t), limits).duration
 
 
@@ -61,10 +78,15 @@ def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
     the end for which c7 = 0: without a and j at the start it slows down and never turns back, T = 15/8 |v| / a_max,
     in a distance of STOP |v|^2 / a_max. A start that is itself too hard counts as its own limit; the heading stays.
     """
-    p, v, a, j = start.flat[0:3], start.flat[3:6], start.flat[6:9], start.flat[9:12]
+    p = start.flat[0:3]
+    v = start.flat[3:6]
+    a = start.flat[6:9]
+    j = start.flat[9:12]
 
     def stop(t: float) -> PointToPoint:
-        return PointToPoint(start, p + v * t / 2.0 + a * t**2 / 10.0 + j * t**3 / 120.0, start.yaw, t)
+        return PointToPoint(
+            start, p + v * t / 2.0 + a * t**2 / 10.0 + j * t**3 / 120.0, start.yaw, t
+        )
 
     acceleration = float(np.linalg.norm(a))
     if acceleration + float(np.linalg.norm(j)) < 1e-9:
@@ -74,12 +96,14 @@ def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
 
 def _shortest(flight: Callable[[float], PointToPoint], limits: Vec) -> PointToPoint:
     """The first of flights that grow by 5 % each whose peaks (3,) keep the limits (3,), or which misses them least."""
-    best, least = flight(SHORTEST), math.inf
+    best = flight(SHORTEST)
+    least = math.inf
     for n in range(120):
         plan = flight(SHORTEST * 1.05**n)
         excess = float(np.max(plan.peaks / (1.001 * limits)))
         if excess <= 1.0:
             return plan
         if excess < least:
-            best, least = plan, excess
+            best = plan
+            least = excess
     return best

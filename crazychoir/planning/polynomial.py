@@ -20,12 +20,27 @@ def _coefficients(start: Vec, goal: Vec, duration: float, out: Vec) -> None:
     for axis in range(4):
         c = out[axis]
         if axis < 3:
-            p, v, a, j = start[axis], start[3 + axis], start[6 + axis], start[9 + axis]
-            end, v1, a1, j1 = goal[axis], goal[3 + axis], goal[6 + axis], goal[9 + axis]
+            p = start[axis]
+            v = start[3 + axis]
+            a = start[6 + axis]
+            j = start[9 + axis]
+            end = goal[axis]
+            v1 = goal[3 + axis]
+            a1 = goal[6 + axis]
+            j1 = goal[9 + axis]
         else:
-            p, v, a, j = start[12], start[13], 0.0, 0.0
-            end, v1, a1, j1 = start[12] + wrap(goal[12] - start[12]), goal[13], 0.0, 0.0
-        c[0], c[1], c[2], c[3] = p, v * duration, a * duration**2 / 2.0, j * duration**3 / 6.0
+            p = start[12]
+            v = start[13]
+            a = 0.0
+            j = 0.0
+            end = start[12] + wrap(goal[12] - start[12])
+            v1 = goal[13]
+            a1 = 0.0
+            j1 = 0.0
+        c[0] = p
+        c[1] = v * duration
+        c[2] = a * duration**2 / 2.0
+        c[3] = j * duration**3 / 6.0
         g0 = end - c[0] - c[1] - c[2] - c[3]
         g1 = v1 * duration - c[1] - 2.0 * c[2] - 3.0 * c[3]
         g2 = a1 * duration**2 - 2.0 * c[2] - 6.0 * c[3]
@@ -52,10 +67,17 @@ class Polynomial7th(Piecewise):
         name = type(self).__name__
         for side, state in (("start", start.flat), ("goal", goal.flat)):
             if state.shape != (14,) or not np.isfinite(state).all():
-                raise ConfigError(f"{name}: {side}", state.tolist(), "14 finite numbers, laid out as FullState.flat")
+                raise ConfigError(
+                    f"{name}: {side}",
+                    state.tolist(),
+                    "14 finite numbers, laid out as FullState.flat",
+                )
         if not (math.isfinite(duration) and duration > 0.0):
-            raise ConfigError(f"{name}: duration", duration, "a positive number of seconds")
-        rows, end = np.empty((4, DEGREE + 1)), goal.flat.copy()
+            raise ConfigError(
+                f"{name}: duration", duration, "a positive number of seconds"
+            )
+        rows = np.empty((4, DEGREE + 1))
+        end = goal.flat.copy()
         _coefficients(start.flat, goal.flat, float(duration), rows)
         end[12] = start.flat[12] + wrap(goal.flat[12] - start.flat[12])
         self._fill(rows, np.array([0.0, duration]), end)

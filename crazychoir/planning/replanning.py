@@ -20,9 +20,12 @@ class Joined:
     """
 
     def __init__(self, way: Polynomial7th, trajectory: Trajectory, at: float) -> None:
-        self.way, self.trajectory, self.at = way, trajectory, at
+        self.way = way
+        self.trajectory = trajectory
+        self.at = at
         self.duration = way.duration + max(trajectory.duration - at, 0.0)
-        end, there = way.sample(way.duration).yaw, trajectory.sample(at).yaw
+        end = way.sample(way.duration).yaw
+        there = trajectory.sample(at).yaw
         self._turns = end - there - wrap(end - there)
 
     def sample(self, t: float) -> FullState:
@@ -39,7 +42,11 @@ class Joined:
 
 
 def join(
-    start: FullState, trajectory: Trajectory, now: float, limits: Limits, duration: float | None = None
+    start: FullState,
+    trajectory: Trajectory,
+    now: float,
+    limits: Limits,
+    duration: float | None = None,
 ) -> Joined:
     """Onto a running trajectory, `now` s after its start: T s later the drone is where it would have been anyhow.
 
@@ -49,21 +56,37 @@ def join(
     that grows by 5 % from 0.1 s with which the way keeps the limits, or exceeds them by no more than its ends do.
     Errors: ConfigError where no such T is found, or the given one breaks the limits.
     """
-    durations = [duration] if duration is not None else [SHORTEST * GROWTH**n for n in range(TRIES)]
+    durations = (
+        [duration]
+        if duration is not None
+        else [SHORTEST * GROWTH**n for n in range(TRIES)]
+    )
     for seconds in durations:
         way = Polynomial7th(start, trajectory.sample(now + seconds), seconds)
         if _keeps(way, limits):
             return Joined(way, trajectory, now + seconds)
-    tried = f"{durations[0]:g} s" if duration is not None else f"{durations[0]:g} to {durations[-1]:.0f} s"
-    raise ConfigError("join: duration", tried, "a time in which the way keeps the limits",
-                      "Give more time, wider limits or a wider fence, or stop first.")  # fmt: skip
+    tried = (
+        f"{durations[0]:g} s"
+        if duration is not None
+        else f"{durations[0]:g} to {durations[-1]:.0f} s"
+    )
+    raise ConfigError(
+        "join: duration",
+        tried,
+        "a time in which the way keeps the limits",
+        "Give more time, wider limits or a wider fence, or stop first.",
+    )
 
 
 def _keeps(way: Polynomial7th, limits: Limits) -> bool:
     """Whether the way keeps the limits, or what its two ends ask for."""
     _, x = references(way)
     asked = demands(x, limits.mass)
-    allowed = np.maximum(limits.largest, np.maximum(asked[0], asked[-1])) * (1.0 + TOLERANCE)
-    places, ends = x[:, 0:3], x[[0, -1], 0:3]
-    low, high = np.minimum(limits.low, ends.min(axis=0)), np.maximum(limits.high, ends.max(axis=0))
+    allowed = np.maximum(limits.largest, np.maximum(asked[0], asked[-1])) * (
+        1.0 + TOLERANCE
+    )
+    places = x[:, 0:3]
+    ends = x[[0, -1], 0:3]
+    low = np.minimum(limits.low, ends.min(axis=0))
+    high = np.maximum(limits.high, ends.max(axis=0))
     return bool(np.all((places >= low) & (places <= high)) and np.all(asked <= allowed))

@@ -13,12 +13,16 @@ from crazychoir.types import FullState, Mat, Vec
 
 SLOWEST = 1e4  # times as long: what does not keep the limits then never does
 GETS_UP = 2.0  # s in which what was stopped on its way gets its own pace again
-HEADROOM = 1e-3  # of each limit, left for what lies between the instants that were looked at
+HEADROOM = (
+    1e-3  # of each limit, left for what lies between the instants that were looked at
+)
 
 
 def _slowed(references: Mat, factor: float) -> Mat:
     """References (n, 14) of the path that takes `factor` times as long."""
-    powers = factor ** -np.array([*[0.0] * 3, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, 0.0, 1.0])
+    powers = factor ** -np.array(
+        [*[0.0] * 3, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, 0.0, 1.0]
+    )
     return np.asarray(references * powers)
 
 
@@ -31,12 +35,15 @@ class Slowed:
     def __init__(self, trajectory: Trajectory, factor: float) -> None:
         if not (math.isfinite(factor) and factor > 0.0):
             raise ConfigError("Slowed: factor", factor, "a positive number")
-        self.trajectory, self.factor = trajectory, float(factor)
+        self.trajectory = trajectory
+        self.factor = float(factor)
         self.duration = factor * trajectory.duration
 
     def sample(self, t: float) -> FullState:
         """The reference t seconds after the start."""
-        return FullState(_slowed(self.trajectory.sample(t / self.factor).flat, self.factor))
+        return FullState(
+            _slowed(self.trajectory.sample(t / self.factor).flat, self.factor)
+        )
 
     def done(self, t: float) -> bool:
         """Is the end reached at t?"""
@@ -55,9 +62,14 @@ def slowdown(trajectory: Trajectory, limits: Limits) -> float:
     def keeps(k: float) -> bool:
         return bool(np.all(demands(_slowed(x, k), limits.mass) <= largest))
 
-    fast, slow = 1.0 / SLOWEST, SLOWEST
+    fast = 1.0 / SLOWEST
+    slow = SLOWEST
     if not keeps(slow):
-        raise ConfigError("trajectory: scaling", f"{SLOWEST:g} times as slow", "limits that it keeps at some speed")
+        raise ConfigError(
+            "trajectory: scaling",
+            f"{SLOWEST:g} times as slow",
+            "limits that it keeps at some speed",
+        )
     while slow / fast > 1.0 + 1e-4:
         middle = math.sqrt(fast * slow)
         fast, slow = (fast, middle) if keeps(middle) else (middle, slow)
@@ -83,7 +95,11 @@ def scaled(trajectory: Trajectory, limits: Limits) -> Trajectory:
 
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
     """The trajectory in `factor` times its time; pieces stay pieces."""
-    return trajectory.slowed(factor) if isinstance(trajectory, Piecewise) else Slowed(trajectory, factor)
+    return (
+        trajectory.slowed(factor)
+        if isinstance(trajectory, Piecewise)
+        else Slowed(trajectory, factor)
+    )
 
 
 class Resumed:
@@ -95,11 +111,16 @@ class Resumed:
     tau = t_0 + t - R / 2.  R = gets_up, s;  with R >= 4 v / a it asks for 1.1 a at most;  v, a: the trajectory's.
     """
 
-    def __init__(self, trajectory: Trajectory, t_0: float, gets_up: float = GETS_UP) -> None:
+    def __init__(
+        self, trajectory: Trajectory, t_0: float, gets_up: float = GETS_UP
+    ) -> None:
         whole = trajectory.duration
         if not 0.0 <= t_0 < whole:
-            raise ConfigError("Resumed: t_0", t_0, f"a time before the end at {whole:g} s")
-        self.trajectory, self._gets_up = trajectory, min(gets_up, 2.0 * whole)
+            raise ConfigError(
+                "Resumed: t_0", t_0, f"a time before the end at {whole:g} s"
+            )
+        self.trajectory = trajectory
+        self._gets_up = min(gets_up, 2.0 * whole)
         self.t_0 = min(float(t_0), whole - 0.5 * self._gets_up)
         self.duration = whole - self.t_0 + 0.5 * self._gets_up
 
@@ -111,10 +132,17 @@ class Resumed:
         x = self.trajectory.sample(tau).flat
         if u == 1.0:
             return FullState(x)
-        d_1, d_2, d_3 = u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / gets_up, (6.0 - 12.0 * u) / gets_up**2
-        p, v, a, j = x[0:3], x[3:6], x[6:9], x[9:12]
+        d_1 = u * u * (3.0 - 2.0 * u)
+        d_2 = 6.0 * u * (1.0 - u) / gets_up
+        d_3 = (6.0 - 12.0 * u) / gets_up**2
+        p = x[0:3]
+        v = x[3:6]
+        a = x[6:9]
+        j = x[9:12]
         jerk = j * d_1**3 + 3.0 * a * d_1 * d_2 + v * d_3
-        return FullState(np.array([*p, *v * d_1, *a * d_1**2 + v * d_2, *jerk, x[12], x[13] * d_1]))
+        return FullState(
+            np.array([*p, *v * d_1, *a * d_1**2 + v * d_2, *jerk, x[12], x[13] * d_1])
+        )
 
     def done(self, t: float) -> bool:
         """Is the end reached at t?"""

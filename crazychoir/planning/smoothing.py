@@ -30,8 +30,11 @@ class Smoother:
         for name, value in (("v_max", v_max), ("a_max", a_max), ("period", period)):
             if not (math.isfinite(value) and value > 0.0):
                 raise ConfigError(f"Smoother: {name}", value, "a positive number")
-        self.w, self.v_max, self.period = min(QUICKEST, a_max / (SLOPE * v_max)), v_max, period
-        self._u, self._x = np.array(p, float), np.zeros((4, len(p)))
+        self.w = min(QUICKEST, a_max / (SLOPE * v_max))
+        self.v_max = v_max
+        self.period = period
+        self._u = np.array(p, float)
+        self._x = np.zeros((4, len(p)))
         self._x[0] = self._u
         self._keep, self._take = transition(self.w, period)
 
@@ -40,11 +43,14 @@ class Smoother:
         """s, by which it is late behind a goal that moves evenly."""
         return 4.0 / self.w
 
-    def step(self, goal: Vec, seconds: float | None = None, yaw: float = 0.0) -> FullState:
+    def step(
+        self, goal: Vec, seconds: float | None = None, yaw: float = 0.0
+    ) -> FullState:
         """The reference `seconds` later (a period, if not given; whole periods), with a goal (3,) m meanwhile."""
         for _ in range(1 if seconds is None else max(1, round(seconds / self.period))):
             way = np.asarray(goal) - self._u
-            far, most = float(np.linalg.norm(way)), self.v_max * self.period
+            far = float(np.linalg.norm(way))
+            most = self.v_max * self.period
             self._u = self._u + way * min(1.0, most / far if far > 0.0 else 1.0)
             self._x = self._keep @ self._x + np.outer(self._take, self._u)
         return FullState(np.concatenate([self._x.reshape(-1), [yaw, 0.0]]))

@@ -9,7 +9,11 @@ from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.piecewise import DEGREE, FACTORIALS, Piecewise
 from crazychoir.types import FullState, Mat, Vec
 
-DERIVATIVES = {3: 1, 5: 2, 7: 3}  # how many of v, a, j a spline of that degree can be given at an end
+DERIVATIVES = {
+    3: 1,
+    5: 2,
+    7: 3,
+}  # how many of v, a, j a spline of that degree can be given at an end
 NAMES = ("velocity", "acceleration", "jerk")
 
 
@@ -36,7 +40,9 @@ def spline(
     psi = unwrapped(np.zeros(len(t)) if yaws is None else yaws, len(t))
     ends = [FullState(np.zeros(14)) if end is None else end for end in (start, goal)]
     rates = [end.flat[13] for end in ends]
-    flat = make_interp_spline(t, p, degree, bc_type=(_honoured(ends[0], degree), _honoured(ends[1], degree)))
+    flat = make_interp_spline(
+        t, p, degree, bc_type=(_honoured(ends[0], degree), _honoured(ends[1], degree))
+    )
     heading = make_interp_spline(t, psi, 3, bc_type=([(1, rates[0])], [(1, rates[1])]))
     coefficients = np.zeros((len(t) - 1, 4, DEGREE + 1))
     coefficients[:, 0:3] = _taylor(flat, t).transpose(0, 2, 1)
@@ -48,10 +54,16 @@ def _checked(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
     p = checked_places(places, "spline: places")
     t = np.asarray(times, dtype=float)
     if t.shape != (len(p),) or not np.isfinite(t).all():
-        raise ConfigError("spline: times", t.tolist(), f"{len(p)} finite numbers, one a place")
+        raise ConfigError(
+            "spline: times", t.tolist(), f"{len(p)} finite numbers, one a place"
+        )
     if not np.all(np.diff(t) > 0.0):
         k = int(np.argmin(np.diff(t) > 0.0))
-        raise ConfigError(f"spline: times[{k + 1}]", float(t[k + 1]), f"more than times[{k}] = {t[k]:g}")
+        raise ConfigError(
+            f"spline: times[{k + 1}]",
+            float(t[k + 1]),
+            f"more than times[{k}] = {t[k]:g}",
+        )
     return t - t[0], p
 
 
@@ -59,7 +71,12 @@ def checked_places(places: npt.ArrayLike, where: str) -> Mat:
     """places as (k, 3) m; ConfigError where there are fewer than two, or where one is no place."""
     p = np.asarray(places, dtype=float)
     if p.ndim != 2 or p.shape[1] != 3 or len(p) < 2:
-        raise ConfigError(where, f"shape {p.shape}", "(k, 3), k at least 2", "One place alone is a goal: PointToPoint.")
+        raise ConfigError(
+            where,
+            f"shape {p.shape}",
+            "(k, 3), k at least 2",
+            "One place alone is a goal: PointToPoint.",
+        )
     if not np.isfinite(p).all():
         k = int(np.argmin(np.isfinite(p).all(axis=1)))
         raise ConfigError(f"{where}[{k}]", p[k].tolist(), "three finite numbers, m")
@@ -81,9 +98,16 @@ def _honoured(end: FullState, degree: int) -> list[tuple[int, Vec]]:
     room = DERIVATIVES[degree]
     for name, value in zip(NAMES[room:], given[room:], strict=True):
         if np.any(value != 0.0):
-            raise ConfigError(f"spline: {name} at an end", value.tolist(), f"0 at degree {degree}", "Take degree 7.")
+            raise ConfigError(
+                f"spline: {name} at an end",
+                value.tolist(),
+                f"0 at degree {degree}",
+                "Take degree 7.",
+            )
     if not np.isfinite(end.flat).all():
-        raise ConfigError("spline: state at an end", end.flat.tolist(), "finite numbers")
+        raise ConfigError(
+            "spline: state at an end", end.flat.tolist(), "finite numbers"
+        )
     return [(n + 1, given[n]) for n in range(room)]
 
 
@@ -100,6 +124,10 @@ def chord_times(places: Mat) -> Vec:
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     if lengths.min() < 1e-6:
         k = int(np.argmin(lengths))
-        raise ConfigError(f"places[{k + 1}]", places[k + 1].tolist(), "another place than the one before",
-                          "Leave it out, or give times, to wait there.")  # fmt: skip
+        raise ConfigError(
+            f"places[{k + 1}]",
+            places[k + 1].tolist(),
+            "another place than the one before",
+            "Leave it out, or give times, to wait there.",
+        )
     return np.cumsum([0.0, *lengths])

@@ -9,7 +9,9 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import FullState, Mat, Vec
 
-MOST_SETPOINTS = 1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
+MOST_SETPOINTS = (
+    1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
+)
 
 
 class Trajectory(Protocol):
@@ -34,7 +36,12 @@ def instants(duration: float, rate: float) -> Vec:
     if not (math.isfinite(rate) and rate > 0.0):
         raise ConfigError("set-points: rate", rate, "a positive number of hertz")
     if duration * rate > MOST_SETPOINTS:
-        raise ConfigError("set-points: number", duration * rate, f"at most {MOST_SETPOINTS}", "Lower the rate.")
+        raise ConfigError(
+            "set-points: number",
+            duration * rate,
+            f"at most {MOST_SETPOINTS}",
+            "Lower the rate.",
+        )
     t = np.arange(math.ceil(duration * rate - 1e-9)) / rate
     return np.append(t, duration)
 
@@ -48,5 +55,9 @@ def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
     wrong = next((k for k, row in enumerate(rows) if np.shape(row) != (14,)), None)
     if wrong is not None:
         where = f"trajectory: sample({t[wrong]:.2f})"
-        raise ConfigError(where, f"a FullState of shape {np.shape(rows[wrong])}", "a FullState of 14 numbers")
+        raise ConfigError(
+            where,
+            f"a FullState of shape {np.shape(rows[wrong])}",
+            "a FullState of 14 numbers",
+        )
     return t, np.array(rows, dtype=float)

@@ -5,7 +5,12 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
-from crazychoir.planning.number_table import TableError, check_increasing, read_table, write_table
+from crazychoir.planning.number_table import (
+    TableError,
+    check_increasing,
+    read_table,
+    write_table,
+)
 from crazychoir.planning.piecewise import DEGREE, Piecewise
 from crazychoir.planning.spline import spline, unwrapped
 from crazychoir.planning.trajectory import Trajectory, setpoints
@@ -15,15 +20,30 @@ PLACE = ("t", "x", "y", "z")
 YAW = ("yaw",)
 DERIVATIVES = (("vx", "vy", "vz"), ("ax", "ay", "az"), ("jx", "jy", "jz"))
 YAW_RATE = ("yaw_rate",)
-PIECE = ("duration", *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)))
-LARGEST_JUMP = (0.01, 0.1)  # m and rad, m/s and rad/s, between two pieces: more is a mistake, not rounding
+PIECE = (
+    "duration",
+    *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)),
+)
+LARGEST_JUMP = (
+    0.01,
+    0.1,
+)  # m and rad, m/s and rad/s, between two pieces: more is a mistake, not rounding
 
 
-def write_samples(path: str | Path, trajectory: Trajectory, rate: float = 100.0) -> None:
+def write_samples(
+    path: str | Path, trajectory: Trajectory, rate: float = 100.0
+) -> None:
     """t, x, y, z, yaw, then v, a, j and the yaw rate, `rate` times a second and at the end; s, m, rad."""
     t, x = setpoints(trajectory, rate)
-    names = [*PLACE, *YAW, *(name for group in DERIVATIVES for name in group), *YAW_RATE]
-    write_table(path, names, np.column_stack([t, x[:, 0:3], x[:, 12], x[:, 3:12], x[:, 13]]))
+    names = [
+        *PLACE,
+        *YAW,
+        *(name for group in DERIVATIVES for name in group),
+        *YAW_RATE,
+    ]
+    write_table(
+        path, names, np.column_stack([t, x[:, 0:3], x[:, 12], x[:, 3:12], x[:, 13]])
+    )
 
 
 def read_samples(path: str | Path) -> Piecewise:
@@ -39,12 +59,28 @@ def read_samples(path: str | Path) -> Piecewise:
     check_increasing(path, table, "t")
     t = table["t"] - table["t"][0]
     if len(t) < 2:
-        raise TableError(f"{path}", "one row", "at least two: where it starts and where it ends")
-    given = [np.column_stack([table[name] for name in group]) for group in DERIVATIVES if group[0] in table]
-    if [group[0] in table for group in DERIVATIVES] != [n < len(given) for n in range(len(DERIVATIVES))]:
-        raise TableError(f"{path}", "a higher derivative without the lower ones", "v; v and a; v, a and j")
+        raise TableError(
+            f"{path}", "one row", "at least two: where it starts and where it ends"
+        )
+    given = [
+        np.column_stack([table[name] for name in group])
+        for group in DERIVATIVES
+        if group[0] in table
+    ]
+    if [group[0] in table for group in DERIVATIVES] != [
+        n < len(given) for n in range(len(DERIVATIVES))
+    ]:
+        raise TableError(
+            f"{path}",
+            "a higher derivative without the lower ones",
+            "v; v and a; v, a and j",
+        )
     if YAW_RATE[0] in table and YAW[0] not in table:
-        raise TableError(f"{path}", "a column yaw_rate without yaw", "yaw and yaw_rate, yaw alone, or neither")
+        raise TableError(
+            f"{path}",
+            "a column yaw_rate without yaw",
+            "yaw and yaw_rate, yaw alone, or neither",
+        )
     places = np.column_stack([table[name] for name in PLACE[1:]])
     yaws = unwrapped(table.get(YAW[0], np.zeros(len(t))), len(t))
     plain = spline(t, places, yaws, degree=3)
@@ -58,7 +94,9 @@ def read_samples(path: str | Path) -> Piecewise:
 
 def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
     """Coefficients (k - 1, n, 8) of the polynomials with these derivatives (k, n) at the times t (k,)."""
-    curve = PPoly.from_bernstein_basis(BPoly.from_derivatives(t, np.stack(derivatives, axis=1)))
+    curve = PPoly.from_bernstein_basis(
+        BPoly.from_derivatives(t, np.stack(derivatives, axis=1))
+    )
     c = np.asarray(curve.c)[::-1].transpose(1, 2, 0)
     return np.pad(c, [(0, 0), (0, 0), (0, DEGREE + 1 - c.shape[2])])
 
@@ -66,7 +104,11 @@ def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
 def write_pieces(path: str | Path, flight: Piecewise) -> None:
     """duration, x^0..x^7, y^0..y^7, z^0..z^7, yaw^0..yaw^7, a row a piece; s, m, rad, in time since its start."""
     k = len(flight.durations)
-    write_table(path, PIECE, np.column_stack([flight.durations, flight.coefficients.reshape(k, -1)]))
+    write_table(
+        path,
+        PIECE,
+        np.column_stack([flight.durations, flight.coefficients.reshape(k, -1)]),
+    )
 
 
 def read_pieces(path: str | Path) -> Piecewise:
@@ -80,8 +122,12 @@ def read_pieces(path: str | Path) -> Piecewise:
     if short.any():
         k = int(np.argmax(short))
         where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index('duration') + 1} (duration)"
-        raise TableError(where, f"{table['duration'][k]:g}", "a positive number of seconds")
-    coefficients = np.column_stack([table[name] for name in PIECE[1:]]).reshape(-1, 4, DEGREE + 1)
+        raise TableError(
+            where, f"{table['duration'][k]:g}", "a positive number of seconds"
+        )
+    coefficients = np.column_stack([table[name] for name in PIECE[1:]]).reshape(
+        -1, 4, DEGREE + 1
+    )
     flight = Piecewise(coefficients, table["duration"])
     _check_joints(path, flight, table["line"])
     return flight
@@ -89,9 +135,18 @@ def read_pieces(path: str | Path) -> Piecewise:
 
 def _check_joints(path: str | Path, flight: Piecewise, lines: Mat) -> None:
     for k in range(1, len(lines)):
-        two = Piecewise(flight.coefficients[k - 1 : k + 1], flight.durations[k - 1 : k + 1])
-        for order, (name, most) in enumerate(zip(("place", "velocity"), LARGEST_JUMP, strict=True)):
+        two = Piecewise(
+            flight.coefficients[k - 1 : k + 1], flight.durations[k - 1 : k + 1]
+        )
+        for order, (name, most) in enumerate(
+            zip(("place", "velocity"), LARGEST_JUMP, strict=True)
+        ):
             jump = float(two.jumps[:, order].max())
             if jump > most:
                 found = f"a {name} {jump:.3g} off the end of the piece before"
-                raise TableError(f"{path}, line {lines[k]:.0f}", found, f"at most {most:g}", "Pieces must join.")
+                raise TableError(
+                    f"{path}, line {lines[k]:.0f}",
+                    found,
+                    f"at most {most:g}",
+                    "Pieces must join.",
+                )

@@ -15,7 +15,9 @@ MOST_PIECES = 31  # of 132 bytes: 4096 bytes of trajectory memory (Crazyflie fir
 INSTANTS = 33  # of each piece at which the fit is judged
 SHORTEST = 0.01  # s: a shorter piece is no fit
 S = np.linspace(0.0, 1.0, INSTANTS)
-FREE = (S**2 * (1.0 - S) ** 2)[:, None] * S[:, None] ** np.arange(4)  # what leaves yaw and yaw' at both ends alone
+FREE = (S**2 * (1.0 - S) ** 2)[:, None] * S[:, None] ** np.arange(
+    4
+)  # what leaves yaw and yaw' at both ends alone
 TO_FREE = np.linalg.pinv(FREE)
 
 
@@ -35,10 +37,18 @@ class Upload:
     def memory(self) -> bytes:
         """132 bytes a piece: c0..c7 of x, of y, of z, of yaw, then the duration in s; 33 little-endian floats."""
         k = len(self.pieces.durations)
-        return np.column_stack([self.pieces.coefficients.reshape(k, -1), self.pieces.durations]).astype("<f4").tobytes()
+        return (
+            np.column_stack(
+                [self.pieces.coefficients.reshape(k, -1), self.pieces.durations]
+            )
+            .astype("<f4")
+            .tobytes()
+        )
 
 
-def uploaded(trajectory: Trajectory, tolerance: float = 0.001, yaw_tolerance: float = 0.01) -> Upload:
+def uploaded(
+    trajectory: Trajectory, tolerance: float = 0.001, yaw_tolerance: float = 0.01
+) -> Upload:
     """The trajectory in at most 31 pieces, no farther from it than `tolerance` m and `yaw_tolerance` rad.
 
     Pieces of degree 7 are taken as they are. Anything else is cut, from its start on, into the longest pieces that
@@ -52,12 +62,17 @@ def uploaded(trajectory: Trajectory, tolerance: float = 0.001, yaw_tolerance: fl
     widened = 1.0
     while upload is None:  # how much would have to be allowed
         widened *= 1.5
-        upload = _rounded(trajectory, _pieces(trajectory, widened * tolerance, widened * yaw_tolerance))
+        upload = _rounded(
+            trajectory,
+            _pieces(trajectory, widened * tolerance, widened * yaw_tolerance),
+        )
     if not (upload.error <= tolerance and upload.yaw_error <= yaw_tolerance):
         k = len(upload.pieces.durations)
         found = f"{k} pieces that are {upload.error:.2g} m and {upload.yaw_error:.2g} rad off"
         allowed = f"{tolerance:g} m and {yaw_tolerance:g} rad with at most {MOST_PIECES} pieces"
-        raise ConfigError("upload", found, allowed, "Split the trajectory, or allow a larger error.")
+        raise ConfigError(
+            "upload", found, allowed, "Split the trajectory, or allow a larger error."
+        )
     return upload
 
 
@@ -84,7 +99,9 @@ def _difference(x: Mat, y: Mat) -> tuple[float, float]:
     return float(np.linalg.norm(x[:, 0:3] - y[:, 0:3], axis=1).max()), max(turns)
 
 
-def _pieces(trajectory: Trajectory, tolerance: float, yaw_tolerance: float) -> Piecewise | None:
+def _pieces(
+    trajectory: Trajectory, tolerance: float, yaw_tolerance: float
+) -> Piecewise | None:
     """The trajectory itself where it has few enough pieces, else the longest that fit; None: those are too many."""
     if isinstance(trajectory, Piecewise) and len(trajectory.durations) <= MOST_PIECES:
         return trajectory
@@ -93,16 +110,22 @@ def _pieces(trajectory: Trajectory, tolerance: float, yaw_tolerance: float) -> P
     while trajectory.duration - knots[-1] > 1e-9:
         if len(pieces) == MOST_PIECES:
             return None
-        knots.append(knots[-1] + _longest(trajectory, knots[-1], tolerance, yaw_tolerance))
+        knots.append(
+            knots[-1] + _longest(trajectory, knots[-1], tolerance, yaw_tolerance)
+        )
         pieces.append(_piece(trajectory, *knots[-2:]).coefficients[0])
     return Piecewise(np.array(pieces), np.diff(knots))
 
 
 def _piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
     """The polynomial from t to `until`; its yaw is fitted in between, and turns as the trajectory does."""
-    a, b, duration = trajectory.sample(t), trajectory.sample(until), until - t
+    a = trajectory.sample(t)
+    b = trajectory.sample(until)
+    duration = until - t
     c = Polynomial7th(a, b, duration).coefficients.copy()
-    turn, r0, r1 = b.yaw - a.yaw, a.flat[13] * duration, b.flat[13] * duration
+    turn = b.yaw - a.yaw
+    r0 = a.flat[13] * duration
+    r1 = b.flat[13] * duration
     cubic = np.array([a.yaw, r0, 3.0 * turn - 2.0 * r0 - r1, r0 + r1 - 2.0 * turn])
     yaws = np.array([trajectory.sample(t + s * duration).yaw for s in S.tolist()])
     free = TO_FREE @ (yaws - S[:, None] ** np.arange(4) @ cubic)
@@ -112,19 +135,24 @@ def _piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
     return Piecewise(c, [duration])
 
 
-def _longest(trajectory: Trajectory, t: float, tolerance: float, yaw_tolerance: float) -> float:
+def _longest(
+    trajectory: Trajectory, t: float, tolerance: float, yaw_tolerance: float
+) -> float:
     """The length s of the longest piece from t on that fits, to 2 %; at least SHORTEST."""
 
     def fits(length: float) -> bool:
         times = S * length
         piece = _piece(trajectory, t, t + length)
-        error, yaw_error = _difference(_references(trajectory, times + t), _references(piece, times))
+        error, yaw_error = _difference(
+            _references(trajectory, times + t), _references(piece, times)
+        )
         return error <= 0.9 * tolerance and yaw_error <= 0.9 * yaw_tolerance
 
     left = trajectory.duration - t
     if left <= SHORTEST or fits(left):
         return left
-    short, long = SHORTEST, left
+    short = SHORTEST
+    long = left
     while long / short > 1.02:
         middle = (short * long) ** 0.5
         short, long = (middle, long) if fits(middle) else (short, middle)

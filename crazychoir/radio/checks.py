@@ -13,7 +13,11 @@ DECK_FAULT = 1 << 11
 
 def harm(supervisor: int) -> str:
     """What has broken a drone, by its supervisor's bits; empty if nothing has."""
-    words = {CRASHED: "crashed", TUMBLED: "tumbled", LOCKED: "locked by its firmware until it is switched off and on"}
+    words = {
+        CRASHED: "crashed",
+        TUMBLED: "tumbled",
+        LOCKED: "locked by its firmware until it is switched off and on",
+    }
     return next((text for bit, text in words.items() if supervisor & bit), "")
 
 
@@ -33,7 +37,11 @@ def battery_problems(volts: float, begin: float) -> list[str]:
     """Less than its platform needs to begin, in V."""
     if math.isnan(volts):
         return ["says nothing of its battery"]
-    return [f"battery at {volts:.2f} V, {begin:g} V are needed to begin"] if volts < begin else []
+    return (
+        [f"battery at {volts:.2f} V, {begin:g} V are needed to begin"]
+        if volts < begin
+        else []
+    )
 
 
 LATE, ANSWERED = 0.3, 0.5
@@ -42,9 +50,15 @@ LATE, ANSWERED = 0.3, 0.5
 
 def link_problems(latency: float, answered: float) -> list[str]:
     """Whether its link is too slow; NaN for what is not known yet."""
-    found = [f"its link takes {latency:.2f} s there and back, at most {LATE:g} s may be"] if latency > LATE else []
+    found = (
+        [f"its link takes {latency:.2f} s there and back, at most {LATE:g} s may be"]
+        if latency > LATE
+        else []
+    )
     if answered < ANSWERED:
-        found.append(f"its link answers {100.0 * answered:.0f} of 100 echoes, {100.0 * ANSWERED:g} are needed")
+        found.append(
+            f"its link answers {100.0 * answered:.0f} of 100 echoes, {100.0 * ANSWERED:g} are needed"
+        )
     return found
 
 
@@ -58,5 +72,7 @@ def spread_problems(variances: list[float]) -> list[str]:
     if math.isnan(worst):
         return ["does not say how well it knows where it is"]
     if worst > UNSURE:
-        return [f"knows its place to {math.sqrt(worst):.2f} m, {math.sqrt(UNSURE):g} m are needed"]
+        return [
+            f"knows its place to {math.sqrt(worst):.2f} m, {math.sqrt(UNSURE):g} m are needed"
+        ]
     return []

@@ -13,7 +13,12 @@ from crazychoir.runtime.clock import Clock
 
 BOARD: dict[str, float] = {"led.bitmask": 0xFF}
 """All of the board: the upper bit takes them from the firmware."""
-RING: dict[str, float] = {"ring.solidRed": 255, "ring.solidGreen": 255, "ring.solidBlue": 255, "ring.effect": 7}
+RING: dict[str, float] = {
+    "ring.solidRed": 255,
+    "ring.solidGreen": 255,
+    "ring.solidBlue": 255,
+    "ring.effect": 7,
+}
 """The deck below it: one colour."""
 RING_DECK = "deck.bcLedRing"
 ASKED = Packet(SUPERVISOR, 0, b"\x0c")
@@ -22,9 +27,13 @@ SAYS = 0.5
 
 
 async def identify(
-    clock: Clock, uri: str, contents: TableOfContents, seconds: float, deadline: float,
+    clock: Clock,
+    uri: str,
+    contents: TableOfContents,
+    seconds: float,
+    deadline: float,
     lit_now: Callable[[], None] = lambda: None,
-) -> dict[str, float]:  # fmt: skip
+) -> dict[str, float]:
     """Light them for so long; returns the parameters that it was done by. They are put back, whatever happens.
 
     deadline: s until it is connected;  lit_now: called once they are lit.

@@ -41,25 +41,47 @@ class RadioProcess(Actor):
     name = "radios"
 
     def __init__(
-        self, clock: Clock, config: SwarmConfig, dongle: int, process: str, host: str, incarnation: int
-    ) -> None:  # fmt: skip
-        self.clock, self.config, self.dongle = clock, config, dongle
+        self,
+        clock: Clock,
+        config: SwarmConfig,
+        dongle: int,
+        process: str,
+        host: str,
+        incarnation: int,
+    ) -> None:
+        self.clock = clock
+        self.config = config
+        self.dongle = dongle
         self.bus = Bus(clock, process=process, host=host)
         self.ids = config.dongles[dongle]
-        rate, contents = rates(config)[dongle], TableOfContents(folder())
+        rate = rates(config)[dongle]
+        contents = TableOfContents(folder())
         for i in self.ids:
             self.bus.port(BODIES + i, incarnation)
-        turn, sights = self._turns().turn, Sights(self.bus, config, BODIES + self.ids[0])
+        turn = self._turns().turn
+        sights = Sights(self.bus, config, BODIES + self.ids[0])
         self.drones = {
-            i: RadioDrone(self.bus, config, i, sender_of(config, i), rate, contents, turn, sights) for i in self.ids
+            i: RadioDrone(
+                self.bus, config, i, sender_of(config, i), rate, contents, turn, sights
+            )
+            for i in self.ids
         }
         self.bodies = {
             i: RemoteBody(
-                self.bus.ports[BODIES + i], drone, drone, drone.kind, flight=config.flight, ask=drone.ask, arm=drone.arm
+                self.bus.ports[BODIES + i],
+                drone,
+                drone,
+                drone.kind,
+                flight=config.flight,
+                ask=drone.ask,
+                arm=drone.arm,
             )
             for i, drone in self.drones.items()
-        }  # fmt: skip
-        self.rate, self.failure, self._missing, self._ending = rate, "", "", 0.0
+        }
+        self.rate = rate
+        self.failure = ""
+        self._missing = ""
+        self._ending = 0.0
         self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
@@ -73,7 +95,8 @@ class RadioProcess(Actor):
 
     async def run(self) -> None:
         """Say how the links are, and look after drones that nobody commands."""
-        tick, every = 0, round(LOOKS / LINK.rate)
+        tick = 0
+        every = round(LOOKS / LINK.rate)
         began = self.clock.now()
         async for _ in self.clock.ticks(LOOKS):
             self._look_at_dongle(self.clock.now() - began)
@@ -94,7 +117,8 @@ class RadioProcess(Actor):
 
         One that is not there is waited for as long as its drones are.
         """
-        before, self._missing = self._missing, DONGLES.failure(self.config.drone(self.ids[0]).uri)
+        before = self._missing
+        self._missing = DONGLES.failure(self.config.drone(self.ids[0]).uri)
         if not self._missing:
             return
         used = any(math.isfinite(drone.silence) for drone in self.drones.values())
@@ -108,10 +132,15 @@ class RadioProcess(Actor):
 
         One that was heard long ago may be carried about.
         """
-        drone, now = self.drones[i], self.clock.now()
+        drone = self.drones[i]
+        now = self.clock.now()
         flies = drone.flying and drone.silence < LOST
         seen = drone.place if flies and body.silence > LEFT_ALONE else None
-        if seen is not None and now - seen[0] < LEFT_ALONE and (beyond := self._limit.outside(*seen[1].p)) > 0.0:
+        if (
+            seen is not None
+            and now - seen[0] < LEFT_ALONE
+            and (beyond := self._limit.outside(*seen[1].p)) > 0.0
+        ):
             body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
 
     def _alone(self) -> bool:
@@ -123,7 +152,9 @@ class RadioProcess(Actor):
     def _leave(self) -> None:
         """All has landed, or has had the time to."""
         if flying := [str(i) for i, drone in self.drones.items() if drone.flying]:
-            self.abort(f"ends {LANDS_WITHIN:g} s after it was told to; not known to have landed: {', '.join(flying)}")
+            self.abort(
+                f"ends {LANDS_WITHIN:g} s after it was told to; not known to have landed: {', '.join(flying)}"
+            )
         self._supervisor.stop()
 
     def end(self, reason: str) -> None:
@@ -155,8 +186,13 @@ class RadioProcess(Actor):
             "dongle": self.dongle,
             "setpoints_hz": self.rate,
             "drones": {
-                i: {"state": drone.state_of_link, "release": drone.release, "reconnected": drone.reconnected,
-                    "refused": drone.refused_plans, "malformed": drone.malformed}
+                i: {
+                    "state": drone.state_of_link,
+                    "release": drone.release,
+                    "reconnected": drone.reconnected,
+                    "refused": drone.refused_plans,
+                    "malformed": drone.malformed,
+                }
                 for i, drone in self.drones.items()
             },
-        }  # fmt: skip
+        }

@@ -18,7 +18,9 @@ class Uptime:
 
     def __init__(self) -> None:
         self._at: int | None = None  # none has come
-        self._own, self._least, self._taken = 0.0, math.inf, math.inf
+        self._own = 0.0
+        self._least = math.inf
+        self._taken = math.inf
 
     def restarted(self, now: float, at: int) -> bool:
         """Whether it has been started again since its last log: its time is less, and no longer than that is ago; or
@@ -26,7 +28,8 @@ class Uptime:
         """
         if self._at is None:
             return False
-        since, ago = self._since(at), now - self._taken
+        since = self._since(at)
+        ago = now - self._taken
         if since < 0.0:
             return since < -SLACK and MILLI * at < ago + SLACK
         return since > ago + SLACK + RUNS * ago or since < ago - WAITS - RUNS * ago
@@ -38,7 +41,8 @@ class Uptime:
     def taken(self, now: float, at: int) -> float:
         """s, by our clock, when it was as this log says; too late by the least time that one has been on its way."""
         since = self._since(at)
-        self._at, self._own = at, self._own + since
+        self._at = at
+        self._own = self._own + since
         self._least = min(self._least + RUNS * since, now - self._own)
         self._taken = self._own + self._least
         return self._taken

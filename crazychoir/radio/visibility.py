@@ -26,14 +26,27 @@ class Sights:
         self._clock = bus.clock
         self.tracks = {i: Track() for i in config.seen}
         for i in config.seen:
-            bus.subscribe(POSE, EYES + i, reader, Call(bus.clock, partial(self._seen, i), "sights"), RATE)
-            bus.subscribe(BODY, config.source(BODY, i), reader, Call(bus.clock, partial(self._flies, i), "sights"))
+            bus.subscribe(
+                POSE,
+                EYES + i,
+                reader,
+                Call(bus.clock, partial(self._seen, i), "sights"),
+                RATE,
+            )
+            bus.subscribe(
+                BODY,
+                config.source(BODY, i),
+                reader,
+                Call(bus.clock, partial(self._flies, i), "sights"),
+            )
 
     def _flies(self, i: int, body: Body, age: float) -> None:
         self.tracks[i].flies = body.flying
 
     def _seen(self, i: int, pose: Pose, age: float) -> None:
-        self.tracks[i].add(self._clock.now() - max(age, pose.age), tilt(pose.q), float(pose.p[2]))
+        self.tracks[i].add(
+            self._clock.now() - max(age, pose.age), tilt(pose.q), float(pose.p[2])
+        )
 
 
 class TakeOff:
@@ -43,8 +56,12 @@ class TakeOff:
     """
 
     def __init__(self, i: int, sights: Sights) -> None:
-        self.drone, self.sights, self.found = i, sights, ""
-        self._own, self._began, self._flies = Track(), math.nan, False
+        self.drone = i
+        self.sights = sights
+        self.found = ""
+        self._own = Track()
+        self._began = math.nan
+        self._flies = False
         self._ascent: Ascent | None = None
 
     @property
@@ -55,7 +72,8 @@ class TakeOff:
     def begin(self, now: float) -> None:
         """It stands, and is told to fly; once a flight."""
         if math.isnan(self._began):
-            self._began, self._ascent = now, Ascent(self.drone, now, self._own, self.sights.tracks)
+            self._began = now
+            self._ascent = Ascent(self.drone, now, self._own, self.sights.tracks)
 
     def give_up(self) -> None:
         """Its pose jumps: that is another row of the safety table."""
@@ -71,7 +89,8 @@ class TakeOff:
         u = tilt(q)
         self._own.add(taken, u)
         if (self._flies and not flies) or (not flies and taken - self._began > LONGEST):
-            self._began, self._ascent = math.nan, None
+            self._began = math.nan
+            self._ascent = None
         self._flies = flies
         if self._ascent is None or self.found or latency > OLD or taken < self._began:
             return False

@@ -52,12 +52,20 @@ class Recorder(Actor):
     name = "recorder"
 
     def __init__(
-        self, bus: Bus, ids: Sequence[int], file: RecordingFile, observer: int | None = None,
+        self,
+        bus: Bus,
+        ids: Sequence[int],
+        file: RecordingFile,
+        observer: int | None = None,
         source: Callable[[Topic, int], int] = lambda topic, i: i,
-        outcome: Callable[[], Mapping[str, str]] = dict, topics: Sequence[str] = OBSERVABLE,
-    ) -> None:  # fmt: skip
-        self.bus, self.clock, self.file = bus, bus.clock, file
-        self.ended, self._outcome = "its flight has ended", outcome
+        outcome: Callable[[], Mapping[str, str]] = dict,
+        topics: Sequence[str] = OBSERVABLE,
+    ) -> None:
+        self.bus = bus
+        self.clock = bus.clock
+        self.file = file
+        self.ended = "its flight has ended"
+        self._outcome = outcome
         self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
         self._waiting: list[Entry] = []
         self._bytes = 0
@@ -66,21 +74,37 @@ class Recorder(Actor):
         for i in ids:
             for topic in map(BY_NAME.__getitem__, topics):
                 take = partial(self._take, i, topic)
-                bus.subscribe(topic, source(topic, i), i if observer is None else observer, Call(self.clock, take))
-        self._next, bus.tap = bus.tap, self._rounds if observer is None else self._count
+                bus.subscribe(
+                    topic,
+                    source(topic, i),
+                    i if observer is None else observer,
+                    Call(self.clock, take),
+                )
+        self._next = bus.tap
+        bus.tap = self._rounds if observer is None else self._count
 
     async def run(self) -> None:
         """Write what has come, a few times a second, until the recording ends."""
         async for _ in self.clock.ticks(BATCHES):
-            batch, self._waiting, self._bytes = self._waiting, [], 0
-            await asyncio.shield(self.clock.compute(self.file.write, batch))  # who stops us loses no batch
+            batch = self._waiting
+            self._waiting = []
+            self._bytes = 0
+            await asyncio.shield(
+                self.clock.compute(self.file.write, batch)
+            )  # who stops us loses no batch
             if self.file.error:
-                log.warning("recording %s: %s: it ends here, the flight goes on", self.file.path, self.file.error)
+                log.warning(
+                    "recording %s: %s: it ends here, the flight goes on",
+                    self.file.path,
+                    self.file.error,
+                )
                 return
 
     async def on_stop(self) -> None:
         """Write the rest and the index."""
-        await self.clock.compute(self._finish, self._waiting, {"ended": self.ended, **self._outcome()})
+        await self.clock.compute(
+            self._finish, self._waiting, {"ended": self.ended, **self._outcome()}
+        )
 
     def _finish(self, batch: list[Entry], outcome: Mapping[str, str]) -> None:
         self.file.write(batch)
@@ -89,13 +113,22 @@ class Recorder(Actor):
     def result(self) -> dict[str, Any]:
         """What came of it."""
         file = self.file
-        return asdict(Recorded(str(file.path), file.written, file.lost, file.missed, file.error))
+        return asdict(
+            Recorded(str(file.path), file.written, file.lost, file.missed, file.error)
+        )
 
     def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
         """The messages of one type under one topic: each type has a series of its own."""
-        name = topic.name if kind in (usual(topic), Exchanged) else f"{topic.name}/{kind.__name__.lower()}"
+        name = (
+            topic.name
+            if kind in (usual(topic), Exchanged)
+            else f"{topic.name}/{kind.__name__.lower()}"
+        )
         message = MESSAGES.get(kind, MESSAGES[dict])
-        opened = self._series[drone, topic.name, kind] = Series(drone, name, message), packer(message, drone)
+        opened = self._series[drone, topic.name, kind] = (
+            Series(drone, name, message),
+            packer(message, drone),
+        )
         return opened
 
     def _take(self, drone: int, topic: Topic, value: Any, age: float) -> None:
@@ -103,13 +136,18 @@ class Recorder(Actor):
         if self.file.error:
             self.file.lost += 1
             return
-        came_ns, kind = self.clock.now_ns() + self.clock.epoch_ns, type(value)
+        came_ns = self.clock.now_ns() + self.clock.epoch_ns
+        kind = type(value)
         try:
-            series, pack = self._series.get((drone, topic.name, kind)) or self._open(drone, topic, kind)
+            series, pack = self._series.get((drone, topic.name, kind)) or self._open(
+                drone, topic, kind
+            )
             born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
             data = pack(value, born_ns)
         except Exception as error:  # noqa: BLE001 - see above
-            self._lose(f"{topic.name} of drone {drone}: {type(error).__name__}: {error}")
+            self._lose(
+                f"{topic.name} of drone {drone}: {type(error).__name__}: {error}"
+            )
             return
         self._bytes += len(data)
         if self._bytes > MOST_WAITING:
@@ -121,19 +159,41 @@ class Recorder(Actor):
         self.file.lost += 1
         if not self._said:
             self._said = True
-            log.warning("recording %s: a message is lost: %s; further ones are counted", self.file.path, why)
+            log.warning(
+                "recording %s: a message is lost: %s; further ones are counted",
+                self.file.path,
+                why,
+            )
 
     def _rounds(
-        self, to: int, topic: int, source: int, number: int, payload: bytes, channel: str, flags: int, age: float
+        self,
+        to: int,
+        topic: int,
+        source: int,
+        number: int,
+        payload: bytes,
+        channel: str,
+        flags: int,
+        age: float,
     ) -> None:
         """A message has arrived: one of a round is recorded under its sender."""
         if self._next is not None:
             self._next(to, topic, source, number, payload, channel, flags, age)
         if topic == ROUND.number:
-            self._take(source, ROUND, Exchanged(to, number, flags, channel, payload), age)
+            self._take(
+                source, ROUND, Exchanged(to, number, flags, channel, payload), age
+            )
 
     def _count(
-        self, to: int, topic: int, source: int, number: int, payload: bytes, channel: str, flags: int, age: float
+        self,
+        to: int,
+        topic: int,
+        source: int,
+        number: int,
+        payload: bytes,
+        channel: str,
+        flags: int,
+        age: float,
     ) -> None:
         """A message has arrived: those of a topic that came between it and the one before have not.
 

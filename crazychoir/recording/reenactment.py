@@ -28,15 +28,29 @@ class Reenactment:
     """
 
     def __init__(
-        self, flight: Flight, config: SwarmConfig, scene: Path | None = None, enlarge: float = 1.0, trail: float = 2.0
+        self,
+        flight: Flight,
+        config: SwarmConfig,
+        scene: Path | None = None,
+        enlarge: float = 1.0,
+        trail: float = 2.0,
     ) -> None:
-        self.tracks, self.trail, self.times = flight.tracks, trail, flight.times
+        self.tracks = flight.tracks
+        self.trail = trail
+        self.times = flight.times
         self.ids = tuple(track.drone for track in self.tracks)
         self.colours = _colours(len(self.ids))
         rows = [platform(config.drone(i).platform) for i in self.ids]
         given = config.mujoco.model
-        user = shape_of(Path(given), config.mujoco.body, config.mujoco.scale) if given else None
-        drawn = [user or crazyflie(row, colour) for row, colour in zip(rows, self.colours, strict=True)]
+        user = (
+            shape_of(Path(given), config.mujoco.body, config.mujoco.scale)
+            if given
+            else None
+        )
+        drawn = [
+            user or crazyflie(row, colour)
+            for row, colour in zip(rows, self.colours, strict=True)
+        ]
         drawn = [scaled(shape, enlarge) for shape in drawn] if enlarge != 1.0 else drawn
         self._stands = np.array([-shape.lowest for shape in drawn])
         room = scene or (Path(config.mujoco.scene) if config.mujoco.scene else None)
@@ -45,7 +59,15 @@ class Reenactment:
     def film(self, width: int, height: int, camera: str = "") -> Film:
         """The camera; raises ConfigError for one that cannot be."""
         places = np.vstack([track.p for track in self.tracks])
-        return Film(self.model, self.ids, width, height, places.min(axis=0), places.max(axis=0), camera)
+        return Film(
+            self.model,
+            self.ids,
+            width,
+            height,
+            places.min(axis=0),
+            places.max(axis=0),
+            camera,
+        )
 
     def picture(self, film: Film, t: float) -> Image:
         """t s after the recording began."""
@@ -61,7 +83,11 @@ class Reenactment:
 
     def _trails(self, t: float) -> Iterator[Mat]:
         for track, stand in zip(self.tracks, self._stands, strict=True):
-            since = np.linspace(t - self.trail, t, POINTS) if self.trail > 0.0 else np.zeros(0)
+            since = (
+                np.linspace(t - self.trail, t, POINTS)
+                if self.trail > 0.0
+                else np.zeros(0)
+            )
             yield joined(track.t, track.p, since) + np.array([0.0, 0.0, stand])
 
 
@@ -76,4 +102,6 @@ def _colours(n: int) -> tuple[Colour, ...]:
     """Those of the plots: told apart if there are few, else a scale."""
     from matplotlib.colors import to_rgba
 
-    return tuple(to_rgba(one) for one in (COLOURS[:n] if n <= len(COLOURS) else scale(n)))
+    return tuple(
+        to_rgba(one) for one in (COLOURS[:n] if n <= len(COLOURS) else scale(n))
+    )

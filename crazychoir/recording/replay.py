@@ -31,7 +31,12 @@ def engine(setup: WorldSetup) -> "ReplayWorld":
         start = tables[-1][0, 0:3]
         if np.linalg.norm(start - home) > NEAR:
             do = f"Set home = {np.round(start, 3).tolist()}."
-            raise ConfigError(f"drone {i}: home", list(home), f"at most {NEAR} m from where {uri} begins", do)
+            raise ConfigError(
+                f"drone {i}: home",
+                list(home),
+                f"at most {NEAR} m from where {uri} begins",
+                do,
+            )
     return ReplayWorld(setup, tables)
 
 
@@ -39,20 +44,29 @@ def states_of(uri: str, drone: int, dt: float) -> Mat:
     """States (K, 13), rows as State.flat, every dt s from the begin of a recording; raises ConfigError."""
     name, _, number = uri.removeprefix(REPLAY).partition("?drone=")
     if number and not number.isdecimal():
-        raise ConfigError(f"drone {drone}: uri", uri, f'{REPLAY}FILE, or {REPLAY}FILE?drone=NUMBER')
+        raise ConfigError(
+            f"drone {drone}: uri", uri, f"{REPLAY}FILE, or {REPLAY}FILE?drone=NUMBER"
+        )
     path = Path(name)
     if path.suffix.lower() == ".csv":
         return _of_samples(path, dt)
     if path.suffix == ".mcap":
         return _of_flight(path, int(number) if number else drone, dt)
-    raise ConfigError(f"drone {drone}: uri", uri, "a recording of a flight, .mcap, or a table of samples, .csv")
+    raise ConfigError(
+        f"drone {drone}: uri",
+        uri,
+        "a recording of a flight, .mcap, or a table of samples, .csv",
+    )
 
 
 def _of_samples(path: Path, dt: float) -> Mat:
     """Level, with the yaw of the table."""
     flight = read_samples(path)
-    flat = flight.samples(np.append(np.arange(0.0, flight.duration, dt), flight.duration))
-    half, level = 0.5 * flat[:, 12:13], np.zeros((len(flat), 2))
+    flat = flight.samples(
+        np.append(np.arange(0.0, flight.duration, dt), flight.duration)
+    )
+    half = 0.5 * flat[:, 12:13]
+    level = np.zeros((len(flat), 2))
     rates = np.column_stack([level, flat[:, 13]])
     return np.hstack([flat[:, 0:6], level, np.sin(half), np.cos(half), rates])
 
@@ -63,11 +77,20 @@ def _of_flight(path: Path, drone: int, dt: float) -> Mat:
     found = recording.of(drone, TRUTH.name)
     if len(found) < 2:
         do = f"Add ?drone= one of {recording.drones}."
-        raise ConfigError(f"{path}: truth of drone {drone}", "nothing", "a recording of that drone", do)
+        raise ConfigError(
+            f"{path}: truth of drone {drone}",
+            "nothing",
+            "a recording of that drone",
+            do,
+        )
     t, first = np.unique(found.born - recording.seconds[0], return_index=True)
     if len(t) < 2 or t[-1] <= 0.0:
         where = f"{path}: truth of drone {drone}"
-        raise ConfigError(where, f"{len(found)} states of one time", "states of a drone over some time")
+        raise ConfigError(
+            where,
+            f"{len(found)} states of one time",
+            "states of a drone over some time",
+        )
     x = found.numbers[first]
     q = _one_way(x[:, 3:7])
     at = np.arange(0.0, t[-1], dt)
@@ -75,7 +98,9 @@ def _of_flight(path: Path, drone: int, dt: float) -> Mat:
     curve = CubicHermiteSpline(t, x[:, 0:3], into_world(q, x[:, 7:10]))
     turned = _columns(inside, t, q)
     turned /= np.linalg.norm(turned, axis=1)[:, None]
-    return np.hstack([curve(inside), curve(inside, 1), turned, _columns(inside, t, x[:, 10:13])])
+    return np.hstack(
+        [curve(inside), curve(inside, 1), turned, _columns(inside, t, x[:, 10:13])]
+    )
 
 
 def _one_way(q: Mat) -> Mat:
@@ -100,8 +125,11 @@ class ReplayWorld(Truth):
 
     def __init__(self, setup: WorldSetup, tables: list[Mat]) -> None:
         places = np.array([table[0, 0:3] for table in tables])
-        super().__init__(setup.ids, places, np.array(setup.yaws), setup.platforms, setup.dt)
-        self._tables, self._resting = tables, np.ones(len(tables))
+        super().__init__(
+            setup.ids, places, np.array(setup.yaws), setup.platforms, setup.dt
+        )
+        self._tables = tables
+        self._resting = np.ones(len(tables))
         self._show()
 
     def step(self) -> None:

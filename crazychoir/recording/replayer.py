@@ -25,16 +25,28 @@ class Replayer(Actor):
     name = "replay"
 
     def __init__(
-        self, bus: Bus, path: Path, speed: float = 1.0, step: Step | None = None,
+        self,
+        bus: Bus,
+        path: Path,
+        speed: float = 1.0,
+        step: Step | None = None,
         source: Callable[[Topic, int], int] = lambda topic, i: i,
-    ) -> None:  # fmt: skip
-        self.bus, self.clock, self.path, self.speed, self.step, self.source = bus, bus.clock, path, speed, step, source
-        self.said, self.at = 0, 0.0
+    ) -> None:
+        self.bus = bus
+        self.clock = bus.clock
+        self.path = path
+        self.speed = speed
+        self.step = step
+        self.source = source
+        self.said = 0
+        self.at = 0.0
         self._may = 0.0
 
     async def run(self) -> None:
         """From the first message to the last."""
-        values, first_ns, began_ns = Values(self.path), -1, self.clock.now_ns()
+        values = Values(self.path)
+        first_ns = -1
+        began_ns = self.clock.now_ns()
         for message in told(self.path):
             topic = BY_NAME.get(message.source.topic.partition("/")[0])
             if topic is None or topic.name not in OBSERVABLE:
@@ -47,7 +59,11 @@ class Replayer(Actor):
                 self.at = at
             address = self.source(topic, message.source.drone)
             port = self.bus.ports.get(address) or self.bus.port(address)
-            port.publish(topic, values.of(message), max(0.0, (message.came_ns - message.born_ns) / SECOND))
+            port.publish(
+                topic,
+                values.of(message),
+                max(0.0, (message.came_ns - message.born_ns) / SECOND),
+            )
             self.said += 1
 
     async def _wait(self, at: float, began_ns: int) -> None:

@@ -19,11 +19,18 @@ def check_video(path: Path, width: int, height: int) -> None:
     """Raise ConfigError for a file that cannot be written, before an hour of drawing."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
-        raise ConfigError("--video", path.name, f"a file that ends in {', '.join(ENDINGS)}")
+        raise ConfigError(
+            "--video", path.name, f"a file that ends in {', '.join(ENDINGS)}"
+        )
     if ending == ".mp4":
         _av()
         if width % 2 or height % 2:
-            raise ConfigError("--size", f"{width}x{height}", "even numbers of pixels in an MP4", "Add one.")
+            raise ConfigError(
+                "--size",
+                f"{width}x{height}",
+                "even numbers of pixels in an MP4",
+                "Add one.",
+            )
 
 
 def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
@@ -50,15 +57,25 @@ def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
         stream: Any = None
         for image in images:
             if stream is None:
-                stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "23"})
+                stream = container.add_stream(
+                    "libx264", rate=Fraction(fps), options={"crf": "23"}
+                )
                 stream.height, stream.width = image.shape[:2]
                 stream.pix_fmt = "yuv420p"
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
+            container.mux(
+                stream.encode(
+                    av.VideoFrame.from_ndarray(
+                        np.ascontiguousarray(image), format="rgb24"
+                    )
+                )
+            )
         if stream is not None:
             container.mux(stream.encode())
 
 
-def _write_animation(path: Path, images: Iterable[Image], fps: int, ending: str) -> None:
+def _write_animation(
+    path: Path, images: Iterable[Image], fps: int, ending: str
+) -> None:
     from PIL import Image as Pillow
 
     def shown() -> Iterator[Any]:
@@ -67,4 +84,11 @@ def _write_animation(path: Path, images: Iterable[Image], fps: int, ending: str)
             yield one.quantize(128) if ending == ".gif" else one
 
     frames = shown()
-    next(frames).save(path, ending[1:].upper(), save_all=True, append_images=frames, duration=round(1000 / fps), loop=0)
+    next(frames).save(
+        path,
+        ending[1:].upper(),
+        save_all=True,
+        append_images=frames,
+        duration=round(1000 / fps),
+        loop=0,
+    )

@@ -64,7 +64,12 @@ class Clock:
         return self.now_ns() / SECOND
 
     def call_at(
-        self, when_ns: int, callback: Callable[..., object], *args: Any, priority: int = TICK, drone: int = -1
+        self,
+        when_ns: int,
+        callback: Callable[..., object],
+        *args: Any,
+        priority: int = TICK,
+        drone: int = -1,
     ) -> Alarm:
         """Call `callback(*args)` at `when_ns`; the returned alarm can be cancelled."""
         alarm = Alarm(callback, args, self._loop)
@@ -85,7 +90,9 @@ class Clock:
         heapq.heappush(self._heap, (when_ns, priority, drone, self._sequence, alarm))
         self._arm()
 
-    async def sleep_until(self, when_ns: int, priority: int = TICK, drone: int = -1) -> None:
+    async def sleep_until(
+        self, when_ns: int, priority: int = TICK, drone: int = -1
+    ) -> None:
         """Wait until `when_ns`."""
         waiter: asyncio.Future[None] = self._loop.create_future()
         alarm = self.call_at(when_ns, wake, waiter, priority=priority, drone=drone)
@@ -138,7 +145,9 @@ class Ticks:
     _asyncio_future_blocking = False
 
     def __init__(self, clock: Clock, hz: float, priority: int, drone: int) -> None:
-        self.clock, self.priority, self.drone = clock, priority, drone
+        self.clock = clock
+        self.priority = priority
+        self.drone = drone
         self.period_ns = round(SECOND / hz)
         self.due_ns = clock.now_ns()
         self.missed = 0
@@ -161,7 +170,8 @@ class Ticks:
             self.due_ns += behind * self.period_ns
 
     def __await__(self) -> Generator["Ticks", None, int]:
-        self._asyncio_future_blocking, self._cancelled = True, False
+        self._asyncio_future_blocking = True
+        self._cancelled = False
         yield self
         return self.due_ns
 
@@ -171,9 +181,12 @@ class Ticks:
         """The loop of the clock."""
         return self.clock._loop
 
-    def add_done_callback(self, wakeup: Callable[["Ticks"], object], *, context: Context | None = None) -> None:
+    def add_done_callback(
+        self, wakeup: Callable[["Ticks"], object], *, context: Context | None = None
+    ) -> None:
         """The task is waiting: its wake-up is the alarm."""
-        self._wakeup, self._context = wakeup, context
+        self._wakeup = wakeup
+        self._context = context
         self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
         self.clock.push(self.due_ns, self._alarm, self.priority, self.drone)
 
@@ -212,11 +225,15 @@ class WallClock(Clock):
         self._fd = Timerfd()
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self._armed_ns = 0
-        spare = max(1, min(4, (os.cpu_count() or 1) - 1))  # a processor for the event loop
+        spare = max(
+            1, min(4, (os.cpu_count() or 1) - 1)
+        )  # a processor for the event loop
         self._pool = ThreadPoolExecutor(max_workers=spare, thread_name_prefix="compute")
         loop.add_reader(self._fd.fileno, self._fire)
 
-    now_ns = staticmethod(time.monotonic_ns)  # without a frame of ours: it is asked a lot
+    now_ns = staticmethod(
+        time.monotonic_ns
+    )  # without a frame of ours: it is asked a lot
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
         """Run it in a thread: HiGHS and compiled kernels release the interpreter."""
@@ -250,16 +267,27 @@ class WallClock(Clock):
 class Timerfd:
     """The kernel's timer as a file descriptor; `os` has it only from Python 3.13."""
 
-    _CLOCK_MONOTONIC, _NONBLOCK, _CLOEXEC, _ABSTIME = 1, 0o4000, 0o2000000, 1
+    _CLOCK_MONOTONIC = 1
+    _NONBLOCK = 0o4000
+    _CLOEXEC = 0o2000000
+    _ABSTIME = 1
 
     class _Spec(ctypes.Structure):
-        _fields_ = [(name, ctypes.c_long) for name in ("interval_s", "interval_ns", "value_s", "value_ns")]
+        _fields_ = [
+            (name, ctypes.c_long)
+            for name in ("interval_s", "interval_ns", "value_s", "value_ns")
+        ]
 
     def __init__(self) -> None:
         self._libc = ctypes.CDLL(None, use_errno=True)
-        self.fileno = self._libc.timerfd_create(self._CLOCK_MONOTONIC, self._NONBLOCK | self._CLOEXEC)
+        self.fileno = self._libc.timerfd_create(
+            self._CLOCK_MONOTONIC, self._NONBLOCK | self._CLOEXEC
+        )
         if self.fileno < 0:
-            raise OSError(ctypes.get_errno(), "timerfd_create failed: real time needs Linux; use virtual time (--fast)")
+            raise OSError(
+                ctypes.get_errno(),
+                "timerfd_create failed: real time needs Linux; use virtual time (--fast)",
+            )
         self._spec = self._Spec()
         self._arguments = (self.fileno, self._ABSTIME, ctypes.byref(self._spec), None)
 
@@ -310,7 +338,9 @@ class VirtualClock(Clock):
         """Jump to the next alarm."""
         found = self._next()
         if found is None:
-            raise Deadlock(f"at {self.now():.9f} s of virtual time nobody can go on. {waiting(self._loop)}")
+            raise Deadlock(
+                f"at {self.now():.9f} s of virtual time nobody can go on. {waiting(self._loop)}"
+            )
         when_ns, alarm = found
         if when_ns > self._now_ns:
             self._now_ns = when_ns
@@ -334,7 +364,12 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Virtual seconds."""
         return self._clock.now_ns() / SECOND
 
-    def call_soon(self, callback: Callable[..., object], *args: Any, context: Context | None = None) -> asyncio.Handle:  # type: ignore[override]
+    def call_soon(  # type: ignore[override]
+        self,
+        callback: Callable[..., object],
+        *args: Any,
+        context: Context | None = None,
+    ) -> asyncio.Handle:
         """As asyncio's, without its checks."""
         handle = asyncio.Handle(callback, args, self, context)
         self._ready.append(handle)
@@ -353,20 +388,32 @@ class VirtualLoop(asyncio.SelectorEventLoop):
                 handle._run()
 
     def call_at(  # type: ignore[override]
-        self, when: float, callback: Callable[..., object], *args: Any, context: Any = None
+        self,
+        when: float,
+        callback: Callable[..., object],
+        *args: Any,
+        context: Any = None,
     ) -> asyncio.TimerHandle:
         """Timers of asyncio itself (timeouts) join the clock's heap."""
         alarm = asyncio.TimerHandle(when, callback, args, self, context)
-        self._clock.push(max(round(when * SECOND), self._clock.now_ns()), alarm, TIMEOUT, -1)
+        self._clock.push(
+            max(round(when * SECOND), self._clock.now_ns()), alarm, TIMEOUT, -1
+        )
         return alarm
 
     def call_later(  # type: ignore[override]
-        self, delay: float, callback: Callable[..., object], *args: Any, context: Any = None
+        self,
+        delay: float,
+        callback: Callable[..., object],
+        *args: Any,
+        context: Any = None,
     ) -> asyncio.TimerHandle:
         """As `call_at`, from now."""
         return self.call_at(self.time() + delay, callback, *args, context=context)
 
-    def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> "asyncio.Future[T]":  # type: ignore[override]
+    def run_in_executor(  # type: ignore[override]
+        self, executor: Any, func: Callable[..., T], *args: Any
+    ) -> "asyncio.Future[T]":
         """Executors run inline."""
         future: asyncio.Future[T] = self.create_future()
         try:
@@ -382,15 +429,24 @@ class _Selector(selectors.BaseSelector):
     def __init__(self) -> None:
         self._keys: dict[Any, selectors.SelectorKey] = {}
 
-    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
-        key = selectors.SelectorKey(fileobj, fileobj if isinstance(fileobj, int) else fileobj.fileno(), events, data)
+    def register(
+        self, fileobj: Any, events: int, data: Any = None
+    ) -> selectors.SelectorKey:
+        key = selectors.SelectorKey(
+            fileobj,
+            fileobj if isinstance(fileobj, int) else fileobj.fileno(),
+            events,
+            data,
+        )
         self._keys[fileobj] = key
         return key
 
     def unregister(self, fileobj: Any) -> selectors.SelectorKey:
         return self._keys.pop(fileobj)
 
-    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+    def select(
+        self, timeout: float | None = None
+    ) -> list[tuple[selectors.SelectorKey, int]]:
         return []
 
     def get_map(self) -> Any:
@@ -405,7 +461,9 @@ def waiting(loop: asyncio.AbstractEventLoop) -> str:
 
 def _place(task: "asyncio.Task[Any]") -> str:
     coroutine: Any = task.get_coro()
-    while getattr(coroutine, "cr_await", None) is not None and hasattr(coroutine.cr_await, "cr_frame"):
+    while getattr(coroutine, "cr_await", None) is not None and hasattr(
+        coroutine.cr_await, "cr_frame"
+    ):
         coroutine = coroutine.cr_await
     frame: FrameType | None = getattr(coroutine, "cr_frame", None)
     if frame is None:
@@ -418,7 +476,11 @@ def _place(task: "asyncio.Task[Any]") -> str:
 
 def run_virtual(main: Main[T]) -> T:
     """Run `main(clock)` to its end in virtual time; in a worker thread where a loop runs already, as in a notebook."""
-    return Worker[Clock, T](_run_virtual).result(main) if is_inside_loop() else _run_virtual(main)
+    return (
+        Worker[Clock, T](_run_virtual).result(main)
+        if is_inside_loop()
+        else _run_virtual(main)
+    )
 
 
 def run_wall(main: Main[T]) -> T:
@@ -426,7 +488,11 @@ def run_wall(main: Main[T]) -> T:
 
     It runs in a worker thread where a loop runs already, as in a notebook.
     """
-    return Worker[Clock, T](_run_wall).result(main) if is_inside_loop() else _run_wall(main)
+    return (
+        Worker[Clock, T](_run_wall).result(main)
+        if is_inside_loop()
+        else _run_wall(main)
+    )
 
 
 def _run_virtual(main: Main[T]) -> T:

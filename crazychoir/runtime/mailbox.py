@@ -22,7 +22,8 @@ class Mailbox(Generic[T]):
     """What the policies share: counters, and one reader that waits."""
 
     def __init__(self, clock: Clock, name: str = "") -> None:
-        self.clock, self.name = clock, name
+        self.clock = clock
+        self.name = name
         self.received = 0
         self.dropped = 0
         self.stale = 0
@@ -38,7 +39,8 @@ class Mailbox(Generic[T]):
 
     def _wake(self) -> None:
         if self._waiter is not None:
-            waiter, self._waiter = self._waiter, None
+            waiter = self._waiter
+            self._waiter = None
             wake(waiter)
 
     async def _wait(self) -> None:
@@ -49,7 +51,9 @@ class Mailbox(Generic[T]):
 class Latest(Mailbox[T]):
     """One slot: a message replaces an older one; `dropped` counts those that nobody read, and those that came late."""
 
-    def __init__(self, clock: Clock, name: str = "", max_age: float | None = None) -> None:
+    def __init__(
+        self, clock: Clock, name: str = "", max_age: float | None = None
+    ) -> None:
         super().__init__(clock, name)
         self.max_age = max_age
         self._now_ns = clock.now_ns
@@ -105,7 +109,8 @@ class Latest(Mailbox[T]):
     def clear(self) -> None:
         """Back to before the first message."""
         self.version = self._seen = 0
-        self._value, self._born_ns = None, -sys.maxsize
+        self._value = None
+        self._born_ns = -sys.maxsize
 
 
 class DropOldest(Mailbox[T]):
@@ -170,7 +175,9 @@ class Block(Mailbox[T]):
 class Call(Mailbox[T]):
     """No slot: a function takes each message at once, with its age."""
 
-    def __init__(self, clock: Clock, function: Callable[[T, float], None], name: str = "") -> None:
+    def __init__(
+        self, clock: Clock, function: Callable[[T, float], None], name: str = ""
+    ) -> None:
         super().__init__(clock, name)
         self.function = function
 

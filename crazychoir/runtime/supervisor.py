@@ -30,8 +30,11 @@ class _Child:
 class Supervisor:
     """Runs the actors of one drone; children stop in reverse order of creation."""
 
-    def __init__(self, clock: Clock, name: str, on_failure: OnFailure | None = None) -> None:
-        self.clock, self.name = clock, name
+    def __init__(
+        self, clock: Clock, name: str, on_failure: OnFailure | None = None
+    ) -> None:
+        self.clock = clock
+        self.name = name
         self.on_failure = on_failure or (lambda actor, error, again: None)
         self._children: list[_Child] = []
         self._stop = asyncio.Event()
@@ -40,7 +43,9 @@ class Supervisor:
         """Run all actors until they end, `stop` is called, or this task is cancelled; all have stopped on return."""
         self._children = [_Child(actor) for actor in actors]
         for child in self._children:
-            child.task = asyncio.create_task(self._supervise(child), name=f"{self.name} {child.actor.name}")
+            child.task = asyncio.create_task(
+                self._supervise(child), name=f"{self.name} {child.actor.name}"
+            )
             child.task.add_done_callback(self._ended)
         try:
             if actors:
@@ -76,7 +81,9 @@ class Supervisor:
     async def _supervise(self, child: _Child) -> None:
         try:
             while await self._fails(child):
-                await self.clock.sleep(child.actor.restart.backoff * 2.0 ** (len(child.failures) - 1))
+                await self.clock.sleep(
+                    child.actor.restart.backoff * 2.0 ** (len(child.failures) - 1)
+                )
         finally:
             await self._finish(child)
 
@@ -89,22 +96,29 @@ class Supervisor:
         except asyncio.CancelledError as cancelled:
             if child.task.cancelling():
                 raise
-            return self._failed(child, RuntimeError(f"cancelled from inside: {cancelled!r}"))
+            return self._failed(
+                child, RuntimeError(f"cancelled from inside: {cancelled!r}")
+            )
         except Exception as error:  # noqa: BLE001 - a failing actor must not take the drone with it
             return self._failed(child, error)
         return False
 
     def _failed(self, child: _Child, error: Exception) -> bool:
-        actor, again = child.actor, not child.task.cancelling() and self._may_restart(child)
+        actor = child.actor
+        again = not child.task.cancelling() and self._may_restart(child)
         log.error("%s %s failed: %s", self.name, actor.name, error, exc_info=error)
         try:
             self.on_failure(actor, error, again)
         except Exception:
-            log.exception("%s: error in what hears of the failure of %s", self.name, actor.name)
+            log.exception(
+                "%s: error in what hears of the failure of %s", self.name, actor.name
+            )
         return again
 
     def _may_restart(self, child: _Child) -> bool:
-        now, restart, failures = self.clock.now(), child.actor.restart, child.failures
+        now = self.clock.now()
+        restart = child.actor.restart
+        failures = child.failures
         while failures and now - failures[0] >= restart.window:
             failures.popleft()
         if len(failures) >= restart.limit:
@@ -121,4 +135,9 @@ class Supervisor:
             async with asyncio.timeout(STOP_DEADLINE):
                 await child.actor.on_stop()
         except Exception:  # stopping goes on with the next actor
-            log.exception("%s %s: on_stop failed, or took more than %g s", self.name, child.actor.name, STOP_DEADLINE)
+            log.exception(
+                "%s %s: on_stop failed, or took more than %g s",
+                self.name,
+                child.actor.name,
+                STOP_DEADLINE,
+            )

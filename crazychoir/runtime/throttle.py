@@ -11,9 +11,12 @@ class Throttle:
     """
 
     def __init__(self, period: float = 1.0, longest: float = 30.0) -> None:
-        self.period, self.longest = period, longest
+        self.period = period
+        self.longest = longest
         self._asked: dict[str, float] = {}
-        self._next: dict[str, tuple[float, float]] = {}  # when it may be said again, and the silence after that
+        self._next: dict[
+            str, tuple[float, float]
+        ] = {}  # when it may be said again, and the silence after that
 
     def due(self, now: float, topic: str) -> bool:
         """May this topic be said again at `now`? Saying so counts as having said it."""

@@ -38,11 +38,14 @@ class Stages:
         """All that is to do, stage by stage; what a stage adds to a later one is done too."""
         self._due = False
         failed: list[Exception] = []
-        say, self.say = self.say, []
+        say = self.say
+        self.say = []
         _do(say, failed)
-        decide, self.decide = self.decide, []
+        decide = self.decide
+        self.decide = []
         _do(decide, failed)
-        act, self.act = self.act, []
+        act = self.act
+        self.act = []
         _do(act, failed)
         if failed:
             raise failed[0]

@@ -42,7 +42,8 @@ class HangWatch:
 
     def within(self, seconds: float, actor: str) -> Guard:
         """Code in `with watch.within(seconds, actor):` gets Hung after so many s; actor: who is named meanwhile."""
-        self._guard.actor, self._guard.limit = actor, seconds
+        self._guard.actor = actor
+        self._guard.limit = seconds
         return self._guard
 
     def __enter__(self) -> "HangWatch":
@@ -50,19 +51,27 @@ class HangWatch:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._ending.set()
 
     def _watch(self) -> None:
-        guard, since_ns, say_at = self._guard, 0, SAID
+        guard = self._guard
+        since_ns = 0
+        say_at = SAID
         while not self._ending.wait(LOOK):
             if guard.since_ns != since_ns:
-                since_ns, say_at = guard.since_ns, SAID
+                since_ns = guard.since_ns
+                say_at = SAID
             if (seconds := guard.seconds()) >= say_at:
                 say_at = 2.0 * seconds
                 text = "%s has computed for %.0f s, in %s; it is given up after %g s"
-                log.warning(text, guard.actor, seconds, standing(self._thread), guard.limit)
+                log.warning(
+                    text, guard.actor, seconds, standing(self._thread), guard.limit
+                )
             guard.interrupt(self._thread)
 
 
@@ -80,9 +89,16 @@ class Guarded(Generic[T]):
     """
 
     def __init__(
-        self, inner: Coroutine[Any, Any, T], guards: Guards, actor: str, patient: Callable[[], bool]
+        self,
+        inner: Coroutine[Any, Any, T],
+        guards: Guards,
+        actor: str,
+        patient: Callable[[], bool],
     ) -> None:
-        self.inner, self.guards, self.actor, self.patient = inner, guards, actor, patient
+        self.inner = inner
+        self.guards = guards
+        self.actor = actor
+        self.patient = patient
 
     def __await__(self) -> Generator[Any, Any, T]:
         turn = partial(self.inner.send, None)

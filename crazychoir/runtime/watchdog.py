@@ -65,9 +65,14 @@ class Watchdog:
     """
 
     def __init__(
-        self, clock: Clock, on_stall: Callable[[Stall], None] = lambda stall: None, soon: bool = False
+        self,
+        clock: Clock,
+        on_stall: Callable[[Stall], None] = lambda stall: None,
+        soon: bool = False,
     ) -> None:
-        self.clock, self.on_stall, self.soon = clock, on_stall, soon
+        self.clock = clock
+        self.on_stall = on_stall
+        self.soon = soon
         self.stalls = 0
         self.worst = 0.0
         self._loop = asyncio.get_running_loop()
@@ -76,9 +81,16 @@ class Watchdog:
         self._guard = Guard(clock)
         self._ending = threading.Event()
         self._report_at = LATE
-        self._said: dict[str, tuple[int, int]] = {}  # by actor: when, and how many short ones were not said since
-        self._entered: tuple[int, float] = 0, 0.0  # when guarded code began, and s of processor time by then
-        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._said: dict[
+            str, tuple[int, int]
+        ] = {}  # by actor: when, and how many short ones were not said since
+        self._entered: tuple[int, float] = (
+            0,
+            0.0,
+        )  # when guarded code began, and s of processor time by then
+        self._thread = threading.Thread(
+            target=self._watch, name="watchdog", daemon=True
+        )
 
     def start(self) -> None:
         """Begin to watch."""
@@ -97,7 +109,8 @@ class Watchdog:
         It may not await and not nest. Code that swallows Hung gets it again a second later.
         actor: who is named in a report;  patient: only after PATIENT s.
         """
-        self._guard.actor, self._guard.limit = actor, PATIENT if patient else INTERRUPT
+        self._guard.actor = actor
+        self._guard.limit = PATIENT if patient else INTERRUPT
         return self._guard
 
     def _beat(self) -> None:
@@ -107,7 +120,9 @@ class Watchdog:
             self.clock.call_at(self._beat_ns + round(BEAT * SECOND), self._beat)
 
     def _watch(self) -> None:
-        looked_ns, frozen, armed_ns = self.clock.now_ns(), 0.0, 0
+        looked_ns = self.clock.now_ns()
+        frozen = 0.0
+        armed_ns = 0
         while not self._ending.wait(BEAT):
             now_ns = self.clock.now_ns()
             if now_ns - armed_ns > SECOND:
@@ -126,7 +141,11 @@ class Watchdog:
                 self._report(late)
             if late - frozen >= INTERRUPT:
                 self._guard.interrupt(self._loop_thread)
-            elif self.soon and late >= HAND_OVER and self._computed() >= HAND_OVER - 2.0 * BEAT:
+            elif (
+                self.soon
+                and late >= HAND_OVER
+                and self._computed() >= HAND_OVER - 2.0 * BEAT
+            ):
                 self._guard.interrupt(self._loop_thread, HAND_OVER)
             if late - frozen >= GIVE_UP:
                 self._give_up(late)
@@ -134,14 +153,18 @@ class Watchdog:
 
     def _computed(self) -> float:
         """s of processor time that the guarded code has used since the watchdog saw it first: not those it waited."""
-        since_ns, used = self._guard.since_ns, thread_seconds(self._loop_thread)
+        since_ns = self._guard.since_ns
+        used = thread_seconds(self._loop_thread)
         if since_ns != self._entered[0]:
             self._entered = since_ns, used
         return used - self._entered[1] if since_ns else 0.0
 
     def _give_up(self, late: float) -> None:
         """Nothing of ours can free a loop that hangs in foreign code."""
-        log.critical("the event loop hangs for %.0f s: this process ends itself. Where its threads are:", late)
+        log.critical(
+            "the event loop hangs for %.0f s: this process ends itself. Where its threads are:",
+            late,
+        )
         faulthandler.dump_traceback(all_threads=True)
         logging.shutdown()
         os._exit(EXIT_CODE)
@@ -149,12 +172,24 @@ class Watchdog:
     def _report(self, late: float) -> None:
         begins = self._report_at == LATE
         self.stalls += begins
-        self._report_at = next((limit for limit in (HAND_OVER, INTERRUPT) if limit > late), 2.0 * late)
+        self._report_at = next(
+            (limit for limit in (HAND_OVER, INTERRUPT) if limit > late), 2.0 * late
+        )
         task = asyncio.current_task(self._loop)
-        actor = self._guard.actor if self._guard.since_ns else task.get_name() if task else ""
+        actor = (
+            self._guard.actor
+            if self._guard.since_ns
+            else task.get_name()
+            if task
+            else ""
+        )
         now_ns = self.clock.now_ns()
         said_ns, more = self._said.get(actor, (None, 0))
-        if late < HAND_OVER and said_ns is not None and now_ns - said_ns < QUIET * SECOND:
+        if (
+            late < HAND_OVER
+            and said_ns is not None
+            and now_ns - said_ns < QUIET * SECOND
+        ):
             self._said[actor] = said_ns, more + 1
             return
         self._said[actor] = now_ns, 0
@@ -208,4 +243,6 @@ class Guard:
             now_ns = self.clock.now_ns()
             if self.since_ns and now_ns - self.since_ns >= limit * SECOND:
                 self.since_ns = now_ns
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(Hung))
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                    ctypes.c_ulong(thread), ctypes.py_object(Hung)
+                )

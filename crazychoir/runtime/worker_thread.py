@@ -26,7 +26,9 @@ def is_inside_loop() -> bool:
     return asyncio._get_running_loop() is not None
 
 
-def add_signal_handler(number: signal.Signals, handler: Callable[..., object], *args: Any) -> None:
+def add_signal_handler(
+    number: signal.Signals, handler: Callable[..., object], *args: Any
+) -> None:
     """Call `handler(*args)` in the running loop when this process receives a signal.
 
     Python lets the main thread alone handle signals. In another thread nothing is done: the thread that waits for the
@@ -46,7 +48,9 @@ class Worker(Generic[C, T]):
     when the worker has ended.
     """
 
-    def __init__(self, run: Callable[[Callable[[C], Coroutine[Any, Any, T]]], T]) -> None:
+    def __init__(
+        self, run: Callable[[Callable[[C], Coroutine[Any, Any, T]]], T]
+    ) -> None:
         self._run = run
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[T] | None = None
@@ -59,11 +63,15 @@ class Worker(Generic[C, T]):
     def result(self, main: Callable[[C], Coroutine[Any, Any, T]]) -> T:
         """Run `main` to its end; return its result, or raise its error."""
         context = contextvars.copy_context()
-        thread = threading.Thread(target=context.run, args=(self._work, main), name="event loop", daemon=True)
+        thread = threading.Thread(
+            target=context.run, args=(self._work, main), name="event loop", daemon=True
+        )
         try:
             thread.start()
             self._wait()
-        except BaseException:  # a KeyboardInterrupt too: the worker ends before its caller goes on
+        except (
+            BaseException
+        ):  # a KeyboardInterrupt too: the worker ends before its caller goes on
             self._stop(thread)
             raise
         if self._error is not None:
@@ -106,7 +114,10 @@ class Worker(Generic[C, T]):
         self._cancel()
         while thread.is_alive():
             try:
-                if not self._has_ended.wait(GRACE_TIME) and not self._is_cancelled.is_set():
+                if (
+                    not self._has_ended.wait(GRACE_TIME)
+                    and not self._is_cancelled.is_set()
+                ):
                     self._throw(thread)
                 thread.join(LOOK_INTERVAL)
             except KeyboardInterrupt:
@@ -115,7 +126,9 @@ class Worker(Generic[C, T]):
     def _cancel(self) -> None:
         loop = self._loop
         task = self._task
-        if loop is None or task is None:  # it is about to begin, and looks at `_is_stopped` first
+        if (
+            loop is None or task is None
+        ):  # it is about to begin, and looks at `_is_stopped` first
             return
 
         def cancel_task() -> None:

@@ -7,7 +7,17 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from crazychoir.config.checks import DOUBLE, LIGHTWEIGHT, MOTORS, MUJOCO, REPLAY, SINGLE, UNICYCLE, WORLD_STEP, WORLDS
+from crazychoir.config.checks import (
+    DOUBLE,
+    LIGHTWEIGHT,
+    MOTORS,
+    MUJOCO,
+    REPLAY,
+    SINGLE,
+    UNICYCLE,
+    WORLD_STEP,
+    WORLDS,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Drone, Table
 from crazychoir.errors import ConfigError, CrazyChoirError
@@ -19,22 +29,36 @@ from crazychoir.simulation.lightweight.integrator import CFIntegrator
 Engine = Callable[[WorldSetup], World]
 
 OURS = {
-    LIGHTWEIGHT: EntryPoint(LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS),
+    LIGHTWEIGHT: EntryPoint(
+        LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS
+    ),
     MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
     MUJOCO: EntryPoint(MUJOCO, "crazychoir.simulation.mujoco.world:engine", WORLDS),
     REPLAY: EntryPoint(REPLAY, "crazychoir.recording.replay:engine", WORLDS),
-    SINGLE: EntryPoint(SINGLE, "crazychoir.simulation.lightweight.points:single_integrators", WORLDS),
-    DOUBLE: EntryPoint(DOUBLE, "crazychoir.simulation.lightweight.points:double_integrators", WORLDS),
-    UNICYCLE: EntryPoint(UNICYCLE, "crazychoir.simulation.lightweight.points:unicycles", WORLDS),
+    SINGLE: EntryPoint(
+        SINGLE, "crazychoir.simulation.lightweight.points:single_integrators", WORLDS
+    ),
+    DOUBLE: EntryPoint(
+        DOUBLE, "crazychoir.simulation.lightweight.points:double_integrators", WORLDS
+    ),
+    UNICYCLE: EntryPoint(
+        UNICYCLE, "crazychoir.simulation.lightweight.points:unicycles", WORLDS
+    ),
 }
 
 
 def lightweight(setup: WorldSetup) -> World:
     """The paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
-    bodies = [scaled(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
-    options = {name: setup.options[name] for name in ("inputs", "rate_lag", "command_delay")}
-    return CFIntegrator(setup.ids, homes, np.array(setup.yaws), bodies, setup.dt, **options)
+    bodies = [
+        scaled(row, setup.mass_error, setup.thrust_error) for row in setup.platforms
+    ]
+    options = {
+        name: setup.options[name] for name in ("inputs", "rate_lag", "command_delay")
+    }
+    return CFIntegrator(
+        setup.ids, homes, np.array(setup.yaws), bodies, setup.dt, **options
+    )
 
 
 def motors(setup: WorldSetup) -> World:
@@ -56,18 +80,27 @@ def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
 
 def delay_steps(config: SwarmConfig, world: World) -> int:
     """Steps by which commands of a world are late on their way; the lightweight one has that delay in its model."""
-    return 0 if isinstance(world, CFIntegrator) else round(config.plant.command_delay / world.dt)
+    return (
+        0
+        if isinstance(world, CFIntegrator)
+        else round(config.plant.command_delay / world.dt)
+    )
 
 
 def _entry_point(uri: str) -> EntryPoint:
     """Of the engine of a uri that the swarm file may have."""
     uri = REPLAY if uri.startswith(REPLAY) else uri
-    return OURS[uri] if uri in OURS else entry_points(group=WORLDS)[uri.partition("://")[0]]
+    return (
+        OURS[uri]
+        if uri in OURS
+        else entry_points(group=WORLDS)[uri.partition("://")[0]]
+    )
 
 
 def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
     """One world of these drones, checked."""
-    uri, ids = drones[0].uri, tuple(drone.id for drone in drones)
+    uri = drones[0].uri
+    ids = tuple(drone.id for drone in drones)
     entry = _entry_point(uri)
     setup = WorldSetup(
         ids=ids,
@@ -88,8 +121,12 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
         raise
     except Exception as error:
         found = f"{type(error).__name__}: {error}"
-        allowed = f"an engine that makes a world: {entry.value} is a function of a WorldSetup"
-        raise ConfigError(f"uri {uri}", found, allowed, "Mend or update the package that it is from.") from error
+        allowed = (
+            f"an engine that makes a world: {entry.value} is a function of a WorldSetup"
+        )
+        raise ConfigError(
+            f"uri {uri}", found, allowed, "Mend or update the package that it is from."
+        ) from error
     if (tuple(world.ids), world.dt) != (ids, setup.dt):
         found = f"a world of drones {list(world.ids)}, steps of {world.dt:g} s"
         asked = f"what it was asked for: {list(ids)}, {setup.dt:g} s"
@@ -99,8 +136,18 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
 
 def _options(config: SwarmConfig, uri: str) -> dict[str, Any]:
     """The tables of the swarm file that are for this engine."""
-    plant, motors, shapes = config.plant, config.motors, config.mujoco
-    ours: dict[str, tuple[Table, ...]] = {LIGHTWEIGHT: (plant,), MOTORS: (motors,), MUJOCO: (motors, shapes)}
+    plant = config.plant
+    motors = config.motors
+    shapes = config.mujoco
+    ours: dict[str, tuple[Table, ...]] = {
+        LIGHTWEIGHT: (plant,),
+        MOTORS: (motors,),
+        MUJOCO: (motors, shapes),
+    }
     if uri not in ours:
         return config.world.options
-    return {name: value for table in ours[uri] for name, value in msgspec.to_builtins(table).items()}
+    return {
+        name: value
+        for table in ours[uri]
+        for name, value in msgspec.to_builtins(table).items()
+    }

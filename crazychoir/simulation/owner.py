@@ -41,10 +41,19 @@ class WorldOwner(Actor):
     name = "world"
 
     def __init__(
-        self, bus: Bus, world: World, cameras: Cameras, rate: float, trace: Digest | None = None, base: int = 0,
+        self,
+        bus: Bus,
+        world: World,
+        cameras: Cameras,
+        rate: float,
+        trace: Digest | None = None,
+        base: int = 0,
         delay: int = 0,
-    ) -> None:  # fmt: skip
-        self.bus, self.world, self.cameras, self.trace = bus, world, cameras, trace
+    ) -> None:
+        self.bus = bus
+        self.world = world
+        self.cameras = cameras
+        self.trace = trace
         self.ticks = bus.clock.ticks(1.0 / world.dt, WORLD)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
         self.telemetry = Telemetry(world, self._ports)
@@ -69,10 +78,12 @@ class WorldOwner(Actor):
 
     async def run(self) -> None:
         """One step a tick; late ticks of real time are made up for, up to a limit, before anybody looks."""
-        ticks, missed = self.ticks, 0
+        ticks = self.ticks
+        missed = 0
         async for _ in ticks:
             ticks.skip()
-            late, missed = ticks.missed - missed, ticks.missed
+            late = ticks.missed - missed
+            missed = ticks.missed
             for _ in range(min(late, MOST_CATCH_UP)):
                 self._advance()
             self.step((self.bus.clock.now_ns() - ticks.due_ns) / SECOND)
@@ -99,7 +110,9 @@ class WorldOwner(Actor):
             self.telemetry.step(self._tick, late)
         if self._tick % self._body_every == 0:
             for i, port in self._ports.items():
-                port.publish(BODY, Body(world.harm(i), self.flying(i), self.cut(i)), late)
+                port.publish(
+                    BODY, Body(world.harm(i), self.flying(i), self.cut(i)), late
+                )
 
     def _advance(self) -> None:
         for link in self._delayed.values():

@@ -20,10 +20,29 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.simulation.common.world import KINDS, Link
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Command, Drive, FullState, State, Vel
+from crazychoir.types import (
+    FPQR,
+    FRPY,
+    XYZ,
+    Acc,
+    Body,
+    Command,
+    Drive,
+    FullState,
+    State,
+    Vel,
+)
 
 log = logging.getLogger(__name__)
-SIZES: dict[type[Any], int] = {FPQR: 4, FRPY: 4, Vel: 4, XYZ: 5, FullState: 14, Acc: 3, Drive: 2}
+SIZES: dict[type[Any], int] = {
+    FPQR: 4,
+    FRPY: 4,
+    Vel: 4,
+    XYZ: 5,
+    FullState: 14,
+    Acc: 3,
+    Drive: 2,
+}
 """Numbers in a command of each kind."""
 THRUST = ("fpqr", "frpy")
 """Kinds of commands that carry a drone."""
@@ -57,8 +76,16 @@ class RemoteLink:
     gone: s of silence after which the owner does not come back.
     """
 
-    def __init__(self, port: Port, owner: str = "its world's owner (crazychoir-world)", gone: float = GONE) -> None:
-        self.port, self.owner, self.gone, self._body = port, owner, gone, BODIES + port.address
+    def __init__(
+        self,
+        port: Port,
+        owner: str = "its world's owner (crazychoir-world)",
+        gone: float = GONE,
+    ) -> None:
+        self.port = port
+        self.owner = owner
+        self.gone = gone
+        self._body = BODIES + port.address
         self._cut = self._heard = False
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
@@ -66,9 +93,13 @@ class RemoteLink:
         it, or its firmware is landing it."""
         self.found_cut: Callable[[str], None] = lambda why: None
         """Called, with the words, if its motors are found to be off for good, as an agent before us has cut them."""
-        self._condition: Latest[Body] = Latest(port.bus.clock, f"drone {port.address} body", BODY.max_age)
+        self._condition: Latest[Body] = Latest(
+            port.bus.clock, f"drone {port.address} body", BODY.max_age
+        )
         port.bus.subscribe(BODY, self._body, port.address, self._condition)
-        port.bus.subscribe(BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body"))
+        port.bus.subscribe(
+            BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body")
+        )
 
     def _begin(self, body: Body, age: float) -> None:
         """Somebody says how it is: from now on commands leave."""
@@ -104,9 +135,16 @@ class RemoteLink:
 
     async def _ask(self, names: tuple[str, ...], period: float) -> None:
         try:
-            answer = await self._commander.request(self._body, "log", ASKS, names=list(names), period=period)
+            answer = await self._commander.request(
+                self._body, "log", ASKS, names=list(names), period=period
+            )
         except TimeoutError:
-            log.error("drone %d: log: no answer of %s within %g s", self.port.address, self.owner, ASKS)
+            log.error(
+                "drone %d: log: no answer of %s within %g s",
+                self.port.address,
+                self.owner,
+                ASKS,
+            )
             return
         if answer.kind != DONE:
             log.error("%s", answer.detail)
@@ -116,7 +154,10 @@ class RemoteLink:
         try:
             answer = await self._commander.request(self._body, "arm", ARMS)
         except TimeoutError:
-            raise Refused(f"drone {self.port.address}", f"no answer of {self.owner} within {ARMS:g} s") from None
+            raise Refused(
+                f"drone {self.port.address}",
+                f"no answer of {self.owner} within {ARMS:g} s",
+            ) from None
         if answer.kind != DONE:
             raise Refused(f"drone {self.port.address}", str(answer.detail))
         return str(answer.detail)
@@ -154,14 +195,20 @@ class OwnerWatch(Actor):
 
     name = "owner watch"
 
-    def __init__(self, clock: Clock, links: Mapping[int, RemoteLink], gone: Callable[[int], None]) -> None:
-        self.clock, self.links, self.gone = clock, dict(links), gone
+    def __init__(
+        self, clock: Clock, links: Mapping[int, RemoteLink], gone: Callable[[int], None]
+    ) -> None:
+        self.clock = clock
+        self.links = dict(links)
+        self.gone = gone
 
     async def run(self) -> None:
         """As often as a body says how it is; who stood still himself, as while he was stopped, hears first."""
-        patient_until, before = self.clock.now() + PATIENT, self.clock.now()
+        patient_until = self.clock.now() + PATIENT
+        before = self.clock.now()
         async for _ in self.clock.ticks(BODY.rate):
-            stood_still, before = self.clock.now() - before > STOOD_STILL, self.clock.now()
+            stood_still = self.clock.now() - before > STOOD_STILL
+            before = self.clock.now()
             if stood_still:
                 continue
             waiting = [i for i, link in self.links.items() if link.silence == math.inf]
@@ -169,7 +216,11 @@ class OwnerWatch(Actor):
                 patient_until = math.inf
                 for i in waiting:
                     log.warning("drone %d: waiting for %s", i, self.links[i].owner)
-            for i in [i for i, link in self.links.items() if link.gone < link.silence < math.inf]:
+            for i in [
+                i
+                for i, link in self.links.items()
+                if link.gone < link.silence < math.inf
+            ]:
                 del self.links[i]
                 self.gone(i)
 
@@ -200,12 +251,23 @@ class RemoteBody:
     """
 
     def __init__(
-        self, port: Port, world: Place, link: Link, kind: str, obeyed: Callable[[], None] = lambda: None,
-        flight: Flight | None = None, ask: Callable[[list[str], float], None] | None = None,
+        self,
+        port: Port,
+        world: Place,
+        link: Link,
+        kind: str,
+        obeyed: Callable[[], None] = lambda: None,
+        flight: Flight | None = None,
+        ask: Callable[[list[str], float], None] | None = None,
         arm: Callable[[], Awaitable[str]] | None = None,
-    ) -> None:  # fmt: skip
-        self.port, self.world, self.link, self.kind, self.obeyed = port, world, link, kind, obeyed
-        self._ask, self._arm = ask, arm
+    ) -> None:
+        self.port = port
+        self.world = world
+        self.link = link
+        self.kind = kind
+        self.obeyed = obeyed
+        self._ask = ask
+        self._arm = arm
         self.flight = Flight() if flight is None else flight
         self.drone = port.address - BODIES
         self.refused = 0
@@ -221,12 +283,20 @@ class RemoteBody:
     @property
     def silence(self) -> float:
         """s since the last command; infinite before the first."""
-        return math.inf if self._commanded_ns is None else (self._clock.now_ns() - self._commanded_ns) / SECOND
+        return (
+            math.inf
+            if self._commanded_ns is None
+            else (self._clock.now_ns() - self._commanded_ns) / SECOND
+        )
 
     @property
     def flying(self) -> bool:
         """Whether commands have brought it into the air."""
-        return self._commanded_ns is not None and not self.was_cut and not self.world.resting(self.drone)
+        return (
+            self._commanded_ns is not None
+            and not self.was_cut
+            and not self.world.resting(self.drone)
+        )
 
     def look(self) -> None:
         """Nobody flies it any more, as its agent is gone or hangs: its planner on board lands it, if it has one.
@@ -234,15 +304,33 @@ class RemoteBody:
         One that has none gets no thrust, as soon as its world says so; without that it is left to its engine.
         """
         on_board = "xyz" in self.world.flies
-        limit = self.world.command_timeout if not on_board else LANDS if self.kind == "xyz" else HANDS_OVER
+        limit = (
+            self.world.command_timeout
+            if not on_board
+            else LANDS
+            if self.kind == "xyz"
+            else HANDS_OVER
+        )
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
         self._idle, rests = True, self.world.resting(self.drone)
         if not self.was_cut:
             self.link.send(self._down(rests) if on_board else self._nothing())
         if not rests:
-            does = "landing" if on_board else "no thrust" if self.kind in THRUST else "stands still"
-            log.warning("drone %d: no command for %.2f s, limit %.2f s: %s", self.drone, self.silence, limit, does)
+            does = (
+                "landing"
+                if on_board
+                else "no thrust"
+                if self.kind in THRUST
+                else "stands still"
+            )
+            log.warning(
+                "drone %d: no command for %.2f s, limit %.2f s: %s",
+                self.drone,
+                self.silence,
+                limit,
+                does,
+            )
 
     def abandon(self) -> None:
         """It flies, and nobody has commanded it since its owner was started: it is landed."""
@@ -258,16 +346,34 @@ class RemoteBody:
     def _nothing(self) -> Command:
         """Neither thrust nor speed."""
         kinds = KINDS[self.kind]
-        stop: Command = XYZ("stop", np.zeros(5)) if XYZ in kinds else kinds[0](np.zeros(SIZES[kinds[0]]))
+        stop: Command = (
+            XYZ("stop", np.zeros(5))
+            if XYZ in kinds
+            else kinds[0](np.zeros(SIZES[kinds[0]]))
+        )
         return stop
 
     def _down(self, rests: bool) -> XYZ:
         """To the ground by the planner on board, whose heading stays; one that rests stops its motors."""
-        state, flight = self.world.state(self.drone), self.flight
-        seconds = max(1.0, PEAK_SPEED * (float(state.p[2]) - flight.ground) / flight.landing_speed)
-        return XYZ("stop" if rests else "land", np.array([0.0, 0.0, flight.ground, yaw_of(state.q), seconds]))
+        state = self.world.state(self.drone)
+        flight = self.flight
+        seconds = max(
+            1.0, PEAK_SPEED * (float(state.p[2]) - flight.ground) / flight.landing_speed
+        )
+        return XYZ(
+            "stop" if rests else "land",
+            np.array([0.0, 0.0, flight.ground, yaw_of(state.q), seconds]),
+        )
 
-    def _commanded(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _commanded(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         try:
             command = self.port.bus.open(COMMAND.number, payload)
         except CodecError:
@@ -275,19 +381,28 @@ class RemoteBody:
             return
         if source != self.drone or not _whole(command):
             self.port.counters.malformed += 1
-        elif not isinstance(command, KINDS[self.kind]) and not self._lands_by_itself(command):
+        elif not isinstance(command, KINDS[self.kind]) and not self._lands_by_itself(
+            command
+        ):
             sent = type(command).__name__
-            self._refuse(f"drone {self.drone}: its agent sends {sent}, the swarm file says {self.kind}")
+            self._refuse(
+                f"drone {self.drone}: its agent sends {sent}, the swarm file says {self.kind}"
+            )
         elif self.was_cut:
             self._refuse(f"drone {self.drone}: {OFF}")
         else:
-            self._commanded_ns, self._idle = self._clock.now_ns(), False
+            self._commanded_ns = self._clock.now_ns()
+            self._idle = False
             self.link.send(command)
             self.obeyed()
 
     def _lands_by_itself(self, command: Any) -> bool:
         """Whatever it is sent, its firmware can land it."""
-        return isinstance(command, XYZ) and command.verb == "land" and "xyz" in self.world.flies
+        return (
+            isinstance(command, XYZ)
+            and command.verb == "land"
+            and "xyz" in self.world.flies
+        )
 
     def _refuse(self, reason: str) -> None:
         """Say so, once."""
@@ -295,7 +410,15 @@ class RemoteBody:
         if self.refused == 1:
             log.error("%s", reason)
 
-    def _cut(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _cut(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         if source == self.drone:
             self._commanded_ns = self._clock.now_ns()
             self._stop(True)
@@ -313,7 +436,10 @@ class RemoteBody:
             if self.was_cut:
                 raise Refused(f"body of drone {self.drone}", "its motors were cut")
             return await self._arm()
-        raise Refused(f"body of drone {self.drone}", f"{verb!r} is its agent's; only an emergency stop counts here")
+        raise Refused(
+            f"body of drone {self.drone}",
+            f"{verb!r} is its agent's; only an emergency stop counts here",
+        )
 
 
 def _whole(command: Any) -> bool:

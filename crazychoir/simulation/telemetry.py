@@ -17,7 +17,9 @@ TICK, LONGEST = 0.01, 2.55
 def names_of(uri: str) -> Iterable[str] | None:
     """The variables of drones with this uri; None: only their world knows."""
     if uri == MOTORS:
-        from crazychoir.simulation.onboard.logs import TABLE  # kernels that a lightweight world does not need
+        from crazychoir.simulation.onboard.logs import (
+            TABLE,
+        )  # kernels that a lightweight world does not need
 
         return TABLE
     return LIGHT if uri == LIGHTWEIGHT else None
@@ -28,10 +30,24 @@ def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
     there = tuple(known)
     for name in names:
         if name not in there:
-            near = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or sorted(there)[:3]
-            allowed = f"the {len(there)} variables that it has, such as {', '.join(near)}"
-            do = f'With uri = "{MOTORS}" it has those of the firmware.' if there == tuple(LIGHT) else ""
-            raise ConfigError(where, name, allowed if there else "none: its world says no log variables", do)
+            near = (
+                difflib.get_close_matches(name, there, n=3, cutoff=0.4)
+                or sorted(there)[:3]
+            )
+            allowed = (
+                f"the {len(there)} variables that it has, such as {', '.join(near)}"
+            )
+            do = (
+                f'With uri = "{MOTORS}" it has those of the firmware.'
+                if there == tuple(LIGHT)
+                else ""
+            )
+            raise ConfigError(
+                where,
+                name,
+                allowed if there else "none: its world says no log variables",
+                do,
+            )
 
 
 def check_period(period: float, where: str) -> None:
@@ -49,17 +65,20 @@ class Telemetry:
     """
 
     def __init__(self, world: World, ports: Mapping[int, Port]) -> None:
-        self.world, self.ports = world, ports
+        self.world = world
+        self.ports = ports
         self.every: dict[int, dict[str, int]] = {}
         """By drone and name: how many steps of the world from one value to the next."""
         self._found: dict[int, dict[str, tuple[float, int]]] = {}
 
     def ask(self, i: int, names: Iterable[str], period: float) -> None:
         """From now on values of drone i every `period` s; the shortest that is asked counts. Raises ConfigError."""
-        where, wanted = f"drone {i}: log", tuple(names)
+        where = f"drone {i}: log"
+        wanted = tuple(names)
         check(wanted, names_of_world(self.world), where)
         check_period(period, where)
-        steps, every = max(1, round(period / self.world.dt)), self.every.setdefault(i, {})
+        steps = max(1, round(period / self.world.dt))
+        every = self.every.setdefault(i, {})
         for name in wanted:
             every[name] = min(steps, every.get(name, steps))
 
@@ -72,7 +91,11 @@ class Telemetry:
             found = self._found.setdefault(i, {})
             found.update({name: (self.world.log(i, name), tick) for name in due})  # type: ignore[attr-defined]
             dt = self.world.dt
-            self.ports[i].publish(TELEMETRY, {n: [x, (tick - at) * dt] for n, (x, at) in found.items()}, late)
+            self.ports[i].publish(
+                TELEMETRY,
+                {n: [x, (tick - at) * dt] for n, (x, at) in found.items()},
+                late,
+            )
 
 
 def names_of_world(world: World) -> Iterable[str]:

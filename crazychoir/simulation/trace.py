@@ -15,7 +15,15 @@ class Trace:
         self._hash = hashlib.blake2b(digest_size=16)
         self._parts: list[bytes] = []
 
-    def message(self, destination: int, topic: int, source: int, number: int, payload: bytes, *_: object) -> None:
+    def message(
+        self,
+        destination: int,
+        topic: int,
+        source: int,
+        number: int,
+        payload: bytes,
+        *_: object,
+    ) -> None:
         """One message as it arrives; observers are no part of the run."""
         if destination < OBSERVER:
             self._parts += (_HEAD.pack(destination, topic, source, number), payload)

@@ -19,7 +19,10 @@ class Ended(TimeoutError):
 
     def __init__(self, number: int, last_words: str) -> None:
         self.number = number
-        super().__init__("a process has ended before its answer" + (f": {last_words}" if last_words else ""))
+        super().__init__(
+            "a process has ended before its answer"
+            + (f": {last_words}" if last_words else "")
+        )
 
 
 class Group:
@@ -39,11 +42,19 @@ class Group:
         pipe = subprocess.PIPE
         for number, command in enumerate(self._commands):
             process = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=subprocess.STDOUT, encoding="utf-8", errors="replace",
-                env=child_environment(), start_new_session=True,
+                command,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=subprocess.STDOUT,
+                encoding="utf-8",
+                errors="replace",
+                env=child_environment(),
+                start_new_session=True,
             )
             self._processes.append(process)
-            threading.Thread(target=self._read, args=(number, process), daemon=True).start()
+            threading.Thread(
+                target=self._read, args=(number, process), daemon=True
+            ).start()
         return self
 
     def _read(self, number: int, process: "subprocess.Popen[str]") -> None:
@@ -63,7 +74,9 @@ class Group:
                     process.stdin.write(word + "\n")
                     process.stdin.flush()
 
-    def answers(self, count: int, patience: float, complaint: str) -> Iterator[tuple[int, dict[str, Any]]]:
+    def answers(
+        self, count: int, patience: float, complaint: str
+    ) -> Iterator[tuple[int, dict[str, Any]]]:
         """The next `count` answers, each with its program's number.
 
         Raises TimeoutError after `patience` s, and Ended if a program ends instead.
@@ -71,9 +84,13 @@ class Group:
         ends = time.perf_counter() + patience
         for done in range(count):
             try:
-                number, line = self._lines.get(timeout=max(0.0, ends - time.perf_counter()))
+                number, line = self._lines.get(
+                    timeout=max(0.0, ends - time.perf_counter())
+                )
             except queue.Empty:
-                raise TimeoutError(f"{count - done} of {count} processes {complaint} in {patience:g} s") from None
+                raise TimeoutError(
+                    f"{count - done} of {count} processes {complaint} in {patience:g} s"
+                ) from None
             if not line:
                 raise Ended(number, self._last_words[number])
             yield number, json.loads(line)

@@ -67,7 +67,10 @@ def simulate(
     began = time.perf_counter()
     require_team(agents, graph)
     names = recorded(agents, record)
-    followed = {i: _Followed(i, agents[i], names, rounds, lambda: watch(agents)) for i in graph.ids}
+    followed = {
+        i: _Followed(i, agents[i], names, rounds, lambda: watch(agents))
+        for i in graph.ids
+    }
     rule = Rule({"delay": DELAY, "loss": loss, **(network or {})})
     pace = Pace(sleep, compute, seed)
     errors: dict[int, CrazyChoirError] = {}
@@ -84,7 +87,8 @@ def simulate(
             errors[communicator.id] = error
 
     async def main(clock: Clock) -> float:
-        bus, start = Bus(clock, Impairment(seed, [rule])), clock.now()
+        bus = Bus(clock, Impairment(seed, [rule]))
+        start = clock.now()
         for agent in followed.values():
             agent.begin(clock)
         buses.append(bus)
@@ -100,7 +104,8 @@ def simulate(
     except KeyboardInterrupt:
         if not buses:
             raise
-        interrupted, simulated_s = True, max(agent.whole() for agent in followed.values())
+        interrupted = True
+        simulated_s = max(agent.whole() for agent in followed.values())
     if errors:
         raise _origin(errors)
     counters = [port.counters for port in buses[0].ports.values()]
@@ -115,15 +120,25 @@ def simulate(
         simulated_s=simulated_s,
         wall_s=time.perf_counter() - began,
         common=all(getattr(agent, "common", True) for agent in agents.values()),
-        results={i: end for i in graph.ids if not callable(end := getattr(agents[i], "result", len))},
-        violations={i: v for i in graph.ids if (v := _largest(getattr(agents[i], "violation", None))) is not None},
+        results={
+            i: end
+            for i in graph.ids
+            if not callable(end := getattr(agents[i], "result", len))
+        },
+        violations={
+            i: v
+            for i in graph.ids
+            if (v := _largest(getattr(agents[i], "violation", None))) is not None
+        },
     )
     if interrupted:
         raise Interrupted(history)
     return history
 
 
-def recorded(agents: Mapping[int, Any], record: Sequence[str] | None = None) -> tuple[str, ...]:
+def recorded(
+    agents: Mapping[int, Any], record: Sequence[str] | None = None
+) -> tuple[str, ...]:
     """What is kept of each agent: what is asked for, else x, if all have one."""
     if record is not None:
         return tuple(record)
@@ -134,9 +149,16 @@ class _Followed:
     """An agent that is followed: what it is after each step, when that was, and how long the step took."""
 
     def __init__(
-        self, i: int, agent: Any, record: Sequence[str], rounds: int | None, watch: Callable[[], None]
+        self,
+        i: int,
+        agent: Any,
+        record: Sequence[str],
+        rounds: int | None,
+        watch: Callable[[], None],
     ) -> None:
-        self.i, self.agent, self.watch = i, agent, watch
+        self.i = i
+        self.agent = agent
+        self.watch = watch
         self.most = MOST_ROUNDS if rounds is None else rounds
         self.asynchronous = bool(getattr(agent, "asynchronous", False))
         self.heavy = bool(getattr(agent, "heavy", False))
@@ -159,7 +181,9 @@ class _Followed:
         return message
 
     def step(self, heard: dict[int, Any]) -> None:
-        now = time.thread_time if self.heavy else time.perf_counter  # which asks no kernel, but counts its pauses
+        now = (
+            time.thread_time if self.heavy else time.perf_counter
+        )  # which asks no kernel, but counts its pauses
         began = now()
         self.agent.step(heard)
         self.cpu.append(now() - began)
@@ -170,7 +194,11 @@ class _Followed:
 
     def whole(self) -> float:
         """Forget the part of a step in which Ctrl-C came; returns when the last whole one was."""
-        steps = min(len(self.cpu), len(self.times) - 1, *(len(series) - 1 for series in self.kept.values()))
+        steps = min(
+            len(self.cpu),
+            len(self.times) - 1,
+            *(len(series) - 1 for series in self.kept.values()),
+        )
         del self.cpu[steps:], self.times[steps + 1 :]
         for series in self.kept.values():
             del series[steps + 1 :]
@@ -190,28 +218,44 @@ class _Followed:
                 series.append(np.array(getattr(self.agent, name)))
             except AttributeError:
                 allowed = f"attributes of agent {self.i}, a {kind}, as {', '.join(_numbers(self.agent)) or 'x'}"
-                do = "A `result` is kept without it, at the end." if name == "result" else ""
+                do = (
+                    "A `result` is kept without it, at the end."
+                    if name == "result"
+                    else ""
+                )
                 raise ConfigError("record", name, allowed, do) from None
             except ValueError as error:
-                allowed = f"numbers, or arrays of one shape, of agent {self.i}, a {kind}"
+                allowed = (
+                    f"numbers, or arrays of one shape, of agent {self.i}, a {kind}"
+                )
                 raise ConfigError("record", name, allowed, "", str(error)) from None
 
     def values(self) -> dict[str, Any]:
         """Arrays where the shapes allow."""
         return {
-            name: np.stack(series) if len({x.shape for x in series}) == 1 else [x.tolist() for x in series]
+            name: np.stack(series)
+            if len({x.shape for x in series}) == 1
+            else [x.tolist() for x in series]
             for name, series in self.kept.items()
         }
 
 
 def _numbers(agent: Any) -> list[str]:
     """The attributes that are numbers, or arrays of them."""
-    names = {*dir(agent), *dir(getattr(agent, "algorithm", None))}  # of one that rides on another, also that one's
+    names = {
+        *dir(agent),
+        *dir(getattr(agent, "algorithm", None)),
+    }  # of one that rides on another, also that one's
     found = []
     for name in sorted(name for name in names if not name.startswith("_")):
-        with contextlib.suppress(Exception):  # a property of something that is not there yet
+        with contextlib.suppress(
+            Exception
+        ):  # a property of something that is not there yet
             value = getattr(agent, name)
-            if isinstance(value, float | int | np.ndarray | np.generic) and np.asarray(value).dtype.kind in "fiu":
+            if (
+                isinstance(value, float | int | np.ndarray | np.generic)
+                and np.asarray(value).dtype.kind in "fiu"
+            ):
                 found.append(name)
     return found
 

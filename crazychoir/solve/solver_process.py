@@ -74,14 +74,20 @@ class Robot:
 
     def report(self) -> dict[str, Any]:
         """What there is to say of it when all is over."""
-        return {"robot": self.communicator.id, "rounds": len(self.cpu), "cpu_s": sum(self.cpu), **self.counters}
+        return {
+            "robot": self.communicator.id,
+            "rounds": len(self.cpu),
+            "cpu_s": sum(self.cpu),
+            **self.counters,
+        }
 
 
 class Replay:
     """The messages of a robot once more, as a Round that computes nothing."""
 
     def __init__(self, payloads: list[Packed]) -> None:
-        self._payloads, self._k = payloads, 0
+        self._payloads = payloads
+        self._k = 0
 
     @property
     def done(self) -> bool:
@@ -120,19 +126,38 @@ class Process:
         threading.Thread(target=self._obey, args=(loop,), daemon=True).start()
         spec = self.spec
         instance = Instance.load(spec["instance"])
-        links = Graph.from_neighbors({int(i): tuple(js) for i, js in spec["neighbors"].items()})
-        bus = Bus(clock, Impairment(spec["seed"], [Rule(spec["effects"])]), spec["process"], "solve")
+        links = Graph.from_neighbors(
+            {int(i): tuple(js) for i, js in spec["neighbors"].items()}
+        )
+        bus = Bus(
+            clock,
+            Impairment(spec["seed"], [Rule(spec["effects"])]),
+            spec["process"],
+            "solve",
+        )
         await clock.compute(warm, instance.local(0), spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
-            agent = member(instance, neighbors, i, links.diameter(), spec["method"], Settings(**spec["settings"]))
+            agent = member(
+                instance,
+                neighbors,
+                i,
+                links.diameter(),
+                spec["method"],
+                Settings(**spec["settings"]),
+            )
             communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
             self.robots[i] = Robot(communicator, agent, self._look)
         async with asyncio.TaskGroup() as group:
             serving = None
             if spec["connect"] or spec["listen"]:
                 link = ZenohLink(
-                    bus, spec["swarm"], listen=spec["listen"], connect=spec["connect"], incarnation=1, version="solve"
+                    bus,
+                    spec["swarm"],
+                    listen=spec["listen"],
+                    connect=spec["connect"],
+                    incarnation=1,
+                    version="solve",
                 )
                 link.open()
                 serving = group.create_task(link.run())
@@ -156,7 +181,10 @@ class Process:
 
     async def _all(self, work: Any) -> list[int]:
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(work(robot), name=f"robot {i}") for i, robot in self.robots.items()]
+            tasks = [
+                group.create_task(work(robot), name=f"robot {i}")
+                for i, robot in self.robots.items()
+            ]
         return [task.result() for task in tasks]
 
     async def _solve(self, robot: Robot) -> int:
@@ -167,7 +195,10 @@ class Process:
             raise late.simulated() from None
         ended = self._clock.now_ns()
         counters = robot.communicator.port.counters
-        robot.counters = {"messages": counters.sent, **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")}}
+        robot.counters = {
+            "messages": counters.sent,
+            **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")},
+        }
         await robot.communicator.close(SOLVE)
         return ended
 
@@ -181,7 +212,9 @@ class Process:
     def _look(self, agent: PickupDelivery) -> None:
         """In the thread of a step: note a better plan; show how far all are, now and then."""
         with self._lock:
-            self._note(agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND)
+            self._note(
+                agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND
+            )
 
     def _note(self, cost: float | None, now: float) -> None:
         if cost is not None and (not self.curve or cost < self.curve[-1][1]):
@@ -189,14 +222,23 @@ class Process:
         if self.spec["watched"] and now >= self._shown:
             self._shown = now + 1.0 / SHOWN
             progress = {i: robot.agent.progress for i, robot in self.robots.items()}
-            say({"progress": {i: [p.phase, p.round, p.cost] for i, p in progress.items()}})
+            say(
+                {
+                    "progress": {
+                        i: [p.phase, p.round, p.cost] for i, p in progress.items()
+                    }
+                }
+            )
 
     def _report(self, cpu: float, ended: list[int]) -> dict[str, Any]:
         robots = self.robots.values()
         return {
             "wall_s": (max(ended) - self._go_ns) / SECOND,
             "cpu_s": cpu,
-            "steps": [max(times) for times in zip(*(robot.cpu for robot in robots), strict=True)],
+            "steps": [
+                max(times)
+                for times in zip(*(robot.cpu for robot in robots), strict=True)
+            ],
             "robots": [robot.report() for robot in robots],
             "solutions": [robot.agent.solution.to_json() for robot in robots],
             "curve": self.curve,
@@ -236,7 +278,9 @@ def say(answer: dict[str, Any]) -> None:
 def main() -> None:
     """The argument is the specification; what is wrong is said as an answer, and ends the process."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    cache.say = lambda text: say({"compiles": True} if text == cache.COMPILES else {"warning": text})
+    cache.say = lambda text: say(
+        {"compiles": True} if text == cache.COMPILES else {"warning": text}
+    )
     process = Process(json.loads(sys.argv[1]))
     try:
         run_wall(process.run)

@@ -36,13 +36,24 @@ def solve_here(
     began = time.perf_counter()
     links = named(graph, instance.robots, seed)
     warm(instance.local(0), method)
-    agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings)
+    agents = team(
+        instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings
+    )
     started = time.perf_counter() - began
     history = simulate(
-        agents, links, loss=loss, network={"delay": 0.0}, seed=seed, record=(), watch=watch, run=run,
+        agents,
+        links,
+        loss=loss,
+        network={"delay": 0.0},
+        seed=seed,
+        record=(),
+        watch=watch,
+        run=run,
         channel="pickup_delivery",
-    )  # fmt: skip
+    )
     solution = joined(instance, [agent.solution for agent in agents.values()])
     figures = ("messages", "lost", "resent", "bytes", "wall_s", "critical_path_s")
-    measured = {name: getattr(history, name) for name in figures} | {"startup_s": started}
+    measured = {name: getattr(history, name) for name in figures} | {
+        "startup_s": started
+    }
     return solution.to_json() | outcome(instance, solution.routes) | measured

@@ -63,18 +63,33 @@ def solve_in_processes(
     began = time.perf_counter()
     links = named(graph, instance.robots, seed)
     if not 1 <= processes <= instance.robots:
-        raise ConfigError("processes", processes, f"1 to {instance.robots}, the robots of {instance.name}")
+        raise ConfigError(
+            "processes",
+            processes,
+            f"1 to {instance.robots}, the robots of {instance.name}",
+        )
     if method not in METHODS:
         raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
     losses = changes({"loss": loss, "burst": burst})
     rule = Rule({name: value for name, value in losses.items() if value is not None})
-    parts = [part.tolist() for part in np.array_split(np.arange(instance.robots), processes)]
+    parts = [
+        part.tolist() for part in np.array_split(np.arange(instance.robots), processes)
+    ]
     with scratch_folder("crazychoir-solve-") as folder:
         file = folder / "instance.json"
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
-        common = {"instance": str(file), "method": method, "seed": seed, "deadline": deadline, "effects": rule.effects,
-                  "settings": asdict(settings or Settings())}  # fmt: skip
-        common |= {"neighbors": {i: links.neighbors(i) for i in links.ids}, "watched": watch is not None}
+        common = {
+            "instance": str(file),
+            "method": method,
+            "seed": seed,
+            "deadline": deadline,
+            "effects": rule.effects,
+            "settings": asdict(settings or Settings()),
+        }
+        common |= {
+            "neighbors": {i: links.neighbors(i) for i in links.ids},
+            "watched": watch is not None,
+        }
         with (
             held_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
             shared_by_children(folder),
@@ -86,16 +101,25 @@ def solve_in_processes(
             group.tell("go")
             solved = run.wait("solved", deadline + 10.0, "have no plan")
             group.tell("replay")
-            replayed = run.wait("replayed_s", deadline + 10.0, "do not repeat the rounds")
+            replayed = run.wait(
+                "replayed_s", deadline + 10.0, "do not repeat the rounds"
+            )
             group.tell("end")
-    return _result(instance, links, solved, replayed) | {"startup_s": started, "processes": processes}
+    return _result(instance, links, solved, replayed) | {
+        "startup_s": started,
+        "processes": processes,
+    }
 
 
 class _Run:
     """The answers of the processes, in order; raises what goes wrong as ProcessFailed."""
 
-    def __init__(self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]) -> None:
-        self._group, self._parts, self._watch = group, parts, watch
+    def __init__(
+        self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]
+    ) -> None:
+        self._group = group
+        self._parts = parts
+        self._watch = watch
         self._progress: Progress = {}
 
     def wait(self, key: str, patience: float, complaint: str) -> list[Any]:
@@ -112,9 +136,14 @@ class _Run:
         ends = time.perf_counter() + patience
         while True:
             try:
-                yield from map(self._look, self._group.answers(1, ends - time.perf_counter(), complaint))
+                yield from map(
+                    self._look,
+                    self._group.answers(1, ends - time.perf_counter(), complaint),
+                )
             except Ended as error:
-                raise ProcessFailed(f"robots {span(self._parts[error.number])}", str(error)) from None
+                raise ProcessFailed(
+                    f"robots {span(self._parts[error.number])}", str(error)
+                ) from None
             except TimeoutError as error:
                 raise ProcessFailed("the team's processes", str(error)) from None
 
@@ -125,9 +154,14 @@ class _Run:
         if "warning" in answer:
             tell(answer["warning"])
         if "error" in answer:
-            raise ProcessFailed(f"robots {span(self._parts[number])}", f"{answer['kind']}: {answer['error']}")
+            raise ProcessFailed(
+                f"robots {span(self._parts[number])}",
+                f"{answer['kind']}: {answer['error']}",
+            )
         if "progress" in answer:
-            self._progress |= {int(i): tuple(values) for i, values in answer["progress"].items()}
+            self._progress |= {
+                int(i): tuple(values) for i, values in answer["progress"].items()
+            }
             self._watch(dict(sorted(self._progress.items())))
         return heard
 
@@ -135,33 +169,65 @@ class _Run:
 def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
     """One command a process; each listens on a port of its own and connects to those before it."""
     swarm = f"solve-{secrets.token_hex(4)}"
-    endpoints = [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))] if len(parts) > 1 else [""]
+    endpoints = (
+        [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))]
+        if len(parts) > 1
+        else [""]
+    )
     commands = []
     for p, mine in enumerate(parts):
-        own = {"mine": mine, "swarm": swarm, "process": f"{p}-{swarm}", "connect": endpoints[:p]}
+        own = {
+            "mine": mine,
+            "swarm": swarm,
+            "process": f"{p}-{swarm}",
+            "connect": endpoints[:p],
+        }
         own["listen"] = endpoints[p : p + 1] if len(parts) > 1 else []
-        commands.append([sys.executable, "-m", "crazychoir.solve.solver_process", json.dumps(common | own)])
+        commands.append(
+            [
+                sys.executable,
+                "-m",
+                "crazychoir.solve.solver_process",
+                json.dumps(common | own),
+            ]
+        )
     return commands
 
 
 def _result(
-    instance: Instance, links: Graph, solved: list[dict[str, Any]], replayed: list[float]
+    instance: Instance,
+    links: Graph,
+    solved: list[dict[str, Any]],
+    replayed: list[float],
 ) -> dict[str, Any]:
     """The team's result from those of its processes."""
-    solution = joined(instance, [Solution.from_json(raw) for part in solved for raw in part["solutions"]])
+    solution = joined(
+        instance,
+        [Solution.from_json(raw) for part in solved for raw in part["solutions"]],
+    )
     robots = [robot for part in solved for robot in part["robots"]]
-    steps = [max(times) for times in zip(*(part["steps"] for part in solved), strict=True)]
-    totals = {key: sum(robot[key] for robot in robots) for key in ("messages", "lost", "resent", "bytes")}
-    return solution.to_json() | outcome(instance, solution.routes) | totals | {
-        "wall_s": max(part["wall_s"] for part in solved),
-        "cpu_s": sum(part["cpu_s"] for part in solved),
-        "critical_path_s": critical_path(steps, max(replayed)),
-        "critical_cpu_s": sum(steps),
-        "exchange_s": max(replayed),
-        "diameter": links.diameter(),
-        "robots": robots,
-        "curve": best_so_far([point for part in solved for point in part["curve"]]),
-    }  # fmt: skip
+    steps = [
+        max(times) for times in zip(*(part["steps"] for part in solved), strict=True)
+    ]
+    totals = {
+        key: sum(robot[key] for robot in robots)
+        for key in ("messages", "lost", "resent", "bytes")
+    }
+    return (
+        solution.to_json()
+        | outcome(instance, solution.routes)
+        | totals
+        | {
+            "wall_s": max(part["wall_s"] for part in solved),
+            "cpu_s": sum(part["cpu_s"] for part in solved),
+            "critical_path_s": critical_path(steps, max(replayed)),
+            "critical_cpu_s": sum(steps),
+            "exchange_s": max(replayed),
+            "diameter": links.diameter(),
+            "robots": robots,
+            "curve": best_so_far([point for part in solved for point in part["curve"]]),
+        }
+    )
 
 
 def critical_path(steps: list[float], exchange: float) -> float:

@@ -41,7 +41,11 @@ class Pace:
     def __post_init__(self) -> None:
         for name, interval in (("sleep", self.sleep), ("compute", self.compute)):
             if not 0.0 <= interval[0] <= interval[1] < float("inf"):
-                raise ConfigError(f"pace: {name}", interval, "(shortest, longest) s, 0 or more, increasing")
+                raise ConfigError(
+                    f"pace: {name}",
+                    interval,
+                    "(shortest, longest) s, 0 or more, increasing",
+                )
         if self.sleep[1] == 0.0:
             raise ConfigError("pace: sleep", self.sleep, "a longest sleep above 0 s")
 
@@ -68,12 +72,22 @@ async def run_algorithm(
         if asynchronous:
             await _wake_and_sleep(communicator, algorithm, channel, pace or Pace())
         else:
-            await _in_rounds(communicator, algorithm, channel=channel, deadline=deadline, policy=policy)
+            await _in_rounds(
+                communicator,
+                algorithm,
+                channel=channel,
+                deadline=deadline,
+                policy=policy,
+            )
     except _Ended as ended:
         failed = ended.failed
-        with contextlib.suppress(CrazyChoirError):  # why it cannot be told is not what went wrong
+        with contextlib.suppress(
+            CrazyChoirError
+        ):  # why it cannot be told is not what went wrong
             if asynchronous:
-                async for _ in _repeat(communicator, _word(failed), channel, pace or Pace()):
+                async for _ in _repeat(
+                    communicator, _word(failed), channel, pace or Pace()
+                ):
                     pass
             else:
                 await _tell(communicator, _word(failed), channel)
@@ -81,10 +95,16 @@ async def run_algorithm(
 
 
 async def _in_rounds(
-    communicator: Communicator, algorithm: Round, *, channel: str, deadline: float | None, policy: Policy
+    communicator: Communicator,
+    algorithm: Round,
+    *,
+    channel: str,
+    deadline: float | None,
+    policy: Policy,
 ) -> None:
     """The rounds; their number must be the same at all agents. `joinable = True` goes on across epochs."""
-    i, heavy = communicator.id, getattr(algorithm, "heavy", False)
+    i = communicator.id
+    heavy = getattr(algorithm, "heavy", False)
     communicator.open(channel, getattr(algorithm, "joinable", False))
     compute = communicator.port.bus.clock.compute
     while not algorithm.done:
@@ -94,7 +114,9 @@ async def _in_rounds(
         except Exception as error:
             raise _Ended.at(i, error) from error
         try:
-            heard = await communicator.neighbors_exchange(message, channel=channel, deadline=deadline, policy=policy)
+            heard = await communicator.neighbors_exchange(
+                message, channel=channel, deadline=deadline, policy=policy
+            )
         except CodecError as error:
             raise _Ended.at(i, _unsent(communicator, channel, error)) from error
         except (PeerLost, ChannelEnded) as error:
@@ -112,14 +134,18 @@ async def _in_rounds(
             raise _Ended.at(i, error, heard) from error
 
 
-async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel: str, pace: Pace) -> None:
+async def _wake_and_sleep(
+    communicator: Communicator, algorithm: Round, channel: str, pace: Pace
+) -> None:
     """Sleep, take the latest of each neighbour, compute, step, send; nothing is resent, nobody waited for.
 
     An algorithm that itself `waits` for all its neighbours ends with PeerLost where one is lost.
     """
-    i, clock = communicator.id, communicator.port.bus.clock
+    i = communicator.id
+    clock = communicator.port.bus.clock
     chance = random.Random(f"{pace.seed} {i}")  # noqa: S311 - when to wake, not secrets
-    heavy, message = getattr(algorithm, "heavy", False), None
+    heavy = getattr(algorithm, "heavy", False)
+    message = None
     while not algorithm.done:
         await clock.sleep(chance.uniform(*pace.sleep), drone=i)
         heard = await communicator.asynchronous_receive(channel=channel)
@@ -149,7 +175,9 @@ async def _wake_and_sleep(communicator: Communicator, algorithm: Round, channel:
         _require_alive(await communicator.asynchronous_receive(channel=channel))
 
 
-async def _repeat(communicator: Communicator, message: Any, channel: str, pace: Pace) -> AsyncIterator[None]:
+async def _repeat(
+    communicator: Communicator, message: Any, channel: str, pace: Pace
+) -> AsyncIterator[None]:
     """The last message, until all have it who are not cut off."""
     pause = max(sum(pace.sleep) / 2, 1e-3)
     for _ in range(LAST_WORDS):
@@ -176,12 +204,18 @@ def _require_alive(heard: Mapping[int, Any]) -> None:
 
 def _unsent(communicator: Communicator, channel: str, error: CodecError) -> CodecError:
     """What cannot be sent, with whose it is and in which round."""
-    return CodecError(f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}")
+    return CodecError(
+        f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}"
+    )
 
 
 def _require_all(communicator: Communicator) -> None:
     """Raise PeerLost, for all, if a neighbour is gone for good."""
-    lost = [j for j in communicator.graph.at(0).in_neighbors(communicator.id) if communicator.membership.lost(j)]
+    lost = [
+        j
+        for j in communicator.graph.at(0).in_neighbors(communicator.id)
+        if communicator.membership.lost(j)
+    ]
     if lost:
         error = PeerLost(communicator.id, lost, communicator.silence(lost))
         raise _Ended.by(error) from error
@@ -198,12 +232,18 @@ def _heard(heard: Mapping[int, Any] | None) -> str:
     senders: dict[str, list[int]] = {}
     for j, message in heard.items():
         senders.setdefault(_kind(message), []).append(j)
-    rarest = sorted(senders.items(), key=lambda kind: (len(kind[1]), kind[0] != "None"))[:KINDS]
-    return "; it had heard " + ", ".join(f"{kind} from {_some(ids)}" for kind, ids in rarest)
+    rarest = sorted(
+        senders.items(), key=lambda kind: (len(kind[1]), kind[0] != "None")
+    )[:KINDS]
+    return "; it had heard " + ", ".join(
+        f"{kind} from {_some(ids)}" for kind, ids in rarest
+    )
 
 
 def _some(ids: list[int]) -> str:
-    return ", ".join(map(str, ids[:SENDERS])) + (f" and {len(ids) - SENDERS} more" if len(ids) > SENDERS else "")
+    return ", ".join(map(str, ids[:SENDERS])) + (
+        f" and {len(ids) - SENDERS} more" if len(ids) > SENDERS else ""
+    )
 
 
 def _kind(message: Any) -> str:
@@ -213,17 +253,24 @@ def _kind(message: Any) -> str:
     if hasattr(message, "dtype"):
         return f"{message.dtype} {message.shape}"
     name = type(message).__name__
-    return f"{name} of {len(message)}" if isinstance(message, list | tuple | dict) else name
+    return (
+        f"{name} of {len(message)}"
+        if isinstance(message, list | tuple | dict)
+        else name
+    )
 
 
 class _Ended(Exception):
     """An algorithm has ended here by a failure, which the neighbours are to hear of: what they get, what we raise."""
 
     def __init__(self, failed: AgentFailed, error: Exception) -> None:
-        self.failed, self.error = failed, error
+        self.failed = failed
+        self.error = error
 
     @classmethod
-    def at(cls, i: int, error: Exception, heard: Mapping[int, Any] | None = None) -> "_Ended":
+    def at(
+        cls, i: int, error: Exception, heard: Mapping[int, Any] | None = None
+    ) -> "_Ended":
         """Our own algorithm has raised this, or is told by this that it has failed, in a step that had heard this."""
         if isinstance(error, AgentFailed):
             return cls(error, error)
@@ -231,7 +278,9 @@ class _Ended(Exception):
         if isinstance(error, CrazyChoirError):
             return cls(AgentFailed(i, reason), error)
         place = raised_at(error)
-        failed = AgentFailed(i, f"{reason} ({Path(place.filename).name}:{place.lineno}){_heard(heard)}")
+        failed = AgentFailed(
+            i, f"{reason} ({Path(place.filename).name}:{place.lineno}){_heard(heard)}"
+        )
         failed.__cause__ = error
         return cls(failed, failed)
 

@@ -60,9 +60,13 @@ class Barrier:
         start_deadline: float = 30.0,
         lost_after: float = 5.0,
     ) -> None:
-        self.port, self.graph = port, graph
-        self.mission_hash, self.version, self.seed = mission_hash, version, seed
-        self.start, self.start_deadline = start, start_deadline
+        self.port = port
+        self.graph = graph
+        self.mission_hash = mission_hash
+        self.version = version
+        self.seed = seed
+        self.start = start
+        self.start_deadline = start_deadline
         self.id = port.address
         self.roster: Roster | None = None
         self.beats: dict[int, Beat] = {}
@@ -76,7 +80,9 @@ class Barrier:
         self._known = frozenset(self._others)
         self._came: dict[int, float] = {}
         self._lost: dict[int, None] = {}
-        self._strangers = Strangers(port.bus.clock, self.id, len(graph.ids), mission_hash, agreed_keys)
+        self._strangers = Strangers(
+            port.bus.clock, self.id, len(graph.ids), mission_hash, agreed_keys
+        )
         self._checksum = 0
         self._calm: dict[int, bytes] = {}
         self._settled_ns = 0
@@ -100,7 +106,9 @@ class Barrier:
 
     def lost(self, j: int) -> bool:
         """Whether j is LOST, or has left."""
-        return j in self._lost or (self.roster is not None and j not in self.roster.members)
+        return j in self._lost or (
+            self.roster is not None and j not in self.roster.members
+        )
 
     def coordinator(self) -> int:
         """The lowest live id of those who are in an epoch; before the first, of all."""
@@ -108,9 +116,18 @@ class Barrier:
             live = [j for j in self._others if self._present(j)]
             return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
         settling = self.port.bus.clock.now_ns() < self._settled_ns
-        known = self.roster.members if settling else {}  # who has not adopted it by then never will
+        known = (
+            self.roster.members if settling else {}
+        )  # who has not adopted it by then never will
         lower = (j for j in self._others if j < self.id and self._present(j))
-        return next((j for j in lower if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)), self.id)
+        return next(
+            (
+                j
+                for j in lower
+                if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)
+            ),
+            self.id,
+        )
 
     async def go(self) -> Roster:
         """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one; and at
@@ -124,7 +141,10 @@ class Barrier:
             if self._strangers.are_more(self.beats):
                 raise Refused(f"drone {self.id}", self._strangers.text())
             if len(self.graph.ids) - len(self._refusals) < self._fewest:
-                raise Refused(f"drone {self.id}", f"{self._refusals_text()} Mend that, or {self._fewer_text()}.")
+                raise Refused(
+                    f"drone {self.id}",
+                    f"{self._refusals_text()} Mend that, or {self._fewer_text()}.",
+                )
             first = self.coordinator()
             if first == self.id:
                 self._coordinate(clock.now() >= ends)
@@ -138,30 +158,55 @@ class Barrier:
 
     def _coordinate(self, late: bool) -> None:
         members = [j for j in self.graph.ids if j == self.id or self._present(j)]
-        enough = len(members) == len(self.graph.ids) or (late and self.start != "all" and len(members) >= self.start)
+        enough = len(members) == len(self.graph.ids) or (
+            late and self.start != "all" and len(members) >= self.start
+        )
         if enough and not self._deaf(members):
             self._issue(self._incarnations(members), 1, 0)
 
     def _deaf(self, members: list[int]) -> list[tuple[int, int]]:
         """Pairs (i, j): i should hear j, along an edge or to or from the coordinator, and does not."""
-        hears = {j: self.beats[j].hears for j in members if j != self.id} | {self.id: tuple(self.beats)}
+        hears = {j: self.beats[j].hears for j in members if j != self.id} | {
+            self.id: tuple(self.beats)
+        }
         first = self.coordinator()
         inside = self._restricted(members)
-        needed = {i: dict.fromkeys((*inside.in_neighbors(i), *((first,) if i != first else members))) for i in members}
-        return [(i, j) for i in members for j in needed[i] if j != i and j not in hears[i]]
+        needed = {
+            i: dict.fromkeys(
+                (*inside.in_neighbors(i), *((first,) if i != first else members))
+            )
+            for i in members
+        }
+        return [
+            (i, j) for i in members for j in needed[i] if j != i and j not in hears[i]
+        ]
 
     def _incarnations(self, members: list[int]) -> dict[int, int]:
-        return {j: self.port.incarnation if j == self.id else self.beats[j].incarnation for j in members}
+        return {
+            j: self.port.incarnation if j == self.id else self.beats[j].incarnation
+            for j in members
+        }
 
     def _restricted(self, members: list[int]) -> Graph:
-        arcs = [arc for arc in self.graph.arcs if arc[0] in members and arc[1] in members]
+        arcs = [
+            arc for arc in self.graph.arcs if arc[0] in members and arc[1] in members
+        ]
         return Graph.from_edges(tuple(members), arcs, directed=True)
 
     def _issue(self, members: dict[int, int], epoch: int, first_round: int) -> None:
         graph = self._restricted(sorted(members))
         directed = not graph.is_undirected
         edges = [list(arc) for arc in (graph.arcs if directed else graph.edges())]
-        roster = Roster(epoch, members, edges, directed, self.seed, first_round, self.mission_hash, self.version)
+        roster = Roster(
+            epoch,
+            members,
+            edges,
+            directed,
+            self.seed,
+            first_round,
+            self.mission_hash,
+            self.version,
+        )
         for j in members:
             if j != self.id:
                 self._tell(j, roster)
@@ -169,7 +214,9 @@ class Barrier:
 
     def _tell(self, j: int, roster: Roster) -> None:
         bus = self.port.bus
-        self.reliable.send(ROSTER, j, Go(roster, bus.impairment.age(bus.clock.now())).wire())
+        self.reliable.send(
+            ROSTER, j, Go(roster, bus.impairment.age(bus.clock.now())).wire()
+        )
 
     def _told(self, source: int, payload: bytes) -> None:
         """A roster, [epoch] to hold for, or [epoch, first round that is held, members of the sender's roster...]."""
@@ -181,13 +228,18 @@ class Barrier:
         epoch = self.roster.epoch if self.roster is not None else 0
         if isinstance(told, Go):
             roster = told.roster
-            ours = roster.mission_hash == self.mission_hash and roster.members.get(self.id) == self.port.incarnation
+            ours = (
+                roster.mission_hash == self.mission_hash
+                and roster.members.get(self.id) == self.port.incarnation
+            )
             if ours and roster.epoch > epoch:
                 self._adopt(roster, told.age)
         elif len(told) == 1 and told[0] > epoch:
             self._asked(source, told[0])
         elif len(told) >= 2 and told[0] == self._target and self._next:
-            self._holds(source, told[1], dict(zip(told[2::2], told[3::2], strict=False)))
+            self._holds(
+                source, told[1], dict(zip(told[2::2], told[3::2], strict=False))
+            )
 
     def _asked(self, source: int, target: int) -> None:
         """Somebody asks to hold: who has a lower id than we coordinates, who has a higher one will hear of us."""
@@ -197,7 +249,11 @@ class Barrier:
             return
         members = self.roster.members if self.roster is not None else {}
         self.reliable.send(
-            ROSTER, source, encode([target, self.hold(), *(n for pair in members.items() for n in pair)])
+            ROSTER,
+            source,
+            encode(
+                [target, self.hold(), *(n for pair in members.items() for n in pair)]
+            ),
         )
 
     def _adopt(self, roster: Roster, age: float = 0.0) -> None:
@@ -206,14 +262,26 @@ class Barrier:
         for j in self._others:
             if j not in roster.members:
                 self.beats.pop(j, None)
-            elif roster.members[j] != before.get(j) or j not in self.graph.neighbors(self.id):
+            elif roster.members[j] != before.get(j) or j not in self.graph.neighbors(
+                self.id
+            ):
                 self._lost.pop(j, None)  # the coordinator knows better
-        self.roster, self._checksum = roster, roster.checksum
+        self.roster = roster
+        self._checksum = roster.checksum
         parts = roster.graph.parts()
         said = " | ".join(" ".join(map(str, part)) for part in parts)
-        self.apart = f"graph in {len(parts)} parts: {said}" if len(parts) > len(self.graph.parts()) else ""
-        self._next, self._held, self._halves, self._target = {}, {}, {}, 0
-        self._settled_ns = self.port.bus.clock.now_ns() + int(SILENCE * SECOND)  # others adopt it, and watch fewer
+        self.apart = (
+            f"graph in {len(parts)} parts: {said}"
+            if len(parts) > len(self.graph.parts())
+            else ""
+        )
+        self._next = {}
+        self._held = {}
+        self._halves = {}
+        self._target = 0
+        self._settled_ns = self.port.bus.clock.now_ns() + int(
+            SILENCE * SECOND
+        )  # others adopt it, and watch fewer
         for listener in self.listeners:
             listener(roster)
         self._watch()
@@ -225,7 +293,9 @@ class Barrier:
             return
         first = self.roster.ids[0]
         alive = self.monitor.state(first) is Presence.ALIVE
-        calm = first != self.id and alive and self.coordinator() == first  # it may have come back without a team
+        calm = (
+            first != self.id and alive and self.coordinator() == first
+        )  # it may have come back without a team
         near = {*self.graph.neighbors(self.id), first} - {self.id}
         self.monitor.watched = tuple(sorted(near)) if calm else self._others
 
@@ -233,15 +303,30 @@ class Barrier:
 
     def _beat(self) -> bytes:
         epoch = self.roster.epoch if self.roster else 0
-        hears = () if self.roster else tuple(j for j in self.monitor.watched if self._present(j))
-        mission = self.mission_hash.partition(":")[0] if self.roster else self.mission_hash
-        lost, texts = tuple(self._lost), (mission, self.refused)
+        hears = (
+            ()
+            if self.roster
+            else tuple(j for j in self.monitor.watched if self._present(j))
+        )
+        mission = (
+            self.mission_hash.partition(":")[0] if self.roster else self.mission_hash
+        )
+        lost = tuple(self._lost)
+        texts = (mission, self.refused)
         beat = Beat(self.port.incarnation, epoch, self._checksum, hears, lost, *texts)
         if beat != self._beaten[0]:
             self._beaten = beat, encode(beat.wire())
         return self._beaten[1]
 
-    def _heard(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _heard(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         if self._calm.get(source) == payload:
             return  # what it has said before, and all was well
         try:
@@ -249,7 +334,10 @@ class Barrier:
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if not self._strangers.heard(source, beat.mission_hash) and source in self._known:
+        if (
+            not self._strangers.heard(source, beat.mission_hash)
+            and source in self._known
+        ):
             if beat.refused:
                 self._refusals[source] = beat.refused.removeprefix(f"drone {source}: ")
                 if self.roster is None:
@@ -262,12 +350,19 @@ class Barrier:
                 self._came[source] = self.port.bus.clock.now()
                 if self.roster is not None and source == self.roster.ids[0]:
                     self._watch()
-            if source not in self.monitor.watched and self.port.bus.clock.now_ns() > self._settled_ns:
+            if (
+                source not in self.monitor.watched
+                and self.port.bus.clock.now_ns() > self._settled_ns
+            ):
                 self.monitor.watched += (source,)  # who watches us shall hear us
             theirs = bool(beat.epoch) and source < self.id
             if self.roster is not None and not theirs and self.coordinator() == self.id:
                 self._review(source, beat, self.roster)
-            agreed = beat.epoch > 0 and beat.checksum == self._checksum and source in self.monitor.watched
+            agreed = (
+                beat.epoch > 0
+                and beat.checksum == self._checksum
+                and source in self.monitor.watched
+            )
             if agreed and not (beat.lost or self._lost or self._next):
                 self._calm[source] = payload
 
@@ -280,7 +375,9 @@ class Barrier:
             self._lost.pop(source, None)
             self._propose({**members, source: beat.incarnation}, roster)
         elif self._next and beat.epoch >= self._target:
-            self._propose(dict(self._next), roster)  # it has gone on with another, while we did not hear it
+            self._propose(
+                dict(self._next), roster
+            )  # it has gone on with another, while we did not hear it
         elif self._next and source not in self._held and beat.epoch:
             self.reliable.send(ROSTER, source, encode([self._target]))
         elif self._next:
@@ -288,7 +385,9 @@ class Barrier:
         elif beat.epoch < roster.epoch:
             self._tell(source, roster)
         elif beat.epoch > roster.epoch or beat.checksum != self._checksum:
-            self._propose(dict(members), roster)  # two coordinators have issued rosters, out of each other's sight
+            self._propose(
+                dict(members), roster
+            )  # two coordinators have issued rosters, out of each other's sight
 
     def _changed(self, j: int, state: Presence) -> None:
         self.history.append((self.port.bus.clock.now(), j, state.value))
@@ -297,7 +396,9 @@ class Barrier:
         if state is Presence.LOST:
             self._lost[j] = None
             if roster is not None and self.coordinator() == self.id:
-                dead = self._dead(self._lost, roster)  # also who was lost while another one coordinated
+                dead = self._dead(
+                    self._lost, roster
+                )  # also who was lost while another one coordinated
                 if dead or j in (self._next or roster.members):
                     self._without([j, *dead], roster)
         elif state is Presence.ALIVE:
@@ -312,14 +413,20 @@ class Barrier:
     def _without(self, gone: list[int], roster: Roster) -> None:
         self._lost.update(dict.fromkeys(gone))
         members = self._next or roster.members
-        self._propose({j: incarnation for j, incarnation in members.items() if j not in gone}, roster)
+        self._propose(
+            {j: incarnation for j, incarnation in members.items() if j not in gone},
+            roster,
+        )
 
     def _propose(self, members: dict[int, int], roster: Roster) -> None:
         """Ask those who run already to hold their rounds."""
         self._calm.clear()
         self._next = dict(sorted(members.items()))
         epochs = [self.beats[j].epoch for j in members if j in self.beats]
-        before, self._target = self._target, max([self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))])
+        before = self._target
+        self._target = max(
+            [self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))]
+        )
         if self._target > before:
             self._held = {}  # who held for a lower one may have gone on since
         self._held[self.id] = self.hold()
@@ -334,7 +441,11 @@ class Barrier:
     def _give_up(self) -> None:
         """Go on without those who have not held for so long, and are not heard; there may be nobody else to hear."""
         roster = self.roster
-        if roster is not None and self._next and self.port.bus.clock.now_ns() >= self._give_up_ns:
+        if (
+            roster is not None
+            and self._next
+            and self.port.bus.clock.now_ns() >= self._give_up_ns
+        ):
             waited = [j for j in self._running(roster) if j not in self._held]
             self._without(self._dead(waited, roster), roster)
 
@@ -342,7 +453,11 @@ class Barrier:
         """Source holds; one from another half of the team brings all of its half along."""
         self._held[source] = first
         if self.roster is not None and source not in self.roster.members:
-            new = {j: theirs[j] for j in theirs if j in self._others and j not in self._next}
+            new = {
+                j: theirs[j]
+                for j in theirs
+                if j in self._others and j not in self._next
+            }
             self._halves.update(new)
             for j in new:
                 self._lost.pop(j, None)  # its half knows better
@@ -353,23 +468,40 @@ class Barrier:
     def _running(self, roster: Roster) -> list[int]:
         """Those of the next roster who are in an epoch now, maybe in another half of the team."""
         known = {**self._halves, **roster.members}
-        here = [j for j, incarnation in self._next.items() if known.get(j) == incarnation]
-        return here + [j for j in self._next if j not in here and j in self.beats and self.beats[j].epoch]
+        here = [
+            j for j, incarnation in self._next.items() if known.get(j) == incarnation
+        ]
+        return here + [
+            j
+            for j in self._next
+            if j not in here and j in self.beats and self.beats[j].epoch
+        ]
 
     def _conclude(self) -> None:
         """Issue the next roster when all who run hold their rounds; it counts from the highest round + 2."""
         roster = self.roster
-        if roster is None or not self._next or any(j not in self._held for j in self._running(roster)):
+        if (
+            roster is None
+            or not self._next
+            or any(j not in self._held for j in self._running(roster))
+        ):
             return
         held = [self._held[j] + 1 for j in self._running(roster)]
         self._issue(self._next, self._target, max([roster.first_round, *held]))
 
     def _alive(self, j: int) -> bool:
         heard_ns = self.port.heard_ns.get(j)
-        return heard_ns is not None and self.port.bus.clock.now_ns() - heard_ns < SILENCE * SECOND
+        return (
+            heard_ns is not None
+            and self.port.bus.clock.now_ns() - heard_ns < SILENCE * SECOND
+        )
 
     def _present(self, j: int) -> bool:
-        return j in self.beats and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT) and j not in self._lost
+        return (
+            j in self.beats
+            and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT)
+            and j not in self._lost
+        )
 
     @property
     def _fewest(self) -> int:
@@ -383,15 +515,29 @@ class Barrier:
 
     def _refusals_text(self) -> str:
         """Who cannot fly, and why."""
-        return " ".join(f"drone {j} cannot fly: {why.rstrip('.')}." for j, why in sorted(self._refusals.items()))
+        return " ".join(
+            f"drone {j} cannot fly: {why.rstrip('.')}."
+            for j, why in sorted(self._refusals.items())
+        )
 
     def _absent_text(self) -> str:
         """Who is absent, who does not hear whom, whose mission is another one; what to do."""
         here = [j for j in self.graph.ids if j == self.id or self._present(j)]
         known = {*here, *self._strangers.missions, *self._refusals}
         absent = [j for j in self._others if j not in known]
-        said = [f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."] if absent else []
+        said = (
+            [
+                f"drone(s) {', '.join(map(str, absent))} absent after {self.start_deadline:g} s."
+            ]
+            if absent
+            else []
+        )
         said += [self._refusals_text()] if self._refusals else []
         said += [f"drone {i} does not hear drone {j}." for i, j in self._deaf(here)]
         said += [self._strangers.text()] if self._strangers.missions else []
-        return " ".join([*said, f"Start their agents, look at the network, or {self._fewer_text()}."])
+        return " ".join(
+            [
+                *said,
+                f"Start their agents, look at the network, or {self._fewer_text()}.",
+            ]
+        )

@@ -68,12 +68,16 @@ class Channel:
     @classmethod
     def beginning(cls, name: str, joinable: bool, first: int) -> "Channel":
         """A channel whose first round is `first`."""
-        return cls(name, joinable, sending=first, receiving=first, oldest=first, limit=first)
+        return cls(
+            name, joinable, sending=first, receiving=first, oldest=first, limit=first
+        )
 
     @property
     def used(self) -> bool:
         """Whether an algorithm is in the middle of it."""
-        return self.closed_at < self.sending and bool(self.sending or self.receiving or self.waiter)
+        return self.closed_at < self.sending and bool(
+            self.sending or self.receiving or self.waiter
+        )
 
     def stored(self, k: int, j: int) -> bytes | None:
         """Our message of round k for j, if j is one of its readers and it is still kept.
@@ -89,7 +93,9 @@ class Channel:
         """Whether j is a reader of our round k."""
         return j in self.sent.get(k, NOT_SENT)[1]
 
-    def behind(self, k: int, gone: dict[int, None], pacing_only: bool = False) -> list[int]:
+    def behind(
+        self, k: int, gone: dict[int, None], pacing_only: bool = False
+    ) -> list[int]:
         """Readers of our round k that may lack it."""
         readers = self.sent.get(k, NOT_SENT)[1]
         late = [j for j in readers if self.progress.get(j, 0) <= k and j not in gone]
@@ -106,7 +112,9 @@ class Channel:
     def trim(self, gone: dict[int, None], pacing_only: bool = False) -> list[int]:
         """Forget the rounds that all readers have; returns who may lack the oldest that is left."""
         late: list[int] = []
-        while self.oldest < self.sending and not (late := self.behind(self.oldest, gone, pacing_only)):
+        while self.oldest < self.sending and not (
+            late := self.behind(self.oldest, gone, pacing_only)
+        ):
             if pacing_only and self.sending - self.oldest < HISTORY:
                 break
             readers = self.sent.pop(self.oldest, NOT_SENT)[1]
@@ -117,7 +125,10 @@ class Channel:
 
     def _trim_on(self, readers: tuple[int, ...], gone: dict[int, None]) -> None:
         """The rounds that follow with the same readers, together."""
-        done = min((self.progress.get(j, 0) for j in readers if j not in gone), default=self.sending)
+        done = min(
+            (self.progress.get(j, 0) for j in readers if j not in gone),
+            default=self.sending,
+        )
         while self.oldest < done and self.sent.get(self.oldest, NOT_SENT)[1] is readers:
             del self.sent[self.oldest]
             self.oldest += 1
@@ -125,9 +136,17 @@ class Channel:
     def forget(self, peers: Iterable[int]) -> None:
         """These are gone, or begin anew."""
         for j in peers:
-            for known in (self.latest, self.progress, self.pacing, self.finished, self.kept):
+            for known in (
+                self.latest,
+                self.progress,
+                self.pacing,
+                self.finished,
+                self.kept,
+            ):
                 known.pop(j, None)
 
     def rto(self, attempt: int) -> float:
         """s until the next resend."""
-        return min(MAX_RTO, max(MIN_RTO, 1.5 * self.round_time) * 2.0 ** min(attempt // 4, 8))
+        return min(
+            MAX_RTO, max(MIN_RTO, 1.5 * self.round_time) * 2.0 ** min(attempt // 4, 8)
+        )

@@ -9,7 +9,18 @@ from crazychoir.bus.topics import ROUND
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
 from crazychoir.runtime.clock import SECOND, wake
 from crazychoir.team.channel import HISTORY, MAX_RTO, MIN_RTO, Channel
-from crazychoir.team.rounds import AHEAD, CREDIT, CREDIT_EVERY, DATA, FAILED, FIN, FIN_TOO, PUSH, REPEAT, Rounds
+from crazychoir.team.rounds import (
+    AHEAD,
+    CREDIT,
+    CREDIT_EVERY,
+    DATA,
+    FAILED,
+    FIN,
+    FIN_TOO,
+    PUSH,
+    REPEAT,
+    Rounds,
+)
 from crazychoir.types import Failure, PerNeighbor
 
 LINGER: Final = 2.0
@@ -52,14 +63,22 @@ class Communicator(Rounds):
         k = ch.sending
         if k == ch.receiving:
             if k >= ch.limit or ch.changed is not None:
-                await self._admit(ch, self.deadline if deadline is None else deadline, policy == "raise")
+                await self._admit(
+                    ch,
+                    self.deadline if deadline is None else deadline,
+                    policy == "raise",
+                )
                 k = ch.sending
             if k >= ch.until:
                 self._look(ch, k)
-            self._send_round(ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA)
+            self._send_round(
+                ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA
+            )
         elif ch.receiving >= ch.until:
             self._look(ch, ch.receiving)
-        return await self._collect(ch, ch.ins if in_neighbors is None else in_neighbors, deadline, policy)
+        return await self._collect(
+            ch, ch.ins if in_neighbors is None else in_neighbors, deadline, policy
+        )
 
     async def send(
         self,
@@ -76,9 +95,15 @@ class Communicator(Rounds):
         """
         ch = self._channels.get(channel) or self.open(channel)
         if ch.sending >= ch.limit or ch.changed is not None:
-            await self._admit(ch, self.deadline if deadline is None else deadline, patient=False)
+            await self._admit(
+                ch, self.deadline if deadline is None else deadline, patient=False
+            )
         k = ch.sending
-        readers = self._epochs.at(ch.joinable, k).out_neighbors(self.id) if neighbors is None else neighbors
+        readers = (
+            self._epochs.at(ch.joinable, k).out_neighbors(self.id)
+            if neighbors is None
+            else neighbors
+        )
         self._send_round(ch, data, readers, DATA if ch.receiving >= k else AHEAD)
 
     async def receive(
@@ -92,19 +117,35 @@ class Communicator(Rounds):
         """Wait for the next message of every neighbour."""
         ch = self._channels.get(channel) or self.open(channel)
         k = ch.receiving
-        wanted = self._epochs.at(ch.joinable, k).in_neighbors(self.id) if neighbors is None else neighbors
+        wanted = (
+            self._epochs.at(ch.joinable, k).in_neighbors(self.id)
+            if neighbors is None
+            else neighbors
+        )
         return await self._collect(ch, wanted, deadline, policy)
 
     async def asynchronous_receive(
-        self, neighbors: tuple[int, ...] | None = None, *, channel: str = "main", max_age: float = inf
+        self,
+        neighbors: tuple[int, ...] | None = None,
+        *,
+        channel: str = "main",
+        max_age: float = inf,
     ) -> dict[int, Any]:
         """The latest message of each neighbour that has one not older than `max_age` s; never waits."""
         ch = self._channels.get(channel) or self.open(channel)
         k = ch.sending
-        wanted = self._epochs.at(ch.joinable, k).in_neighbors(self.id) if neighbors is None else neighbors
+        wanted = (
+            self._epochs.at(ch.joinable, k).in_neighbors(self.id)
+            if neighbors is None
+            else neighbors
+        )
         oldest_ns = self._clock.now_ns() - max_age * SECOND
         found = {j: ch.latest[j] for j in wanted if j in ch.latest}
-        return {j: self._decoded(payload) for j, (_, payload, born_ns) in found.items() if born_ns >= oldest_ns}
+        return {
+            j: self._decoded(payload)
+            for j, (_, payload, born_ns) in found.items()
+            if born_ns >= oldest_ns
+        }
 
     async def close(self, channel: str = "main", linger: float = LINGER) -> None:
         """End a channel: tell the neighbours (FIN) and serve the late ones, until all have finished or say nothing.
@@ -115,16 +156,29 @@ class Communicator(Rounds):
         ch = self.open(channel)
         n = ch.closed_at = max(ch.sending, ch.receiving)
         last = self._epochs.at(ch.joinable, max(n - 1, 0)).neighbors(self.id)
-        neighbors = tuple(dict.fromkeys([*last, *(j for _, readers in ch.sent.values() for j in readers)]))
-        ends, answers, attempt, due_ns = self._clock.now() + linger, ch.answers, 0, self._clock.now_ns()
-        while late := [j for j in neighbors if ch.finished.get(j, -1) < n and not self._absent(j)]:
+        neighbors = tuple(
+            dict.fromkeys(
+                [*last, *(j for _, readers in ch.sent.values() for j in readers)]
+            )
+        )
+        ends = self._clock.now() + linger
+        answers = ch.answers
+        attempt = 0
+        due_ns = self._clock.now_ns()
+        while late := [
+            j for j in neighbors if ch.finished.get(j, -1) < n and not self._absent(j)
+        ]:
             if ch.answers != answers:
-                ends, answers = self._clock.now() + linger, ch.answers
+                ends = self._clock.now() + linger
+                answers = ch.answers
             if self._clock.now() >= ends or ch.changed is not None:
                 return
-            if self._clock.now_ns() >= due_ns:  # not at any news: of n neighbours each would then ask n times
+            if (
+                self._clock.now_ns() >= due_ns
+            ):  # not at any news: of n neighbours each would then ask n times
                 self._control(ch, FIN_TOO, tuple(late), n, attempt)
-                attempt, due_ns = attempt + 1, self._clock.now_ns() + round(2 * MIN_RTO * SECOND)
+                attempt = attempt + 1
+                due_ns = self._clock.now_ns() + round(2 * MIN_RTO * SECOND)
             await self._pause(ch, (due_ns - self._clock.now_ns()) / SECOND)
         for again in range(attempt, attempt + FAREWELLS):
             self._control(ch, FIN, neighbors, n, again)
@@ -136,7 +190,8 @@ class Communicator(Rounds):
 
         They get AgentFailed, of `word`, instead of RoundTimeout at their deadline.
         """
-        payload, flags = encode(word), self._flags | AHEAD
+        payload = encode(word)
+        flags = self._flags | AHEAD
         for k in range(LAST_WORDS):
             readers = self._epochs.at(False, k).out_neighbors(self.id)
             self.port.send(ROUND, readers, payload, k, FAILED, flags)
@@ -144,13 +199,17 @@ class Communicator(Rounds):
 
     # Sending --------------------------------------------------------------------------------------------------
 
-    def _send_round(self, ch: Channel, data: Any, to: tuple[int, ...], kind: int) -> None:
+    def _send_round(
+        self, ch: Channel, data: Any, to: tuple[int, ...], kind: int
+    ) -> None:
         k = ch.sending
         flags = self._flags | kind
         if type(data) is PerNeighbor:
             if lacking := [j for j in to if j not in data]:
                 where = f"drone {self.id}: channel {ch.name!r}"
-                raise CodecError(f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}")
+                raise CodecError(
+                    f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}"
+                )
             payloads = {j: encode(data[j]) for j in to}
             ch.sent[k] = (payloads, to)
             for j, payload in payloads.items():
@@ -167,10 +226,12 @@ class Communicator(Rounds):
 
         Not patient: wait only for those who have asked for rounds.
         """
-        ends, attempt = self._clock.now() + seconds, 0
+        ends = self._clock.now() + seconds
+        attempt = 0
         while True:
             if ch.changed is not None:
-                error, ch.changed = ch.changed, None
+                error = ch.changed
+                ch.changed = None
                 raise error
             late = ch.trim(self._epochs.gone, not patient)
             held = ch.joinable and ch.sending >= self._epochs.held
@@ -185,7 +246,9 @@ class Communicator(Rounds):
             attempt += 1
             for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
                 self._again(ch, ch.oldest, j, 2 * PUSH + attempt, REPEAT)
-        ch.limit = int(min(ch.oldest + HISTORY, self._epochs.held if ch.joinable else inf))
+        ch.limit = int(
+            min(ch.oldest + HISTORY, self._epochs.held if ch.joinable else inf)
+        )
 
     async def _pause(self, ch: Channel, seconds: float) -> None:
         """Wait for news of a channel, at most some seconds."""
@@ -201,7 +264,11 @@ class Communicator(Rounds):
     # Receiving ------------------------------------------------------------------------------------------------
 
     async def _collect(
-        self, ch: Channel, wanted: tuple[int, ...], deadline: float | None, policy: Policy
+        self,
+        ch: Channel,
+        wanted: tuple[int, ...],
+        deadline: float | None,
+        policy: Policy,
     ) -> dict[int, Any]:
         k = ch.receiving
         box = ch.inbox.get(k)
@@ -212,7 +279,9 @@ class Communicator(Rounds):
             missing.pop(j, None)
         if missing:
             ch.strict = policy == "raise"
-            waiter = self._expect(ch, missing, self.deadline if deadline is None else deadline)
+            waiter = self._expect(
+                ch, missing, self.deadline if deadline is None else deadline
+            )
             try:
                 await waiter
             except (RoundTimeout, PeerLost):

@@ -46,13 +46,20 @@ class Epochs:
         """The graph of round k of a channel."""
         if not joinable:
             return self.graph.at(k)
-        return next((graph for first, graph in reversed(self._graphs) if first <= k), self._graphs[0][1]).at(k)
+        return next(
+            (graph for first, graph in reversed(self._graphs) if first <= k),
+            self._graphs[0][1],
+        ).at(k)
 
     def until(self, joinable: bool, k: int) -> float:
         """The first round after k that may have another graph."""
         if any(isinstance(graph, GraphSequence) for _, graph in self._graphs):
             return k + 1
-        return next((first for first, _ in self._graphs if first > k), inf) if joinable else inf
+        return (
+            next((first for first, _ in self._graphs if first > k), inf)
+            if joinable
+            else inf
+        )
 
     def hold(self, rounds: list[int]) -> int:
         """Hold the rounds from the highest of these on; asked again, the answer is the same."""
@@ -74,18 +81,30 @@ class Epochs:
         return j in self.gone or (j in self.born and k < self.born[j][1])
 
     def begin(
-        self, epoch: int, gone: Iterable[int], joined: Iterable[int], graph: Graph | None, first_round: int
+        self,
+        epoch: int,
+        gone: Iterable[int],
+        joined: Iterable[int],
+        graph: Graph | None,
+        first_round: int,
     ) -> None:
         """A new epoch; its graph counts from `first_round` on."""
-        self.epoch, self.held = epoch, inf
+        self.epoch = epoch
+        self.held = inf
         self.gone.update(dict.fromkeys(gone))
         self.gaps = self.gaps or bool(self.gone)
         for j in joined:
             self.gone.pop(j, None)
         if graph is not None:
             self.known.update(dict.fromkeys(graph.ids))
-            self.graph = graph if isinstance(self._whole, Graph) else among(self._whole, graph.ids)
-            earlier = [(first, old) for first, old in self._graphs if first < first_round]
+            self.graph = (
+                graph
+                if isinstance(self._whole, Graph)
+                else among(self._whole, graph.ids)
+            )
+            earlier = [
+                (first, old) for first, old in self._graphs if first < first_round
+            ]
             self._graphs = [*earlier[-KEPT:], (first_round, self.graph)]
 
 
@@ -94,7 +113,11 @@ def among(sequence: GraphSequence, ids: tuple[int, ...]) -> GraphSequence:
     inside = dict.fromkeys(ids)
     return GraphSequence(
         tuple(
-            Graph.from_edges(ids, [arc for arc in graph.arcs if arc[0] in inside and arc[1] in inside], directed=True)
+            Graph.from_edges(
+                ids,
+                [arc for arc in graph.arcs if arc[0] in inside and arc[1] in inside],
+                directed=True,
+            )
             for graph in sequence.graphs
         )
     )

@@ -21,7 +21,10 @@ DIRECTED = "ring, erdos-renyi:P"
 FORMS = {
     "k-regular": ("k-regular:K", "K a whole number of neighbours, as k-regular:4"),
     "erdos-renyi": ("erdos-renyi:P", "P a probability of 0 to 1, as erdos-renyi:0.3"),
-    "geometric": ("geometric:R", "R a radius above 0, at most 2, in sides of the square, as geometric:0.4"),
+    "geometric": (
+        "geometric:R",
+        "R a radius above 0, at most 2, in sides of the square, as geometric:0.4",
+    ),
     "grid": ("grid:ROWSxCOLUMNS", "ROWS and COLUMNS whole numbers, as grid:3x4"),
 }
 """The shapes that take numbers: how they are written, and with which."""
@@ -45,16 +48,29 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
 
     def __post_init__(self) -> None:
         if not self.ids or any(i >= j for i, j in pairwise(self.ids)):
-            raise ConfigError("graph", list(self.ids), "at least one drone id, each once, increasing")
+            raise ConfigError(
+                "graph", list(self.ids), "at least one drone id, each once, increasing"
+            )
         if any(a >= b for a, b in pairwise(self.arcs)):
-            raise ConfigError("graph", "arcs out of order or twice", "each once, increasing", "Use Graph.from_edges.")
+            raise ConfigError(
+                "graph",
+                "arcs out of order or twice",
+                "each once, increasing",
+                "Use Graph.from_edges.",
+            )
         members = frozenset(self.ids)
         for i, j in self.arcs:
             if i == j or i not in members or j not in members:
-                raise ConfigError("graph", f"edge [{i}, {j}]", f"two different drones of {span(self.ids)}")
+                raise ConfigError(
+                    "graph",
+                    f"edge [{i}, {j}]",
+                    f"two different drones of {span(self.ids)}",
+                )
 
     @classmethod
-    def from_edges(cls, ids: Ids, pairs: Iterable[Iterable[int]], directed: bool = False) -> Self:
+    def from_edges(
+        cls, ids: Ids, pairs: Iterable[Iterable[int]], directed: bool = False
+    ) -> Self:
         """The graph with these edges [i, j]: both ways, or, if directed, only from i to j."""
         arcs = [_arc(pair) for pair in pairs]
         both = arcs if directed else arcs + [(j, i) for i, j in arcs]
@@ -63,7 +79,11 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
     @classmethod
     def from_neighbors(cls, neighbors: Mapping[int, Iterable[int]]) -> Self:
         """The graph where drone i hears the drones neighbors[i]; undirected if every pair names each other."""
-        return cls.from_edges(neighbors, ((j, i) for i, heard in neighbors.items() for j in heard), directed=True)
+        return cls.from_edges(
+            neighbors,
+            ((j, i) for i, heard in neighbors.items() for j in heard),
+            directed=True,
+        )
 
     @cached_property
     def _in(self) -> dict[int, tuple[int, ...]]:
@@ -75,7 +95,10 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
 
     @cached_property
     def _both(self) -> dict[int, tuple[int, ...]]:
-        return {i: tuple(sorted(dict.fromkeys(self._in[i] + self._out[i]))) for i in self.ids}
+        return {
+            i: tuple(sorted(dict.fromkeys(self._in[i] + self._out[i])))
+            for i in self.ids
+        }
 
     def in_neighbors(self, i: int) -> tuple[int, ...]:
         """Whom drone i hears."""
@@ -107,7 +130,10 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
     def is_connected(self) -> bool:
         """Whether a message of each drone reaches every other drone (strongly connected)."""
         first = self.ids[0]
-        return all(len(_distances(first, step)) == len(self.ids) for step in (self._in, self._out))
+        return all(
+            len(_distances(first, step)) == len(self.ids)
+            for step in (self._in, self._out)
+        )
 
     def parts(self) -> tuple[tuple[int, ...], ...]:
         """Drones that are joined, whatever the direction, by their lowest one: one part, if nobody is by itself."""
@@ -121,7 +147,9 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         """The most hops that a message needs from one drone to another: rounds of a flood."""
         if not self.is_connected:
             do = "Add an edge; in flight: those in between have gone, and the others cannot go on as a team."
-            raise ConfigError("graph", "a drone that cannot reach all others", "a connected graph", do)
+            raise ConfigError(
+                "graph", "a drone that cannot reach all others", "a connected graph", do
+            )
         return _diameter(self.ids, self.arcs)
 
     def at(self, k: int) -> Self:
@@ -135,8 +163,14 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
     graphs: tuple[Graph, ...]
 
     def __post_init__(self) -> None:
-        if not self.graphs or any(graph.ids != self.graphs[0].ids for graph in self.graphs):
-            raise ConfigError("graph sequence", f"{len(self.graphs)} graph(s)", "one or more graphs of the same drones")
+        if not self.graphs or any(
+            graph.ids != self.graphs[0].ids for graph in self.graphs
+        ):
+            raise ConfigError(
+                "graph sequence",
+                f"{len(self.graphs)} graph(s)",
+                "one or more graphs of the same drones",
+            )
 
     @classmethod
     def draw(cls, graph: Graph, p: float, length: int, seed: int) -> Self:
@@ -147,10 +181,14 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
         chance = _chance(p, seed, length, *graph.ids)
         directed = not graph.is_undirected
         kept: list[list[Arc]] = [[] for _ in range(length)]
-        for (e, edge), k in product(enumerate(graph.arcs if directed else graph.edges()), range(length)):
+        for (e, edge), k in product(
+            enumerate(graph.arcs if directed else graph.edges()), range(length)
+        ):
             if chance.random() < p or e % length == k:
                 kept[k].append(edge)
-        return cls(tuple(Graph.from_edges(graph.ids, pairs, directed) for pairs in kept))
+        return cls(
+            tuple(Graph.from_edges(graph.ids, pairs, directed) for pairs in kept)
+        )
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -163,7 +201,11 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 
     def union(self) -> Graph:
         """All arcs of one period together."""
-        return Graph.from_edges(self.ids, (arc for graph in self.graphs for arc in graph.arcs), directed=True)
+        return Graph.from_edges(
+            self.ids,
+            (arc for graph in self.graphs for arc in graph.arcs),
+            directed=True,
+        )
 
     @property
     def is_connected(self) -> bool:
@@ -174,8 +216,15 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
         """The most rounds that a flood needs, whoever starts it and in whichever round of the period."""
         if not self.is_connected:
             found = "a drone that never reaches all others"
-            raise ConfigError("graph sequence", found, "jointly connected graphs", "Add an edge to one of them.")
-        return max(_flooded(self, i, k) for i in self.ids for k in range(len(self.graphs)))
+            raise ConfigError(
+                "graph sequence",
+                found,
+                "jointly connected graphs",
+                "Add an edge to one of them.",
+            )
+        return max(
+            _flooded(self, i, k) for i in self.ids for k in range(len(self.graphs))
+        )
 
 
 def empty(n: Ids) -> Graph:
@@ -186,7 +235,9 @@ def empty(n: Ids) -> Graph:
 def ring(n: Ids, directed: bool = False) -> Graph:
     """Each drone and the next, the last and the first; directed: each sends to the next only."""
     ids = _ids(n)
-    return Graph.from_edges(ids, zip(ids, ids[1:] + ids[:1], strict=True) if len(ids) > 1 else (), directed)
+    return Graph.from_edges(
+        ids, zip(ids, ids[1:] + ids[:1], strict=True) if len(ids) > 1 else (), directed
+    )
 
 
 def path(n: Ids) -> Graph:
@@ -210,9 +261,15 @@ def k_regular(n: Ids, k: int) -> Graph:
     ids = _ids(n)
     size = len(ids)
     if not 0 <= k < size or k * size % 2:
-        raise ConfigError("k-regular graph", f"k = {k}", f"0 to {size - 1}, with k times {size} drones even")
+        raise ConfigError(
+            "k-regular graph",
+            f"k = {k}",
+            f"0 to {size - 1}, with k times {size} drones even",
+        )
     offsets = [*range(1, k // 2 + 1), *([size // 2] if k % 2 else [])]
-    return Graph.from_edges(ids, ((ids[i], ids[(i + d) % size]) for i in range(size) for d in offsets))
+    return Graph.from_edges(
+        ids, ((ids[i], ids[(i + d) % size]) for i in range(size) for d in offsets)
+    )
 
 
 def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -> Graph:
@@ -223,7 +280,9 @@ def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -
         raise _never_connected("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
     pairs = list(permutations(ids, 2) if directed else combinations(ids, 2))
     for _ in range(DRAWS):
-        graph = Graph.from_edges(ids, (pair for pair in pairs if chance.random() < p), directed)
+        graph = Graph.from_edges(
+            ids, (pair for pair in pairs if chance.random() < p), directed
+        )
         if graph.is_connected:
             return graph
     raise _never_connected("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
@@ -236,13 +295,26 @@ def geometric(n: Ids, radius: float, seed: int) -> Graph:
     """
     ids = _ids(n)
     if not 0.0 < radius <= 2.0:
-        raise ConfigError("geometric graph", f"radius {radius:g}", "above 0, at most 2; 1 is the side of the square")
+        raise ConfigError(
+            "geometric graph",
+            f"radius {radius:g}",
+            "above 0, at most 2; 1 is the side of the square",
+        )
     chance = _chance(0.0, seed, *ids)
     if len(ids) * max(0.0, 1.0 - pi * radius**2) ** (len(ids) - 1) > HOPELESS:
-        raise _never_connected("geometric", f"radius {radius:g}", "a larger one", len(ids))
+        raise _never_connected(
+            "geometric", f"radius {radius:g}", "a larger one", len(ids)
+        )
     for _ in range(DRAWS):
         points = {i: (chance.random(), chance.random()) for i in ids}
-        graph = Graph.from_edges(ids, (e for e in combinations(ids, 2) if dist(points[e[0]], points[e[1]]) <= radius))
+        graph = Graph.from_edges(
+            ids,
+            (
+                e
+                for e in combinations(ids, 2)
+                if dist(points[e[0]], points[e[1]]) <= radius
+            ),
+        )
         if graph.is_connected:
             return graph
     raise _never_connected("geometric", f"radius {radius:g}", "a larger one", len(ids))
@@ -250,15 +322,23 @@ def geometric(n: Ids, radius: float, seed: int) -> Graph:
 
 def _never_connected(shape: str, given: str, larger: str, size: int) -> ConfigError:
     return ConfigError(
-        f"{shape} graph", f"{given}: none of {DRAWS} draws is connected", f"{larger} for {size} drones"
+        f"{shape} graph",
+        f"{given}: none of {DRAWS} draws is connected",
+        f"{larger} for {size} drones",
     )
 
 
-def grid(rows: int, columns: int, diagonals: bool = False, ids: Ids | None = None) -> Graph:
+def grid(
+    rows: int, columns: int, diagonals: bool = False, ids: Ids | None = None
+) -> Graph:
     """Rows and columns, numbered row by row: each drone and those beside, above, below; and diagonally."""
     members = _ids(rows * columns if ids is None else ids)
     if rows < 1 or columns < 1 or rows * columns != len(members):
-        raise ConfigError("grid graph", f"{rows}x{columns}", f"rows times columns = {len(members)} drones")
+        raise ConfigError(
+            "grid graph",
+            f"{rows}x{columns}",
+            f"rows times columns = {len(members)} drones",
+        )
     steps = [(0, 1), (1, 0), *([(1, 1), (1, -1)] if diagonals else [])]
     pairs = [
         (members[r * columns + c], members[(r + dr) * columns + c + dc])
@@ -274,7 +354,12 @@ def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
     shape, colon, given = name.strip().partition(":")
     if colon and shape not in FORMS:
         takes_none = shape == "ring" or shape in plain
-        raise ConfigError("graph", name, NAMES, f"Write {shape}." if takes_none else _meant(shape, given))
+        raise ConfigError(
+            "graph",
+            name,
+            NAMES,
+            f"Write {shape}." if takes_none else _meant(shape, given),
+        )
     if shape == "ring":
         return ring(n, directed)
     if shape == "erdos-renyi":
@@ -302,7 +387,11 @@ def _number(name: str, given: str) -> float:
         number = nan
     if not isfinite(number):
         bare = given.strip().removesuffix("%").strip().replace(",", ".")
-        share = f"{float(bare) / 100.0:g}" if given.strip().endswith("%") and _PLAIN.fullmatch(bare) else bare
+        share = (
+            f"{float(bare) / 100.0:g}"
+            if given.strip().endswith("%") and _PLAIN.fullmatch(bare)
+            else bare
+        )
         raise _wrong(name, share if _PLAIN.fullmatch(share) else "")
     return number
 
@@ -318,7 +407,9 @@ def _whole(name: str, given: str) -> int:
 
 def _sides(name: str, given: str) -> tuple[int, int]:
     """Return the numbers of "grid:3x4"; raise ConfigError for what has no two."""
-    rows, cross, columns = given.lower().replace("\N{MULTIPLICATION SIGN}", "x").partition("x")
+    rows, cross, columns = (
+        given.lower().replace("\N{MULTIPLICATION SIGN}", "x").partition("x")
+    )
     if not cross:
         raise _wrong(name, "")
     return _whole(name, rows), _whole(name, columns)
@@ -329,7 +420,12 @@ def _wrong(name: str, meant: str) -> ConfigError:
     shape = name.strip().partition(":")[0]
     form, what = FORMS[shape]
     do = f"Write {shape}:{meant}." if meant and shape != "grid" else ""
-    return ConfigError("graph", name if len(name) <= 60 else f"{name[:60]}...", f"{form}, with {what}", do)
+    return ConfigError(
+        "graph",
+        name if len(name) <= 60 else f"{name[:60]}...",
+        f"{form}, with {what}",
+        do,
+    )
 
 
 def _meant(shape: str, given: str) -> str:
@@ -350,22 +446,39 @@ def metropolis(graph: Graph) -> Weights:
     Source: Xiao, Boyd & Lall 2005, IPSN, "A scheme for robust distributed sensor fusion based on average consensus".
     """
     if not graph.is_undirected:
-        raise ConfigError("metropolis weights", "a directed graph", "an undirected one", "Use row_stochastic.")
+        raise ConfigError(
+            "metropolis weights",
+            "a directed graph",
+            "an undirected one",
+            "Use row_stochastic.",
+        )
     degree = {i: len(graph.in_neighbors(i)) for i in graph.ids}
-    weights = {i: {j: 1.0 / (1 + max(degree[i], degree[j])) for j in graph.in_neighbors(i)} for i in graph.ids}
-    return {i: dict(sorted({**w, i: 1.0 - sum(w.values())}.items())) for i, w in weights.items()}
+    weights = {
+        i: {j: 1.0 / (1 + max(degree[i], degree[j])) for j in graph.in_neighbors(i)}
+        for i in graph.ids
+    }
+    return {
+        i: dict(sorted({**w, i: 1.0 - sum(w.values())}.items()))
+        for i, w in weights.items()
+    }
 
 
 def row_stochastic(graph: Graph) -> Weights:
     """Equal weights of what i hears and itself, w_ij = 1 / (1 + |N_in(i)|): each row sums to one."""
     heard = {i: graph.in_neighbors(i) for i in graph.ids}
-    return {i: {j: 1.0 / (1 + len(heard[i])) for j in sorted((i, *heard[i]))} for i in graph.ids}
+    return {
+        i: {j: 1.0 / (1 + len(heard[i])) for j in sorted((i, *heard[i]))}
+        for i in graph.ids
+    }
 
 
 def column_stochastic(graph: Graph) -> Weights:
     """Equal shares of what j sends and keeps, w_ij = 1 / (1 + |N_out(j)|): each column sums to one (push-sum)."""
     heard = {i: graph.in_neighbors(i) for i in graph.ids}
-    return {i: {j: 1.0 / (1 + len(graph.out_neighbors(j))) for j in sorted((i, *heard[i]))} for i in graph.ids}
+    return {
+        i: {j: 1.0 / (1 + len(graph.out_neighbors(j))) for j in sorted((i, *heard[i]))}
+        for i in graph.ids
+    }
 
 
 def span(ids: Iterable[int]) -> str:
@@ -412,7 +525,8 @@ def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int
 
 def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
     """Rounds until all have heard of `start`, which begins in round `first`."""
-    reached, k = {start}, first
+    reached = {start}
+    k = first
     while len(reached) < len(graphs.ids):
         graph = graphs.at(k)
         reached.update(*[graph.out_neighbors(i) for i in reached])

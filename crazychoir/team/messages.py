@@ -70,12 +70,27 @@ class Beat:
 
     def wire(self) -> list[Any]:
         """As the codec takes it."""
-        hears, lost = list(self.hears), list(self.lost)
-        return [self.incarnation, self.epoch, self.checksum, hears, lost, self.mission_hash, self.refused]
+        hears = list(self.hears)
+        lost = list(self.lost)
+        return [
+            self.incarnation,
+            self.epoch,
+            self.checksum,
+            hears,
+            lost,
+            self.mission_hash,
+            self.refused,
+        ]
 
     @classmethod
     def of(cls, value: Any) -> "Beat":
         """From the wire; raises TypeError, ValueError."""
         incarnation, epoch, checksum, hears, lost, mission_hash, refused = value
         numbers = int(incarnation), int(epoch), int(checksum)
-        return cls(*numbers, tuple(map(int, hears)), tuple(map(int, lost)), str(mission_hash), str(refused))
+        return cls(
+            *numbers,
+            tuple(map(int, hears)),
+            tuple(map(int, lost)),
+            str(mission_hash),
+            str(refused),
+        )

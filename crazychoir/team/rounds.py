@@ -16,7 +16,15 @@ from typing import Final, Protocol
 from crazychoir.bus.codec import decode
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import ROUND
-from crazychoir.errors import AgentFailed, ChannelEnded, CodecError, ConfigError, PeerLost, RosterChanged, RoundTimeout
+from crazychoir.errors import (
+    AgentFailed,
+    ChannelEnded,
+    CodecError,
+    ConfigError,
+    PeerLost,
+    RosterChanged,
+    RoundTimeout,
+)
 from crazychoir.runtime.clock import SECOND, Alarm, wake
 from crazychoir.team.barrier import Barrier, Roster
 from crazychoir.team.channel import HISTORY, Channel
@@ -65,9 +73,14 @@ class Rounds:
     """
 
     def __init__(
-        self, port: Port, graph: AnyGraph, membership: Membership | None = None, deadline: float = 60.0
+        self,
+        port: Port,
+        graph: AnyGraph,
+        membership: Membership | None = None,
+        deadline: float = 60.0,
     ) -> None:
-        self.port, self.deadline = port, deadline
+        self.port = port
+        self.deadline = deadline
         self.id = port.address
         self.membership: Membership = membership or _Everybody()
         self.rounds = 0
@@ -76,10 +89,13 @@ class Rounds:
         self._flags = 0
         self._known = self._epochs.known
         self._clock = port.bus.clock
-        self._now_ns, self._heard_ns = self._clock.now_ns, port.heard_ns
+        self._now_ns = self._clock.now_ns
+        self._heard_ns = port.heard_ns
         self._made_ns = self._now_ns()
         self._channels: dict[str, Channel] = {}
-        self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(maxlen=MAX_EARLY)
+        self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(
+            maxlen=MAX_EARLY
+        )
         self._alarm: Alarm | None = None
         self._due_ns = 0
         port.handlers[ROUND.number] = self._arrived
@@ -104,7 +120,9 @@ class Rounds:
 
     def silence(self, lost: Iterable[int]) -> float:
         """s since the last message of any kind from any of these; of who was never heard since these rounds began."""
-        return (self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)) / SECOND
+        return (
+            self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)
+        ) / SECOND
 
     # Channels and epochs --------------------------------------------------------------------------------------
 
@@ -121,7 +139,9 @@ class Rounds:
         elif joinable and not ch.joinable:
             if ch.used:
                 raise ConfigError(
-                    f"drone {self.id}: channel {channel!r}", "joinable", "open it as joinable before its first round"
+                    f"drone {self.id}: channel {channel!r}",
+                    "joinable",
+                    "open it as joinable before its first round",
                 )
             ch = self._begin(channel, joinable)
         return ch
@@ -136,7 +156,9 @@ class Rounds:
 
     def hold(self) -> int:
         """Send no further round of a joinable channel until the next epoch; returns the first round that is held."""
-        held = self._epochs.hold([ch.sending for ch in self._channels.values() if ch.joinable])
+        held = self._epochs.hold(
+            [ch.sending for ch in self._channels.values() if ch.joinable]
+        )
         for ch in self._channels.values():
             ch.limit = min(ch.limit, held) if ch.joinable else ch.limit
         return held
@@ -147,10 +169,20 @@ class Rounds:
         self._epochs.members = dict(roster.members)
         if self.id not in before:
             self._epochs.since = roster.first_round
-        joined = tuple(j for j, incarnation in roster.members.items() if before.get(j) != incarnation)
+        joined = tuple(
+            j
+            for j, incarnation in roster.members.items()
+            if before.get(j) != incarnation
+        )
         self._epochs.renew(roster.members, roster.first_round)
         absent = tuple(j for j in self._epochs.ids if j not in roster.members)
-        self.leave(absent, roster.epoch, joined, graph=roster.graph, first_round=roster.first_round)
+        self.leave(
+            absent,
+            roster.epoch,
+            joined,
+            graph=roster.graph,
+            first_round=roster.first_round,
+        )
 
     def leave(
         self,
@@ -170,8 +202,11 @@ class Rounds:
                 self._restart(ch, RosterChanged(self.id, epoch, joined, gone))
         self._replay()
 
-    def _go_on(self, ch: Channel, gone: tuple[int, ...], joined: tuple[int, ...]) -> None:
-        ch.until, ch.limit = 0, ch.oldest
+    def _go_on(
+        self, ch: Channel, gone: tuple[int, ...], joined: tuple[int, ...]
+    ) -> None:
+        ch.until = 0
+        ch.limit = ch.oldest
         ch.forget((*gone, *joined))
         for j in [j for j in ch.missing if self._epochs.silent(j, ch.receiving)]:
             del ch.missing[j]
@@ -191,16 +226,27 @@ class Rounds:
             new.changed = error
 
     def _begin(self, name: str, joinable: bool) -> Channel:
-        ch = self._channels[name] = Channel.beginning(name, joinable, self._epochs.since if joinable else 0)
+        ch = self._channels[name] = Channel.beginning(
+            name, joinable, self._epochs.since if joinable else 0
+        )
         return ch
 
     def _make_room(self, channel: str) -> None:
         used = len(self._channels) - (FAILED in self._channels)
         if used >= MAX_CHANNELS:
-            closed = next((name for name, ch in self._channels.items() if ch.closed_at >= 0 and not ch.used), None)
+            closed = next(
+                (
+                    name
+                    for name, ch in self._channels.items()
+                    if ch.closed_at >= 0 and not ch.used
+                ),
+                None,
+            )
             if closed is None:
                 where = f"drone {self.id}: channel {channel!r}"
-                raise ConfigError(where, used, f"{MAX_CHANNELS} channels at once", "Close some.")
+                raise ConfigError(
+                    where, used, f"{MAX_CHANNELS} channels at once", "Close some."
+                )
             del self._channels[closed]
 
     def _absent(self, j: int) -> bool:
@@ -218,32 +264,55 @@ class Rounds:
         payload = ch.stored(k, j)
         if payload is not None:
             self.port.counters.resent += 1
-            self.port.send(ROUND, (j,), payload, k, ch.name, self._flags | kind, attempt)
+            self.port.send(
+                ROUND, (j,), payload, k, ch.name, self._flags | kind, attempt
+            )
 
-    def _control(self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0) -> None:
+    def _control(
+        self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0
+    ) -> None:
         self.port.send(ROUND, to, b"", k, ch.name, self._flags | kind, attempt)
 
     # Arriving -------------------------------------------------------------------------------------------------
 
-    def _arrived(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _arrived(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         ch = self._channels.get(channel)
         kind = DATA
-        if ch is None or flags != self._flags or number >= MAX_ROUND or source not in self._known:
+        if (
+            ch is None
+            or flags != self._flags
+            or number >= MAX_ROUND
+            or source not in self._known
+        ):
             if not self._counts(ch, source, payload, number, channel, flags, age):
                 return
-            ch, kind = self._channels[channel], flags & KINDS
+            ch = self._channels[channel]
+            kind = flags & KINDS
             if kind > AHEAD:
                 self._controlled(ch, kind, source, number)
                 return
         latest = ch.latest.get(source)
         if latest is None or number >= latest[0]:
             heard_ns = self._heard_ns[source]
-            ch.latest[source] = (number, payload, heard_ns - int(age * SECOND) if age else heard_ns)
+            ch.latest[source] = (
+                number,
+                payload,
+                heard_ns - int(age * SECOND) if age else heard_ns,
+            )
             if kind != AHEAD:
                 ch.progress[source] = number
         if kind == REPEAT:
             self._answer(ch, number, source)
-        k, inbox = ch.receiving, ch.inbox
+        k = ch.receiving
+        inbox = ch.inbox
         if k <= number < k + HISTORY:
             box = inbox.get(number)
             if box is None:
@@ -259,7 +328,14 @@ class Rounds:
             self.ahead += 1
 
     def _counts(
-        self, ch: Channel | None, source: int, payload: bytes, number: int, channel: str, flags: int, age: float
+        self,
+        ch: Channel | None,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
     ) -> bool:
         """Whether a message counts that is no plain message of our epoch, or of nobody or no channel that we know.
 
@@ -306,7 +382,9 @@ class Rounds:
 
     def _skip(self, ch: Channel, number: int, source: int) -> None:
         """Wait no longer for rounds of source before this one, in which it took us for lost: of earlier epochs only."""
-        first = ch.kept[source] = max(min(number, self._epochs.first), ch.kept.get(source, 0))
+        first = ch.kept[source] = max(
+            min(number, self._epochs.first), ch.kept.get(source, 0)
+        )
         if ch.receiving < first and source in ch.missing:
             del ch.missing[source]
             if not ch.missing:
@@ -337,16 +415,27 @@ class Rounds:
 
     # Looking after those who wait -----------------------------------------------------------------------------
 
-    def _expect(self, ch: Channel, missing: dict[int, None], seconds: float) -> "asyncio.Future[None]":
+    def _expect(
+        self, ch: Channel, missing: dict[int, None], seconds: float
+    ) -> "asyncio.Future[None]":
         """Wait for the messages of these; `_expected` ends it."""
         if ch.waiter is not None:
             where = f"drone {self.id}: channel {ch.name!r}"
-            raise ConfigError(where, "two who wait on it", "one", "Give each algorithm a channel of its own.")
+            raise ConfigError(
+                where,
+                "two who wait on it",
+                "one",
+                "Give each algorithm a channel of its own.",
+            )
         waiter = ch.waiter = self._clock.future()
         epochs = self._epochs
         if epochs.gaps or ch.kept:
             k = ch.receiving if ch.joinable else inf
-            missing = {j: None for j in missing if not epochs.silent(j, k) and k >= ch.kept.get(j, 0)}
+            missing = {
+                j: None
+                for j in missing
+                if not epochs.silent(j, k) and k >= ch.kept.get(j, 0)
+            }
             if not missing:
                 waiter.set_result(None)
         ch.missing = missing
@@ -362,26 +451,40 @@ class Rounds:
         if not ch.resend_ns:
             ch.round_time *= 0.875  # quicker than a look
         elif ch.attempt == 0:
-            ch.round_time += 0.125 * ((self._clock.now_ns() - ch.since_ns) / SECOND - ch.round_time)
+            ch.round_time += 0.125 * (
+                (self._clock.now_ns() - ch.since_ns) / SECOND - ch.round_time
+            )
 
     def _schedule(self, now_ns: int) -> None:
         if self._alarm is not None:
             self._alarm.cancel()
-        self._due_ns = min([now_ns - now_ns % SWEEP + SWEEP, *(ch.deadline_ns for ch in self._waiting())])
+        self._due_ns = min(
+            [
+                now_ns - now_ns % SWEEP + SWEEP,
+                *(ch.deadline_ns for ch in self._waiting()),
+            ]
+        )
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
 
     def _sweep(self) -> None:
         self._alarm = None
         now_ns = self._clock.now_ns()
         for ch in self._waiting():
-            lost = () if ch.joinable else tuple(j for j in ch.missing if self.membership.lost(j))
+            lost = (
+                ()
+                if ch.joinable
+                else tuple(j for j in ch.missing if self.membership.lost(j))
+            )
             if lost:
                 fail(ch, PeerLost(self.id, lost, self.silence(lost)))
             elif ch.strict and (word := self._failure(ch.missing)):
                 fail(ch, AgentFailed(word.agent, word.reason))
             elif now_ns >= ch.deadline_ns:
                 seconds = (ch.deadline_ns - ch.since_ns) / SECOND
-                fail(ch, RoundTimeout(self.id, ch.name, ch.receiving, ch.missing, seconds))
+                fail(
+                    ch,
+                    RoundTimeout(self.id, ch.name, ch.receiving, ch.missing, seconds),
+                )
             elif not ch.resend_ns:
                 ch.resend_ns = ch.since_ns + int(SECOND * ch.rto(0))
             elif now_ns >= ch.resend_ns:
@@ -404,7 +507,11 @@ class Rounds:
 
     def _waiting(self) -> list[Channel]:
         """The channels on which somebody waits."""
-        return [ch for ch in self._channels.values() if ch.waiter is not None and not ch.waiter.done()]
+        return [
+            ch
+            for ch in self._channels.values()
+            if ch.waiter is not None and not ch.waiter.done()
+        ]
 
     def _resend(self, ch: Channel, now_ns: int) -> None:
         """Whoever is missing may have sent and lost its message of this round, or may lack ours of the one before."""

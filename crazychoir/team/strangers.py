@@ -22,12 +22,18 @@ def difference(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
     names = (*keys, CODE)
     if len(a) != 2 * len(names) or len(b) != len(a):
         return []
-    return [name for k, name in enumerate(names) if a[2 * k : 2 * k + 2] != b[2 * k : 2 * k + 2]]
+    return [
+        name
+        for k, name in enumerate(names)
+        if a[2 * k : 2 * k + 2] != b[2 * k : 2 * k + 2]
+    ]
 
 
 def _told(theirs: str, ours: str, keys: Sequence[str]) -> str:
     differs = difference(ours, theirs, keys)
-    return theirs.partition(":")[0] + (f", which has another {', '.join(differs)}" if differs else "")
+    return theirs.partition(":")[0] + (
+        f", which has another {', '.join(differs)}" if differs else ""
+    )
 
 
 class Strangers:
@@ -36,9 +42,19 @@ class Strangers:
     keys: keys of the swarm file that the mission hash holds one by one.
     """
 
-    def __init__(self, clock: Clock, id: int, team: int, mission_hash: str, keys: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        clock: Clock,
+        id: int,
+        team: int,
+        mission_hash: str,
+        keys: Sequence[str] = (),
+    ) -> None:
         self.keys = keys
-        self.clock, self.id, self.team, self.mission_hash = clock, id, team, mission_hash
+        self.clock = clock
+        self.id = id
+        self.team = team
+        self.mission_hash = mission_hash
         self.missions: dict[int, str] = {}
         self._judge_ns = 0
 
@@ -56,12 +72,21 @@ class Strangers:
         missing = len(ours) + len(self.missions) < self.team - 1
         if not self.missions or (missing and self.clock.now_ns() < self._judge_ns):
             return False
-        theirs = [[j for j, other in self.missions.items() if other == text] for text in self.missions.values()]
-        return any((len(same), -min(same)) > (1 + len(ours), -min([self.id, *ours])) for same in theirs)
+        theirs = [
+            [j for j, other in self.missions.items() if other == text]
+            for text in self.missions.values()
+        ]
+        return any(
+            (len(same), -min(same)) > (1 + len(ours), -min([self.id, *ours]))
+            for same in theirs
+        )
 
     def text(self) -> str:
         """What to tell the user of them, and in what they differ."""
-        ours, whole = self.mission_hash, self.mission_hash.partition(":")[0]
+        ours = self.mission_hash
+        whole = self.mission_hash.partition(":")[0]
         missions = sorted(self.missions.items())
-        others = ", ".join(f"drone {j} ({_told(theirs, ours, self.keys)})" for j, theirs in missions)
+        others = ", ".join(
+            f"drone {j} ({_told(theirs, ours, self.keys)})" for j, theirs in missions
+        )
         return f"its swarm file or mission ({whole}) is not that of {others}. {COPY}"

@@ -1,7 +1,7 @@
 """The page of 100 drones: its server's share of a processor, how soon a click is answered; and what a swarm notices.
 
-    python tests/bench/dashboard.py            # 100 drones that only speak, a browser that looks on and clicks
-    python tests/bench/dashboard.py --flying   # six that fly, with and without a page, in turns of one flight
+python tests/bench/dashboard.py            # 100 drones that only speak, a browser that looks on and clicks
+python tests/bench/dashboard.py --flying   # six that fly, with and without a page, in turns of one flight
 """
 
 import argparse
@@ -63,9 +63,17 @@ def guidance(i, config):
 
 
 def hundred(processes: int = 4) -> SwarmConfig:
-    drones = [{"id": i, "home": [1.0 * (i % 10), 1.0 * (i // 10), 0.0]} for i in range(100)]
+    drones = [
+        {"id": i, "home": [1.0 * (i % 10), 1.0 * (i // 10), 0.0]} for i in range(100)
+    ]
     fence = {"min": [-2, -2, 0], "max": [12, 12, 3]}
-    raw = {"name": "hundred", "mission": "figure", "drones": drones, "graph": "ring", "fence": fence}
+    raw = {
+        "name": "hundred",
+        "mission": "figure",
+        "drones": drones,
+        "graph": "ring",
+        "fence": fence,
+    }
     return apart(SwarmConfig.of(raw), processes)
 
 
@@ -77,9 +85,19 @@ def speak(path: str, group: int) -> None:
     async def main(clock):
         bus = Bus(clock, process=f"speaker-{group}", host="bench")
         for i in ids:
-            CommandServer(bus.port(i), lambda verb, arguments: asyncio.sleep(0, "done"), lambda on: None)
-        link = ZenohLink(bus, config.name, listen=[config.endpoint(ids[0])], connect=[], incarnation=group + 1,
-                         version=VERSION)  # fmt: skip
+            CommandServer(
+                bus.port(i),
+                lambda verb, arguments: asyncio.sleep(0, "done"),
+                lambda on: None,
+            )
+        link = ZenohLink(
+            bus,
+            config.name,
+            listen=[config.endpoint(ids[0])],
+            connect=[],
+            incarnation=group + 1,
+            version=VERSION,
+        )
         async with attached(link):
             k = 0
             async for _ in clock.ticks(100.0):
@@ -88,7 +106,16 @@ def speak(path: str, group: int) -> None:
                     bus.ports[i].publish(STATE, State.at(p, (0.1, 0.0, 0.0)))
                     bus.ports[i].publish(REFERENCE, FullState.at(p))
                     if k % 25 == 0:
-                        bus.ports[i].publish(STATUS, Status("hovering", "waits", sent=k, process="bench", host="here"))
+                        bus.ports[i].publish(
+                            STATUS,
+                            Status(
+                                "hovering",
+                                "waits",
+                                sent=k,
+                                process="bench",
+                                host="here",
+                            ),
+                        )
                 k += 1
 
     run_wall(main)
@@ -104,17 +131,28 @@ async def watch_hundred(folder: Path) -> dict[str, float]:
     config = hundred()
     path = folder / "swarm.json"
     path.write_text(config.dumps())
-    speakers = [await Program.start(sys.executable, __file__, "--speak", path, str(k)) for k in range(4)]
+    speakers = [
+        await Program.start(sys.executable, __file__, "--speak", path, str(k))
+        for k in range(4)
+    ]
     program, address = await dashboard(path)
     try:
         async with async_playwright() as playwright:
-            chromium = await playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+            chromium = await playwright.chromium.launch(
+                executable_path=shutil.which("chromium"), args=FLAGS
+            )
             page = await chromium.new_page(viewport={"width": 1400, "height": 900})
             page.set_default_timeout(120_000)
             await page.goto(address)
-            await page.wait_for_function("window.choir?.seen.drones.length && choir.seen.drones.every(d => d.heard)")
+            await page.wait_for_function(
+                "window.choir?.seen.drones.length && choir.seen.drones.every(d => d.heard)"
+            )
             await asyncio.sleep(5.0)
-            began, used, frames = time.monotonic(), cpu(program.process.pid), await page.evaluate("choir.seen.received")
+            began, used, frames = (
+                time.monotonic(),
+                cpu(program.process.pid),
+                await page.evaluate("choir.seen.received"),
+            )
             await asyncio.sleep(SECONDS)
             seconds = time.monotonic() - began
             share = (cpu(program.process.pid) - used) / seconds
@@ -126,9 +164,11 @@ async def watch_hundred(folder: Path) -> dict[str, float]:
         for one in (program, *speakers):
             await one.kill()
     return {
-        "server_share_of_a_core": round(share, 3), "frames_hz": round(rate, 1),
-        "click_to_receipt_ms_median": round(float(np.median(clicks)), 1), "click_to_receipt_ms_worst": max(clicks),
-    }  # fmt: skip
+        "server_share_of_a_core": round(share, 3),
+        "frames_hz": round(rate, 1),
+        "click_to_receipt_ms_median": round(float(np.median(clicks)), 1),
+        "click_to_receipt_ms_worst": max(clicks),
+    }
 
 
 CLICK = """
@@ -145,8 +185,14 @@ async def watch_flying(folder: Path) -> dict[str, object]:
     """A page comes and goes every TURN s; how late the ticks of six drones are with it, and without."""
     turns = 8
     mission = folder / "ticking.py"
-    mission.write_text(TICKING.replace("FOLDER", str(folder)).replace("DURATION", str((turns + 2) * TURN)))
-    config = six(str(mission)).replace(flight={"takeoff_height": 0.6, "operator": False})
+    mission.write_text(
+        TICKING.replace("FOLDER", str(folder)).replace(
+            "DURATION", str((turns + 2) * TURN)
+        )
+    )
+    config = six(str(mission)).replace(
+        flight={"takeoff_height": 0.6, "operator": False}
+    )
     spans: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     async with flying(config, folder) as team:
         await team.law()
@@ -176,9 +222,13 @@ async def watch_flying(folder: Path) -> dict[str, object]:
             for began, ended in spans[open_now]:
                 late.append(gaps[(ticks[1:] > began) & (ticks[1:] < ended)])
         everything = 1e3 * np.concatenate(late)
-        found[name] = {"ticks": len(everything), **{
-            f"late_ms_p{q}": round(float(np.percentile(everything, q)), 3) for q in (50, 95, 99)
-        }}  # fmt: skip
+        found[name] = {
+            "ticks": len(everything),
+            **{
+                f"late_ms_p{q}": round(float(np.percentile(everything, q)), 3)
+                for q in (50, 95, 99)
+            },
+        }
     return found
 
 

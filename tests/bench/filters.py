@@ -19,7 +19,9 @@ from crazychoir.types import Pose
 def cost(filtering: StateFilter) -> float:
     """us a call, with poses that are 10 ms old and another command each tick."""
     clock, pose = Clock(), Pose(np.array([0.0, 0, 1, 0, 0, 0, 1]), 0.01)
-    commands = [np.array([thrust * PAPER.weight, 0.0, 0.0, 0.0]) for thrust in (0.99, 1.01)]
+    commands = [
+        np.array([thrust * PAPER.weight, 0.0, 0.0, 0.0]) for thrust in (0.99, 1.01)
+    ]
 
     def tick() -> None:
         commands.reverse()

@@ -48,27 +48,55 @@ class Clock:
 
 def bench() -> dict[str, float]:
     """us a call, by name."""
-    clock, pose, here = Clock(), Pose(np.array([0.0, 0, 1, 0, 0, 0, 1])), State.at((0, 0, 1))
-    velocity, plan = VelocityFilter(), PointToPoint(FullState.at((0, 0, 0)), np.ones(3), 0.0, 3.0)
-    tracking = HierarchicalController(FlatnessPositionCtrl(), GeometryAttitudeCtrl(), FPQRSender(), FullStateTraj())
-    led = HierarchicalController(FlatnessAccelerationCtrl(), GeometryAttitudeCtrl(), FPQRSender(), AccelerationTraj())
-    pieces = minimum_snap(np.random.default_rng(0).uniform(-1.0, 1.0, (101, 3)), np.arange(101.0))
-    reference, acceleration, guard = FullState.at((0, 0, 1)), Acceleration(np.zeros(3)), Guard()
+    clock, pose, here = (
+        Clock(),
+        Pose(np.array([0.0, 0, 1, 0, 0, 0, 1])),
+        State.at((0, 0, 1)),
+    )
+    velocity, plan = (
+        VelocityFilter(),
+        PointToPoint(FullState.at((0, 0, 0)), np.ones(3), 0.0, 3.0),
+    )
+    tracking = HierarchicalController(
+        FlatnessPositionCtrl(), GeometryAttitudeCtrl(), FPQRSender(), FullStateTraj()
+    )
+    led = HierarchicalController(
+        FlatnessAccelerationCtrl(),
+        GeometryAttitudeCtrl(),
+        FPQRSender(),
+        AccelerationTraj(),
+    )
+    pieces = minimum_snap(
+        np.random.default_rng(0).uniform(-1.0, 1.0, (101, 3)), np.arange(101.0)
+    )
+    reference, acceleration, guard = (
+        FullState.at((0, 0, 1)),
+        Acceleration(np.zeros(3)),
+        Guard(),
+    )
     place = np.random.default_rng(0).uniform(0.5, 9.0, (100, 3))
     world, mocap = CFIntegrator(range(100), place), SimulatedMocap(range(100), 0)
     tick = iter(range(10**9))
     found = {
         "filter": microseconds(lambda: velocity.update(pose, clock())),
         "planner": microseconds(lambda: plan.sample(1.0)),
-        "controller, full state": microseconds(lambda: tracking.command(here, reference, 0.0)),
-        "controller, acceleration": microseconds(lambda: led.command(here, acceleration, clock())),
+        "controller, full state": microseconds(
+            lambda: tracking.command(here, reference, 0.0)
+        ),
+        "controller, acceleration": microseconds(
+            lambda: led.command(here, acceleration, clock())
+        ),
         "guard": microseconds(lambda: guard.check(0.0, here, 0.01, 0.02)),
         "world step, 100 drones": microseconds(world.step, 500),
-        "mocap sample, 100 drones": microseconds(lambda: mocap.sample(world.states, next(tick)), 500),
+        "mocap sample, 100 drones": microseconds(
+            lambda: mocap.sample(world.states, next(tick)), 500
+        ),
         "planner, 100 pieces": microseconds(lambda: pieces.sample(50.3)),
         "separation, 100 drones": microseconds(world.min_separation, 500),
     }
-    found["sum: filter, planner, controller, guard"] = sum(list(found.values())[:3]) + found["guard"]
+    found["sum: filter, planner, controller, guard"] = (
+        sum(list(found.values())[:3]) + found["guard"]
+    )
     return found
 
 

@@ -47,11 +47,17 @@ TLS, BLOCK = "transport/link/tls", zenoh.CongestionControl.BLOCK
 
 def swarm(folder: Path, port: int) -> SwarmConfig:
     """Drone 0 on host a, drone 1 on host b, who may flood."""
-    return SwarmConfig.of({
-        "name": f"flooded{port}", "hosts": {"a": "127.0.0.1", "b": "127.0.0.1"}, "base_port": port,
-        "security": {"insecure": False, "operators": ["a"], "keys": str(folder)},
-        "drones": [{"id": i, "home": [1.0 * i, 0, 0], "host": "ab"[i]} for i in range(2)],
-    })  # fmt: skip
+    return SwarmConfig.of(
+        {
+            "name": f"flooded{port}",
+            "hosts": {"a": "127.0.0.1", "b": "127.0.0.1"},
+            "base_port": port,
+            "security": {"insecure": False, "operators": ["a"], "keys": str(folder)},
+            "drones": [
+                {"id": i, "home": [1.0 * i, 0, 0], "host": "ab"[i]} for i in range(2)
+            ],
+        }
+    )
 
 
 async def receive(folder: Path, port: int) -> None:
@@ -59,7 +65,9 @@ async def receive(folder: Path, port: int) -> None:
     config = swarm(folder, port)
     async with wall_clock() as clock:
         listen, access = [config.endpoint(0)], config.access("a")
-        async with linked(clock, "0-1", config.name, [0], host="a", listen=listen, access=access) as link:
+        async with linked(
+            clock, "0-1", config.name, [0], host="a", listen=listen, access=access
+        ) as link:
             print("ready", flush=True)
             while line := await asyncio.to_thread(sys.stdin.readline):
                 ends, late = clock.now() + float(line), []
@@ -68,15 +76,24 @@ async def receive(folder: Path, port: int) -> None:
                     late.append((clock.now_ns() - due_ns) / 1e6)
                     if clock.now() > ends:
                         break
-                arrived, flooded = (now - then for now, then in zip(count(link), before, strict=True))
-                told = {"late": late[round(100 * SETTLE) :], "arrived": arrived, "flooded": flooded}
+                arrived, flooded = (
+                    now - then for now, then in zip(count(link), before, strict=True)
+                )
+                told = {
+                    "late": late[round(100 * SETTLE) :],
+                    "arrived": arrived,
+                    "flooded": flooded,
+                }
                 print(json.dumps(told), flush=True)
 
 
 def count(link: ZenohLink) -> tuple[int, int]:
     """Frames that have come, and those that were cut off."""
     counters = link.counters
-    return counters.frames_received + counters.strangers + counters.flooded, counters.flooded
+    return (
+        counters.frames_received + counters.strangers + counters.flooded,
+        counters.flooded,
+    )
 
 
 def flood(folder: Path) -> None:
@@ -91,11 +108,18 @@ def send(folder: Path, port: int, seconds: float) -> int:
     """EACH frames at a time, RATE a second."""
     keys = folder / "b"
     tls = {
-        "root_ca_certificate": str(keys / ROOT), "connect_private_key": str(keys / KEY),
-        "connect_certificate": str(keys / CERTIFICATE), "enable_mtls": True, "verify_name_on_connect": False,
-    }  # fmt: skip
+        "root_ca_certificate": str(keys / ROOT),
+        "connect_private_key": str(keys / KEY),
+        "connect_certificate": str(keys / CERTIFICATE),
+        "enable_mtls": True,
+        "verify_name_on_connect": False,
+    }
     config = zenoh.Config()
-    settings = {"connect/endpoints": [f"tls/127.0.0.1:{port}"], "scouting/multicast/enabled": False, TLS: tls}
+    settings = {
+        "connect/endpoints": [f"tls/127.0.0.1:{port}"],
+        "scouting/multicast/enabled": False,
+        TLS: tls,
+    }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     frame, sent = encode_frame(Frame("1-f", 1, STATUS.klass, [])), 0
@@ -104,7 +128,11 @@ def send(folder: Path, port: int, seconds: float) -> int:
         while (spent := time.monotonic() - began) < seconds:
             while sent < RATE * spent:
                 for _ in range(EACH):
-                    session.put(f"choir/flooded{port}/f/0-1/b/1-f/control", frame, congestion_control=BLOCK)
+                    session.put(
+                        f"choir/flooded{port}/f/0-1/b/1-f/control",
+                        frame,
+                        congestion_control=BLOCK,
+                    )
                 sent += EACH
             time.sleep(EACH / RATE)
     return sent
@@ -113,14 +141,18 @@ def send(folder: Path, port: int, seconds: float) -> int:
 @contextmanager
 def process(*words: str) -> Iterator[subprocess.Popen[str]]:
     pipe = subprocess.PIPE
-    with subprocess.Popen([sys.executable, __file__, *words], stdin=pipe, stdout=pipe, text=True) as made:
+    with subprocess.Popen(
+        [sys.executable, __file__, *words], stdin=pipe, stdout=pipe, text=True
+    ) as made:
         try:
             yield made
         finally:
             made.kill()
 
 
-def turns(count: int, seconds: float, console: Console) -> dict[str, list[dict[str, Any]]]:
+def turns(
+    count: int, seconds: float, console: Console
+) -> dict[str, list[dict[str, Any]]]:
     """Each arm so many times, one after the other."""
     found: dict[str, list[dict[str, Any]]] = {arm: [] for arm in ARMS}
     with tempfile.TemporaryDirectory() as name:
@@ -128,10 +160,18 @@ def turns(count: int, seconds: float, console: Console) -> dict[str, list[dict[s
         authority.init(folder)
         for host in "ab":
             authority.add(folder, host)
-        ports = {"itself": free_ports([0, 1]), "unrelated": free_ports([0, 1]) + 10, "nobody": 0}
-        roles = [("receive", str(ports[arm])) for arm in ("itself", "unrelated")] + [("flood", "0")]
+        ports = {
+            "itself": free_ports([0, 1]),
+            "unrelated": free_ports([0, 1]) + 10,
+            "nobody": 0,
+        }
+        roles = [("receive", str(ports[arm])) for arm in ("itself", "unrelated")] + [
+            ("flood", "0")
+        ]
         with ExitStack() as stack:
-            own, other, flooding = (stack.enter_context(process(*role, str(folder))) for role in roles)
+            own, other, flooding = (
+                stack.enter_context(process(*role, str(folder))) for role in roles
+            )
             for made in (own, other):
                 assert made.stdout.readline() == "ready\n"
             for k in track(range(count * len(ARMS)), "turns", console=console):
@@ -141,33 +181,57 @@ def turns(count: int, seconds: float, console: Console) -> dict[str, list[dict[s
                     made.stdin.write(f"{seconds + SETTLE}\n")
                 for made in (own, other, flooding):
                     made.stdin.flush()
-                said = [json.loads(made.stdout.readline()) for made in (own, other, flooding)]
+                said = [
+                    json.loads(made.stdout.readline())
+                    for made in (own, other, flooding)
+                ]
                 target = said[1] if arm == "unrelated" else said[0]
                 late = np.array(said[0]["late"])
                 p50, p99 = np.percentile(late, [50, 99])
-                per_s = {key: target[key] / (seconds + SETTLE) for key in ("arrived", "flooded")}
-                found[arm].append({"p50": p50, "p99": p99, "max": float(late.max()), **per_s,
-                                   "sent": said[2]["sent"] / (seconds + SETTLE)})  # fmt: skip
+                per_s = {
+                    key: target[key] / (seconds + SETTLE)
+                    for key in ("arrived", "flooded")
+                }
+                found[arm].append(
+                    {
+                        "p50": p50,
+                        "p99": p99,
+                        "max": float(late.max()),
+                        **per_s,
+                        "sent": said[2]["sent"] / (seconds + SETTLE),
+                    }
+                )
     return found
 
 
 def show(found: dict[str, list[dict[str, Any]]], console: Console) -> None:
     """Medians over the turns."""
-    table = Table("flood to", "frames/s sent", "arrived", "cut off", "late p50, ms", "p99", "max")
+    table = Table(
+        "flood to", "frames/s sent", "arrived", "cut off", "late p50, ms", "p99", "max"
+    )
     for arm, rows in found.items():
         middle = {key: statistics.median(row[key] for row in rows) for key in rows[0]}
         figures = [f"{middle[key]:.0f}" for key in ("sent", "arrived", "flooded")]
-        table.add_row(arm, *figures, *(f"{middle[key]:.2f}" for key in ("p50", "p99", "max")))
+        table.add_row(
+            arm, *figures, *(f"{middle[key]:.2f}" for key in ("p50", "p99", "max"))
+        )
     console.print(table)
-    beyond = [own["p99"] - other["p99"] for own, other in zip(found["itself"], found["unrelated"], strict=True)]
+    beyond = [
+        own["p99"] - other["p99"]
+        for own, other in zip(found["itself"], found["unrelated"], strict=True)
+    ]
     each = " ".join(f"{one:.2f}" for one in beyond)
     said = f"p99 beyond the unrelated flood: {statistics.median(beyond):.2f} ms (each turn {each})"
     console.print(said, highlight=False)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("role", nargs="?", choices=("receive", "flood"), help=argparse.SUPPRESS)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "role", nargs="?", choices=("receive", "flood"), help=argparse.SUPPRESS
+    )
     parser.add_argument("port", nargs="?", type=int, help=argparse.SUPPRESS)
     parser.add_argument("folder", nargs="?", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--turns", type=int, default=5)

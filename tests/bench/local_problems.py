@@ -15,14 +15,24 @@ from crazychoir.optimization.problems.problems import CostCoupled
 N = 10
 """Entries of x."""
 SOLVES = {"ours": 200, "cvxpy": 10}
-CVXPY = {"closed form": "OSQP", "active set": "OSQP", "HiGHS": "HIGHS", "Clarabel": "CLARABEL"}
+CVXPY = {
+    "closed form": "OSQP",
+    "active set": "OSQP",
+    "HiGHS": "HIGHS",
+    "Clarabel": "CLARABEL",
+}
 """Whom cvxpy gives the problem to; its own choice for quadratic and for linear ones."""
 
 
 def problems() -> dict[str, tuple[cp.Variable, cp.Expression, list[cp.Constraint]]]:
     """x, f and X of each structure."""
     draw = np.random.default_rng(0)
-    x, L, A, a = cp.Variable(N), draw.normal(size=(N, N)), draw.normal(size=(3 * N, N)), draw.normal(size=N)
+    x, L, A, a = (
+        cp.Variable(N),
+        draw.normal(size=(N, N)),
+        draw.normal(size=(3 * N, N)),
+        draw.normal(size=N),
+    )
     quadratic, box = cp.quad_form(x, L @ L.T + np.eye(N)) + a @ x, [x >= -1, x <= 1]
     return {
         "quadratic, one equality": (x, quadratic, [cp.sum(x) == 1]),
@@ -36,7 +46,9 @@ def problems() -> dict[str, tuple[cp.Variable, cp.Expression, list[cp.Constraint
     }
 
 
-def microseconds(solve: Callable[[np.ndarray], object], costs: np.ndarray, n: int) -> float:
+def microseconds(
+    solve: Callable[[np.ndarray], object], costs: np.ndarray, n: int
+) -> float:
     """Median over five repetitions of n solves, us of CPU a solve."""
     solve(costs[0])
     took = []
@@ -56,16 +68,25 @@ def run() -> list[tuple[str, str, float, float]]:
         again = cp.Problem(cp.Minimize(objective + p @ x), constraints)
         solver = CVXPY[problem.solver()]
 
-        def cvxpy(cost: np.ndarray, again: cp.Problem = again, p: cp.Parameter = p, solver: str = solver) -> None:
+        def cvxpy(
+            cost: np.ndarray,
+            again: cp.Problem = again,
+            p: cp.Parameter = p,
+            solver: str = solver,
+        ) -> None:
             p.value = cost
             again.solve(solver=solver)
 
-        ours, theirs = (microseconds(solve, costs, SOLVES[who]) for who, solve in
-                        (("ours", problem.argmin), ("cvxpy", cvxpy)))  # fmt: skip
+        ours, theirs = (
+            microseconds(solve, costs, SOLVES[who])
+            for who, solve in (("ours", problem.argmin), ("cvxpy", cvxpy))
+        )
         rows.append((name, problem.solver(), ours, theirs))
     return rows
 
 
 if __name__ == "__main__":
     for name, solver, ours, theirs in run():
-        print(f"{name:28} {solver:12} {ours:8.1f} us   cvxpy {theirs:8.1f} us   x {theirs / ours:6.1f}")
+        print(
+            f"{name:28} {solver:12} {ours:8.1f} us   cvxpy {theirs:8.1f} us   x {theirs / ours:6.1f}"
+        )

@@ -25,7 +25,11 @@ def main():
     for name in ("pid", "mellinger", "lee"):
         for drone in drones:
             drone.set("stabilizer.controller", name)
-        measure(f"position, {name}", rows, lambda: [drone.position((0.0, 0.0, 1.0), 0.0) for drone in drones])
+        measure(
+            f"position, {name}",
+            rows,
+            lambda: [drone.position((0.0, 0.0, 1.0), 0.0) for drone in drones],
+        )
 
 
 def measure(name, rows, send):

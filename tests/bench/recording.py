@@ -38,7 +38,9 @@ START = 30.0
 """s within which all processes are there."""
 
 
-async def said(clock: Clock, bus: Bus, ids: Sequence[int], rate: float, seconds: float) -> int:
+async def said(
+    clock: Clock, bus: Bus, ids: Sequence[int], rate: float, seconds: float
+) -> int:
     """Let each drone say a state a period; returns how many were said."""
     draw = np.random.default_rng(0)
     states = [State(draw.normal(size=13)) for _ in range(VALUES)]
@@ -59,7 +61,11 @@ def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str
         bus = Bus(clock)
         for i in range(drones):
             bus.port(i)
-        file = RecordingFile(path, {"version": "bench"}, "{}", durable=True) if path else None
+        file = (
+            RecordingFile(path, {"version": "bench"}, "{}", durable=True)
+            if path
+            else None
+        )
         recorder = Recorder(bus, range(drones), file) if file else None
         supervisor = Supervisor(clock, "bench")
         running = asyncio.create_task(supervisor.run([recorder] if recorder else []))
@@ -70,7 +76,12 @@ def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str
         await running
         used = time.process_time() - cpu
         told = recorder.result() if recorder else {}
-        return {"said": count, "wall_s": wall, "cpu": used * drones * rate / count, **told}
+        return {
+            "said": count,
+            "wall_s": wall,
+            "cpu": used * drones * rate / count,
+            **told,
+        }
 
     return run_wall(main)
 
@@ -84,9 +95,17 @@ def on_one_bus(drones: int, rate: float, seconds: float, path: Path) -> dict[str
 
 def swarm(drones: int, processes: int) -> SwarmConfig:
     """So many, which nobody flies."""
-    places = [{"id": i, "home": [float(i % 40), float(i // 40), 0.0]} for i in range(drones)]
+    places = [
+        {"id": i, "home": [float(i % 40), float(i // 40), 0.0]} for i in range(drones)
+    ]
     fence = {"min": [-2, -2, 0], "max": [42, 42, 3]}
-    raw = {"name": "recorded", "mission": "figure", "drones": places, "graph": "ring", "fence": fence}
+    raw = {
+        "name": "recorded",
+        "mission": "figure",
+        "drones": places,
+        "graph": "ring",
+        "fence": fence,
+    }
     return apart(SwarmConfig.of(raw), processes)
 
 
@@ -99,22 +118,35 @@ def speak(path: str, group: int, rate: float, seconds: float) -> None:
         bus = Bus(clock, process=f"speaker-{group}", host="bench")
         for i in ids:
             bus.port(i)
-        link = ZenohLink(bus, config.name, listen=[config.endpoint(ids[0])], connect=[], incarnation=group + 1,
-                         version=VERSION)  # fmt: skip
+        link = ZenohLink(
+            bus,
+            config.name,
+            listen=[config.endpoint(ids[0])],
+            connect=[],
+            incarnation=group + 1,
+            version=VERSION,
+        )
         async with attached(link):
             async with asyncio.timeout(START):
-                while not any(peer.hello and peer.hello.interests for peer in link.peers.values()):
+                while not any(
+                    peer.hello and peer.hello.interests for peer in link.peers.values()
+                ):
                     await clock.sleep(0.1)
             await clock.sleep(2.0)  # all others are read, too
             began = time.perf_counter()
             count = await said(clock, bus, ids, rate, seconds)
-            print(json.dumps({"said": count, "wall_s": time.perf_counter() - began}), flush=True)
+            print(
+                json.dumps({"said": count, "wall_s": time.perf_counter() - began}),
+                flush=True,
+            )
             await clock.sleep(2.0)
 
     run_wall(main)
 
 
-def over_zenoh(drones: int, rate: float, seconds: float, path: Path, processes: int) -> dict[str, Any]:
+def over_zenoh(
+    drones: int, rate: float, seconds: float, path: Path, processes: int
+) -> dict[str, Any]:
     """Recorded by one who looks on, as `crazychoir record` does."""
     config = swarm(drones, processes)
     file = path.with_name("swarm.json")
@@ -126,16 +158,32 @@ def over_zenoh(drones: int, rate: float, seconds: float, path: Path, processes: 
         opened = RecordingFile(path, {"version": "bench"}, "{}", durable=True)
         recorder = Recorder(bus, config.ids, opened, address, topics=["state"])
         async with attached(link, recorder):
-            words = [[sys.executable, __file__, "--speak", str(file), str(k), str(rate), str(seconds)]
-                     for k in range(processes)]  # fmt: skip
-            speakers = [await asyncio.create_subprocess_exec(*line, stdout=subprocess.PIPE) for line in words]
+            words = [
+                [
+                    sys.executable,
+                    __file__,
+                    "--speak",
+                    str(file),
+                    str(k),
+                    str(rate),
+                    str(seconds),
+                ]
+                for k in range(processes)
+            ]
+            speakers = [
+                await asyncio.create_subprocess_exec(*line, stdout=subprocess.PIPE)
+                for line in words
+            ]
             try:
                 async with asyncio.timeout(START):
                     while not opened.written:
                         await clock.sleep(0.05)
                 cpu = time.process_time()
                 async with asyncio.timeout(START + 4 * seconds):
-                    told = [json.loads((await speaker.communicate())[0]) for speaker in speakers]
+                    told = [
+                        json.loads((await speaker.communicate())[0])
+                        for speaker in speakers
+                    ]
                 used = time.process_time() - cpu
             finally:
                 for speaker in speakers:
@@ -143,7 +191,12 @@ def over_zenoh(drones: int, rate: float, seconds: float, path: Path, processes: 
                         speaker.kill()
         count = sum(one["said"] for one in told)
         wall = max(one["wall_s"] for one in told)
-        return {"said": count, "wall_s": wall, "cpu": used * drones * rate / count, **recorder.result()}
+        return {
+            "said": count,
+            "wall_s": wall,
+            "cpu": used * drones * rate / count,
+            **recorder.result(),
+        }
 
     return run_wall(main)
 
@@ -159,9 +212,18 @@ def measure(drones: int, rate: float, seconds: float, processes: int) -> dict[st
         size = path.stat().st_size
     written = found.pop("messages")
     del found["file"]
-    figures = {name: round(value, 3) if isinstance(value, float) else value for name, value in found.items()}
-    return {"drones": drones, "rate_hz": rate, "processes": processes, "written": written, **figures,
-            "bytes_a_message": round(size / max(1, written), 1)}  # fmt: skip
+    figures = {
+        name: round(value, 3) if isinstance(value, float) else value
+        for name, value in found.items()
+    }
+    return {
+        "drones": drones,
+        "rate_hz": rate,
+        "processes": processes,
+        "written": written,
+        **figures,
+        "bytes_a_message": round(size / max(1, written), 1),
+    }
 
 
 def main() -> None:
@@ -169,13 +231,19 @@ def main() -> None:
     parser.add_argument("drones", type=int, nargs="?", default=1000)
     parser.add_argument("rate", type=float, nargs="?", default=100.0)
     parser.add_argument("seconds", type=float, nargs="?", default=10.0)
-    parser.add_argument("--processes", type=int, default=0, help="over Zenoh, of so many; 0: on one bus")
+    parser.add_argument(
+        "--processes", type=int, default=0, help="over Zenoh, of so many; 0: on one bus"
+    )
     if sys.argv[1:2] == ["--speak"]:
         path, group, rate, seconds = sys.argv[2:]
         speak(path, int(group), float(rate), float(seconds))
         return
     chosen = parser.parse_args()
-    print(json.dumps(measure(chosen.drones, chosen.rate, chosen.seconds, chosen.processes)))
+    print(
+        json.dumps(
+            measure(chosen.drones, chosen.rate, chosen.seconds, chosen.processes)
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -20,14 +20,20 @@ def run(instance: Instance, steps: int, rounds: int) -> tuple[float, int, float]
     """Cost, vehicles that leave, CPU seconds."""
     team = [instance.local(i).vehicle for i in range(instance.robots)]
     start = time.process_time()
-    found = search(team, [[]] * len(team), instance.tasks.penalty, steps, 1, rounds=rounds)
+    found = search(
+        team, [[]] * len(team), instance.tasks.penalty, steps, 1, rounds=rounds
+    )
     return found.total, sum(map(bool, found.routes)), time.process_time() - start
 
 
 if __name__ == "__main__":
     run(random_instance(2, 3, 0), 10, 1)  # compiled before anything is measured
     instances = {
-        f"{n} robots, {m} tasks, seed {seed}": (random_instance(n, m, seed, route_length_limit=LIMIT), steps, rounds)
+        f"{n} robots, {m} tasks, seed {seed}": (
+            random_instance(n, m, seed, route_length_limit=LIMIT),
+            steps,
+            rounds,
+        )
         for n, m, steps, rounds in CASES
         for seed in SEEDS
     }

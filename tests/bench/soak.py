@@ -42,15 +42,24 @@ def swarm(minutes: float, each: int) -> SwarmConfig:
     """deploy's grid of thirty, whose law goes on for so long, so many drones a process, one owner of the world."""
     config = SwarmConfig.load(FILE)
     ids = list(config.ids)
-    options = json.loads(config.dumps())["mission_options"] | {"duration": 60.0 * minutes}
+    options = json.loads(config.dumps())["mission_options"] | {
+        "duration": 60.0 * minutes
+    }
     groups = [ids[k : k + each] for k in range(0, len(ids), each)]
-    changed = config.replace(mission_options=options, processes=groups, world={"owned": True}, start_deadline=120.0)
+    changed = config.replace(
+        mission_options=options,
+        processes=groups,
+        world={"owned": True},
+        start_deadline=120.0,
+    )
     return apart(changed, None)
 
 
 async def soak(minutes: float, each: int, progress: Progress) -> dict[str, object]:
     config = swarm(minutes, each)
-    compiled = await Program.start(sys.executable, "-c", "import crazychoir.launch.process.process")
+    compiled = await Program.start(
+        sys.executable, "-c", "import crazychoir.launch.process.process"
+    )
     await compiled.end(300.0)  # who compiles the laws itself has twice the memory
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "swarm.json"
@@ -60,30 +69,43 @@ async def soak(minutes: float, each: int, progress: Progress) -> dict[str, objec
             for group in config.groups():
                 words = [word for i in group for word in ("--id", str(i))]
                 name = f"drones {group[0]} to {group[-1]}"
-                programs[name] = await Program.start(*AGENT, "--swarm", file, "--json", *words)
+                programs[name] = await Program.start(
+                    *AGENT, "--swarm", file, "--json", *words
+                )
             agents = [program for name, program in programs.items() if name != "world"]
             task = progress.add_task("flying", total=60.0 * minutes)
             began, samples = time.monotonic(), []
             while all(agent.process.returncode is None for agent in agents):
-                samples.append((time.monotonic() - began, [used(program) for program in programs.values()]))
+                samples.append(
+                    (
+                        time.monotonic() - began,
+                        [used(program) for program in programs.values()],
+                    )
+                )
                 progress.update(task, completed=samples[-1][0])
                 await asyncio.sleep(EACH_S)
                 assert samples[-1][0] < 60.0 * minutes + 300.0, "it does not end"
             ended = await asyncio.gather(*(agent.end(60.0) for agent in agents))
             programs["world"].signal(signal.SIGINT)
-            told = dict(zip(programs, [await programs["world"].end(30.0), *ended], strict=True))
+            told = dict(
+                zip(programs, [await programs["world"].end(30.0), *ended], strict=True)
+            )
         finally:
             await asyncio.gather(*(program.kill() for program in programs.values()))
     found = results(dict(enumerate(ended)))
     report = MISSION.report(config, found)
     flown = [(t, used) for t, used in samples if min(used) > 0][:-1]
     return {
-        "success": report["success"], "reasons": report["reasons"], "minutes": flown[-1][0] / 60.0,
+        "success": report["success"],
+        "reasons": report["reasons"],
+        "minutes": flown[-1][0] / 60.0,
         "memory": {name: line(flown, k) for k, name in enumerate(programs)},
         "counters": {name: one.get("network", {}) for name, one in told.items()},
-        "late_ms": {name: 1000.0 * one.get("late_s", 0.0) for name, one in told.items()},
+        "late_ms": {
+            name: 1000.0 * one.get("late_s", 0.0) for name, one in told.items()
+        },
         "samples": [(t, *used) for t, used in flown],
-    }  # fmt: skip
+    }
 
 
 def used(program: Program) -> int:
@@ -95,19 +117,35 @@ def used(program: Program) -> int:
 
 def line(samples: list[tuple[float, list[int]]], k: int) -> dict[str, float]:
     """Memory in MiB after the settling and at the end, and MiB in ten minutes, of a line through all between."""
-    t, m = np.array([t for t, _ in samples]), np.array([used[k] for _, used in samples]) / MIB
+    t, m = (
+        np.array([t for t, _ in samples]),
+        np.array([used[k] for _, used in samples]) / MIB,
+    )
     settled = t >= SETTLED * t[-1]
     slope, at = np.polyfit(t[settled], m[settled], 1)
     return {
-        "first": float(m[settled][0]), "last": float(m[-1]), "most": float(m.max()), "in_10_min": float(600.0 * slope),
+        "first": float(m[settled][0]),
+        "last": float(m[-1]),
+        "most": float(m.max()),
+        "in_10_min": float(600.0 * slope),
         "off": float(np.abs(m[settled] - slope * t[settled] - at).max()),
-    }  # fmt: skip
+    }
 
 
 def show(found: dict[str, object], console: Console) -> None:
-    memory = Table("process", "MiB first", "last", "most", "MiB in 10 min", "off the line", "latest tick, ms")
+    memory = Table(
+        "process",
+        "MiB first",
+        "last",
+        "most",
+        "MiB in 10 min",
+        "off the line",
+        "latest tick, ms",
+    )
     for name, one in found["memory"].items():
-        figures = [f"{one[key]:.2f}" for key in ("first", "last", "most", "in_10_min", "off")]
+        figures = [
+            f"{one[key]:.2f}" for key in ("first", "last", "most", "in_10_min", "off")
+        ]
         memory.add_row(name, *figures, f"{found['late_ms'][name]:.1f}")
     console.print(memory)
     names = list(next(iter(found["counters"].values())))
@@ -115,16 +153,28 @@ def show(found: dict[str, object], console: Console) -> None:
     for name in names:
         values = [one.get(name, 0) for one in found["counters"].values()]
         if name in TRAFFIC or any(values):
-            counters.add_row(name, *(f"{value:.4g}" if isinstance(value, float) else str(value) for value in values))
+            counters.add_row(
+                name,
+                *(
+                    f"{value:.4g}" if isinstance(value, float) else str(value)
+                    for value in values
+                ),
+            )
     console.print(counters)
-    zero = ", ".join(n for n in names if n not in TRAFFIC and not any(c.get(n) for c in found["counters"].values()))
+    zero = ", ".join(
+        n
+        for n in names
+        if n not in TRAFFIC and not any(c.get(n) for c in found["counters"].values())
+    )
     console.print(f"0 everywhere: {zero}", highlight=False)
     said = f"{found['minutes']:.1f} minutes, success: {found['success']} {found['reasons'] or ''}"
     console.print(said, highlight=False)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--minutes", type=float, default=20.0)
     parser.add_argument("--each", type=int, default=15, help="drones a process")
     parser.add_argument("--json", action="store_true")

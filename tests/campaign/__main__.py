@@ -35,7 +35,9 @@ def campaign(chosen: list[int], jobs: int, console: Console) -> dict[str, Any]:
     cpu, kinds, injected, repeated = Counter[str](), Counter[str](), Counter[str](), 0
     again = [seed for seed in chosen if seed % AGAIN == 0]
     done = chain(each(chosen, jobs), each(again, jobs))
-    for report, spent in track(done, "seeds", len(chosen) + len(again), console=console):
+    for report, spent in track(
+        done, "seeds", len(chosen) + len(again), console=console
+    ):
         cpu[report.kind] += spent
         if report.seed in first:
             repeated += 1
@@ -47,16 +49,29 @@ def campaign(chosen: list[int], jobs: int, console: Console) -> dict[str, Any]:
             injected.update(report.injected)
         if report.wrong:
             reports.append(report)
-            console.print(f"seed {report.seed} ({report.kind}): {report.wrong[0]}", markup=False, highlight=False)
-            console.print(f"  again: cd tests && python -m campaign {report.seed}", markup=False, highlight=False)
+            console.print(
+                f"seed {report.seed} ({report.kind}): {report.wrong[0]}",
+                markup=False,
+                highlight=False,
+            )
+            console.print(
+                f"  again: cd tests && python -m campaign {report.seed}",
+                markup=False,
+                highlight=False,
+            )
     wall = time.perf_counter() - began
     return {
-        "success": not reports, "seeds": len(chosen), "repeated": repeated, "wall_s": wall,
-        "seeds_per_s": (len(chosen) + len(again)) / wall, "jobs": jobs, "kinds": dict(kinds),
+        "success": not reports,
+        "seeds": len(chosen),
+        "repeated": repeated,
+        "wall_s": wall,
+        "seeds_per_s": (len(chosen) + len(again)) / wall,
+        "jobs": jobs,
+        "kinds": dict(kinds),
         "injected": dict(injected.most_common()),
         "cpu_s": {kind: spent / max(1, kinds[kind]) for kind, spent in cpu.items()},
         "wrong": [asdict(report) for report in reports],
-    }  # fmt: skip
+    }
 
 
 def each(some: list[int], jobs: int) -> Iterator[tuple[Report, float]]:
@@ -70,7 +85,9 @@ def show(result: dict[str, Any], console: Console) -> None:
     table = Table("scenario", "seeds", "s of CPU a seed", "wrong")
     wrong = Counter(one["kind"] for one in result["wrong"])
     for kind, count in sorted(result["kinds"].items()):
-        table.add_row(kind, str(count), f"{result['cpu_s'][kind]:.3f}", str(wrong[kind]))
+        table.add_row(
+            kind, str(count), f"{result['cpu_s'][kind]:.3f}", str(wrong[kind])
+        )
     console.print(table)
     faults = Table("injected", "times")
     for fault, times in result["injected"].items():
@@ -86,7 +103,9 @@ def show(result: dict[str, Any], console: Console) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m campaign", description=__doc__)
     parser.add_argument("seeds", help="one, which is told in full, or a range: 0-9999")
-    parser.add_argument("--kind", choices=sorted(seeds.KINDS), help="only these scenarios of the range")
+    parser.add_argument(
+        "--kind", choices=sorted(seeds.KINDS), help="only these scenarios of the range"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", action="store_true")
     chosen = parser.parse_args()
@@ -96,7 +115,11 @@ def main() -> int:
         report = seeds.run(int(first))
         print(json.dumps(asdict(report), indent=None if chosen.json else 2))  # noqa: T201
         return int(bool(report.wrong))
-    some = [seed for seed in range(int(first), int(last) + 1) if chosen.kind in (None, seeds.kind_of(seed))]
+    some = [
+        seed
+        for seed in range(int(first), int(last) + 1)
+        if chosen.kind in (None, seeds.kind_of(seed))
+    ]
     result = campaign(some, chosen.jobs, console)
     if chosen.json:
         print(json.dumps(result))  # noqa: T201

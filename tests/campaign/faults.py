@@ -20,7 +20,10 @@ def effects(draw: Draw, report: Report, worst: float = 0.6) -> dict[str, float]:
         report.inject("loss")
     if draw.random() < 0.3:
         length = draw.uniform(2.0, 8.0)
-        found |= {"p_bad_good": 1.0 / length, "p_good_bad": float(draw.uniform(0.005, 0.05))}
+        found |= {
+            "p_bad_good": 1.0 / length,
+            "p_good_bad": float(draw.uniform(0.005, 0.05)),
+        }
         report.inject("bursts")
     if draw.random() < 0.4:
         found["delay"] = float(draw.uniform(0.001, 0.08))
@@ -32,7 +35,10 @@ def effects(draw: Draw, report: Report, worst: float = 0.6) -> dict[str, float]:
         found["duplicate"] = float(draw.uniform(0.05, 0.5))
         report.inject("duplicates")
     if draw.random() < 0.3:
-        found |= {"reorder": float(draw.uniform(0.05, 0.5)), "reorder_delay": float(draw.uniform(0.01, 0.1))}
+        found |= {
+            "reorder": float(draw.uniform(0.05, 0.5)),
+            "reorder_delay": float(draw.uniform(0.01, 0.1)),
+        }
         report.inject("reordering")
     return found
 
@@ -40,26 +46,40 @@ def effects(draw: Draw, report: Report, worst: float = 0.6) -> dict[str, float]:
 def graph(draw: Draw, n: int) -> Graph:
     """An undirected connected one."""
     kinds: list[Any] = [graphs.ring, graphs.path, graphs.star, graphs.complete]
-    kinds.append(lambda n: graphs.erdos_renyi_connected(n, 0.5, int(draw.integers(1 << 30))))
+    kinds.append(
+        lambda n: graphs.erdos_renyi_connected(n, 0.5, int(draw.integers(1 << 30)))
+    )
     return kinds[int(draw.integers(len(kinds)))](n)  # type: ignore[no-any-return]
 
 
-def rules(draw: Draw, report: Report, ids: tuple[int, ...], worst: float = 0.4) -> list[Rule]:
+def rules(
+    draw: Draw, report: Report, ids: tuple[int, ...], worst: float = 0.4
+) -> list[Rule]:
     """For all, and now and then worse ones for one drone."""
     made = [Rule(effects(draw, report, worst))]
     if draw.random() < 0.3:
-        made.append(Rule({"loss": float(draw.uniform(0.2, 0.7))}, drone=int(draw.choice(ids))))
+        made.append(
+            Rule({"loss": float(draw.uniform(0.2, 0.7))}, drone=int(draw.choice(ids)))
+        )
         report.inject("bad link of one drone")
     return made
 
 
-def partitions(draw: Draw, report: Report, ids: tuple[int, ...], until: float) -> list[Partition]:
+def partitions(
+    draw: Draw, report: Report, ids: tuple[int, ...], until: float
+) -> list[Partition]:
     """Up to two, of 0.2 to 15 s, that are over before `until` s."""
     found: list[Partition] = []
     for _ in range(int(draw.integers(0, 3))):
         size = int(draw.integers(1, len(ids)))
         since = float(draw.uniform(0.0, until - 0.5))
         ends = min(until, since + float(draw.choice([0.2, 1.0, 2.0, 5.0, 15.0])))
-        found.append(Partition(since, ends, tuple(sorted(draw.choice(ids, size, replace=False).tolist()))))
+        found.append(
+            Partition(
+                since,
+                ends,
+                tuple(sorted(draw.choice(ids, size, replace=False).tolist())),
+            )
+        )
         report.inject("partitions")
     return found

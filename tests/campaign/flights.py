@@ -22,7 +22,12 @@ from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.trace import Trace
 from crazychoir.types import Acceleration, FullState, Reference
 
-BRISK = {"takeoff_height": 0.5, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.5,
+    "speed_limit": 1.5,
+    "acceleration_limit": 3.0,
+    "landing_speed": 0.6,
+}
 IN_FLIGHT = 20.0
 """s after the first take-off at which all are told to land;  DELIVERING: the same where goods are delivered, as most
 are after 20 s; a partition of 15 s keeps some waiting."""
@@ -49,8 +54,17 @@ class Invariants(Actor):
     name = "invariants"
 
     def __init__(self, agent: Agent, report: Report, until: float) -> None:
-        self.agent, self.report, self.until, self.killed = agent, report, until, dict[int, float]()
-        self.began, self.seen, self.blind = np.inf, dict[int, float](), dict[int, tuple[float, float]]()
+        self.agent, self.report, self.until, self.killed = (
+            agent,
+            report,
+            until,
+            dict[int, float](),
+        )
+        self.began, self.seen, self.blind = (
+            np.inf,
+            dict[int, float](),
+            dict[int, tuple[float, float]](),
+        )
         self.alone: int | None = None
         self._said: dict[Any, None] = {}
 
@@ -62,21 +76,35 @@ class Invariants(Actor):
     def look(self, now: float) -> None:
         """One step."""
         agent, report = self.agent, self.report
-        p = {i: agent._owner_of[i].world.states[agent._owner_of[i].world.row[i], 0:3] for i in agent.ids}
-        up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]  # who falls hits whom he hits
+        p = {
+            i: agent._owner_of[i].world.states[agent._owner_of[i].world.row[i], 0:3]
+            for i in agent.ids
+        }
+        up = [
+            i for i in agent.ids if p[i][2] > LOW and i not in self.killed
+        ]  # who falls hits whom he hits
         if up and self.began == np.inf:
             self.began = now
         if now - self.began > self.until:
             self.began = np.nan  # said once
-            ended = self.alone is None or self.alone in self.killed or agent.drones[self.alone].result
+            ended = (
+                self.alone is None
+                or self.alone in self.killed
+                or agent.drones[self.alone].result
+            )
             if not ended:
-                self._wrong("alone", f"drone {self.alone}, cut off for good, still waits at {now:.2f} s")
+                self._wrong(
+                    "alone",
+                    f"drone {self.alone}, cut off for good, still waits at {now:.2f} s",
+                )
             agent.land_all("the scenario is over")
         for i in agent.ids:
             if not np.isfinite(p[i]).all():
                 self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
         report.checks += len(up)
-        low, high = (np.array(side) for side in (agent.config.fence.min, agent.config.fence.max))
+        low, high = (
+            np.array(side) for side in (agent.config.fence.min, agent.config.fence.max)
+        )
         for i in up:
             beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
             unseen = now - self.seen.get(i, now)
@@ -85,14 +113,26 @@ class Invariants(Actor):
             when, gap = self.blind.get(i, (-np.inf, 0.0))
             allowed = OUTSIDE + (0.5 * DRIFT * gap**2 if now - when < BACK else 0.0)
             if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
-                self._wrong(("fence", i), f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on")
-            if unseen > UNSEEN and agent.drones[i].pilot.mode not in (Mode.LAND, Mode.CUT):
-                self._wrong(("unseen", i), f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s")
+                self._wrong(
+                    ("fence", i),
+                    f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on",
+                )
+            if unseen > UNSEEN and agent.drones[i].pilot.mode not in (
+                Mode.LAND,
+                Mode.CUT,
+            ):
+                self._wrong(
+                    ("unseen", i),
+                    f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s",
+                )
         for a, i in enumerate(up):
             for j in up[a + 1 :]:
                 apart = float(np.linalg.norm(p[i] - p[j]))
                 if apart < TOUCHING:
-                    self._wrong(("near", i, j), f"drones {i} and {j} are {apart:.3f} m from each other at {now:.2f} s")
+                    self._wrong(
+                        ("near", i, j),
+                        f"drones {i} and {j} are {apart:.3f} m from each other at {now:.2f} s",
+                    )
 
     def _wrong(self, what: Any, text: str) -> None:
         if what not in self._said:
@@ -104,7 +144,10 @@ def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> Non
     """For a while the cameras do not see a drone."""
     gaps = []
     for _ in range(int(draw.integers(0, 4))):
-        since, length = float(draw.uniform(1.0, 15.0)), float(draw.choice([0.05, 0.3, 0.8, 3.0]))
+        since, length = (
+            float(draw.uniform(1.0, 15.0)),
+            float(draw.choice([0.05, 0.3, 0.8, 3.0])),
+        )
         gaps.append((int(draw.choice(agent.ids)), since, since + length))
         report.inject("mocap dropouts")
     if not gaps:
@@ -113,9 +156,13 @@ def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> Non
         port = agent.bus.ports[i]
         publish = port.publish
 
-        def seen(topic: Any, value: Any, age: float = 0.0, i: int = i, publish: Any = publish) -> None:
+        def seen(
+            topic: Any, value: Any, age: float = 0.0, i: int = i, publish: Any = publish
+        ) -> None:
             now = agent.clock.now()
-            blind = topic is POSE and any(j == i and since <= now < until for j, since, until in gaps)
+            blind = topic is POSE and any(
+                j == i and since <= now < until for j, since, until in gaps
+            )
             if not blind:
                 if topic is POSE:
                     watch.seen[i] = now
@@ -128,7 +175,11 @@ def runaway(agent: Agent, report: Report, draw: Draw) -> None:
     """From some time on the law of a drone wants it out of the fence: the safety table must keep it inside."""
     if draw.random() < 0.7:
         return
-    i, since, angle = int(draw.choice(agent.ids)), float(draw.uniform(2.0, 6.0)), float(draw.uniform(0.0, 2.0 * np.pi))
+    i, since, angle = (
+        int(draw.choice(agent.ids)),
+        float(draw.uniform(2.0, 6.0)),
+        float(draw.uniform(0.0, 2.0 * np.pi)),
+    )
     way, pilot = np.array([np.cos(angle), np.sin(angle), 0.0]), agent.drones[i].pilot
     follow = pilot.follow
     report.inject("runaway laws")
@@ -138,13 +189,22 @@ def runaway(agent: Agent, report: Report, draw: Draw) -> None:
             return follow(reference)
         if isinstance(reference, Acceleration):
             return follow(Acceleration(2.0 * way))
-        return follow(FullState.at(pilot.state.p + 0.3 * way, way) if isinstance(reference, FullState) else reference)
+        return follow(
+            FullState.at(pilot.state.p + 0.3 * way, way)
+            if isinstance(reference, FullState)
+            else reference
+        )
 
     pilot.follow = followed  # type: ignore[method-assign]
 
 
 def flown(
-    report: Report, draw: Draw, config: SwarmConfig, mission: Mission, kills: int, until: float = IN_FLIGHT
+    report: Report,
+    draw: Draw,
+    config: SwarmConfig,
+    mission: Mission,
+    kills: int,
+    until: float = IN_FLIGHT,
 ) -> Agent | None:
     """Fly it with faults; the agent afterwards, for what is to be looked at of its mission.
 
@@ -182,7 +242,9 @@ def flown(
         for i in ids:
             report.holds(results[i] or i in watch.killed, f"drone {i} has no result")
             mode = agent.drones[i].pilot.mode
-            report.holds(mode in (Mode.GROUND, Mode.CUT), f"drone {i} ends {mode.value}")
+            report.holds(
+                mode in (Mode.GROUND, Mode.CUT), f"drone {i} ends {mode.value}"
+            )
         report.simulated_s = clock.now()
         report.digest = digest(trace.digest(), clock.now_ns())
 
@@ -194,9 +256,13 @@ def formation(report: Report, draw: Draw) -> None:
     """A formation by bearings, scattered at first."""
     mission = load("bearing_formation")
     made = mission.swarm(None).replace(
-        seed=report.seed, flight=BRISK, lost_after=2.0, start=3, start_deadline=3.0,
+        seed=report.seed,
+        flight=BRISK,
+        lost_after=2.0,
+        start=3,
+        start_deadline=3.0,
         mission_options={"duration": float(draw.uniform(4.0, 12.0))},
-    )  # fmt: skip
+    )
     flown(report, draw, mission.scatter(made), mission, int(draw.integers(0, 2)))
 
 
@@ -204,22 +270,42 @@ def crossing(report: Report, draw: Draw) -> None:
     """Drones that fly straight at each other."""
     mission, n = load("crossing"), int(draw.integers(2, 6))
     made = mission.swarm(n).replace(seed=report.seed, lost_after=2.0)
-    options = {"pattern": "antipodal", "radius": 1.2, "low": 0.8, "high": 1.2, "jitter": 0.05, "duration": 8.0}
-    config = mission.scatter(made.replace(mission_options=made.mission_options | options))
+    options = {
+        "pattern": "antipodal",
+        "radius": 1.2,
+        "low": 0.8,
+        "high": 1.2,
+        "jitter": 0.05,
+        "duration": 8.0,
+    }
+    config = mission.scatter(
+        made.replace(mission_options=made.mission_options | options)
+    )
     flown(report, draw, config, mission, int(draw.integers(0, 2)))
 
 
 def delivery(report: Report, draw: Draw) -> None:
     """Goods that appear in flight: none picked up or delivered twice, or forgotten; what one has done others know."""
-    mission, until = load("online_delivery"), float(draw.choice([IN_FLIGHT, DELIVERING, LONG], p=[0.3, 0.5, 0.2]))
-    n, tasks, later = int(draw.integers(2, 5)), int(draw.integers(1, 5)), draw.uniform(0.5, 4.5, 5).round(2).tolist()
+    mission, until = (
+        load("online_delivery"),
+        float(draw.choice([IN_FLIGHT, DELIVERING, LONG], p=[0.3, 0.5, 0.2])),
+    )
+    n, tasks, later = (
+        int(draw.integers(2, 5)),
+        int(draw.integers(1, 5)),
+        draw.uniform(0.5, 4.5, 5).round(2).tolist(),
+    )
     new = {"t": later[0], "pickup": later[1:3], "delivery": later[3:5]}
-    made = drawn(report.seed, 0.0, drones=n, tasks=tasks, later=0, appear=[new], service_time=0.2)
+    made = drawn(
+        report.seed, 0.0, drones=n, tasks=tasks, later=0, appear=[new], service_time=0.2
+    )
     made = made.replace(flight=QUICK, lost_after=float(draw.choice([1.0, 5.0])))
     agent = flown(report, draw, made, mission, int(draw.integers(0, 2)), until)
     if agent is None:
         return
-    watch = next(service for service in agent.services if isinstance(service, Invariants))
+    watch = next(
+        service for service in agent.services if isinstance(service, Invariants)
+    )
     gone = {*watch.killed, watch.alone}
     by: dict[tuple[int, str], list[int]] = {}
     for i in agent.ids:
@@ -228,20 +314,46 @@ def delivery(report: Report, draw: Draw) -> None:
     for (j, kind), who in sorted(by.items()):
         report.holds(len(who) == 1, f"{kind} of task {j} by {who}")
         others = [agent.drones[i].guidance for i in agent.ids if i not in who]
-        heard = [guidance.news.book.records.values() for guidance in others if hasattr(guidance, "news")]  # has begun
-        known = any(deed.task == j and deed.kind == kind for records in heard for r in records for deed in r.deeds)
-        nobody = len(agent.ids) == 2 or gone.issuperset(i for i in agent.ids if i not in who)
-        aboard = watch.alone in who and kind == "delivery"  # what it has when it is cut off, it delivers, unheard
-        report.holds(known or nobody or aboard, f"{kind} of task {j} by {who}, and nobody else has heard of it")
+        heard = [
+            guidance.news.book.records.values()
+            for guidance in others
+            if hasattr(guidance, "news")
+        ]  # has begun
+        known = any(
+            deed.task == j and deed.kind == kind
+            for records in heard
+            for r in records
+            for deed in r.deeds
+        )
+        nobody = len(agent.ids) == 2 or gone.issuperset(
+            i for i in agent.ids if i not in who
+        )
+        aboard = (
+            watch.alone in who and kind == "delivery"
+        )  # what it has when it is cut off, it delivers, unheard
+        report.holds(
+            known or nobody or aboard,
+            f"{kind} of task {j} by {who}, and nobody else has heard of it",
+        )
     failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
     for i in agent.ids:
         told = agent.drones[i].result.get("tasks")
-        for j in [task.id for task in mission.known(agent.config)] if told is not None else []:
+        for j in (
+            [task.id for task in mission.known(agent.config)]
+            if told is not None
+            else []
+        ):
             fate, robot = told.get(str(j), ("forgotten", None))
             done = fate == "delivered" and ((j, "delivery") in by or robot in failed)
-            reason = i in failed or robot in failed or str(j) in agent.drones[i].result["unserved"]
+            reason = (
+                i in failed
+                or robot in failed
+                or str(j) in agent.drones[i].result["unserved"]
+            )
             left = fate in ("open", "aboard", "lost") and reason
-            report.holds(done or left, f"drone {i} says that task {j} is {fate} (drone {robot})")
+            report.holds(
+                done or left, f"drone {i} says that task {j} is {fate} (drone {robot})"
+            )
 
 
 KINDS = {"formation": formation, "crossing": crossing, "delivery": delivery}

@@ -55,7 +55,11 @@ def rounds(report: Report, draw: Draw) -> None:
 
 def allocation(report: Report, draw: Draw) -> None:
     """Primal decomposition of a random mixed-integer program: sum y = b after each round, bit by bit the same."""
-    n, length, seed = int(draw.integers(2, 7)), int(draw.integers(4, 10)), int(draw.integers(1 << 30))
+    n, length, seed = (
+        int(draw.integers(2, 7)),
+        int(draw.integers(4, 10)),
+        int(draw.integers(1 << 30)),
+    )
     graph, network = faults.graph(draw, n), faults.effects(draw, report)
     blocks, weights = random_blocks(n, seed), metropolis(graph)
     b = sum(block.share for block in blocks)
@@ -63,11 +67,18 @@ def allocation(report: Report, draw: Draw) -> None:
     def allocated(network: dict[str, float]) -> list[Any]:
         agents = {
             i: PrimalDecomposition(
-                i, weights[i], Convexified(blocks[i], 100.0), blocks[i].share, Diminishing(0.3, 0.6), length
+                i,
+                weights[i],
+                Convexified(blocks[i], 100.0),
+                blocks[i].share,
+                Diminishing(0.3, 0.6),
+                length,
             )
             for i in graph.ids
         }
-        history = simulate(agents, graph, network=network, seed=report.seed, record=("y",))
+        history = simulate(
+            agents, graph, network=network, seed=report.seed, record=("y",)
+        )
         report.simulated_s += history.simulated_s
         y = np.array([history.values[i]["y"] for i in graph.ids])  # (n, rounds, S)
         off = float(np.abs(y.sum(axis=0) - b).max())
@@ -75,15 +86,22 @@ def allocation(report: Report, draw: Draw) -> None:
         return [y]
 
     faulty = digest(allocated(network))
-    report.holds(faulty == digest(allocated({})), "not the allocation of a perfect network")
+    report.holds(
+        faulty == digest(allocated({})), "not the allocation of a perfect network"
+    )
     report.digest = faulty
 
 
 def plan(report: Report, draw: Draw) -> None:
     """Pickups and deliveries: the plan of a perfect network, each task served once; shares of tasks sum up to one."""
     robots, tasks = int(draw.integers(2, 5)), int(draw.integers(2, 6))
-    method, seed = METHODS[int(draw.integers(len(METHODS)))], int(draw.integers(1 << 30))
-    instance = random_instance(robots, tasks, seed, capable=float(draw.uniform(0.6, 1.0)))
+    method, seed = (
+        METHODS[int(draw.integers(len(METHODS)))],
+        int(draw.integers(1 << 30)),
+    )
+    instance = random_instance(
+        robots, tasks, seed, capable=float(draw.uniform(0.6, 1.0))
+    )
     loss = float(draw.uniform(0.05, 0.6))
     name = ("ring", "path", "star", "complete")[int(draw.integers(4))]
     report.inject("loss")
@@ -98,23 +116,43 @@ def plan(report: Report, draw: Draw) -> None:
             return change
 
         with patch.object(PriceRounds, "_trade", traded):
-            found = solve_here(instance, method=method, loss=loss, graph=name, seed=report.seed)
+            found = solve_here(
+                instance, method=method, loss=loss, graph=name, seed=report.seed
+            )
         for k in sorted({k for k, _ in shares}):
             of_all = [shares[k, i] for i in range(robots) if (k, i) in shares]
-            off = float(np.abs(sum(of_all) - 1.0).max()) if len(of_all) == robots else 0.0
-            report.holds(off < 1e-9, f"round {k}: the shares of a task sum up to {off:g} too much or too little")
+            off = (
+                float(np.abs(sum(of_all) - 1.0).max()) if len(of_all) == robots else 0.0
+            )
+            report.holds(
+                off < 1e-9,
+                f"round {k}: the shares of a task sum up to {off:g} too much or too little",
+            )
         return found
 
     found, calm = planned(loss), planned(0.0)
-    served = Counter((stop["task"], stop["kind"]) for route in found["routes"] for stop in route["stops"])
-    refused = {int(one["task"]) if isinstance(one, dict) else int(one) for one in found["refused"]}
+    served = Counter(
+        (stop["task"], stop["kind"])
+        for route in found["routes"]
+        for stop in route["stops"]
+    )
+    refused = {
+        int(one["task"]) if isinstance(one, dict) else int(one)
+        for one in found["refused"]
+    }
     for j in range(tasks):
         wanted = 0 if j in refused else 1
         for kind in ("pickup", "delivery"):
             times = served[j, kind]
-            report.holds(times == wanted, f"{method}: {kind} of task {j} {times} times, not {wanted}")
+            report.holds(
+                times == wanted,
+                f"{method}: {kind} of task {j} {times} times, not {wanted}",
+            )
     report.holds(not found["violations"], f"{method}: {found['violations']}")
-    report.holds(found["plan_digest"] == calm["plan_digest"], f"{method}: not the plan of a perfect network")
+    report.holds(
+        found["plan_digest"] == calm["plan_digest"],
+        f"{method}: not the plan of a perfect network",
+    )
     report.digest = digest(found["plan_digest"], found["messages"], found["lost"])
 
 
@@ -137,7 +175,9 @@ async def beginning_anew(t: Team, i: int) -> None:
         said = [c.epoch, c.open("anew").receiving]
         with suppress(RosterChanged, PeerLost):
             got = await c.neighbors_exchange(said, channel="anew")
-            assert all(value == said for value in got.values()), f"{said}, and hears {got}"
+            assert all(value == said for value in got.values()), (
+                f"{said}, and hears {got}"
+            )
         await t.clock.sleep(0.05)
 
 
@@ -167,10 +207,16 @@ def members(report: Report, draw: Draw) -> None:
 
     order, few = draw.permutation(n).tolist(), int(draw.integers(0, n // 2 + 1))
     crashes(order[:few])
-    ahead = tuple(draw.uniform(-1e4, 1e4, int(draw.integers(2, 4)))) if draw.random() < 0.5 else ()
+    ahead = (
+        tuple(draw.uniform(-1e4, 1e4, int(draw.integers(2, 4))))
+        if draw.random() < 0.5
+        else ()
+    )
     if ahead:
         report.inject("clock skew")
-    if draw.random() < 0.5:  # the other seeds tell what they told when at most half were killed
+    if (
+        draw.random() < 0.5
+    ):  # the other seeds tell what they told when at most half were killed
         crashes(order[few : int(draw.integers(few, n))])
 
     async def story(t: Team) -> None:
@@ -204,14 +250,22 @@ def members(report: Report, draw: Draw) -> None:
                 t.clock.call_at(went + round((at + pause) * 1e9), again, i)
         await t.clock.sleep(EVENTS + LATEST)
         for bus in t.buses:
-            bus.impairment.replace([], [])  # of a network that loses most, somebody is taken for lost now and then
+            bus.impairment.replace(
+                [], []
+            )  # of a network that loses most, somebody is taken for lost now and then
         await t.clock.sleep(CALM - 4.0)
         before = {i: newest(heard, i) for i in t.members}
         await t.clock.sleep(2.0)
         for i, k in before.items():
-            report.holds(newest(heard, i) > k, f"drone {i} stands still in the round after {k}")
+            report.holds(
+                newest(heard, i) > k, f"drone {i} stands still in the round after {k}"
+            )
         for i, life in [*lives.items(), *anew.items()]:
-            if life.done() and not life.cancelled() and (error := life.exception()) is not None:
+            if (
+                life.done()
+                and not life.cancelled()
+                and (error := life.exception()) is not None
+            ):
                 known = isinstance(error, CrazyChoirError)
                 report.holds(known, f"drone {i}: {type(error).__name__}: {error}")
         alive = {i: incarnations[i] for i in sorted(t.members)}
@@ -224,11 +278,18 @@ def members(report: Report, draw: Draw) -> None:
         roster = next(iter(rosters.values()), None)
         for k in sorted(heard) if roster is not None and len(checksums) == 1 else ():
             whole = k >= roster.first_round and all(i in heard[k] for i in roster.ids)
-            theirs = {i: by for i, by in heard[k].items() if i in roster.members}  # who has died was in another, maybe
+            theirs = {
+                i: by for i, by in heard[k].items() if i in roster.members
+            }  # who has died was in another, maybe
             right = not whole or as_graph_says(roster.graph, k, {k: theirs})
-            report.holds(right, f"in round {k} of an epoch since {roster.first_round} they hear {heard[k]}")
+            report.holds(
+                right,
+                f"in round {k} of an epoch since {roster.first_round} they hear {heard[k]}",
+            )
         report.simulated_s = t.clock.now()
-        report.digest = digest(sorted(heard.items()), sorted(alive.items()), t.clock.now_ns())
+        report.digest = digest(
+            sorted(heard.items()), sorted(alive.items()), t.clock.now_ns()
+        )
 
     team(graph, story, rules, cuts, report.seed, ahead=ahead)
 
@@ -266,7 +327,9 @@ def commands(report: Report, draw: Draw) -> None:
 
             def lossy(*message: Any, deliver: Any = deliver) -> None:
                 if draw.random() < loss:
-                    kept.extend([(deliver, message)] * (message[0] == ESTOP.number))  # it comes for the first time then
+                    kept.extend(
+                        [(deliver, message)] * (message[0] == ESTOP.number)
+                    )  # it comes for the first time then
                     return
                 for _ in range(1 + (draw.random() < 0.2)):
                     deliver(*message)
@@ -280,25 +343,39 @@ def commands(report: Report, draw: Draw) -> None:
             began, i, deadline = clock.now(), k % n, float(draw.uniform(0.3, 4.0))
             try:
                 answer = await operator.request(i, "do", deadline, k=k)
-                report.holds(answer.kind in (DONE, ACCEPTED) or k % 7 == 6, f"request {k}: {answer}")
+                report.holds(
+                    answer.kind in (DONE, ACCEPTED) or k % 7 == 6,
+                    f"request {k}: {answer}",
+                )
                 if answer.kind == DONE:
                     once = done[i, k] == 1 and answer.detail == k
                     report.holds(once, f"request {k} done {done[i, k]} times: {answer}")
             except TimeoutError:
                 pass
-            report.holds(clock.now() - began <= deadline + 0.01, f"request {k} waits {clock.now() - began:g} s")
+            report.holds(
+                clock.now() - began <= deadline + 0.01,
+                f"request {k} waits {clock.now() - began:g} s",
+            )
 
         async with asyncio.timeout(LONGEST):
             await asyncio.gather(*(ask(k) for k in range(count)))
-            for clear in (clears := (draw.random(int(draw.integers(1, 5))) < 0.5).tolist()):
-                await operator.emergency_stop(list(range(n)), clear, deadline=float(draw.choice([0.05, 1.0])))
-            missing = await operator.emergency_stop(list(range(n)), clears[-1], deadline=60.0)
+            for clear in (
+                clears := (draw.random(int(draw.integers(1, 5))) < 0.5).tolist()
+            ):
+                await operator.emergency_stop(
+                    list(range(n)), clear, deadline=float(draw.choice([0.05, 1.0]))
+                )
+            missing = await operator.emergency_stop(
+                list(range(n)), clears[-1], deadline=60.0
+            )
             report.holds(not missing, f"a stop, or a clear, has not reached {missing}")
             for deliver, message in reversed(kept):  # all of it once more, much later
                 deliver(*message[:-1], 0.0)
             await clock.sleep(5.0)
         for i, on in [*stopped.items(), ("all", bus.stopped)]:
-            report.holds(on is not clears[-1], f"stop of {i} is {on} after clears {clears}")
+            report.holds(
+                on is not clears[-1], f"stop of {i} is {on} after clears {clears}"
+            )
         twice = [key for key, times in done.items() if times > 1]
         report.holds(not twice, f"done twice: {twice}")
         report.simulated_s = clock.now()
@@ -307,4 +384,10 @@ def commands(report: Report, draw: Draw) -> None:
     run_virtual(main)
 
 
-KINDS = {"rounds": rounds, "allocation": allocation, "plan": plan, "members": members, "commands": commands}
+KINDS = {
+    "rounds": rounds,
+    "allocation": allocation,
+    "plan": plan,
+    "members": members,
+    "commands": commands,
+}

@@ -18,7 +18,11 @@ class Skewed(Clock):
 
     def __init__(self, clock: Clock, ahead: float) -> None:
         super().__init__()
-        self._clock, self._loop, self._ahead_ns = clock, clock._loop, round(ahead * SECOND)
+        self._clock, self._loop, self._ahead_ns = (
+            clock,
+            clock._loop,
+            round(ahead * SECOND),
+        )
 
     def now_ns(self) -> int:
         return self._clock.now_ns() + self._ahead_ns
@@ -38,7 +42,11 @@ class Way:
 
     def forward(self, topic: Topic, source: int, to: list[int], *message: Any) -> None:
         for j in to:
-            ports = [bus.ports[j] for bus in self.hosts if bus is not self.own and j in bus.ports]
+            ports = [
+                bus.ports[j]
+                for bus in self.hosts
+                if bus is not self.own and j in bus.ports
+            ]
             for port in ports:
                 port.deliver(topic.number, source, *message)
             self.own.unroutable += not ports
@@ -50,10 +58,14 @@ class Way:
         """Nobody reads topics of others here."""
 
 
-def hosts(clock: Clock, ahead: Sequence[float], impairment: Callable[[], Impairment]) -> list[Bus]:
+def hosts(
+    clock: Clock, ahead: Sequence[float], impairment: Callable[[], Impairment]
+) -> list[Bus]:
     """A bus for each number of seconds that its clock is ahead."""
     made: list[Bus] = []
     for k, seconds in enumerate(ahead):
-        made.append(Bus(Skewed(clock, seconds), impairment(), process=f"p{k}", host=f"h{k}"))
+        made.append(
+            Bus(Skewed(clock, seconds), impairment(), process=f"p{k}", host=f"h{k}")
+        )
         made[-1].forwarder = Way(made[-1], made)
     return made

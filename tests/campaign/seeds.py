@@ -46,7 +46,9 @@ def quiet() -> None:
 
 def late(number: int, frame: Any) -> None:
     """The alarm."""
-    raise Hangs(f"{PATIENCE:g} s of the processor, or {10 * PATIENCE:g} of the wall clock")
+    raise Hangs(
+        f"{PATIENCE:g} s of the processor, or {10 * PATIENCE:g} of the wall clock"
+    )
 
 
 def timed(seed: int) -> tuple[Report, float]:

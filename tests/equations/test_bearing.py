@@ -5,7 +5,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from crazychoir.control.margin import REQUIRED
-from crazychoir.guidance.formation.bearing import KP, KV, bearing_laplacian, check_formation
+from crazychoir.guidance.formation.bearing import (
+    KP,
+    KV,
+    bearing_laplacian,
+    check_formation,
+)
 from crazychoir.guidance.formation.modes import slowest_mode
 
 SQUARE = {0: (0, 0, 1), 1: (1, 0, 1), 2: (1, 1, 1), 3: (0, 1, 1)}
@@ -15,8 +20,13 @@ PAPER_GRAPH = {0: {1, 3}, 1: {0, 2, 3}, 2: {1, 3}, 3: {0, 1, 2}}
 def test_the_formation_is_where_the_law_is_at_rest():
     b_ff, b_fl, followers = bearing_laplacian(SQUARE, PAPER_GRAPH, [0, 1])
     assert followers == [2, 3]
-    leaders, goal = np.array([SQUARE[0], SQUARE[1]], float), np.array([SQUARE[2], SQUARE[3]], float)
-    np.testing.assert_allclose(-np.linalg.solve(b_ff, b_fl @ leaders.ravel()), goal.ravel(), atol=1e-12)
+    leaders, goal = (
+        np.array([SQUARE[0], SQUARE[1]], float),
+        np.array([SQUARE[2], SQUARE[3]], float),
+    )
+    np.testing.assert_allclose(
+        -np.linalg.solve(b_ff, b_fl @ leaders.ravel()), goal.ravel(), atol=1e-12
+    )
 
 
 @given(st.floats(0.5, 3.0), arrays(float, 3, elements=st.floats(-2.0, 2.0)))
@@ -27,17 +37,25 @@ def test_it_scales_and_moves_with_the_leaders(scale, offset):
     np.testing.assert_allclose(found, np.concatenate([at[2], at[3]]), atol=1e-9)
 
 
-@given(arrays(float, 12, elements=st.floats(-1.0, 1.0)), arrays(float, 12, elements=st.floats(-1.0, 1.0)))
+@given(
+    arrays(float, 12, elements=st.floats(-1.0, 1.0)),
+    arrays(float, 12, elements=st.floats(-1.0, 1.0)),
+)
 def test_the_matrix_is_the_papers_sum_over_neighbours(p, v):
     p, v = p.reshape(4, 3), v.reshape(4, 3)
     b_ff, b_fl, _ = bearing_laplacian(SQUARE, PAPER_GRAPH, [0, 1])
-    whole = -(b_ff @ (KP * p[2:] + KV * v[2:]).ravel() + b_fl @ (KP * p[:2] + KV * v[:2]).ravel()).reshape(2, 3)
+    whole = -(
+        b_ff @ (KP * p[2:] + KV * v[2:]).ravel()
+        + b_fl @ (KP * p[:2] + KV * v[:2]).ravel()
+    ).reshape(2, 3)
     for row, i in enumerate((2, 3)):
         u = np.zeros(3)
         for j in PAPER_GRAPH[i]:
             g = np.array(SQUARE[j], float) - SQUARE[i]
             g /= np.linalg.norm(g)
-            u -= (np.eye(3) - np.outer(g, g)) @ (KP * (p[i] - p[j]) + KV * (v[i] - v[j]))
+            u -= (np.eye(3) - np.outer(g, g)) @ (
+                KP * (p[i] - p[j]) + KV * (v[i] - v[j])
+            )
         np.testing.assert_allclose(whole[row], u, atol=1e-12)
 
 

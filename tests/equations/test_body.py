@@ -20,7 +20,9 @@ WIND = np.array([0.5, -0.3, 0.2])
 PUSH, TWIST = np.array([0.01, -0.02, 0.015]), np.array([1e-5, -2e-5, 1.5e-5])
 PLACES = P.arm * np.array([[1, -1, 0], [-1, -1, 0], [-1, 1, 0], [1, 1, 0]])
 TURNS = np.array([1, -1, 1, -1])  # counter-clockwise seen from above
-START = np.array([0.3, -0.2, 0.15, 0.8, -0.5, 0.9, *exponential(0.2, -0.3, 0.5), 2.0, -3.0, 4.0])
+START = np.array(
+    [0.3, -0.2, 0.15, 0.8, -0.5, 0.9, *exponential(0.2, -0.3, 0.5), 2.0, -3.0, 4.0]
+)
 
 
 def rotors(f, goal, platform):
@@ -37,8 +39,15 @@ def wrench(p, v, r, w, f, goal, platform=P, wind=WIND, push=PUSH, twist=TWIST):
     height = max(p[2], 0) + ROTOR_HEIGHT
     ground = 1 / (1 - (platform.rotor.radius / (4 * height)) ** 2)
     speed, change, drag = rotors(f, goal, platform)
-    force = r[:, 2] * ground * f.sum() - r @ np.diag(platform.drag) @ r.T @ (v - wind) + push
-    torque = sum(np.cross(at, [0, 0, ground * one]) for at, one in zip(PLACES * platform.arm / P.arm, f, strict=True))
+    force = (
+        r[:, 2] * ground * f.sum()
+        - r @ np.diag(platform.drag) @ r.T @ (v - wind)
+        + push
+    )
+    torque = sum(
+        np.cross(at, [0, 0, ground * one])
+        for at, one in zip(PLACES * platform.arm / P.arm, f, strict=True)
+    )
     torque[2] -= TURNS @ (drag + platform.rotor.inertia * change)
     spin = np.array([0, 0, platform.rotor.inertia * TURNS @ speed])
     return force, torque - np.cross(w, spin) + twist
@@ -51,12 +60,16 @@ def slope(t, y, goal):
     j = np.array(P.inertia)
     dq = 0.5 * np.array([*(q[3] * w + np.cross(q[:3], w)), -q[:3] @ w])
     a = force / P.mass - [0, 0, GRAVITY]
-    return np.concatenate([v, a, dq, (torque - np.cross(w, j * w)) / j, (goal - f) / P.rotor.lag])
+    return np.concatenate(
+        [v, a, dq, (torque - np.cross(w, j * w)) / j, (goal - f) / P.rotor.lag]
+    )
 
 
 def hovering(start=START, platform=P, **options):
     """A world of one drone in the air, its rotors at hover."""
-    world = MotorWorld([0], np.array([[*start[:2], 1.0]]), platform=platform, downwash=False, **options)
+    world = MotorWorld(
+        [0], np.array([[*start[:2], 1.0]]), platform=platform, downwash=False, **options
+    )
     world.states[0] = start
     return world
 
@@ -66,7 +79,10 @@ def flown(h, until, goal):
     world.force[0], world.torque[0] = PUSH, TWIST
     world._run(0, 0)
     m = world._blocks[0]
-    for name, value in {HALF: math.exp(-0.5 * h / P.rotor.lag), FULL: math.exp(-h / P.rotor.lag)}.items():
+    for name, value in {
+        HALF: math.exp(-0.5 * h / P.rotor.lag),
+        FULL: math.exp(-h / P.rotor.lag),
+    }.items():
         m[name : name + LANES] = value
     for c in range(4):
         m[G1 + c * LANES] = goal[c]
@@ -83,7 +99,9 @@ GOAL = np.array([0.093, 0.086, 0.088, 0.090])
 @pytest.fixture(scope="module")
 def truth():
     y0 = np.concatenate([START, np.full(4, P.weight / 4)])
-    return solve_ivp(slope, (0, 0.4), y0, method="DOP853", rtol=1e-13, atol=1e-15, args=(GOAL,)).y[:13, -1]
+    return solve_ivp(
+        slope, (0, 0.4), y0, method="DOP853", rtol=1e-13, atol=1e-15, args=(GOAL,)
+    ).y[:13, -1]
 
 
 def test_the_order_is_four(truth):
@@ -97,13 +115,18 @@ def test_the_order_is_four(truth):
 def test_a_step_of_a_millisecond_follows_the_equations_to_a_nanometre(truth):
     x = flown(0.001, 0.4, GOAL)
     assert np.linalg.norm(x[:3] - truth[:3]) < 1e-9
-    np.testing.assert_allclose(x[6:10], truth[6:10] / np.linalg.norm(truth[6:10]), atol=1e-9)
+    np.testing.assert_allclose(
+        x[6:10], truth[6:10] / np.linalg.norm(truth[6:10]), atol=1e-9
+    )
     np.testing.assert_allclose(x[10:13], truth[10:13], atol=1e-7)
 
 
 def test_without_torque_and_drag_a_tumbling_fall_keeps_energy_and_angular_momentum():
     platform = replace(CRAZYFLIE_21_BRUSHLESS, drag=(0.0, 0.0, 0.0))
-    world = hovering(np.array([0, 0, 50.0, 1, -2, 3, *exponential(0.2, -0.3, 0.5), 9.0, -7.0, 4.0]), platform)
+    world = hovering(
+        np.array([0, 0, 50.0, 1, -2, 3, *exponential(0.2, -0.3, 0.5), 9.0, -7.0, 4.0]),
+        platform,
+    )
     world.cut(0)
     m = world._blocks[0]
     for c in range(4):  # rotors that stand still from the start
@@ -114,7 +137,11 @@ def test_without_torque_and_drag_a_tumbling_fall_keeps_energy_and_angular_moment
     def kept():
         x = world.states[0]
         w = x[10:13]
-        energy = 0.5 * platform.mass * x[3:6] @ x[3:6] + platform.weight * x[2] + 0.5 * w @ (j * w)
+        energy = (
+            0.5 * platform.mass * x[3:6] @ x[3:6]
+            + platform.weight * x[2]
+            + 0.5 * w @ (j * w)
+        )
         return np.array([energy, 0.5 * w @ (j * w), *(rotation(x[6:10]) @ (j * w))])
 
     before = kept()
@@ -123,7 +150,9 @@ def test_without_torque_and_drag_a_tumbling_fall_keeps_energy_and_angular_moment
     after = kept()
     assert after[0] == pytest.approx(before[0], rel=1e-10)
     assert after[1] == pytest.approx(before[1], rel=1e-9)
-    np.testing.assert_allclose(after[2:], before[2:], rtol=0, atol=1e-9 * np.linalg.norm(before[2:]))
+    np.testing.assert_allclose(
+        after[2:], before[2:], rtol=0, atol=1e-9 * np.linalg.norm(before[2:])
+    )
     assert np.linalg.norm(world.states[0, 10:13] - [9.0, -7.0, 4.0]) > 1.0
 
 
@@ -140,7 +169,11 @@ def in_mujoco(start, ticks, platform):
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="drone", pos=start[:3])
     body.add_freejoint()
-    body.mass, body.inertia, body.explicitinertial = platform.mass, platform.inertia, True
+    body.mass, body.inertia, body.explicitinertial = (
+        platform.mass,
+        platform.inertia,
+        True,
+    )
     body.ipos, body.iquat = [0, 0, 0], [1, 0, 0, 0]
     spec.option.timestep, spec.option.integrator = 0.001, mujoco.mjtIntegrator.mjINT_RK4
     spec.option.gravity = [0, 0, -GRAVITY]
@@ -151,7 +184,9 @@ def in_mujoco(start, ticks, platform):
     held = {"f": np.full(4, platform.weight / 4), "goal": np.zeros(4), "since": 0.0}
 
     def thrusts(t):
-        return held["goal"] + (held["f"] - held["goal"]) * math.exp(-(t - held["since"]) / platform.rotor.lag)
+        return held["goal"] + (held["f"] - held["goal"]) * math.exp(
+            -(t - held["since"]) / platform.rotor.lag
+        )
 
     def push(model, data):
         q = data.qpos[[4, 5, 6, 3]]
@@ -159,7 +194,16 @@ def in_mujoco(start, ticks, platform):
         none = np.zeros(3)
         v, w = data.qvel[:3].copy(), data.qvel[3:6].copy()
         force, torque = wrench(
-            data.qpos[:3], v, r, w, thrusts(data.time), held["goal"], platform, none, none, none
+            data.qpos[:3],
+            v,
+            r,
+            w,
+            thrusts(data.time),
+            held["goal"],
+            platform,
+            none,
+            none,
+            none,
         )
         data.qfrc_passive[:] = [*force, *torque]
 
@@ -175,7 +219,9 @@ def in_mujoco(start, ticks, platform):
     return data.qpos.copy()
 
 
-@pytest.mark.parametrize("platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name
+)
 def test_two_seconds_of_aggressive_flight_end_where_mujoco_says(platform):
     start = np.array([0, 0, 8.0, 0, 0, 0, 0, 0, 0, 1.0, 0, 0, 0])
     world, fastest = hovering(start, platform), 0.0
@@ -188,7 +234,9 @@ def test_two_seconds_of_aggressive_flight_end_where_mujoco_says(platform):
     assert fastest > 4.0
     assert np.linalg.norm(x[3:6]) > 2.0
     assert world.limited[0] == 0
-    assert np.linalg.norm(x[:3] - expected[:3]) < 1e-5, np.linalg.norm(x[:3] - expected[:3])
+    assert np.linalg.norm(x[:3] - expected[:3]) < 1e-5, np.linalg.norm(
+        x[:3] - expected[:3]
+    )
     q = x[[9, 6, 7, 8]] * np.sign(x[9] * expected[3])
     np.testing.assert_allclose(q, expected[3:], atol=1e-5)
 
@@ -197,7 +245,9 @@ def test_ground_effect_is_that_of_cheeseman_and_bennett_bounded_and_gone_far_abo
     radius = P.rotor.radius
     ground = (radius / 4) ** 2
     for height in (0.03, 0.05, 0.1):
-        assert near_floor(height - ROTOR_HEIGHT, ground) == pytest.approx(1 / (1 - (radius / 4 / height) ** 2))
+        assert near_floor(height - ROTOR_HEIGHT, ground) == pytest.approx(
+            1 / (1 - (radius / 4 / height) ** 2)
+        )
     assert near_floor(-1.0, ground) == near_floor(0.0, ground) < 1.1
     assert near_floor(0.5, ground) == pytest.approx(1.0, abs=2e-4)
     assert near_floor(0.0, 0.0) == 1.0

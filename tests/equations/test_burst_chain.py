@@ -4,22 +4,39 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.impairment import random_draws as draws
-from crazychoir.bus.impairment.random_draws import BLOCK, LOOK_BACK, ONE, bad_states, draw
+from crazychoir.bus.impairment.random_draws import (
+    BLOCK,
+    LOOK_BACK,
+    ONE,
+    bad_states,
+    draw,
+)
 
 
 def states(key, count, p_good_bad, p_bad_good):
-    blocks = [bad_states(key, block, p_good_bad, p_bad_good) for block in range(count // BLOCK)]
+    blocks = [
+        bad_states(key, block, p_good_bad, p_bad_good)
+        for block in range(count // BLOCK)
+    ]
     return np.frombuffer(b"".join(blocks), np.uint8)
 
 
-@pytest.mark.parametrize(("p_good_bad", "p_bad_good"), [(0.02, 0.2), (0.3, 0.7), (0.01, 0.02), (0.5, 0.05)])
+@pytest.mark.parametrize(
+    ("p_good_bad", "p_bad_good"), [(0.02, 0.2), (0.3, 0.7), (0.01, 0.02), (0.5, 0.05)]
+)
 def test_stationary_law_and_transitions(p_good_bad, p_bad_good):
     chain = states(77, 200 * BLOCK * 4, p_good_bad, p_bad_good)
     now, then = chain[:-1], chain[1:]
     good, bad = then[now == 0], then[now == 1]
-    assert chain.mean() == pytest.approx(p_good_bad / (p_good_bad + p_bad_good), rel=0.1)
-    assert good.mean() == pytest.approx(p_good_bad, abs=4.5 * np.sqrt(p_good_bad / len(good)))
-    assert bad.mean() == pytest.approx(1 - p_bad_good, abs=4.5 * np.sqrt(p_bad_good / len(bad)))
+    assert chain.mean() == pytest.approx(
+        p_good_bad / (p_good_bad + p_bad_good), rel=0.1
+    )
+    assert good.mean() == pytest.approx(
+        p_good_bad, abs=4.5 * np.sqrt(p_good_bad / len(good))
+    )
+    assert bad.mean() == pytest.approx(
+        1 - p_bad_good, abs=4.5 * np.sqrt(p_bad_good / len(bad))
+    )
 
 
 @pytest.mark.parametrize(("p_good_bad", "p_bad_good"), [(0.02, 0.2), (0.001, 0.01)])
@@ -34,7 +51,9 @@ def test_bursts_are_geometric_across_blocks(p_good_bad, p_bad_good):
 
 def walked(key, count, p_good_bad, p_bad_good):
     """u < p_gb: bad; u >= 1 - p_bg: good; else as before."""
-    state = draw(key ^ draws._START, 0, 0) / ONE < p_good_bad / (p_good_bad + p_bad_good)
+    state = draw(key ^ draws._START, 0, 0) / ONE < p_good_bad / (
+        p_good_bad + p_bad_good
+    )
     for t in range(count):
         u = (draw(key ^ draws._BURST, t, 0) >> 11) * 2.0**-53
         state = u < p_good_bad or (state and u < 1 - p_bad_good)
@@ -45,7 +64,9 @@ def walked(key, count, p_good_bad, p_bad_good):
 def test_blocks_join_into_the_chain_that_is_walked(key):
     p_good_bad, p_bad_good = 0.003, 0.006
     count = 4 * LOOK_BACK * BLOCK
-    assert list(states(key, count, p_good_bad, p_bad_good)) == list(walked(key, count, p_good_bad, p_bad_good))
+    assert list(states(key, count, p_good_bad, p_bad_good)) == list(
+        walked(key, count, p_good_bad, p_bad_good)
+    )
 
 
 def test_far_from_any_decision_the_state_has_the_stationary_law():

@@ -12,7 +12,13 @@ from crazychoir.safety.collision.motion import late
 from crazychoir.safety.collision.projection import project
 
 STIFF, GAMMA = 1.5, 4.0
-BOX = np.array([[s * (c == axis) for c in range(3)] + [-4.0] for axis in range(3) for s in (1.0, -1.0)])
+BOX = np.array(
+    [
+        [s * (c == axis) for c in range(3)] + [-4.0]
+        for axis in range(3)
+        for s in (1.0, -1.0)
+    ]
+)
 
 
 def motions(seed):
@@ -31,7 +37,9 @@ def test_the_braking_curve_is_smooth_and_beyond_its_knee_one_can_brake_on_it():
     speeds, slopes = np.array([approach(g, 1.0, STIFF) for g in gaps]).T
     assert np.allclose(np.gradient(speeds, gaps)[1:-1], slopes[1:-1], atol=5e-3)
     assert np.all(np.abs(np.diff(slopes)) < 5e-3), "no kink"
-    assert np.allclose((speeds * slopes)[gaps > 0.45], 1.0), "s s' = alpha: braking with alpha stays on the curve"
+    assert np.allclose((speeds * slopes)[gaps > 0.45], 1.0), (
+        "s s' = alpha: braking with alpha stays on the curve"
+    )
     assert np.allclose(speeds[gaps < 0.4], STIFF * gaps[gaps < 0.4])
 
 
@@ -66,7 +74,9 @@ def test_the_cell_asks_for_its_own_derivative(seed):
     rate = (h(dt) - h(-dt)) / (2.0 * dt)
     gap = float(np.linalg.norm(r)) - width
     asked = cell(tuple(r), tuple(w), tuple(own), gap, 0.1, brake, STIFF, GAMMA)
-    assert r @ a_i / np.linalg.norm(r) - asked == pytest.approx(rate + GAMMA * h(0.0), abs=1e-5)
+    assert r @ a_i / np.linalg.norm(r) - asked == pytest.approx(
+        rate + GAMMA * h(0.0), abs=1e-5
+    )
 
 
 def test_both_drones_together_take_the_whole_barrier():
@@ -78,7 +88,11 @@ def test_both_drones_together_take_the_whole_barrier():
 def test_a_drone_that_obeys_late_is_a_double_integrator_in_its_late_motion():
     """a_t' = (u - a_t) / T, v' = a_t, p' = v, in small steps: p~ and v~ are those of constant u."""
     lag, u, h, steps = 0.12, np.array([0.8, -0.5, 0.3]), 1e-5, 20_000
-    a, v, p = np.array([1.5, 0.4, 0.3]), np.array([0.2, -0.1, 0.4]), np.array([0.1, 0.2, 1.0])
+    a, v, p = (
+        np.array([1.5, 0.4, 0.3]),
+        np.array([0.2, -0.1, 0.4]),
+        np.array([0.1, 0.2, 1.0]),
+    )
 
     def state(p, v, a):
         z = np.array([a[0], a[1], GRAVITY]) / np.linalg.norm([a[0], a[1], GRAVITY])
@@ -88,7 +102,9 @@ def test_a_drone_that_obeys_late_is_a_double_integrator_in_its_late_motion():
     expected = np.array(late(state(p, v, a), u, lag, h * steps, 1.0))
     for _ in range(steps):
         p, v, a = p + h * v, v + h * a, a + h * (u - a) / lag
-    assert np.allclose(np.array(late(state(p, v, a), u, lag, 0.0, 1.0)), expected, atol=2e-5)
+    assert np.allclose(
+        np.array(late(state(p, v, a), u, lag, 0.0, 1.0)), expected, atol=2e-5
+    )
 
 
 def problem(seed):
@@ -103,7 +119,12 @@ def relaxed(rows):
     """The half spaces, each moved by its least violation where those before it leave no point."""
     rows = rows.copy()
     for k in range(6, len(rows)):
-        most = linprog(-rows[k, :3], A_ub=-rows[:k, :3], b_ub=-rows[:k, 3], bounds=[(None, None)] * 3)
+        most = linprog(
+            -rows[k, :3],
+            A_ub=-rows[:k, :3],
+            b_ub=-rows[:k, 3],
+            bounds=[(None, None)] * 3,
+        )
         rows[k, 3] = min(rows[k, 3], -most.fun - 1e-6)
     return rows
 
@@ -112,7 +133,9 @@ def relaxed(rows):
 def test_the_projection_is_that_of_a_quadratic_program_relaxed_in_order(seed):
     u, rows = problem(seed)
     wanted, x, out = relaxed(rows), cp.Variable(3), np.empty(3)
-    cp.Problem(cp.Minimize(cp.sum_squares(x - u)), [wanted[:, :3] @ x >= wanted[:, 3] - 1e-9]).solve(cp.CLARABEL)
+    cp.Problem(
+        cp.Minimize(cp.sum_squares(x - u)), [wanted[:, :3] @ x >= wanted[:, 3] - 1e-9]
+    ).solve(cp.CLARABEL)
     count = project(u, rows, out)
     assert count == np.sum(wanted[:, 3] < problem(seed)[1][:, 3] - 1e-9)
     assert np.linalg.norm(out - x.value) < 3e-3

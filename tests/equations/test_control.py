@@ -16,7 +16,13 @@ from crazychoir.control.position import (
     FlatnessPositionCtrl,
 )
 from crazychoir.control.trim import Trim
-from crazychoir.numerics.math3d import GRAVITY, exponential, quaternion, rotation, rotation_from_flat
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    exponential,
+    quaternion,
+    rotation,
+    rotation_from_flat,
+)
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.platforms import PAPER
 from crazychoir.types import FullState, State
@@ -47,15 +53,23 @@ def test_the_rates_are_lees_error_in_matrices(turn, target):
     e = 0.5 * (rd.T @ r - r.T @ rd)
     rate = np.array([0.1, -0.2, 0.3])
     expected = -np.array(STANDARD.kr) * [e[2, 1], e[0, 2], e[1, 0]] + r.T @ rd @ rate
-    u = GeometryAttitudeCtrl().command(state(turn=turn), desired(state(turn=target), rate))
+    u = GeometryAttitudeCtrl().command(
+        state(turn=turn), desired(state(turn=target), rate)
+    )
     np.testing.assert_allclose(u[1:], expected, atol=1e-9)
 
 
 @given(arrays(float, 3, elements=st.floats(-1.5, 1.5)))
 def test_the_attitude_converges_from_afar(turn):
-    q, goal, law = np.array(exponential(*turn)), desired(state()), GeometryAttitudeCtrl()
+    q, goal, law = (
+        np.array(exponential(*turn)),
+        desired(state()),
+        GeometryAttitudeCtrl(),
+    )
     for _ in range(400):
-        w = law.command(State(np.array([0, 0, 1, 0, 0, 0, *q, 0, 0, 0], dtype=float)), goal)[1:]
+        w = law.command(
+            State(np.array([0, 0, 1, 0, 0, 0, *q, 0, 0, 0], dtype=float)), goal
+        )[1:]
         r = rotation(q) @ rotation(np.array(exponential(*(0.01 * w))))
         q = quaternion(r)
     np.testing.assert_allclose(rotation(q), np.eye(3), atol=1e-5)
@@ -68,12 +82,18 @@ def test_thrust_and_attitude_follow_from_the_force(p, v, a, turn, yaw):
     out = FlatnessPositionCtrl(platform=DRAGLESS).desired(here, ref.flat, 0.0)
     f = a - np.array(STANDARD.kp) * p - np.array(STANDARD.kv) * v + [0, 0, GRAVITY]
     if 2.5 < f[2] < 15.0 and np.hypot(f[0], f[1]) < f[2] and np.linalg.norm(f) < 16.0:
-        np.testing.assert_allclose(out[1:10].reshape(3, 3).T, rotation_from_flat(f, yaw), atol=1e-9)
-        assert out[0] == pytest.approx(PAPER.mass * f @ rotation(here.q)[:, 2], abs=1e-9)
+        np.testing.assert_allclose(
+            out[1:10].reshape(3, 3).T, rotation_from_flat(f, yaw), atol=1e-9
+        )
+        assert out[0] == pytest.approx(
+            PAPER.mass * f @ rotation(here.q)[:, 2], abs=1e-9
+        )
 
 
 @given(small, small, small, arrays(float, 3, elements=st.floats(-20.0, 20.0)))
-def test_the_commanded_acceleration_is_the_force_after_its_limits_without_gravity_drag_and_trim(p, v, turn, a):
+def test_the_commanded_acceleration_is_the_force_after_its_limits_without_gravity_drag_and_trim(
+    p, v, turn, a
+):
     here, trim = state(p, v, turn), Trim()
     trim.flat[:] = trim.sure[:] = 0.1, 0.3, -0.2
     r = rotation(here.q)
@@ -86,7 +106,11 @@ def test_the_commanded_acceleration_is_the_force_after_its_limits_without_gravit
     np.testing.assert_allclose(np.cross(force, out[7:10]), 0.0, atol=1e-9)
     most = HEADROOM * PAPER.max_thrust / PAPER.mass
     tilt = np.hypot(*wish[:2]) / np.tan(FORMATION.max_tilt)
-    if LEAST_LIFT < wish[2] < HEIGHT_SHARE * most and tilt < wish[2] and np.linalg.norm(wish) < most:
+    if (
+        LEAST_LIFT < wish[2] < HEIGHT_SHARE * most
+        and tilt < wish[2]
+        and np.linalg.norm(wish) < most
+    ):
         np.testing.assert_allclose(law.acceleration, a, atol=1e-12)
     else:
         assert np.linalg.norm(law.acceleration - a) > 1e-6, "some of it was cut"
@@ -97,7 +121,9 @@ def test_the_commanded_acceleration_is_the_force_after_its_limits_without_gravit
 @given(small, small)
 def test_the_drag_of_the_reference_is_given_as_thrust(v, turn):
     r = rotation(state(turn=turn).q)
-    out = FlatnessPositionCtrl().desired(state(v=v, turn=turn), FullState.at((0, 0, 1), v).flat, 0.0)
+    out = FlatnessPositionCtrl().desired(
+        state(v=v, turn=turn), FullState.at((0, 0, 1), v).flat, 0.0
+    )
     f = r @ np.diag(PAPER.drag) @ r.T @ v / PAPER.mass + [0, 0, GRAVITY]
     np.testing.assert_allclose(out[7:10], f / np.linalg.norm(f), atol=1e-12)
 
@@ -112,12 +138,16 @@ def test_the_feed_forward_is_the_rate_at_which_the_desired_attitude_turns():
 
     def attitude(t):
         ref = plan.sample(t)
-        return law.desired(State(np.array([*ref.flat[:6], 0, 0, 0, 1, 0, 0, 0])), ref.flat, 0.0).copy()
+        return law.desired(
+            State(np.array([*ref.flat[:6], 0, 0, 0, 1, 0, 0, 0])), ref.flat, 0.0
+        ).copy()
 
     for t in (0.3, 0.9, 1.4):
         r, later = (attitude(s)[1:10].reshape(3, 3).T for s in (t - h, t + h))
         turning = (r.T @ later - later.T @ r) / (4.0 * h)
-        np.testing.assert_allclose(attitude(t)[10:13], [turning[2, 1], turning[0, 2], turning[1, 0]], atol=1e-5)
+        np.testing.assert_allclose(
+            attitude(t)[10:13], [turning[2, 1], turning[0, 2], turning[1, 0]], atol=1e-5
+        )
 
 
 def test_the_lead_is_its_part_of_the_rate_of_the_desired_attitude():
@@ -131,7 +161,10 @@ def test_the_lead_is_its_part_of_the_rate_of_the_desired_attitude():
 
 
 def test_however_the_ticks_come_the_lead_that_was_held_is_its_part_of_the_turn():
-    law, draw = FlatnessAccelerationCtrl(replace(FORMATION, lead=0.5)), np.random.default_rng(1)
+    law, draw = (
+        FlatnessAccelerationCtrl(replace(FORMATION, lead=0.5)),
+        np.random.default_rng(1),
+    )
     held = now = 0.0
     tilts = [0.0, *0.02 * draw.standard_normal(300), *[0.1] * 100]
     for tilt in tilts:

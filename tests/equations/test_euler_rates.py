@@ -49,9 +49,13 @@ def test_what_it_sends_are_the_rates_of_the_angles(seed):
     world, h = world_at(eta), 1e-6
     EulerRatesLink(world, 4).send(FPQR(np.array([PAPER.weight, p, q, r])))
     eta_rates = world.commands[0, 1:]
-    slope = (attitude(*(eta + h * eta_rates)) - attitude(*(eta - h * eta_rates))) / (2.0 * h)
+    slope = (attitude(*(eta + h * eta_rates)) - attitude(*(eta - h * eta_rates))) / (
+        2.0 * h
+    )
     turn = attitude(*eta).T @ slope
-    assert turn == pytest.approx(np.array([[0.0, -r, q], [r, 0.0, -p], [-q, p, 0.0]]), abs=1e-8)
+    assert turn == pytest.approx(
+        np.array([[0.0, -r, q], [r, 0.0, -p], [-q, p, 0.0]]), abs=1e-8
+    )
 
 
 def test_nose_down_it_stays_finite_and_the_world_clips_it():

@@ -11,9 +11,23 @@ from crazychoir.agents.containment import Containment
 from crazychoir.agents.distance_formation import HEIGHT, DistanceFormation
 from crazychoir.control.gains import AGILE
 from crazychoir.control.margin import Inner, guidance_loop
-from crazychoir.guidance.formation.bearing import bearing_laplacian, equilibrium, normalised
-from crazychoir.guidance.formation.modes import FREQUENCIES, TICK, Chain, _attitude_response, slowest_normalised
-from crazychoir.guidance.formation.rigidity import distance_to_hull, grounded_laplacian, rigidity_matrix
+from crazychoir.guidance.formation.bearing import (
+    bearing_laplacian,
+    equilibrium,
+    normalised,
+)
+from crazychoir.guidance.formation.modes import (
+    FREQUENCIES,
+    TICK,
+    Chain,
+    _attitude_response,
+    slowest_normalised,
+)
+from crazychoir.guidance.formation.rigidity import (
+    distance_to_hull,
+    grounded_laplacian,
+    rigidity_matrix,
+)
 from crazychoir.types import State
 
 SQUARE = {0: (0, 0, 1), 1: (1, 0, 1), 2: (1, 1, 1), 3: (0, 1, 1)}
@@ -24,7 +38,10 @@ numbers = arrays(float, (4, 9), elements=st.floats(-1.0, 1.0))
 
 def states(x):
     """Of rows p, v, a."""
-    return {i: State(State.at(row[0:3], row[3:6]).flat, 0.0, row[6:9]) for i, row in enumerate(x)}
+    return {
+        i: State(State.at(row[0:3], row[3:6]).flat, 0.0, row[6:9])
+        for i, row in enumerate(x)
+    }
 
 
 def bearing(i, j):
@@ -39,11 +56,14 @@ def test_the_normalised_law_is_its_sum_over_neighbours(x):
     for i in (2, 3):
         p = {j: bearing(i, j) for j in NEIGHBORS[i]}
         wanted = sum(
-            p[j] @ (-KP * (at[i].p - at[j].p) - KV * (at[i].v - at[j].v) + at[j].a) for j in NEIGHBORS[i]
-        )  # fmt: skip
+            p[j] @ (-KP * (at[i].p - at[j].p) - KV * (at[i].v - at[j].v) + at[j].a)
+            for j in NEIGHBORS[i]
+        )
         law = BearingFormation(i, SQUARE, NEIGHBORS[i])
         u = law.step(at[i], {j: at[j] for j in NEIGHBORS[i]})
-        np.testing.assert_allclose(u.a, np.linalg.solve(sum(p.values()), wanted), atol=1e-9)
+        np.testing.assert_allclose(
+            u.a, np.linalg.solve(sum(p.values()), wanted), atol=1e-9
+        )
 
 
 @given(numbers)
@@ -51,8 +71,9 @@ def test_the_papers_law_is_its_sum_over_neighbours_with_less_in_height(x):
     at = states(x)
     for i in (2, 3):
         wanted = -sum(
-            bearing(i, j) @ (KP * (at[i].p - at[j].p) + KV * (at[i].v - at[j].v)) for j in NEIGHBORS[i]
-        )  # fmt: skip
+            bearing(i, j) @ (KP * (at[i].p - at[j].p) + KV * (at[i].v - at[j].v))
+            for j in NEIGHBORS[i]
+        )
         law = BearingFormation(i, SQUARE, NEIGHBORS[i], "paper", KP, KV, in_height=0.5)
         u = law.step(at[i], {j: at[j] for j in NEIGHBORS[i]})
         np.testing.assert_allclose(u.a, wanted * [1.0, 1.0, 0.5], atol=1e-9)
@@ -86,7 +107,9 @@ def test_all_modes_of_the_normalised_law_are_alike():
         for i, law in laws.items():
             x[i, 6:9] = law.step(at[i], {j: at[j] for j in NEIGHBORS[i]}).a
     for i in (2, 3):
-        np.testing.assert_allclose(x[i, 6:9], -KP * (x[i, 0:3] - SQUARE[i]) - KV * x[i, 3:6], atol=1e-9)
+        np.testing.assert_allclose(
+            x[i, 6:9], -KP * (x[i, 0:3] - SQUARE[i]) - KV * x[i, 3:6], atol=1e-9
+        )
 
 
 def test_the_normalised_matrix_has_the_sums_of_the_laws_weights():
@@ -94,7 +117,9 @@ def test_the_normalised_matrix_has_the_sums_of_the_laws_weights():
     m = normalised(b_ff, followers)
     np.testing.assert_allclose(m[0:3, 0:3], np.eye(3), atol=1e-12)
     law = BearingFormation(2, SQUARE, NEIGHBORS[2])
-    np.testing.assert_allclose(m[0:3, 3:6], -law.W[:, 13 * 3 + 3 :], atol=1e-12)  # of a_3, after x_2, x_1, x_3, a_1
+    np.testing.assert_allclose(
+        m[0:3, 3:6], -law.W[:, 13 * 3 + 3 :], atol=1e-12
+    )  # of a_3, after x_2, x_1, x_3, a_1
     assert np.linalg.eigvals(m).real.min() == pytest.approx(0.13397, abs=1e-4)
     assert b_fl.shape == (6, 6)
 
@@ -103,9 +128,13 @@ def test_the_slowest_mode_is_that_of_the_law_or_of_the_way_through_the_graph():
     assert slowest_normalised([1.0], KP, KV) == pytest.approx(0.5 * KV)
     for share in (0.002, 0.01):
         x, steps = 1.0, 0
-        while x > np.exp(-1.0):  # what a neighbour commanded goes on, a tick later, all but its share of the leaders
+        while (
+            x > np.exp(-1.0)
+        ):  # what a neighbour commanded goes on, a tick later, all but its share of the leaders
             x, steps = (1.0 - share) * x, steps + 1
-        assert slowest_normalised([share], KP, KV) == pytest.approx(1.0 / (steps * TICK), rel=0.02)
+        assert slowest_normalised([share], KP, KV) == pytest.approx(
+            1.0 / (steps * TICK), rel=0.02
+        )
 
 
 def test_the_attitude_in_the_ages_margin_is_that_of_the_guidance_loop():
@@ -114,7 +143,9 @@ def test_the_attitude_in_the_ages_margin_is_that_of_the_guidance_loop():
     num, den = guidance_loop(KP, KV, Inner(AGILE.kr[0], lead=AGILE.lead))
     outer = (KP + KV * s * 50.0 / (s + 50.0)) / s**2
     found = outer * _attitude_response(chain) * np.exp(0.005 * s)
-    np.testing.assert_allclose(found, np.polyval(num, s) / np.polyval(den, s), rtol=1e-9)
+    np.testing.assert_allclose(
+        found, np.polyval(num, s) / np.polyval(den, s), rtol=1e-9
+    )
 
 
 @given(st.floats(0.5, 3.0), arrays(float, 3, elements=st.floats(-2.0, 2.0)))
@@ -134,11 +165,18 @@ def test_the_distance_law_goes_down_its_gradient_and_brakes(x):
         return 0.25 * k * sum((np.sum((p - at[j].p) ** 2) - d[j] ** 2) ** 2 for j in d)
 
     h = 1e-5
-    gradient = np.array([(potential(at[2].p + h * e) - potential(at[2].p - h * e)) / (2 * h) for e in np.eye(3)])
+    gradient = np.array(
+        [
+            (potential(at[2].p + h * e) - potential(at[2].p - h * e)) / (2 * h)
+            for e in np.eye(3)
+        ]
+    )
     brake = kv * sum(at[2].v - at[j].v for j in d)
     np.testing.assert_allclose(u, -gradient - brake, atol=1e-6)
     flat = DistanceFormation(d, k, kv, 1.0).step(at[2], {j: at[j] for j in d}).a
-    assert flat[2] == pytest.approx(HEIGHT[0] * (1.0 - at[2].p[2]) - HEIGHT[1] * at[2].v[2])
+    assert flat[2] == pytest.approx(
+        HEIGHT[0] * (1.0 - at[2].p[2]) - HEIGHT[1] * at[2].v[2]
+    )
 
 
 @given(arrays(float, (4, 3), elements=st.floats(-2.0, 2.0)))
@@ -154,23 +192,43 @@ def test_the_rigidity_matrix_is_the_derivative_of_the_distances(p):
         for c in range(3):
             step = np.zeros((4, 3))
             step[i, c] = h
-            np.testing.assert_allclose(r[:, 3 * n + c], (halves(p + step) - halves(p - step)) / (2 * h), atol=1e-6)
+            np.testing.assert_allclose(
+                r[:, 3 * n + c],
+                (halves(p + step) - halves(p - step)) / (2 * h),
+                atol=1e-6,
+            )
 
 
 @given(numbers)
 def test_containment_is_its_mean_over_neighbours(x):
     at, kp, kv = states(x), 0.8, 1.6
-    u = Containment(3, (0, 1, 2), kp, kv, 1.0, 0).pulled(at[3], {j: at[j] for j in (0, 1, 2)}, 0).a
-    wanted = -sum(kp * (at[3].p - at[j].p) + kv * (at[3].v - at[j].v) for j in (0, 1, 2)) / 3.0
+    u = (
+        Containment(3, (0, 1, 2), kp, kv, 1.0, 0)
+        .pulled(at[3], {j: at[j] for j in (0, 1, 2)}, 0)
+        .a
+    )
+    wanted = (
+        -sum(kp * (at[3].p - at[j].p) + kv * (at[3].v - at[j].v) for j in (0, 1, 2))
+        / 3.0
+    )
     np.testing.assert_allclose(u, wanted, atol=1e-12)
 
 
 def test_random_edges_count_at_both_ends_or_at_none_and_change_nothing_on_average():
-    ends = Containment(3, (5,), 1.0, 0.0, 0.5, 7), Containment(5, (3,), 1.0, 0.0, 0.5, 7)
-    counted = np.array([(ends[0].counts(5, k), ends[1].counts(3, k)) for k in range(4000)])
+    ends = (
+        Containment(3, (5,), 1.0, 0.0, 0.5, 7),
+        Containment(5, (3,), 1.0, 0.0, 0.5, 7),
+    )
+    counted = np.array(
+        [(ends[0].counts(5, k), ends[1].counts(3, k)) for k in range(4000)]
+    )
     assert np.all(counted[:, 0] == counted[:, 1])
     assert counted[:, 0].mean() == pytest.approx(0.25, abs=0.02)
-    law, here, there = Containment(3, (5,), 1.0, 0.0, 0.5, 8), State.at((1.0, 0.0, 1.0)), State.at((0.0, 0.0, 1.0))
+    law, here, there = (
+        Containment(3, (5,), 1.0, 0.0, 0.5, 8),
+        State.at((1.0, 0.0, 1.0)),
+        State.at((0.0, 0.0, 1.0)),
+    )
     mean = np.mean([law.pulled(here, {5: there}, k).a for k in range(4000)], axis=0)
     np.testing.assert_allclose(mean, [-1.0, 0.0, 0.0], atol=0.1)
 
@@ -181,7 +239,10 @@ def test_a_grounded_laplacian_is_at_rest_at_the_mean_of_the_neighbours():
     np.testing.assert_allclose(-np.linalg.solve(l_ff, l_fl @ [0.0, 3.0]), [1.0, 2.0])
 
 
-@pytest.mark.parametrize(("p", "far"), [((0.2, 0.3), 0.0), ((1.5, 0.5), 0.5), ((-3.0, -4.0), 5.0), ((1.0, 1.0), 0.0)])
+@pytest.mark.parametrize(
+    ("p", "far"),
+    [((0.2, 0.3), 0.0), ((1.5, 0.5), 0.5), ((-3.0, -4.0), 5.0), ((1.0, 1.0), 0.0)],
+)
 def test_the_distance_to_a_square(p, far):
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     assert distance_to_hull(corners, np.array(p)) == pytest.approx(far, abs=1e-5)

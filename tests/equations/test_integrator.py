@@ -19,16 +19,27 @@ def body_rate_slope(t, y, inputs):
     x, yy, z, w = y[6:10]
     p, q, s = u[1:]
     dq = 0.5 * np.array(
-        [w * p + yy * s - z * q, w * q + z * p - x * s, w * s + x * q - yy * p, -x * p - yy * q - z * s]
+        [
+            w * p + yy * s - z * q,
+            w * q + z * p - x * s,
+            w * s + x * q - yy * p,
+            -x * p - yy * q - z * s,
+        ]
     )
     drag = r @ np.diag(PAPER.drag) @ r.T @ y[3:6]
-    return [*y[3:6], *(r[:, 2] * u[0] / PAPER.mass - drag / PAPER.mass - [0, 0, GRAVITY]), *dq]
+    return [
+        *y[3:6],
+        *(r[:, 2] * u[0] / PAPER.mass - drag / PAPER.mass - [0, 0, GRAVITY]),
+        *dq,
+    ]
 
 
 def exact(inputs, start=START, until=1.0, slope=body_rate_slope, breaks=()):
     y, t = np.array(start), 0.0
     for end in (*breaks, until):
-        y = solve_ivp(slope, (t, end), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(inputs,)).y[:, -1]
+        y = solve_ivp(
+            slope, (t, end), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(inputs,)
+        ).y[:, -1]
         t = end
     return y
 
@@ -57,11 +68,16 @@ def test_the_order_is_four():
 
 def test_the_order_is_four_behind_a_lag():
     def lagged(t):
-        return U + (np.array([PAPER.weight, 0.0, 0.0, 0.0]) - U) * np.exp(-t / np.array([0.05, 0.086, 0.086, 0.086]))
+        return U + (np.array([PAPER.weight, 0.0, 0.0, 0.0]) - U) * np.exp(
+            -t / np.array([0.05, 0.086, 0.086, 0.086])
+        )
 
     truth = exact(lagged)
     steps = np.array([0.04, 0.02, 0.01])
-    errors = [np.linalg.norm(flown(h, rate_lag=0.086, thrust_lag=0.05)[:10] - truth) for h in steps]
+    errors = [
+        np.linalg.norm(flown(h, rate_lag=0.086, thrust_lag=0.05)[:10] - truth)
+        for h in steps
+    ]
     orders = np.diff(np.log(errors)) / np.diff(np.log(steps))
     assert np.all(orders > 3.8)
     assert errors[-1] < 2e-7
@@ -71,7 +87,9 @@ def test_a_delay_is_exact_although_it_is_no_multiple_of_the_step():
     delay = 0.0237
     hover = np.array([PAPER.weight, 0.0, 0.0, 0.0])
     truth = exact(lambda t: hover if t < delay else U, breaks=(delay - 1e-15,))
-    early = exact(lambda t: U, start=exact(lambda t: hover, until=delay), until=1.0 - delay)
+    early = exact(
+        lambda t: U, start=exact(lambda t: hover, until=delay), until=1.0 - delay
+    )
     np.testing.assert_allclose(truth, early, atol=1e-9)
     np.testing.assert_allclose(flown(0.01, command_delay=delay)[:10], early, atol=1e-8)
 
@@ -89,11 +107,20 @@ def test_euler_rates_are_the_papers_model():
     def slope(t, y, inputs):
         u, r = inputs(t), attitude(y[6:9])
         drag = r @ np.diag(PAPER.drag) @ r.T @ y[3:6]
-        return [*y[3:6], *(r[:, 2] * u[0] / PAPER.mass - drag / PAPER.mass - [0, 0, GRAVITY]), *u[1:]]
+        return [
+            *y[3:6],
+            *(r[:, 2] * u[0] / PAPER.mass - drag / PAPER.mass - [0, 0, GRAVITY]),
+            *u[1:],
+        ]
 
     u = np.array([1.1 * PAPER.weight, 0.8, -0.6, 1.0])
     truth = exact(lambda t: u, start=[*START[:6], *eta0], slope=slope)
-    x = flown(0.005, start=np.array([*START[:6], *quaternion(attitude(eta0))]), u=u, inputs="euler")
+    x = flown(
+        0.005,
+        start=np.array([*START[:6], *quaternion(attitude(eta0))]),
+        u=u,
+        inputs="euler",
+    )
     assert np.linalg.norm(x[:3] - truth[:3]) < 1e-8
     np.testing.assert_allclose(rotation(x[6:10]), attitude(truth[6:9]), atol=1e-8)
 
@@ -117,7 +144,9 @@ def test_without_drag_a_tumbling_fall_keeps_its_energy():
     for _ in range(100):
         world.step()
     v = world.states[0, 3:6]
-    assert 0.5 * v @ v + GRAVITY * world.states[0, 2] == pytest.approx(energy, rel=1e-12)
+    assert 0.5 * v @ v + GRAVITY * world.states[0, 2] == pytest.approx(
+        energy, rel=1e-12
+    )
     assert np.linalg.norm(world.states[0, 6:10]) == pytest.approx(1.0, abs=1e-15)
 
 

@@ -53,7 +53,9 @@ def upper(cov):
 
 
 @pytest.mark.parametrize("mean_step", [0.02, 0.01, 1 / 240])
-def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(mean_step):
+def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(
+    mean_step,
+):
     draw = np.random.default_rng(1)
     f = KalmanFilter(noise_p=math.sqrt(R_P), jerk=JERK, push=PUSH)
     x, cov, t = np.zeros(3), np.diag([R_P, UNKNOWN_V**2, UNKNOWN_D**2]), 0.0
@@ -63,13 +65,17 @@ def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(m
         t += h
         z = math.sin(2.0 * t) + 1e-3 * draw.standard_normal()
         state = f.update(Pose(np.array([z, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), t)
-        x, cov = textbook(x, cov, z, *discretised(WIENER, np.diag([0.0, PUSH, JERK]), h), R_P)
+        x, cov = textbook(
+            x, cov, z, *discretised(WIENER, np.diag([0.0, PUSH, JERK]), h), R_P
+        )
         np.testing.assert_allclose([state.p[0], state.v[0]], x[:2], atol=1e-9)
         np.testing.assert_allclose(f._memory[P:A], upper(cov), rtol=1e-6)
 
 
 @pytest.mark.parametrize("mean_step", [0.02, 0.01, 1 / 240])
-def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(mean_step):
+def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(
+    mean_step,
+):
     draw = np.random.default_rng(2)
     f = KalmanFilter(noise_angle=math.sqrt(R_A), swing=SWING)
     x, cov, t = np.zeros(2), np.diag([R_A, UNKNOWN_W**2]), 0.0
@@ -81,9 +87,13 @@ def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(me
         sign = -1.0 if k % 2 else 1.0  # motion capture may give either sign
         q = sign * np.array(exponential(0.0, z, 0.0))
         state = f.update(Pose(np.array([0.0, 0.0, 1.0, *q])), t)
-        x, cov = textbook(x, cov, z, *discretised(WIENER[:2, :2], np.diag([0.0, SWING]), h), R_A)
+        x, cov = textbook(
+            x, cov, z, *discretised(WIENER[:2, :2], np.diag([0.0, SWING]), h), R_A
+        )
         np.testing.assert_allclose(state.w, [0.0, x[1], 0.0], atol=1e-8)
-        assert abs(state.q @ exponential(0.0, x[0], 0.0)) == pytest.approx(1.0, abs=1e-12)
+        assert abs(state.q @ exponential(0.0, x[0], 0.0)) == pytest.approx(
+            1.0, abs=1e-12
+        )
         np.testing.assert_allclose(f._memory[A:CALLED], upper(cov), rtol=1e-6)
 
 
@@ -106,7 +116,9 @@ def test_a_steady_force_that_nobody_commanded_becomes_d():
     f, a = KalmanFilter(motion=Commanded(PAPER.flat, -math.inf)), -0.1 / 1.1 * 9.80665
     for k in range(200):
         t = 0.01 * k
-        state = f.update(Pose(np.array([0.0, 0.0, 5.0 + 0.5 * a * t * t, 0.0, 0.0, 0.0, 1.0])), t)
+        state = f.update(
+            Pose(np.array([0.0, 0.0, 5.0 + 0.5 * a * t * t, 0.0, 0.0, 0.0, 1.0])), t
+        )
         f.commanded = np.array([PAPER.weight, 0.0, 0.0, 0.0])
     fall = (PAPER.weight - PAPER.drag[2] * a * 1.99) / PAPER.mass - 9.80665
     assert f._memory[D + 2] == pytest.approx(a - fall, abs=0.05)
@@ -117,7 +129,9 @@ def test_a_constant_body_rate_about_any_axis_is_found():
     f, w, h = KalmanFilter(), np.array([0.3, -0.2, 3.0]), 0.01
     q = (0.0, 0.0, 0.0, 1.0)
     for k in range(400):
-        state = f.update(Pose(np.array([0.0, 0.0, 1.0, *((-1.0) ** k * np.array(q))])), k * h)
+        state = f.update(
+            Pose(np.array([0.0, 0.0, 1.0, *((-1.0) ** k * np.array(q))])), k * h
+        )
         q = product(q, exponential(*(h * w)))
     np.testing.assert_allclose(state.w, w, atol=1e-6)
 
@@ -127,15 +141,24 @@ def swung(loop, seen=0.5, until=0.9, h=0.01, rubbish=False):
 
     The truth: the whole rate loop of the firmware, which hears of commands that tilt it to and fro 20 ms late.
     """
-    f, t = KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=loop), np.arange(0.0, until, h)
+    f, t = (
+        KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=loop),
+        np.arange(0.0, until, h),
+    )
     told = 5.0 * np.sin(2.0 * math.pi * 2.5 * t)
     fine = np.arange(0.0, until, h / 10)
-    _, w, _ = lsim(rate_loop(PAPER, 0), np.concatenate([np.zeros(20), np.repeat(told, 10)])[: len(fine)], fine)
+    _, w, _ = lsim(
+        rate_loop(PAPER, 0),
+        np.concatenate([np.zeros(20), np.repeat(told, 10)])[: len(fine)],
+        fine,
+    )
     roll = np.concatenate([[0.0], np.cumsum(0.5 * (w[1:] + w[:-1])) * h / 10])[::10]
     errors = []
     for k, now in enumerate(t):
         q = np.array(exponential(roll[k], 0.0, 0.0))
-        pose = Pose(np.array([0.0, 0.0, 9.0, *(q if now < seen else np.full(4, np.nan))]))
+        pose = Pose(
+            np.array([0.0, 0.0, 9.0, *(q if now < seen else np.full(4, np.nan))])
+        )
         state = f.update(pose, now) if now < seen or rubbish else f.predict(now)
         errors.append(abs(2.0 * math.atan2(state.q[0], state.q[3]) - roll[k]))
         f.commanded = np.array([PAPER.weight, told[k], 0.0, 0.0])
@@ -144,7 +167,9 @@ def swung(loop, seen=0.5, until=0.9, h=0.01, rubbish=False):
 
 def test_who_is_not_seen_knows_its_tilt_if_it_knows_its_rate_loop():
     assert swung(rates_on_board(PAPER)) < 0.06 < 0.2 < swung(None)
-    assert swung(rates_on_board(PAPER), rubbish=True) == pytest.approx(swung(rates_on_board(PAPER)), abs=1e-9)
+    assert swung(rates_on_board(PAPER), rubbish=True) == pytest.approx(
+        swung(rates_on_board(PAPER)), abs=1e-9
+    )
 
 
 def test_without_thrust_the_rotors_run_down_and_the_rates_stay():
@@ -176,15 +201,24 @@ def test_the_rates_are_those_of_the_loop_on_board(axis):
 
 def test_a_large_step_meets_the_limit_of_the_motors_commands():
     """The motors' commands are int16, kp of them a degree/s; `rate_loop` has rad/s2 a rad/s."""
-    gain, lag, t = rate_loop(PAPER, 0)[1][2] / (PAPER.firmware.rate_pid[0] * math.degrees(1.0)), PAPER.rotor.lag, 0.04
+    gain, lag, t = (
+        rate_loop(PAPER, 0)[1][2] / (PAPER.firmware.rate_pid[0] * math.degrees(1.0)),
+        PAPER.rotor.lag,
+        0.04,
+    )
     most = gain * 32767.0
-    assert stepped(0, 8.0)[4] == pytest.approx(most * (t - lag * (1.0 - math.exp(-t / lag))), rel=0.1)
+    assert stepped(0, 8.0)[4] == pytest.approx(
+        most * (t - lag * (1.0 - math.exp(-t / lag))), rel=0.1
+    )
     assert 8.0 * response(0)[4] > 3.0
 
 
 def stepped(axis, rate, until=0.5, h=0.01):
     """rad/s, every 10 ms from the step of a command on."""
-    f, told = KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=rates_on_board(PAPER)), HOVER.copy()
+    f, told = (
+        KalmanFilter(motion=Commanded(PAPER.flat, 0.0), loop=rates_on_board(PAPER)),
+        HOVER.copy(),
+    )
     told[1 + axis], found = rate, []
     for k in range(round(until / h)):
         f.update(Pose(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 1.0])), k * h)

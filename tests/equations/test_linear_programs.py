@@ -34,34 +34,47 @@ def test_the_lexicographic_basis_is_the_best_of_all_with_a_small_number_for_e(se
     best, least = None, (np.inf,)
     for chosen in itertools.combinations(range(len(columns)), 4):
         B = columns.entries[:, chosen]
-        if abs(np.linalg.det(B)) > 1e-9 and (x := np.linalg.solve(B, right)).min() > 0.0:
+        if (
+            abs(np.linalg.det(B)) > 1e-9
+            and (x := np.linalg.solve(B, right)).min() > 0.0
+        ):
             whole = np.zeros(len(columns))
             whole[list(chosen)] = x
             value = tuple(np.round([*(columns.cost @ whole), *whole], 9).tolist())
             best, least = (chosen, value) if value < least else (best, least)
     level = np.linalg.solve(columns.entries[:, best], b)
-    assert columns.cost[:, best] @ level == pytest.approx(basis.columns.cost @ basis.level, abs=1e-9)
+    assert columns.cost[:, best] @ level == pytest.approx(
+        basis.columns.cost @ basis.level, abs=1e-9
+    )
     assert columns.ids[list(best)].tolist() == basis.columns.ids.tolist()
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_prices_of_a_basis_are_dual_feasible_and_worth_as_much(seed):
     c, A, b = degenerate(seed)
-    agents = {i: BasisExchange(i, c[3 * i :][:3], A[:, 3 * i :][:, :3], b, 1) for i in range(3)}
+    agents = {
+        i: BasisExchange(i, c[3 * i :][:3], A[:, 3 * i :][:, :3], b, 1)
+        for i in range(3)
+    }
     while not agents[0].settled:
         told = {i: agent.message() for i, agent in agents.items()}
         for i, agent in agents.items():
             agent.step({j: told[j] for j in range(3) if j != i})
     penalties = 0.0 * agents[0].penalties()
     for _ in penalties:
-        penalties = np.maximum.reduce([agent.penalties(penalties) for agent in agents.values()])
+        penalties = np.maximum.reduce(
+            [agent.penalties(penalties) for agent in agents.values()]
+        )
     prices = agents[0].prices(penalties)
     assert (c - prices @ A >= -1e-9).all()
     assert prices @ b == pytest.approx(agents[0].cost)
 
 
 def test_the_certificate_of_an_infeasible_program_is_one():
-    A, b = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]), np.array([1.0, 1.0, 2.0])
+    A, b = (
+        np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+        np.array([1.0, 1.0, 2.0]),
+    )
     alone = BasisExchange(0, np.zeros(3), A, b, 0)
     while not alone.settled:
         alone.step({})
@@ -86,28 +99,48 @@ def test_prices_are_subgradients_of_the_local_value():
 def test_the_convex_hull_is_that_of_all_points():
     """p(y) by column generation, and by a linear program over every point of the set."""
     rows = [[2.0, 3.0]], [7.0]
-    block = MixedIntegerBlock(0, [-1.0, -1.4], [[1.0, 2.0]], [1.0], rows=rows, bounds=(0, 3), integer=[0, 1])
-    points = np.array([p for p in itertools.product(range(4), repeat=2) if 2 * p[0] + 3 * p[1] <= 7])
+    block = MixedIntegerBlock(
+        0, [-1.0, -1.4], [[1.0, 2.0]], [1.0], rows=rows, bounds=(0, 3), integer=[0, 1]
+    )
+    points = np.array(
+        [p for p in itertools.product(range(4), repeat=2) if 2 * p[0] + 3 * p[1] <= 7]
+    )
     local = Convexified(block, 9.0)
     for y in (-1.0, 0.0, 0.7, 2.5, 3.1, 9.0):
         c = np.append(points @ block.c, 9.0)
         use = [np.append(points @ block.A[0], -1.0)]
-        whole = linprog(c, A_ub=use, b_ub=[y], A_eq=[np.append(np.ones(len(points)), 0.0)], b_eq=[1.0])
+        whole = linprog(
+            c,
+            A_ub=use,
+            b_ub=[y],
+            A_eq=[np.append(np.ones(len(points)), 0.0)],
+            b_eq=[1.0],
+        )
         assert local.allocate(np.array([y])).value == pytest.approx(whole.fun)
 
 
 def test_the_tightening_is_that_of_all_points():
     for n in range(4):
-        A = DRAW.normal(size=(3, 3)) * [[1.0], [1.0], [0.02]]  # the last is hardly used: U - L is the smaller there
-        block = MixedIntegerBlock(n, [0.0] * 3, A, [0.0] * 3, bounds=(0, 2), integer=range(3))
+        A = DRAW.normal(size=(3, 3)) * [
+            [1.0],
+            [1.0],
+            [0.02],
+        ]  # the last is hardly used: U - L is the smaller there
+        block = MixedIntegerBlock(
+            n, [0.0] * 3, A, [0.0] * 3, bounds=(0, 2), integer=range(3)
+        )
         use = np.array(list(itertools.product(range(3), repeat=3))) @ block.A.T
         low, high = use.min(axis=0), use.max(axis=0)
-        assert block.tightening() == pytest.approx(np.minimum(high - low, (use - low).max(axis=1).min()))
+        assert block.tightening() == pytest.approx(
+            np.minimum(high - low, (use - low).max(axis=1).min())
+        )
 
 
 def test_trade_by_metropolis_weights_keeps_the_sum_of_the_shares():
     mu, weights = DRAW.random((6, 3)), metropolis(complete(6))
-    trade = np.array([mu[i] - sum(w * mu[j] for j, w in weights[i].items()) for i in range(6)])
+    trade = np.array(
+        [mu[i] - sum(w * mu[j] for j, w in weights[i].items()) for i in range(6)]
+    )
     assert trade.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
 
 
@@ -124,7 +157,12 @@ def test_the_best_options_are_those_of_all_choices():
     fitting = [
         sum(table[o][0] for table, o in zip(tables, chosen, strict=True))
         for chosen in itertools.product(*(range(len(table)) for table in tables))
-        if (np.sum([table[o][1:] for table, o in zip(tables, chosen, strict=True)], axis=0) <= capacity).all()
+        if (
+            np.sum(
+                [table[o][1:] for table, o in zip(tables, chosen, strict=True)], axis=0
+            )
+            <= capacity
+        ).all()
     ]
     (missing, cost), _, chosen = pool.best(0)
     assert missing == 0.0

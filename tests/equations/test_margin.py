@@ -6,7 +6,13 @@ from scipy.signal import tf2ss
 
 from crazychoir.control import margin
 from crazychoir.control.gains import HOLD, SHIPPED, STANDARD
-from crazychoir.control.margin import REQUIRED, Inner, command_loop, delay_margin, guidance_loop
+from crazychoir.control.margin import (
+    REQUIRED,
+    Inner,
+    command_loop,
+    delay_margin,
+    guidance_loop,
+)
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.platforms import PLATFORMS, rotor_speed
 
@@ -28,7 +34,9 @@ def closed_loop_with_delay(loop, delay, until=60.0):
 
 
 def test_delay_margin_of_an_integrator_is_known():
-    assert delay_margin((np.array([4.0]), np.array([1.0, 0.0]))) == pytest.approx(math.pi / 8.0)
+    assert delay_margin((np.array([4.0]), np.array([1.0, 0.0]))) == pytest.approx(
+        math.pi / 8.0
+    )
 
 
 def test_an_unstable_loop_has_no_margin():
@@ -43,8 +51,12 @@ def test_a_loop_of_gain_below_one_bears_any_delay():
 def test_the_margin_is_where_a_run_in_time_loses_stability(kr):
     loop = command_loop(6.0, 4.0, Inner(kr))
     limit = delay_margin(loop)
-    assert closed_loop_with_delay(loop, 0.93 * limit, 12.0) < closed_loop_with_delay(loop, 0.93 * limit, 6.0)
-    assert closed_loop_with_delay(loop, 1.07 * limit, 12.0) > closed_loop_with_delay(loop, 1.07 * limit, 6.0)
+    assert closed_loop_with_delay(loop, 0.93 * limit, 12.0) < closed_loop_with_delay(
+        loop, 0.93 * limit, 6.0
+    )
+    assert closed_loop_with_delay(loop, 1.07 * limit, 12.0) > closed_loop_with_delay(
+        loop, 1.07 * limit, 6.0
+    )
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -53,24 +65,39 @@ def test_every_shipped_row_keeps_40_ms_horizontally(name, axis):
     gains = SHIPPED[name]
     inner = Inner(gains.kr[axis])
     for opened in (command_loop, guidance_loop):
-        assert delay_margin(opened(gains.kp[axis], gains.kv[axis], inner)) - HOLD >= REQUIRED
+        assert (
+            delay_margin(opened(gains.kp[axis], gains.kv[axis], inner)) - HOLD
+            >= REQUIRED
+        )
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_row_keeps_40_ms_in_height_and_heading(name):
     gains = SHIPPED[name]
-    assert delay_margin(margin.vertical_loop(gains.kp[2], gains.kv[2])) - HOLD >= REQUIRED
-    assert delay_margin(margin.heading_loop(gains.kr[2], margin.lag_loop(margin.RATE_LAG))) - HOLD >= REQUIRED
+    assert (
+        delay_margin(margin.vertical_loop(gains.kp[2], gains.kv[2])) - HOLD >= REQUIRED
+    )
+    assert (
+        delay_margin(margin.heading_loop(gains.kr[2], margin.lag_loop(margin.RATE_LAG)))
+        - HOLD
+        >= REQUIRED
+    )
 
 
-@pytest.mark.parametrize(("kr", "enough"), [(8.0, True), (10.0, True), (12.0, True), (16.0, False)])
+@pytest.mark.parametrize(
+    ("kr", "enough"), [(8.0, True), (10.0, True), (12.0, True), (16.0, False)]
+)
 def test_the_attitude_gain_is_what_the_margin_depends_on(kr, enough):
     left = delay_margin(command_loop(STANDARD.kp[0], STANDARD.kv[0], Inner(kr))) - HOLD
     assert (left >= REQUIRED) == enough
 
 
 def test_the_margins_are_those_behind_the_filter_that_flies():
-    assert VelocityFilter().cutoff == Inner(8.0).cutoff == margin.vertical_loop.__defaults__[1]
+    assert (
+        VelocityFilter().cutoff
+        == Inner(8.0).cutoff
+        == margin.vertical_loop.__defaults__[1]
+    )
 
 
 def test_less_lag_leaves_more_margin():
@@ -83,9 +110,14 @@ def test_without_lead_and_filter_the_loops_are_those_of_their_docstrings():
     s = 1j * np.array([0.5, 3.0, 20.0])
     outer = (4.0 * s + 6.0) / s**2
     num, den = command_loop(6.0, 4.0, Inner(8.0, 0.086, math.inf))
-    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), 8.0 * (1 + outer) / (s * (0.086 * s + 1)))
+    np.testing.assert_allclose(
+        np.polyval(num, s) / np.polyval(den, s),
+        8.0 * (1 + outer) / (s * (0.086 * s + 1)),
+    )
     num, den = guidance_loop(6.0, 4.0, Inner(8.0, 0.086, math.inf))
-    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), outer * 8.0 / (0.086 * s**2 + s + 8.0))
+    np.testing.assert_allclose(
+        np.polyval(num, s) / np.polyval(den, s), outer * 8.0 / (0.086 * s**2 + s + 8.0)
+    )
 
 
 def test_with_lead_and_filter_the_loops_are_those_of_their_docstrings():
@@ -94,14 +126,21 @@ def test_with_lead_and_filter_the_loops_are_those_of_their_docstrings():
     outer = (4.0 * s * low + 6.0) / s**2
     inner = Inner(2.0, 0.086, 50.0, 0.4, 30.0)
     num, den = command_loop(6.0, 4.0, inner)
-    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), (2.0 + lead * outer) / (s * (0.086 * s + 1)))
+    np.testing.assert_allclose(
+        np.polyval(num, s) / np.polyval(den, s),
+        (2.0 + lead * outer) / (s * (0.086 * s + 1)),
+    )
     num, den = guidance_loop(6.0, 4.0, inner)
-    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), lead * outer / (0.086 * s**2 + s + 2.0))
+    np.testing.assert_allclose(
+        np.polyval(num, s) / np.polyval(den, s), lead * outer / (0.086 * s**2 + s + 2.0)
+    )
 
 
 @pytest.mark.parametrize("plant", margin.MARGINS)
 @pytest.mark.parametrize("name", PLATFORMS)
-def test_the_standard_gains_keep_the_margin_that_the_table_says_on_every_platform(plant, name):
+def test_the_standard_gains_keep_the_margin_that_the_table_says_on_every_platform(
+    plant, name
+):
     left = margin.margin(STANDARD, PLATFORMS[name], plant)
     assert left == pytest.approx(margin.MARGINS[plant][name], abs=0.0006)
     assert left >= REQUIRED
@@ -109,23 +148,37 @@ def test_the_standard_gains_keep_the_margin_that_the_table_says_on_every_platfor
 
 def test_the_rate_loop_is_the_firmwares_controller_around_rotors_and_body():
     platform, s = PLATFORMS["cf21"], 1j * np.array([0.5, 3.0, 20.0])
-    for axis, (kp, ki, kd), arm in ((0, (250.0, 500.0, 2.5), 0.5 * platform.arm), (2, (120.0, 16.7, 0.0), None)):
+    for axis, (kp, ki, kd), arm in (
+        (0, (250.0, 500.0, 2.5), 0.5 * platform.arm),
+        (2, (120.0, 16.7, 0.0), None),
+    ):
         if arm is None:
             h, b, c = 1e-9, *platform.rotor.torque
             f = platform.weight / 4.0
-            speeds = np.array([rotor_speed(platform.rotor, f - h), rotor_speed(platform.rotor, f + h)])
+            speeds = np.array(
+                [rotor_speed(platform.rotor, f - h), rotor_speed(platform.rotor, f + h)]
+            )
             arm = np.diff(b * speeds + c * speeds**2)[0] / (2.0 * h)
-        torque = 4.0 * arm * 0.12 / 65535.0 / (platform.rotor.lag * s + 1.0)  # N m of one unit of command
-        turn = torque / platform.inertia[axis] / s * math.degrees(1.0)  # deg/s of one unit, per s
+        torque = (
+            4.0 * arm * 0.12 / 65535.0 / (platform.rotor.lag * s + 1.0)
+        )  # N m of one unit of command
+        turn = (
+            torque / platform.inertia[axis] / s * math.degrees(1.0)
+        )  # deg/s of one unit, per s
         num, den = margin.rate_loop(platform, axis)
         expected = turn * (kp + ki / s) / (1.0 + turn * (kp + ki / s + kd * s))
-        np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), expected, rtol=1e-6)
+        np.testing.assert_allclose(
+            np.polyval(num, s) / np.polyval(den, s), expected, rtol=1e-6
+        )
 
 
 def test_an_integral_is_in_the_loop_and_too_much_of_it_unstable():
     s = 1j * np.array([0.5, 3.0, 20.0])
     num, den = command_loop(6.0, 4.0, Inner(8.0, 0.086, math.inf), 3.0)
     outer = (4.0 * s + 6.0 + 3.0 / s) / s**2
-    np.testing.assert_allclose(np.polyval(num, s) / np.polyval(den, s), 8.0 * (1 + outer) / (s * (0.086 * s + 1)))
+    np.testing.assert_allclose(
+        np.polyval(num, s) / np.polyval(den, s),
+        8.0 * (1 + outer) / (s * (0.086 * s + 1)),
+    )
     assert delay_margin(command_loop(6.0, 4.0, Inner(8.0), 30.0)) == 0.0
     assert delay_margin(command_loop(6.0, 4.0, Inner(8.0), 3.0)) > 0.0

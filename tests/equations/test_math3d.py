@@ -32,7 +32,9 @@ def test_skew_is_the_vector_product(a, b):
 @given(turns)
 def test_logarithm_undoes_exponential(r):
     if np.linalg.norm(r) < math.pi - 1e-6:
-        np.testing.assert_allclose(math3d.logarithm(math3d.exponential(*r)), r, atol=1e-9)
+        np.testing.assert_allclose(
+            math3d.logarithm(math3d.exponential(*r)), r, atol=1e-9
+        )
 
 
 @given(turns)
@@ -40,19 +42,27 @@ def test_both_signs_of_a_quaternion_have_the_same_short_logarithm(r):
     q = math3d.exponential(*r)
     opposite = tuple(-c for c in q)
     if abs(q[3]) > 1e-6:
-        np.testing.assert_allclose(math3d.logarithm(q), math3d.logarithm(opposite), atol=1e-12)
+        np.testing.assert_allclose(
+            math3d.logarithm(q), math3d.logarithm(opposite), atol=1e-12
+        )
 
 
 @given(turns, turns)
 def test_the_product_of_quaternions_is_the_product_of_rotations(a, b):
     qa, qb = math3d.exponential(*a), math3d.exponential(*b)
     both = math3d.rotation(np.array(math3d.product(qa, qb)))
-    np.testing.assert_allclose(both, math3d.rotation(np.array(qa)) @ math3d.rotation(np.array(qb)), atol=1e-12)
+    np.testing.assert_allclose(
+        both, math3d.rotation(np.array(qa)) @ math3d.rotation(np.array(qb)), atol=1e-12
+    )
 
 
 @given(turns)
 def test_exponential_is_the_matrix_exponential_of_skew(r):
-    np.testing.assert_allclose(math3d.rotation(np.array(math3d.exponential(*r))), expm(math3d.skew(r)), atol=1e-10)
+    np.testing.assert_allclose(
+        math3d.rotation(np.array(math3d.exponential(*r))),
+        expm(math3d.skew(r)),
+        atol=1e-10,
+    )
 
 
 @given(arrays(float, 3, elements=st.floats(-3.1, 3.1)))
@@ -100,8 +110,12 @@ def test_yaw_of_undoes_quaternion_of_yaw(yaw):
 
 
 def test_saturate_keeps_the_direction():
-    np.testing.assert_allclose(math3d.saturate(np.array([3.0, 4.0, 0.0]), 1.0), [0.6, 0.8, 0.0])
-    np.testing.assert_array_equal(math3d.saturate(np.array([0.3, 0.4, 0.0]), 1.0), [0.3, 0.4, 0.0])
+    np.testing.assert_allclose(
+        math3d.saturate(np.array([3.0, 4.0, 0.0]), 1.0), [0.6, 0.8, 0.0]
+    )
+    np.testing.assert_array_equal(
+        math3d.saturate(np.array([0.3, 0.4, 0.0]), 1.0), [0.3, 0.4, 0.0]
+    )
 
 
 def test_a_kernel_takes_frozen_arrays_and_refuses_other_kinds():

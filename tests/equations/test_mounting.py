@@ -45,29 +45,44 @@ def test_the_body_is_where_its_equation_says(mounting):
     for _ in range(10):
         drone = random_pose(draw)
         body = mounting.body(drone)
-        np.testing.assert_allclose(body[0:3], drone[0:3] + rotation(drone[3:7]) @ mounting.offset, atol=1e-12)
-        np.testing.assert_allclose(rotation(body[3:7]), rotation(drone[3:7]) @ rpy(*mounting.rotation), atol=1e-12)
+        np.testing.assert_allclose(
+            body[0:3], drone[0:3] + rotation(drone[3:7]) @ mounting.offset, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            rotation(body[3:7]),
+            rotation(drone[3:7]) @ rpy(*mounting.rotation),
+            atol=1e-12,
+        )
         again = mounting.drone(body)
         np.testing.assert_allclose(again[0:3], drone[0:3], atol=1e-12)
-        np.testing.assert_allclose(rotation(again[3:7]), rotation(drone[3:7]), atol=1e-12)
+        np.testing.assert_allclose(
+            rotation(again[3:7]), rotation(drone[3:7]), atol=1e-12
+        )
 
 
 def test_the_mean_attitude_is_nearest_to_all_whatever_their_signs():
     draw = np.random.default_rng(1)
     q = turned((0.3, -0.4, 2.0))
-    noisy = np.array([product(tuple(q), exponential(*draw.normal(0.0, 0.05, 3))) for _ in range(400)])
+    noisy = np.array(
+        [product(tuple(q), exponential(*draw.normal(0.0, 0.05, 3))) for _ in range(400)]
+    )
     noisy *= draw.choice([-1.0, 1.0], 400)[:, None]
     mean = mean_attitude(noisy)
     np.testing.assert_allclose(angles(mean), (0.3, -0.4, 2.0), atol=0.01)
     value = np.sum((noisy @ mean) ** 2)
-    others = [product(tuple(mean), exponential(*d)) for d in 0.01 * np.vstack([np.eye(3), -np.eye(3)])]
+    others = [
+        product(tuple(mean), exponential(*d))
+        for d in 0.01 * np.vstack([np.eye(3), -np.eye(3)])
+    ]
     assert all(np.sum((noisy @ np.array(other)) ** 2) < value for other in others)
 
 
 def noisy(poses, draw, place=0.0005, angle=0.002):
     out = np.array(poses)
     out[:, 0:3] += draw.normal(0.0, place, (len(out), 3))
-    out[:, 3:7] = [product(tuple(q), exponential(*draw.normal(0.0, angle, 3))) for q in out[:, 3:7]]
+    out[:, 3:7] = [
+        product(tuple(q), exponential(*draw.normal(0.0, angle, 3))) for q in out[:, 3:7]
+    ]
     return out
 
 
@@ -80,7 +95,11 @@ def test_a_level_drone_shows_how_its_body_is_tilted(heading):
     np.testing.assert_allclose(found.rotation, mounting.rotation, atol=5e-4)
     assert found.height == pytest.approx(0.03, abs=1e-4)
     assert found.spread == pytest.approx(0.0005 * math.sqrt(3.0), rel=0.1)
-    np.testing.assert_allclose(from_rest(poses, 0.1, yaw=0.7).rotation, (*mounting.rotation[0:2], 0.7), atol=5e-4)
+    np.testing.assert_allclose(
+        from_rest(poses, 0.1, yaw=0.7).rotation,
+        (*mounting.rotation[0:2], 0.7),
+        atol=5e-4,
+    )
 
 
 def turning(mounting, angle, drift=(0.0, 0.0, 0.0), seed=3):
@@ -89,7 +108,10 @@ def turning(mounting, angle, drift=(0.0, 0.0, 0.0), seed=3):
     for t in times:
         tilt = exponential(*draw.normal(0.0, 0.01, 2), 0.0)
         q = product(tuple(quaternion_of_yaw(0.4 + angle * t / 20.0)), tilt)
-        drones.append(np.array([0.3, -0.2, 1.0, *q]) + np.array([*(np.array(drift) * t), 0, 0, 0, 0]))
+        drones.append(
+            np.array([0.3, -0.2, 1.0, *q])
+            + np.array([*(np.array(drift) * t), 0, 0, 0, 0])
+        )
     return times, noisy([mounting.body(drone) for drone in drones], draw)
 
 
@@ -107,7 +129,9 @@ def test_a_turn_shows_how_far_from_its_centre_the_body_is(mounting, angle):
 
 def test_what_says_too_little_is_refused():
     times, poses = turning(MOUNTINGS[2], 2.0)
-    with pytest.raises(ConfigError, match=r"a turn of 11\d deg; allowed: 180 deg or more"):
+    with pytest.raises(
+        ConfigError, match=r"a turn of 11\d deg; allowed: 180 deg or more"
+    ):
         from_turn(times, poses, (0.0, 0.0, 0.0), 0.0)
     with pytest.raises(ConfigError, match="Put it down"):
         from_rest(poses, 0.0)

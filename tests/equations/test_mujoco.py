@@ -13,7 +13,9 @@ from crazychoir.simulation.mujoco.wrench import impel, settle, touch
 
 H = 0.001
 STILL = Imu(0.0, 0.0, 0.0, 0.0)
-BEFORE = np.array([[0.3, -0.2, 2.0, 0.8, -0.5, 0.9, *exponential(0.2, -0.3, 0.5), 2.0, -3.0, 4.0]])
+BEFORE = np.array(
+    [[0.3, -0.2, 2.0, 0.8, -0.5, 0.9, *exponential(0.2, -0.3, 0.5), 2.0, -3.0, 4.0]]
+)
 CHANGE = np.array([0.004, -0.006, 0.01]), np.array([0.05, -0.04, 0.06])
 
 
@@ -26,11 +28,16 @@ def body(platform):
     one.mass, one.inertia = platform.mass, platform.inertia
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = BEFORE[0, [0, 1, 2, 9, 6, 7, 8]], BEFORE[0, [3, 4, 5, 10, 11, 12]]
+    data.qpos[:], data.qvel[:] = (
+        BEFORE[0, [0, 1, 2, 9, 6, 7, 8]],
+        BEFORE[0, [3, 4, 5, 10, 11, 12]],
+    )
     return model, data
 
 
-@pytest.mark.parametrize("platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name
+)
 def test_the_mean_wrench_brings_mujoco_to_the_velocities_that_it_was_made_of(platform):
     model, data = body(platform)
     after = BEFORE.copy()
@@ -52,11 +59,21 @@ def test_places_go_on_by_the_mean_of_two_velocities():
     v, w = BEFORE[0, 3:6] + CHANGE[0], BEFORE[0, 10:13] + CHANGE[1]
     world = CrazyflieWorld([0], np.array([[0.0, 0.0, 1.0]]))
     after = np.zeros((1, 13))
-    settle(BEFORE, np.array([*v, *w]), np.array([0]), H, np.array([1.0, 2.0, 3.0]), after, world._lanes)
+    settle(
+        BEFORE,
+        np.array([*v, *w]),
+        np.array([0]),
+        H,
+        np.array([1.0, 2.0, 3.0]),
+        after,
+        world._lanes,
+    )
     x = BEFORE[0]
     np.testing.assert_allclose(after[0, :3], x[:3] + H * (x[3:6] + v) / 2, atol=1e-15)
     np.testing.assert_allclose(after[0, [3, 4, 5, 10, 11, 12]], [*v, *w])
-    turned = rotation(x[6:10]) @ rotation(np.array(exponential(*(H * (x[10:13] + w) / 2))))
+    turned = rotation(x[6:10]) @ rotation(
+        np.array(exponential(*(H * (x[10:13] + w) / 2)))
+    )
     np.testing.assert_allclose(rotation(after[0, 6:10]), turned, atol=1e-14)
 
 
@@ -69,9 +86,18 @@ def test_the_speed_of_an_impact_is_that_of_two_points_along_the_normal():
     for geoms in ((1, 2), (2, 1)):
         impact[:] = 0.0
         touch(
-            np.array([geoms], np.int32), p[None], np.array([[*n, *np.zeros(6)]]), np.array([0, 1, 2], np.int32),
-            np.array([0, 1, 2], np.int32), twists, centres, np.array([-1, 0, -1]), touching, impact, against,
-        )  # fmt: skip
+            np.array([geoms], np.int32),
+            p[None],
+            np.array([[*n, *np.zeros(6)]]),
+            np.array([0, 1, 2], np.int32),
+            np.array([0, 1, 2], np.int32),
+            twists,
+            centres,
+            np.array([-1, 0, -1]),
+            touching,
+            impact,
+            against,
+        )
         assert impact[0] == pytest.approx(max(n @ (v[geoms[0]] - v[geoms[1]]), 0.0))
         assert touching[0] == 1.0
     assert against[0] == 2
@@ -93,7 +119,10 @@ def flown(kind, seconds):
     link.onboard.fpqr(0.0, 0.0, 0.0, 0.0)
     for k in range(round(seconds * 100)):
         if k % 10 == 0:
-            u = CRAZYFLIE_21.weight * draw.uniform(0.8, 1.3), *draw.uniform(-4.0, 4.0, 3)
+            u = (
+                CRAZYFLIE_21.weight * draw.uniform(0.8, 1.3),
+                *draw.uniform(-4.0, 4.0, 3),
+            )
         link.onboard.fpqr(*u)
         world.step()
         states.append(world.states[0].copy())

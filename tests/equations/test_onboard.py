@@ -11,7 +11,16 @@ from scipy.spatial.transform import Rotation
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import GRAVITY, rotation, rotation_from_flat
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.simulation.onboard import attitude, estimator, lee, loop, mellinger, mixing, planner, polynomial
+from crazychoir.simulation.onboard import (
+    attitude,
+    estimator,
+    lee,
+    loop,
+    mellinger,
+    mixing,
+    planner,
+    polynomial,
+)
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import rows
 
@@ -121,7 +130,9 @@ def tilted():
     fw["gx"], fw["gy"], fw["gz"] = 20.0, -30.0, 40.0
     onboard.position((0.0, 0.0, 0.0), 0.0)
     qd = Rotation.from_euler("z", 0.3).as_quat()
-    onboard.full_state(np.array([0.3, 0.1, 1.2, 0.1, 0.2, 0, 0.4, -0.3, 0.2, *qd, 0.2, 0.1, -0.3]))
+    onboard.full_state(
+        np.array([0.3, 0.1, 1.2, 0.1, 0.2, 0, 0.4, -0.3, 0.2, *qd, 0.2, 0.1, -0.3])
+    )
     return onboard
 
 
@@ -129,7 +140,11 @@ def reference(onboard):
     """R, position error, velocity error, acceleration, w, w_d of the fixture."""
     fw = onboard.record
     r = rotation(np.array([fw["qx"], fw["qy"], fw["qz"], fw["qw"]]))
-    p, v, a = np.array([0.2, -0.1, 0.2]), np.array([-0.2, 0.2, -0.1]), np.array([0.4, -0.3, 0.2])
+    p, v, a = (
+        np.array([0.2, -0.1, 0.2]),
+        np.array([-0.2, 0.2, -0.1]),
+        np.array([0.4, -0.3, 0.2]),
+    )
     return r, p, v, a, np.radians([20.0, -30.0, 40.0]), np.array([0.2, 0.1, -0.3])
 
 
@@ -152,7 +167,9 @@ def test_angles_give_the_axes_of_r(tilted):
     laws(tilted.rows, out)
     rd = Rotation.from_euler("ZYX", [0.5, -0.3, 0.2]).as_matrix()
     assert pytest.approx(rd) == out[:9].reshape(3, 3).T
-    assert out[12] == pytest.approx(0.3 / rd[2, 2] * rd[:, 2] @ reference(tilted)[0][:, 2])
+    assert out[12] == pytest.approx(
+        0.3 / rd[2, 2] * rd[:, 2] @ reference(tilted)[0][:, 2]
+    )
 
 
 def test_mellingers_law(tilted):
@@ -162,7 +179,12 @@ def test_mellingers_law(tilted):
     tilted.set("ctrlMel.kR_z", 1e4)
     run_mellinger(tilted.rows)
     r, p, v, a, w, wd = reference(tilted)
-    f = 0.029 * (a + UP) + np.array([0.4, 0.4, 1.25]) * p + np.array([0.2, 0.2, 0.4]) * v + 0.05 * p * 0.002
+    f = (
+        0.029 * (a + UP)
+        + np.array([0.4, 0.4, 1.25]) * p
+        + np.array([0.2, 0.2, 0.4]) * v
+        + 0.05 * p * 0.002
+    )
     rd = rotation_from_flat(f, 0.3)
     e = vee(rd.T @ r - r.T @ rd)
     m = -np.array([2e4, 2e4, 1e4]) * e + np.array([2e4, 2e4, 1.2e4]) * (wd - w)
@@ -179,7 +201,9 @@ def test_mellingers_rate_damping_counts_from_the_second_pass(tilted):
     first = float(tilted.record["roll_out"])
     tilted.record["gx"] += math.degrees(0.01)
     run_mellinger(tilted.rows)
-    assert tilted.record["roll_out"] - first == pytest.approx(-20000 * 0.01 - 200 * 0.01 / 0.002, rel=0.01)
+    assert tilted.record["roll_out"] - first == pytest.approx(
+        -20000 * 0.01 - 200 * 0.01 / 0.002, rel=0.01
+    )
 
 
 def test_lees_law(tilted):
@@ -190,11 +214,17 @@ def test_lees_law(tilted):
     e = 0.5 * vee(rd.T @ r - r.T @ rd)
     j = np.array([16.571710e-6, 16.655602e-6, 29.261652e-6])
     ew = w - r.T @ rd @ wd
-    tau = -np.array([7e-3, 7e-3, 8e-3]) * e - np.array([1.15e-3, 1.15e-3, 2e-3]) * ew - 0.03 * e * 0.002
+    tau = (
+        -np.array([7e-3, 7e-3, 8e-3]) * e
+        - np.array([1.15e-3, 1.15e-3, 2e-3]) * ew
+        - 0.03 * e * 0.002
+    )
     tau += np.cross(w, j * w)
     fw = tilted.record
     assert fw["force"] == pytest.approx(f @ r[:, 2])
-    assert [fw["torque_x"], fw["torque_y"], fw["torque_z"]] == pytest.approx(tau, rel=1e-9)
+    assert [fw["torque_x"], fw["torque_y"], fw["torque_z"]] == pytest.approx(
+        tau, rel=1e-9
+    )
 
 
 @kernel(rows)
@@ -212,8 +242,12 @@ def test_a_prediction_and_a_correction_are_kalmans():
     dt, n = 0.01, 0.5
     transition = np.array([[1, dt], [0, 1]])
     noise = n * n * np.array([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]])
-    covariance = transition @ np.array([[0.04, 0.01], [0.01, 0.09]]) @ transition.T + noise
-    assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(covariance[np.triu_indices(2)])
+    covariance = (
+        transition @ np.array([[0.04, 0.01], [0.01, 0.09]]) @ transition.T + noise
+    )
+    assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(
+        covariance[np.triu_indices(2)]
+    )
     a = 0.2 * GRAVITY
     x = np.array([1 + 0.5 * dt + a * dt * dt / 2, 0.5 + a * dt])
     assert [fw["x"], fw["vx"]] == pytest.approx(x)
@@ -224,7 +258,9 @@ def test_a_prediction_and_a_correction_are_kalmans():
     gain = covariance[:, 0] / (covariance[0, 0] + 1e-4)
     assert [fw["x"], fw["vx"]] == pytest.approx(x + gain * (1.1 - x[0]))
     after = covariance - np.outer(gain, covariance[0])
-    assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(after[np.triu_indices(2)])
+    assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(
+        after[np.triu_indices(2)]
+    )
     k = attitude_variance / (attitude_variance + 4.5e-3**2)
     own = Rotation.from_quat([fw["qx"], fw["qy"], fw["qz"], fw["qw"]])
     assert own.as_rotvec() == pytest.approx(k * q.as_rotvec())
@@ -235,7 +271,12 @@ def test_in_flight_only_the_force_along_the_body_counts():
     fw = onboard.record
     tilt = Rotation.from_euler("ZYX", [0.5, 0.2, -0.1])
     fw["qx"], fw["qy"], fw["qz"], fw["qw"] = tilt.as_quat()
-    fw["samples"], fw["fx_sum"], fw["fy_sum"], fw["fz_sum"] = 10, 10 * 0.2, 10 * -0.3, 10 * 1.1
+    fw["samples"], fw["fx_sum"], fw["fy_sum"], fw["fz_sum"] = (
+        10,
+        10 * 0.2,
+        10 * -0.3,
+        10 * 1.1,
+    )
     fw["flying"] = 1
     predict(onboard.rows)
     a = tilt.apply([0.0, 0.0, 1.1 * GRAVITY]) - [0.0, 0.0, GRAVITY]
@@ -245,13 +286,21 @@ def test_in_flight_only_the_force_along_the_body_counts():
 def test_the_attitude_is_integrated_as_a_rotation():
     onboard = Onboard(CRAZYFLIE_21)
     fw = onboard.record
-    fw["qx"], fw["qy"], fw["qz"], fw["qw"] = Rotation.from_euler("ZYX", [0.5, 0.2, -0.1]).as_quat()
+    fw["qx"], fw["qy"], fw["qz"], fw["qw"] = Rotation.from_euler(
+        "ZYX", [0.5, 0.2, -0.1]
+    ).as_quat()
     fw["samples"], fw["p_sum"], fw["q_sum"], fw["r_sum"] = 10, 1000.0, -2000.0, 3000.0
     fw["fz_sum"] = 10.0
     predict(onboard.rows)
-    want = Rotation.from_euler("ZYX", [0.5, 0.2, -0.1]) * Rotation.from_rotvec(np.radians([1.0, -2.0, 3.0]))
-    assert (want.inv() * Rotation.from_quat([fw["qx"], fw["qy"], fw["qz"], fw["qw"]])).magnitude() < 1e-12
-    assert [fw["yaw"], -fw["pitch"], fw["roll"]] == pytest.approx(want.as_euler("ZYX", degrees=True))
+    want = Rotation.from_euler("ZYX", [0.5, 0.2, -0.1]) * Rotation.from_rotvec(
+        np.radians([1.0, -2.0, 3.0])
+    )
+    assert (
+        want.inv() * Rotation.from_quat([fw["qx"], fw["qy"], fw["qz"], fw["qw"]])
+    ).magnitude() < 1e-12
+    assert [fw["yaw"], -fw["pitch"], fw["roll"]] == pytest.approx(
+        want.as_euler("ZYX", degrees=True)
+    )
 
 
 @pytest.mark.parametrize(("axis", "hertz"), [("gx", 80.0), ("ax", 30.0)])
@@ -273,4 +322,6 @@ def test_the_batterys_low_pass_has_a_time_constant_of_100_ms():
     onboard = Onboard(CRAZYFLIE_21)
     onboard.record["vbat"] = 3.2
     loop.run(onboard.rows, 100.0, 0, 0, 0, 0, 0, GRAVITY)
-    assert onboard.record["vbat_low"] == pytest.approx(3.2 + (1 - mixing.LOW_PASS) ** 100)
+    assert onboard.record["vbat_low"] == pytest.approx(
+        3.2 + (1 - mixing.LOW_PASS) ** 100
+    )

@@ -13,13 +13,21 @@ from in_step import run_in_step
 from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
 from crazychoir.optimization.algorithms.average import RunningAverage
 from crazychoir.optimization.algorithms.block_subgradient import BlockSubgradientMethod
-from crazychoir.optimization.algorithms.directed_gradient_tracking import DirectedGradientTracking
+from crazychoir.optimization.algorithms.directed_gradient_tracking import (
+    DirectedGradientTracking,
+)
 from crazychoir.optimization.algorithms.gradient_tracking import GradientTracking
 from crazychoir.optimization.algorithms.push_sum import PushSum
 from crazychoir.optimization.algorithms.subgradient import SubgradientMethod
 from crazychoir.optimization.generate import random_quadratics
 from crazychoir.optimization.problems.gradient import Samples
-from crazychoir.optimization.problems.projection import Box, Convex, Disc, Intersection, Strip
+from crazychoir.optimization.problems.projection import (
+    Box,
+    Convex,
+    Disc,
+    Intersection,
+    Strip,
+)
 from crazychoir.optimization.rounds.mixing import columns, rows, team
 from crazychoir.optimization.rounds.step_size import Constant, Diminishing
 from crazychoir.team import graph as graphs
@@ -41,7 +49,9 @@ def gathered(agents, name):
 # Averages and steps -------------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.tuples(st.floats(-9, 9), st.floats(0.01, 9)), min_size=1, max_size=9))
+@given(
+    st.lists(st.tuples(st.floats(-9, 9), st.floats(0.01, 9)), min_size=1, max_size=9)
+)
 def test_a_running_average_is_the_weighted_mean(steps):
     average = RunningAverage()
     for x, a in steps:
@@ -60,10 +70,14 @@ def test_a_mini_batch_has_the_mean_gradient_in_expectation():
     samples = np.random.default_rng(0).normal(size=(12, 2))
     gradient = Samples(3, lambda x, s: x - s, samples, batch=5, seed=1)
     drawn = np.array([gradient(np.array([1.0, 2.0])) for _ in range(4000)])
-    assert drawn.mean(axis=0) == pytest.approx(np.array([1.0, 2.0]) - samples.mean(axis=0), abs=0.02)
+    assert drawn.mean(axis=0) == pytest.approx(
+        np.array([1.0, 2.0]) - samples.mean(axis=0), abs=0.02
+    )
     one = Samples(3, lambda x, s: x - s, samples, seed=1)(np.zeros(2))
     assert any(np.allclose(one, -s) for s in samples)
-    assert Samples(3, lambda x, s: x - s, samples, batch=12)(np.zeros(2)) == pytest.approx(-samples.mean(axis=0))
+    assert Samples(3, lambda x, s: x - s, samples, batch=12)(
+        np.zeros(2)
+    ) == pytest.approx(-samples.mean(axis=0))
 
 
 # Projections --------------------------------------------------------------------------------------------------------
@@ -101,7 +115,9 @@ def test_the_projection_onto_an_intersection_is_not_one_after_the_other():
     nearest = both.project(z)
     for y in (np.array([0.5, 0.5]), np.array([1.0, 0.0]), np.array([0.9, 0.1])):
         assert (z - nearest) @ (y - nearest) <= 1e-6
-    assert np.linalg.norm(nearest - both.sets[0].project(both.sets[1].project(z))) > 1e-2
+    assert (
+        np.linalg.norm(nearest - both.sets[0].project(both.sets[1].project(z))) > 1e-2
+    )
     boxes = Intersection(2, [Box(-1.0, 1.0), Box([0.0, -3.0], 2.0)])
     assert boxes.project(z).tolist() == [1.0, -1.0]
 
@@ -115,11 +131,15 @@ def stepwise(agents, graph, rounds):
         sent = {i: agent.message() for i, agent in agents.items()}
         for i, agent in agents.items():
             heard = {j: sent[j] for j in graph.at(k).in_neighbors(i)}
-            agent.step({j: m[i] if isinstance(m, dict) else m for j, m in heard.items()})
+            agent.step(
+                {j: m[i] if isinstance(m, dict) else m for j, m in heard.items()}
+            )
         yield k
 
 
-@pytest.mark.parametrize("graph", [DIRECTED, graphs.GraphSequence.draw(DIRECTED, 0.5, 3, 1)])
+@pytest.mark.parametrize(
+    "graph", [DIRECTED, graphs.GraphSequence.draw(DIRECTED, 0.5, 3, 1)]
+)
 def test_push_sum_follows_its_equation_and_keeps_both_sums(graph):
     weights = columns(graph, graphs.column_stochastic)
     x = np.random.default_rng(1).normal(size=(6, 2))
@@ -134,7 +154,9 @@ def test_push_sum_follows_its_equation_and_keeps_both_sums(graph):
 
 
 def test_gradient_tracking_follows_its_equation_and_tracks_the_sum_of_gradients():
-    agents = team(GRAPH, lambda i, w: GradientTracking(i, np.ones(3) * i, w, Q.gradient(i), 0.02))
+    agents = team(
+        GRAPH, lambda i, w: GradientTracking(i, np.ones(3) * i, w, Q.gradient(i), 0.02)
+    )
     w, x = matrix(rows(GRAPH)), gathered(agents, "x")
     d = before = np.array([Q.gradient(i)(x[i]) for i in range(6)])
     for _ in stepwise(agents, GRAPH, 20):
@@ -146,8 +168,16 @@ def test_gradient_tracking_follows_its_equation_and_tracks_the_sum_of_gradients(
 
 
 def test_directed_gradient_tracking_follows_its_equation_and_tracks_the_sum_of_gradients():
-    pull, push = rows(DIRECTED, graphs.row_stochastic), columns(DIRECTED, graphs.column_stochastic)
-    agents = {i: DirectedGradientTracking(i, np.ones(3) * i, pull[i], push[i], Q.gradient(i), 0.02) for i in range(6)}
+    pull, push = (
+        rows(DIRECTED, graphs.row_stochastic),
+        columns(DIRECTED, graphs.column_stochastic),
+    )
+    agents = {
+        i: DirectedGradientTracking(
+            i, np.ones(3) * i, pull[i], push[i], Q.gradient(i), 0.02
+        )
+        for i in range(6)
+    }
     a, b, x = matrix(pull), matrix(push).T, gathered(agents, "x")
     d = before = np.array([Q.gradient(i)(x[i]) for i in range(6)])
     for _ in stepwise(agents, DIRECTED, 20):
@@ -160,20 +190,39 @@ def test_directed_gradient_tracking_follows_its_equation_and_tracks_the_sum_of_g
 
 def test_the_subgradient_method_follows_its_equation_and_averages_by_its_steps():
     step, box = Diminishing(0.3, 0.7), Box(-0.4, 0.4)
-    agents = team(GRAPH, lambda i, w: SubgradientMethod(i, np.ones(3) * i, w, Q.gradient(i), step, box.project))
+    agents = team(
+        GRAPH,
+        lambda i, w: SubgradientMethod(
+            i, np.ones(3) * i, w, Q.gradient(i), step, box.project
+        ),
+    )
     w, x, total = matrix(rows(GRAPH)), gathered(agents, "x"), 0.0
     for k in stepwise(agents, GRAPH, 15):
         v = w @ x
-        x = np.clip(v - step(k) * np.array([Q.gradient(i)(v[i]) for i in range(6)]), -0.4, 0.4)
+        x = np.clip(
+            v - step(k) * np.array([Q.gradient(i)(v[i]) for i in range(6)]), -0.4, 0.4
+        )
         total = total + step(k) * x
         assert gathered(agents, "x") == pytest.approx(x, abs=1e-12)
-        assert gathered(agents, "average") == pytest.approx(total / sum(map(step, range(k + 1))), abs=1e-12)
+        assert gathered(agents, "average") == pytest.approx(
+            total / sum(map(step, range(k + 1))), abs=1e-12
+        )
 
 
 def test_the_block_method_with_one_block_always_awake_is_the_subgradient_method():
     step = Constant(0.01)
-    whole = team(GRAPH, lambda i, w: SubgradientMethod(i, np.ones(3) * i, w, Q.gradient(i), step, rounds=30))
-    block = team(GRAPH, lambda i, w: BlockSubgradientMethod(i, np.ones(3) * i, w, [3], Q.gradient(i), step, rounds=30))
+    whole = team(
+        GRAPH,
+        lambda i, w: SubgradientMethod(
+            i, np.ones(3) * i, w, Q.gradient(i), step, rounds=30
+        ),
+    )
+    block = team(
+        GRAPH,
+        lambda i, w: BlockSubgradientMethod(
+            i, np.ones(3) * i, w, [3], Q.gradient(i), step, rounds=30
+        ),
+    )
     run_in_step(whole, GRAPH)
     run_in_step(block, GRAPH)
     assert gathered(block, "x") == pytest.approx(gathered(whole, "x"), abs=1e-12)
@@ -184,21 +233,34 @@ class Targets:
 
     def __init__(self, agents=6, n=3, d=2, seed=4):
         chance = np.random.default_rng(seed)
-        self.r, self.c = chance.normal(size=(agents, n)), chance.uniform(0.5, 3.0, agents)
+        self.r, self.c = (
+            chance.normal(size=(agents, n)),
+            chance.uniform(0.5, 3.0, agents),
+        )
         self.b = np.array([1.0, -1.0])
         self.a = chance.normal(size=(agents, d, n))
 
     def agent(self, i, w, **options):
         return AggregativeTracking(
-            i, np.zeros(3), w, lambda x: self.a[i] @ x, lambda x: self.a[i], lambda x, s: x - self.r[i],
-            lambda x, s: self.c[i] * (s - self.b), **options,
-        )  # fmt: skip
+            i,
+            np.zeros(3),
+            w,
+            lambda x: self.a[i] @ x,
+            lambda x: self.a[i],
+            lambda x, s: x - self.r[i],
+            lambda x, s: self.c[i] * (s - self.b),
+            **options,
+        )
 
     def optimum(self, low=None):
         x, n = cvxpy.Variable((6, 3)), len(self.r)
         sigma = sum(self.a[i] @ x[i] for i in range(n)) / n
-        cost = 0.5 * cvxpy.sum_squares(x - self.r) + 0.5 * self.c.sum() * cvxpy.sum_squares(sigma - self.b)
-        cvxpy.Problem(cvxpy.Minimize(cost), [] if low is None else [x >= low]).solve(solver=cvxpy.CLARABEL)
+        cost = 0.5 * cvxpy.sum_squares(
+            x - self.r
+        ) + 0.5 * self.c.sum() * cvxpy.sum_squares(sigma - self.b)
+        cvxpy.Problem(cvxpy.Minimize(cost), [] if low is None else [x >= low]).solve(
+            solver=cvxpy.CLARABEL
+        )
         return x.value
 
 
@@ -225,7 +287,9 @@ def test_aggregative_tracking_follows_its_equation_and_tracks_both_means():
 def test_aggregative_tracking_reaches_the_central_optimum(graph, low):
     targets = Targets()
     options = {} if low is None else {"project": Box(low, np.inf).project}
-    agents = team(graph, lambda i, w: targets.agent(i, w, step=0.03, rounds=2500, **options))
+    agents = team(
+        graph, lambda i, w: targets.agent(i, w, step=0.03, rounds=2500, **options)
+    )
     run_in_step(agents, graph)
     assert gathered(agents, "x") == pytest.approx(targets.optimum(low), abs=1e-5)
 
@@ -243,20 +307,32 @@ def test_aggregative_tracking_follows_costs_that_change():
 
 @pytest.mark.parametrize("graph", [GRAPH, CHANGING, graphs.ring(6)])
 def test_gradient_tracking_reaches_the_central_optimum_linearly(graph):
-    agents = team(graph, lambda i, w: GradientTracking(i, np.zeros(3), w, Q.gradient(i), 0.01), graphs.metropolis)
+    agents = team(
+        graph,
+        lambda i, w: GradientTracking(i, np.zeros(3), w, Q.gradient(i), 0.01),
+        graphs.metropolis,
+    )
     errors = []
     for k in stepwise(agents, graph, 2400):
         if k % 600 == 599:
             errors.append(np.abs(gathered(agents, "x") - Q.optimum).max())
     assert errors[-1] < 1e-10
-    assert all(later < 0.1 * earlier or later < 1e-13 for earlier, later in pairwise(errors))
+    assert all(
+        later < 0.1 * earlier or later < 1e-13 for earlier, later in pairwise(errors)
+    )
 
 
 @pytest.mark.parametrize("graph", [DIRECTED, graphs.ring(6, directed=True)])
 def test_directed_gradient_tracking_reaches_the_central_optimum(graph):
-    pull, push = rows(graph, graphs.row_stochastic), columns(graph, graphs.column_stochastic)
+    pull, push = (
+        rows(graph, graphs.row_stochastic),
+        columns(graph, graphs.column_stochastic),
+    )
     agents = {
-        i: DirectedGradientTracking(i, np.zeros(3), pull[i], push[i], Q.gradient(i), 0.005, 6000) for i in range(6)
+        i: DirectedGradientTracking(
+            i, np.zeros(3), pull[i], push[i], Q.gradient(i), 0.005, 6000
+        )
+        for i in range(6)
     }
     run_in_step(agents, graph)
     assert gathered(agents, "x") == pytest.approx(np.tile(Q.optimum, (6, 1)), abs=1e-10)
@@ -269,6 +345,10 @@ def test_gradient_tracking_on_a_directed_graph_with_rows_alone_would_end_elsewhe
         doubly_stochastic = False
 
     weights = graphs.row_stochastic
-    agents = team(DIRECTED, lambda i, w: Unchecked(i, np.zeros(3), w, Q.gradient(i), 0.005, 6000), weights)
+    agents = team(
+        DIRECTED,
+        lambda i, w: Unchecked(i, np.zeros(3), w, Q.gradient(i), 0.005, 6000),
+        weights,
+    )
     run_in_step(agents, DIRECTED)
     assert np.abs(gathered(agents, "x") - Q.optimum).max() > 1e-2

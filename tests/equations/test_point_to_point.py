@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED, PointToPoint, duration_for
+from crazychoir.planning.point_to_point import (
+    PEAK_ACCELERATION,
+    PEAK_SPEED,
+    PointToPoint,
+    duration_for,
+)
 from crazychoir.types import FullState
 
 number = st.floats(-2.0, 2.0)
@@ -26,9 +31,19 @@ def test_it_meets_the_start_and_the_goal(start, goal, yaw, duration):
 
 
 @given(states, triple, number, st.floats(1.0, 10.0), st.floats(0.05, 0.95))
-def test_velocity_acceleration_and_jerk_are_the_derivatives(start, goal, yaw, duration, part):
-    plan, t, h = PointToPoint(start, np.array(goal), yaw, duration), part * duration, 1e-5
-    before, here, after = plan.sample(t - h).flat, plan.sample(t).flat, plan.sample(t + h).flat
+def test_velocity_acceleration_and_jerk_are_the_derivatives(
+    start, goal, yaw, duration, part
+):
+    plan, t, h = (
+        PointToPoint(start, np.array(goal), yaw, duration),
+        part * duration,
+        1e-5,
+    )
+    before, here, after = (
+        plan.sample(t - h).flat,
+        plan.sample(t).flat,
+        plan.sample(t + h).flat,
+    )
     slope = (after - before) / (2.0 * h)
     np.testing.assert_allclose(slope[0:9], here[3:12], rtol=1e-5, atol=1e-5)
     assert slope[12] == pytest.approx(here[13], abs=1e-5)
@@ -42,7 +57,9 @@ def test_peaks_of_a_flight_from_rest_to_rest():
 
 
 @given(triple, triple, st.floats(0.3, 2.0), st.floats(0.5, 4.0))
-def test_the_duration_from_rest_keeps_the_limits_and_wastes_nothing(p, goal, v_max, a_max):
+def test_the_duration_from_rest_keeps_the_limits_and_wastes_nothing(
+    p, goal, v_max, a_max
+):
     start, goal = FullState.at(p), np.array(goal)
     duration = duration_for(start, goal, 0.0, v_max, a_max)
     speed, acceleration, _ = PointToPoint(start, goal, 0.0, duration).peaks
@@ -55,9 +72,13 @@ def test_the_duration_from_rest_keeps_the_limits_and_wastes_nothing(p, goal, v_m
 @given(states, triple)
 def test_the_duration_under_way_keeps_the_limits_where_any_duration_does(start, goal):
     def excess(duration):
-        return max(np.array(PointToPoint(start, np.array(goal), 0.0, duration).peaks) / [4.0, 20.0, 6.0])
+        return max(
+            np.array(PointToPoint(start, np.array(goal), 0.0, duration).peaks)
+            / [4.0, 20.0, 6.0]
+        )
 
-    duration = duration_for(start, np.array(goal), 0.0, v_max=4.0, a_max=20.0, yaw_rate_max=6.0)
+    duration = duration_for(
+        start, np.array(goal), 0.0, v_max=4.0, a_max=20.0, yaw_rate_max=6.0
+    )
     others = [excess(other) for other in np.geomspace(0.1, 30.0, 60)]
     assert excess(duration) < 1.02 or excess(duration) < 1.02 * min(others)
-

@@ -4,13 +4,27 @@ import numpy as np
 import pytest
 
 from crazychoir.radio.survey import simulated_radio
-from crazychoir.radio.survey.interference import Bluetooth, Jammer, Network, Uses, frames
-from crazychoir.radio.survey.simulated_radio import BITS, Room, SimulatedRadio, random_room, success
+from crazychoir.radio.survey.interference import (
+    Bluetooth,
+    Jammer,
+    Network,
+    Uses,
+    frames,
+)
+from crazychoir.radio.survey.simulated_radio import (
+    BITS,
+    Room,
+    SimulatedRadio,
+    random_room,
+    success,
+)
 
 
 def test_one_bit_in_a_thousand_is_wrong_at_the_sensitivity():
     sinr = 10.0 ** ((-82.0 - simulated_radio.NOISE) / 10.0)
-    assert 1.0 - success(np.array([sinr]))[0] ** (1.0 / BITS) == pytest.approx(1e-3, rel=0.2)
+    assert 1.0 - success(np.array([sinr]))[0] ** (1.0 / BITS) == pytest.approx(
+        1e-3, rel=0.2
+    )
 
 
 def test_a_packet_comes_through_where_no_bit_is_wrong():
@@ -24,10 +38,12 @@ ROOMS = {
     "a jammer": (Jammer(40.0, -68.0, Uses(1.5, 0.5, 2)),),
     "a phone": (Bluetooth(-50.0, 0.5),),
     "all": (
-        Network(37.0, -68.0, 0.6, 0.002, Uses(1.0, 1.0, 3)), Network(42.0, -60.0, 0.2, 0.0005, Uses(0.5, 2.0, 4)),
-        Jammer(37.0, -72.0, Uses(1.0, 3.0, 5)), Bluetooth(-50.0, 0.5),
+        Network(37.0, -68.0, 0.6, 0.002, Uses(1.0, 1.0, 3)),
+        Network(42.0, -60.0, 0.2, 0.0005, Uses(0.5, 2.0, 4)),
+        Jammer(37.0, -72.0, Uses(1.0, 3.0, 5)),
+        Bluetooth(-50.0, 0.5),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("sources", ROOMS.values(), ids=ROOMS)
@@ -59,10 +75,14 @@ def test_while_all_is_in_use_less_comes_through():
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
 def test_frames_take_their_share_of_the_time(share):
     draw = np.random.default_rng(3)
-    on = np.concatenate([frames(np.arange(0.0, 0.1, 0.0005), share, 0.001, draw) for _ in range(200)])
+    on = np.concatenate(
+        [frames(np.arange(0.0, 0.1, 0.0005), share, 0.001, draw) for _ in range(200)]
+    )
     assert on.mean() == pytest.approx(share, abs=0.03)
     stays = np.mean(on[1:] == on[:-1])
-    assert stays > 1.3 * (share**2 + (1.0 - share) ** 2) - 0.2  # a frame is longer than half a millisecond
+    assert (
+        stays > 1.3 * (share**2 + (1.0 - share) ** 2) - 0.2
+    )  # a frame is longer than half a millisecond
 
 
 def test_things_are_used_for_their_share_of_the_time_whoever_asks_how_often():
@@ -79,9 +99,16 @@ def test_reflections_keep_the_power_and_change_within_a_few_megahertz():
     channels = np.arange(84.0)
     gains = np.array([simulated_radio._gains(channels, draw) for _ in range(400)])
     assert np.mean(10.0 ** (gains / 10.0)) == pytest.approx(1.0, abs=0.05)
-    assert np.abs(np.diff(gains, axis=1)).mean() < 0.3 * np.abs(gains[:, 40:] - gains[:, :-40]).mean()
+    assert (
+        np.abs(np.diff(gains, axis=1)).mean()
+        < 0.3 * np.abs(gains[:, 40:] - gains[:, :-40]).mean()
+    )
 
 
 def test_a_room_is_that_of_its_seed():
     a, b, c = (random_room(seed, (10, 20)) for seed in (1, 1, 2))
-    assert (a.signal, a.expected(20)) == (b.signal, b.expected(20)) != (c.signal, c.expected(20))
+    assert (
+        (a.signal, a.expected(20))
+        == (b.signal, b.expected(20))
+        != (c.signal, c.expected(20))
+    )

@@ -21,15 +21,22 @@ def states():
 def test_odometry_has_velocities_of_the_body(states):
     for x in states:
         found, r = np.array(odometry(State(x))), rotation(x[6:10])
-        assert np.array_equal(found[[0, 1, 2, 3, 4, 5, 6, 10, 11, 12]], x[[0, 1, 2, 6, 7, 8, 9, 10, 11, 12]])
+        assert np.array_equal(
+            found[[0, 1, 2, 3, 4, 5, 6, 10, 11, 12]],
+            x[[0, 1, 2, 6, 7, 8, 9, 10, 11, 12]],
+        )
         assert found[7:10] == pytest.approx(r.T @ x[3:6], abs=1e-14)
 
 
 def test_into_the_world_and_back(states):
     for x in states:
-        assert into_world(x[None, 6:10], x[None, 3:6])[0] == pytest.approx(rotation(x[6:10]) @ x[3:6], abs=1e-14)
+        assert into_world(x[None, 6:10], x[None, 3:6])[0] == pytest.approx(
+            rotation(x[6:10]) @ x[3:6], abs=1e-14
+        )
     out = np.array([odometry(State(x)) for x in states])
-    assert into_world(out[:, 3:7], out[:, 7:10]) == pytest.approx(states[:, 3:6], abs=1e-13)
+    assert into_world(out[:, 3:7], out[:, 7:10]) == pytest.approx(
+        states[:, 3:6], abs=1e-13
+    )
 
 
 def test_joined_is_exact_for_lines_and_second_order_between():

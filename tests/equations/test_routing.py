@@ -71,8 +71,12 @@ def test_the_price_is_a_subgradient_of_the_local_value(tables):
                 assert there.value >= at.value + at.mu @ (z - y) - 1e-6
             direction = DRAW.normal(size=M)
             step = 1e-6
-            ahead, behind = (program.solve(y + s * step * direction).value for s in (1, -1))
-            assert (ahead - behind) / (2 * step) == pytest.approx(at.mu @ direction, rel=1e-3, abs=1e-3)
+            ahead, behind = (
+                program.solve(y + s * step * direction).value for s in (1, -1)
+            )
+            assert (ahead - behind) / (2 * step) == pytest.approx(
+                at.mu @ direction, rel=1e-3, abs=1e-3
+            )
 
 
 def test_prices_are_between_zero_and_the_penalty(tables):
@@ -92,12 +96,21 @@ def test_every_round_keeps_the_sum_of_the_shares(instance, graph, span):
 
 
 @pytest.mark.parametrize(("graph", "span"), [(RING, 2), (PATH, 3)])
-def test_the_local_values_converge_to_the_central_relaxation(instance, tables, relaxation, graph, span):
+def test_the_local_values_converge_to_the_central_relaxation(
+    instance, tables, relaxation, graph, span
+):
     values = []
     for rounds in (1, 400):
-        agents, members, _ = trade(instance, graph, span, Settings(price_rounds=rounds, still=0.0))
+        agents, members, _ = trade(
+            instance, graph, span, Settings(price_rounds=rounds, still=0.0)
+        )
         programs = [ColumnProgram(tables[i], members[i].penalty) for i in range(N)]
-        values.append(sum(program.solve(agent.y).value for program, agent in zip(programs, agents, strict=True)))
+        values.append(
+            sum(
+                program.solve(agent.y).value
+                for program, agent in zip(programs, agents, strict=True)
+            )
+        )
     assert relaxation - 1e-6 <= values[1] <= 1.05 * relaxation
     assert values[1] - relaxation < 0.3 * (values[0] - relaxation)
 
@@ -126,27 +139,41 @@ def test_any_common_price_bounds_the_optimum_and_excesses_add_up(instance, table
 def test_a_reward_for_robots_that_leave_keeps_the_bound_and_the_excesses(instance):
     """n mu + sum pi + sum least <= cost of any plan of at least n robots, less the excesses of its columns."""
     fixed = Instance.parse(instance.to_json() | {"fixed_cost": 300.0})
-    solution, tables = solve_in_loop(fixed, RING), [RouteTable(fixed.local(i).vehicle) for i in range(N)]
+    solution, tables = (
+        solve_in_loop(fixed, RING),
+        [RouteTable(fixed.local(i).vehicle) for i in range(N)],
+    )
     n = len(solution.routes)
     for _ in range(30):
         pi, mu = DRAW.uniform(0, 200, size=M), DRAW.uniform(0, 300)
         least = {i: tables[i].least(pi, mu) for i in range(N)}
-        assert list(least.values()) == [min(0.0, (t.reduced_costs(pi)[1:] - mu).min()) for t in tables]
+        assert list(least.values()) == [
+            min(0.0, (t.reduced_costs(pi)[1:] - mu).min()) for t in tables
+        ]
         bound = Bound(n * mu + pi.sum() + sum(least.values()), pi, mu, n, least)
         assert bound.value <= solution.cost + 1e-9
-        flown = {route.robot: Column(route.length + 300.0, route.tasks) for route in solution.routes}
+        flown = {
+            route.robot: Column(route.length + 300.0, route.tasks)
+            for route in solution.routes
+        }
         excess = sum(bound.excess(i, flown.get(i, Column(0.0, ()))) for i in range(N))
         assert bound.value + excess == pytest.approx(solution.cost)
 
 
-def test_prices_sum_up_to_a_bound_with_the_least_of_all_routes_put_together_of_halves(instance, tables, relaxation):
+def test_prices_sum_up_to_a_bound_with_the_least_of_all_routes_put_together_of_halves(
+    instance, tables, relaxation
+):
     """sum_j pi_j + sum_i least_i <= the relaxation for every pi >= 0, and equal at its own prices."""
     halves, pool = [Halves(instance.local(i).vehicle) for i in range(N)], Pool(M)
     for i, table in enumerate(tables):
         pool.add(i, (table.column(c) for c in range(1, len(table))))
     at_its_own = pool.relax(np.full(M, 100.0)).prices
-    assert at_its_own.sum() + sum(half.least(at_its_own) for half in halves) == pytest.approx(relaxation)
+    assert at_its_own.sum() + sum(
+        half.least(at_its_own) for half in halves
+    ) == pytest.approx(relaxation)
     for pi in DRAW.uniform(0.0, 20.0, size=(20, M)):
         assert pi.sum() + sum(half.least(pi) for half in halves) <= relaxation + 1e-6
         drawn = 0.6 * at_its_own + 0.4 * pi
-        assert drawn.sum() + sum(half.least(drawn) for half in halves) <= relaxation + 1e-6
+        assert (
+            drawn.sum() + sum(half.least(drawn) for half in halves) <= relaxation + 1e-6
+        )

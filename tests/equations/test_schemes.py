@@ -6,7 +6,11 @@ from scipy.integrate import quad
 from scipy.linalg import expm, solve_discrete_are
 
 from crazychoir.guidance.aggregative import Defence
-from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, integrators
+from crazychoir.optimization.predictive_control import (
+    Prediction,
+    PredictiveControl,
+    integrators,
+)
 from crazychoir.planning import smoothing
 from crazychoir.planning.smoothing import transition
 
@@ -17,7 +21,9 @@ def test_the_smoother_moves_as_four_equal_lags():
     a[b, b + 1] = 1.0  # p' = v, v' = a, a' = j, and u stays
     a[3] = [-(w**4), -4 * w**3, -6 * w**2, -4 * w, w**4]
     keep, take = transition(w, h)
-    np.testing.assert_allclose(np.column_stack([keep, take]), expm(h * a)[:4], atol=1e-12)
+    np.testing.assert_allclose(
+        np.column_stack([keep, take]), expm(h * a)[:4], atol=1e-12
+    )
 
 
 def test_the_bounds_of_the_smoother_are_the_integrals_of_its_answer():
@@ -25,7 +31,10 @@ def test_the_bounds_of_the_smoother_are_the_integrals_of_its_answer():
     curve = lambda t: (t - t**2 + t**3 / 6) * np.exp(-t)  # noqa: E731
     peaks = [3.0, 3 - 3**0.5, 3 + 3**0.5]
     for found, of in ((smoothing.SLOPE, slope), (smoothing.CURVE, curve)):
-        assert found == pytest.approx(quad(lambda t, of=of: abs(of(t)), 0, 60, points=peaks, limit=200)[0], abs=2e-4)
+        assert found == pytest.approx(
+            quad(lambda t, of=of: abs(of(t)), 0, 60, points=peaks, limit=200)[0],
+            abs=2e-4,
+        )
 
 
 @pytest.fixture
@@ -34,7 +43,11 @@ def defence():
 
 
 def cost(d, x, s, r):
-    return d.intruder * sum((x - r) ** 2) + d.goal * sum((s - d.target) ** 2) + d.team * sum((x - s) ** 2)
+    return (
+        d.intruder * sum((x - r) ** 2)
+        + d.goal * sum((s - d.target) ** 2)
+        + d.team * sum((x - s) ** 2)
+    )
 
 
 def test_the_gradients_of_a_defence(defence):
@@ -55,15 +68,22 @@ def test_the_optimum_of_a_defence_is_that_of_the_sum_of_all_costs(defence):
         for k in range(2):
             e = np.zeros((4, 2))
             e[i, k] = 1e-5
-            assert (total(best + e) - total(best - e)) / 2e-5 == pytest.approx(0.0, abs=1e-8)
+            assert (total(best + e) - total(best - e)) / 2e-5 == pytest.approx(
+                0.0, abs=1e-8
+            )
 
 
 @pytest.mark.parametrize(
     ("target", "places"),
-    [((0.0, 0.0), [(-0.5, 0.5), (-0.5, -0.5), (0.5, 0.0)]), ((0.2, 0.0), [(-0.4, 0.5), (-0.4, -0.5), (0.6, 0.0)])],
+    [
+        ((0.0, 0.0), [(-0.5, 0.5), (-0.5, -0.5), (0.5, 0.0)]),
+        ((0.2, 0.0), [(-0.4, 0.5), (-0.4, -0.5), (0.6, 0.0)]),
+    ],
 )
 def test_with_equal_weights_a_defender_is_half_way(target, places):
-    found = Defence(np.array(target)).optimum(np.array([(-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0)]))
+    found = Defence(np.array(target)).optimum(
+        np.array([(-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0)])
+    )
     np.testing.assert_allclose(found, places, atol=1e-12)
 
 
@@ -99,4 +119,6 @@ def test_the_gain_by_which_an_integrator_goes_on(h):
     p = (1 + np.sqrt(1 + 4 / h**2)) / 2
     one = np.eye(1)
     assert solve_discrete_are(one, h * one, one, one)[0, 0] == pytest.approx(p)
-    assert 1 + h * (-h * p / (1 + p * h**2)) == pytest.approx(1 / (1 + p * h**2)), "which is below 1"
+    assert 1 + h * (-h * p / (1 + p * h**2)) == pytest.approx(1 / (1 + p * h**2)), (
+        "which is below 1"
+    )

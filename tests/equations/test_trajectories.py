@@ -21,7 +21,9 @@ from crazychoir.types import FullState
 number = st.floats(-2.0, 2.0)
 triple = st.tuples(number, number, number)
 states = st.builds(FullState.at, triple, triple, triple, triple, number, number)
-WAYPOINTS = np.array([[0, 0, 1], [1, 0, 1.2], [1.5, 1, 1], [0.2, 1.4, 0.8], [-0.5, 0.3, 1]], dtype=float)
+WAYPOINTS = np.array(
+    [[0, 0, 1], [1, 0, 1.2], [1.5, 1, 1], [0.2, 1.4, 0.8], [-0.5, 0.3, 1]], dtype=float
+)
 TIMES = np.array([0.0, 1.3, 2.1, 4.0, 5.2])
 
 
@@ -38,7 +40,9 @@ def assert_flat(trajectory, times, h=1e-5, rtol=1e-5):
 def test_a_polynomial_meets_both_ends_and_is_flat(start, goal, duration, part):
     plan = Polynomial7th(start, goal, duration)
     np.testing.assert_allclose(plan.sample(0.0).flat, start.flat, atol=1e-12)
-    at_end = Piecewise(plan.coefficients, plan.durations).sample(plan.duration).flat  # from the coefficients
+    at_end = (
+        Piecewise(plan.coefficients, plan.durations).sample(plan.duration).flat
+    )  # from the coefficients
     np.testing.assert_allclose(at_end[0:12], goal.flat[0:12], atol=1e-8)
     assert math.cos(at_end[12] - goal.yaw) == pytest.approx(1.0)
     assert at_end[13] == pytest.approx(goal.flat[13], abs=1e-8)
@@ -51,27 +55,52 @@ def test_jumps_are_those_of_the_derivatives_at_the_knots():
     rng = np.random.default_rng(3)
     durations = np.array([0.7, 1.3, 0.4])
     flight = Piecewise(rng.normal(size=(3, 4, 8)), durations)
-    polynomials = [[np.polynomial.Polynomial(c) for c in piece] for piece in flight.coefficients]
+    polynomials = [
+        [np.polynomial.Polynomial(c) for c in piece] for piece in flight.coefficients
+    ]
     for axis in range(4):
         for m in range(8):
-            ends = [abs(polynomials[i][axis].deriv(m)(durations[i]) - polynomials[i + 1][axis].deriv(m)(0.0))
-                    if m else abs(polynomials[i][axis](durations[i]) - polynomials[i + 1][axis](0.0))
-                    for i in range(2)]  # fmt: skip
+            ends = [
+                abs(
+                    polynomials[i][axis].deriv(m)(durations[i])
+                    - polynomials[i + 1][axis].deriv(m)(0.0)
+                )
+                if m
+                else abs(
+                    polynomials[i][axis](durations[i]) - polynomials[i + 1][axis](0.0)
+                )
+                for i in range(2)
+            ]
             assert flight.jumps[axis, m] == pytest.approx(max(ends), rel=1e-9)
 
 
 @pytest.mark.parametrize(("degree", "order"), [(3, 2), (5, 4), (7, 6)])
-def test_a_spline_goes_through_its_places_and_has_the_ends_that_it_was_given(degree, order):
+def test_a_spline_goes_through_its_places_and_has_the_ends_that_it_was_given(
+    degree, order
+):
     honoured = {3: (3, 6), 5: (3, 9), 7: (3, 12)}[degree]
-    start = FullState.at((9, 9, 9), (0.3, -0.1, 0.2), (0.2, 0.1, 0) if degree > 3 else (0, 0, 0), yaw_rate=0.4)
-    goal = FullState.at((9, 9, 9), (-0.5, 0.1, 0), (0, 0.3, 0) if degree > 3 else (0, 0, 0),
-                        (0.5, 0, 0) if degree > 5 else (0, 0, 0))  # fmt: skip
+    start = FullState.at(
+        (9, 9, 9),
+        (0.3, -0.1, 0.2),
+        (0.2, 0.1, 0) if degree > 3 else (0, 0, 0),
+        yaw_rate=0.4,
+    )
+    goal = FullState.at(
+        (9, 9, 9),
+        (-0.5, 0.1, 0),
+        (0, 0.3, 0) if degree > 3 else (0, 0, 0),
+        (0.5, 0, 0) if degree > 5 else (0, 0, 0),
+    )
     flight = spline(TIMES, WAYPOINTS, [0, 1, 2, 3, -3], start, goal, degree)
     for t, place in zip(TIMES, WAYPOINTS, strict=True):
         np.testing.assert_allclose(flight.sample(t).p, place, atol=1e-12)
     span = slice(*honoured)
-    np.testing.assert_allclose(flight.sample(0.0).flat[span], start.flat[span], atol=1e-10)
-    np.testing.assert_allclose(flight.sample(flight.duration).flat[span], goal.flat[span], atol=1e-9)
+    np.testing.assert_allclose(
+        flight.sample(0.0).flat[span], start.flat[span], atol=1e-10
+    )
+    np.testing.assert_allclose(
+        flight.sample(flight.duration).flat[span], goal.flat[span], atol=1e-9
+    )
     assert flight.jumps[0:3, : order + 1].max() < 1e-9
     assert flight.jumps[0:3, order + 1].max() > 1e-3
     assert flight.jumps[3, 0:3].max() < 1e-9
@@ -86,14 +115,23 @@ def snap_by_quadratic_program(times, places, start, goal):
     durations, k = np.diff(times), len(times) - 1
 
     def row(t, m):
-        return np.array([math.factorial(n) / math.factorial(n - m) * t ** (n - m) if n >= m else 0.0 for n in range(8)])
+        return np.array(
+            [
+                math.factorial(n) / math.factorial(n - m) * t ** (n - m)
+                if n >= m
+                else 0.0
+                for n in range(8)
+            ]
+        )
 
     cost = np.zeros((8 * k, 8 * k))
     nodes, weights = np.polynomial.legendre.leggauss(8)
     for i, duration in enumerate(durations):
         for x, w in zip(nodes, weights, strict=True):
             r = row(0.5 * duration * (x + 1.0), 4)
-            cost[8 * i : 8 * i + 8, 8 * i : 8 * i + 8] += 0.5 * duration * w * np.outer(r, r)
+            cost[8 * i : 8 * i + 8, 8 * i : 8 * i + 8] += (
+                0.5 * duration * w * np.outer(r, r)
+            )
     rows, values = [], []
 
     def constrain(parts, value):
@@ -123,7 +161,9 @@ def test_minimum_snap_is_the_minimum_of_its_quadratic_program():
     goal = FullState.at((0, 0, 0), (0, -0.2, 0))
     flight = minimum_snap(WAYPOINTS, TIMES, start=start, goal=goal)
     wanted = snap_by_quadratic_program(TIMES, WAYPOINTS, start, goal)
-    np.testing.assert_allclose(flight.coefficients[:, 0:3], wanted, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        flight.coefficients[:, 0:3], wanted, rtol=1e-6, atol=1e-6
+    )
     assert flight.jumps[0:3, 0:7].max() < 1e-8
 
 
@@ -132,7 +172,13 @@ def test_the_snap_is_its_integral():
     total = 0.0
     for c, duration in zip(flight.coefficients, flight.durations, strict=True):
         t = (np.arange(20000) + 0.5) / 20000 * duration
-        total += sum(np.sum(np.polynomial.Polynomial(row).deriv(4)(t) ** 2) for row in c[0:3]) * duration / 20000
+        total += (
+            sum(
+                np.sum(np.polynomial.Polynomial(row).deriv(4)(t) ** 2) for row in c[0:3]
+            )
+            * duration
+            / 20000
+        )
     assert snap(flight) == pytest.approx(total, rel=1e-4)
 
 
@@ -158,14 +204,20 @@ def test_allocated_times_have_less_snap_than_any_near_them():
 def test_a_figure_is_flat_and_smooth_from_rest_to_rest(figure):
     assert_flat(figure, np.linspace(0.01, figure.duration - 0.01, 60))
     _, x = setpoints(figure, 2000.0)
-    assert np.abs(np.diff(x[:, 9:12], axis=0)).max() < 0.02 * np.abs(x[:, 9:12]).max()  # no jump of the jerk
+    assert (
+        np.abs(np.diff(x[:, 9:12], axis=0)).max() < 0.02 * np.abs(x[:, 9:12]).max()
+    )  # no jump of the jerk
     np.testing.assert_allclose(x[[0, -1], 3:12], 0.0, atol=1e-9)
 
 
 def test_the_speeds_of_circle_and_eight():
     w = 2.0 * math.pi / 4.0
-    assert peaks(circle((0, 0, 1), 0.5, 4.0, laps=2))["speed"] == pytest.approx(0.5 * w, rel=1e-4)
-    assert peaks(eight((0, 0, 1), 1.0, 0.4, 4.0, laps=2))["speed"] == pytest.approx(w * math.hypot(1, 0.8), rel=1e-4)
+    assert peaks(circle((0, 0, 1), 0.5, 4.0, laps=2))["speed"] == pytest.approx(
+        0.5 * w, rel=1e-4
+    )
+    assert peaks(eight((0, 0, 1), 1.0, 0.4, 4.0, laps=2))["speed"] == pytest.approx(
+        w * math.hypot(1, 0.8), rel=1e-4
+    )
 
 
 def test_a_figure_has_its_equation_and_takes_the_time_of_its_laps_and_a_ramp():
@@ -179,7 +231,10 @@ def test_a_figure_has_its_equation_and_takes_the_time_of_its_laps_and_a_ramp():
 
 
 def test_yaw_along_a_figure_is_the_direction_of_its_velocity_and_never_jumps():
-    for figure in (circle((0, 0, 1), 0.5, 4.0, laps=2, yaw="along"), eight((0, 0, 1), 1, 0.5, 8.0, 2, yaw="along")):
+    for figure in (
+        circle((0, 0, 1), 0.5, 4.0, laps=2, yaw="along"),
+        eight((0, 0, 1), 1, 0.5, 8.0, 2, yaw="along"),
+    ):
         _, x = setpoints(figure, 50.0)
         moving = np.linalg.norm(x[:, 3:5], axis=1) > 1e-6
         heading = np.arctan2(x[moving, 4], x[moving, 3])
@@ -191,17 +246,30 @@ def test_yaw_along_a_figure_is_the_direction_of_its_velocity_and_never_jumps():
 def test_flatness_agrees_with_the_attitude_that_turns(state):
     h = 1e-5
     plan = Polynomial7th(state, FullState.at(state.p), 1.0)
-    before, here, after = (Polynomial7th(state, FullState.at(state.p), 1.0).sample(0.3 + d) for d in (-h, 0, h))
-    asked = dict(zip(DEMANDS, demands(plan.sample(0.3).flat[None], 0.03)[0].tolist(), strict=True))
+    before, here, after = (
+        Polynomial7th(state, FullState.at(state.p), 1.0).sample(0.3 + d)
+        for d in (-h, 0, h)
+    )
+    asked = dict(
+        zip(
+            DEMANDS, demands(plan.sample(0.3).flat[None], 0.03)[0].tolist(), strict=True
+        )
+    )
     f = here.a + GRAVITY * E3
     if np.linalg.norm(f) < 1.0 or abs(f[2]) < 1.0:
         return
     r = rotation_from_flat(f, here.yaw)
-    rates = (rotation_from_flat(after.a + GRAVITY * E3, after.yaw)
-             - rotation_from_flat(before.a + GRAVITY * E3, before.yaw)) / (2 * h)  # fmt: skip
+    rates = (
+        rotation_from_flat(after.a + GRAVITY * E3, after.yaw)
+        - rotation_from_flat(before.a + GRAVITY * E3, before.yaw)
+    ) / (2 * h)
     w = r.T @ rates
     scale = max(1.0, float(np.abs(w).max()))
-    for name, value in (("roll_rate", w[2, 1]), ("pitch_rate", w[0, 2]), ("body_yaw_rate", w[1, 0])):
+    for name, value in (
+        ("roll_rate", w[2, 1]),
+        ("pitch_rate", w[0, 2]),
+        ("body_yaw_rate", w[1, 0]),
+    ):
         assert asked[name] == pytest.approx(abs(value), abs=1e-4 * scale)
     assert asked["thrust"] == pytest.approx(0.03 * np.linalg.norm(f))
     assert math.cos(asked["tilt"]) == pytest.approx(f[2] / np.linalg.norm(f))
@@ -214,10 +282,14 @@ def test_slowed_derivatives_go_with_the_powers_of_the_factor(factor, part):
     flight = minimum_snap(WAYPOINTS, TIMES, yaws=[0, 1, 2, 1, 0])
     pieces, any_other = flight.slowed(factor), Slowed(flight, factor)
     t = part * flight.duration * factor
-    np.testing.assert_allclose(pieces.sample(t).flat, any_other.sample(t).flat, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        pieces.sample(t).flat, any_other.sample(t).flat, rtol=1e-9, atol=1e-9
+    )
     x, y = flight.sample(t / factor).flat, any_other.sample(t).flat
     for n in range(4):
-        np.testing.assert_allclose(y[3 * n : 3 * n + 3] * factor**n, x[3 * n : 3 * n + 3], atol=1e-9)
+        np.testing.assert_allclose(
+            y[3 * n : 3 * n + 3] * factor**n, x[3 * n : 3 * n + 3], atol=1e-9
+        )
     assert y[13] * factor == pytest.approx(x[13])
 
 
@@ -243,9 +315,17 @@ def test_scaling_takes_no_more_time_than_the_limit_needs(limits, name, most):
 
 def test_joined_flights_follow_each_other():
     a = minimum_snap(WAYPOINTS, TIMES, yaws=[0, 2, 4, 6, 8])
-    back = Polynomial7th(FullState.at(WAYPOINTS[-1], yaw=8 - 2 * math.pi), FullState.at(WAYPOINTS[0]), 3.0)
+    back = Polynomial7th(
+        FullState.at(WAYPOINTS[-1], yaw=8 - 2 * math.pi),
+        FullState.at(WAYPOINTS[0]),
+        3.0,
+    )
     both = joined([a, back])
     assert both.duration == pytest.approx(a.duration + 3.0)
     assert both.jumps[:, 0:2].max() < 1e-9
-    np.testing.assert_allclose(both.sample(a.duration + 1.0).flat[0:12], back.sample(1.0).flat[0:12], atol=1e-9)
-    assert both.sample(a.duration + 1.0).yaw == pytest.approx(back.sample(1.0).yaw + 2 * math.pi)
+    np.testing.assert_allclose(
+        both.sample(a.duration + 1.0).flat[0:12], back.sample(1.0).flat[0:12], atol=1e-9
+    )
+    assert both.sample(a.duration + 1.0).yaw == pytest.approx(
+        back.sample(1.0).yaw + 2 * math.pi
+    )

@@ -22,7 +22,9 @@ def run(f, p, times, age=0.0):
 def test_a_ramp_is_met_as_the_first_order_filter_meets_it_at_any_rate(cutoff, h):
     times = h * np.arange(40)
     states = run(VelocityFilter(cutoff), lambda t: 0.7 * t, times)
-    np.testing.assert_allclose([s.v[0] for s in states], 0.7 * (1.0 - np.exp(-cutoff * times)), atol=1e-9)
+    np.testing.assert_allclose(
+        [s.v[0] for s in states], 0.7 * (1.0 - np.exp(-cutoff * times)), atol=1e-9
+    )
 
 
 @given(st.lists(st.floats(0.001, 0.2), min_size=2, max_size=30))
@@ -37,7 +39,9 @@ def test_a_sine_is_filtered_as_the_transfer_function_says():
     states = run(VelocityFilter(cutoff), lambda t: math.sin(w * t), h * np.arange(3000))
     t = 2.999
     gain = 1j * w * cutoff / (1j * w + cutoff)
-    assert states[-1].v[0] == pytest.approx((gain * np.exp(1j * w * t)).imag, abs=2e-2 * w * h + 1e-4)
+    assert states[-1].v[0] == pytest.approx(
+        (gain * np.exp(1j * w * t)).imag, abs=2e-2 * w * h + 1e-4
+    )
 
 
 def test_a_constant_body_rate_is_found_across_the_wrap_of_yaw():
@@ -51,6 +55,8 @@ def test_a_constant_body_rate_is_found_across_the_wrap_of_yaw():
 
 
 def test_the_latency_of_the_pose_is_bridged_at_constant_velocity():
-    late = run(VelocityFilter(50.0), lambda t: 0.5 * t, 0.01 * np.arange(100), age=0.03)[-1]
+    late = run(
+        VelocityFilter(50.0), lambda t: 0.5 * t, 0.01 * np.arange(100), age=0.03
+    )[-1]
     assert late.p[0] == pytest.approx(0.5 * 0.99, abs=1e-9)
     assert late.age == pytest.approx(0.03)

@@ -15,8 +15,16 @@ from crazychoir.team.graph import (
     row_stochastic,
 )
 
-CONNECTED = st.builds(erdos_renyi_connected, st.integers(2, 8), st.just(0.5), st.integers(0, 99), st.booleans())
-UNDIRECTED = st.builds(erdos_renyi_connected, st.integers(2, 8), st.just(0.5), st.integers(0, 99))
+CONNECTED = st.builds(
+    erdos_renyi_connected,
+    st.integers(2, 8),
+    st.just(0.5),
+    st.integers(0, 99),
+    st.booleans(),
+)
+UNDIRECTED = st.builds(
+    erdos_renyi_connected, st.integers(2, 8), st.just(0.5), st.integers(0, 99)
+)
 
 
 def matrix(weights: Weights) -> np.ndarray:
@@ -41,7 +49,9 @@ def test_metropolis_is_symmetric_and_doubly_stochastic(graph: Graph) -> None:
     np.testing.assert_allclose(w.sum(axis=1), 1.0)
     for i in graph.ids:
         for j in graph.neighbors(i):
-            assert w[i, j] == 1 / (1 + max(len(graph.neighbors(i)), len(graph.neighbors(j))))
+            assert w[i, j] == 1 / (
+                1 + max(len(graph.neighbors(i)), len(graph.neighbors(j)))
+            )
 
 
 @given(UNDIRECTED)
@@ -57,7 +67,11 @@ def test_rows_and_columns_sum_to_one_on_the_arcs(graph: Graph) -> None:
     np.testing.assert_allclose(rows.sum(axis=1), 1.0)
     np.testing.assert_allclose(columns.sum(axis=0), 1.0)
     arcs = {(i, j) for j, i in graph.arcs} | {(i, i) for i in graph.ids}
-    assert set(zip(*np.nonzero(rows), strict=True)) == set(zip(*np.nonzero(columns), strict=True)) == arcs
+    assert (
+        set(zip(*np.nonzero(rows), strict=True))
+        == set(zip(*np.nonzero(columns), strict=True))
+        == arcs
+    )
     for i, j in arcs:
         assert rows[i, j] == 1 / (1 + len(graph.in_neighbors(i)))
         assert columns[i, j] == 1 / (1 + len(graph.out_neighbors(j)))
@@ -67,7 +81,9 @@ def test_rows_and_columns_sum_to_one_on_the_arcs(graph: Graph) -> None:
 def test_push_sum_with_column_weights_reaches_the_mean(graph: Graph) -> None:
     x = np.arange(len(graph.ids)) ** 2.0
     power = np.linalg.matrix_power(matrix(column_stochastic(graph)), 2000)
-    np.testing.assert_allclose((power @ x) / (power @ np.ones_like(x)), x.mean(), rtol=1e-9)
+    np.testing.assert_allclose(
+        (power @ x) / (power @ np.ones_like(x)), x.mean(), rtol=1e-9
+    )
 
 
 def test_weights_are_listed_by_increasing_id() -> None:

@@ -21,7 +21,12 @@ WORLD = (sys.executable, "-m", "crazychoir.cli.fly.world")
 MOCAP = (sys.executable, "-m", "crazychoir.cli.fly.mocap")
 RADIO = (sys.executable, "-m", "crazychoir.cli.fly.radio_owner")
 OBSERVER = (sys.executable, str(Path(__file__).with_name("observer.py")))
-BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.5,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 
 Place = Callable[[int], list[str]]
 """What the command line of a drone's process begins with."""
@@ -40,11 +45,18 @@ class Program:
     async def start(cls, *command: str | Path) -> "Program":
         pipe = asyncio.subprocess.PIPE
         process = await asyncio.create_subprocess_exec(
-            *map(str, command), stdin=asyncio.subprocess.DEVNULL, stdout=pipe, stderr=pipe, limit=1 << 24,
+            *map(str, command),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=pipe,
+            stderr=pipe,
+            limit=1 << 24,
             env={**os.environ, "PYTHONFAULTHANDLER": "1"},
-        )  # fmt: skip
+        )
         program = cls(process)
-        program._reading = [asyncio.create_task(process.stdout.read()), asyncio.create_task(program._listen())]
+        program._reading = [
+            asyncio.create_task(process.stdout.read()),
+            asyncio.create_task(program._listen()),
+        ]
         return program
 
     async def _listen(self) -> None:
@@ -62,14 +74,18 @@ class Program:
         if reading:
             self.signal(signal.SIGABRT)  # it says where all of its threads are
             await asyncio.wait(reading, timeout=1.0)
-            raise AssertionError(f"still running after {seconds:g} s; it said: {self.text}")
+            raise AssertionError(
+                f"still running after {seconds:g} s; it said: {self.text}"
+            )
         code, out = await self.process.wait(), self._reading[0].result()
         told = json.loads(out) if out.startswith(b"{") else {}
         return {**told, "code": code, "answer": out.decode()}
 
     async def says(self, text: str, seconds: float = 40.0) -> str:
         """Wait until a line of its standard error contains the text; returns the line."""
-        await until(lambda: text in self.text, seconds, lambda: f"{text!r} not in {self.text}")
+        await until(
+            lambda: text in self.text, seconds, lambda: f"{text!r} not in {self.text}"
+        )
         return next(line for line in self.said if text in line)
 
     @property
@@ -85,7 +101,9 @@ class Program:
         await asyncio.gather(*self._reading, return_exceptions=True)
 
 
-async def until(condition: Callable[[], Any], seconds: float, why: Callable[[], str] = str) -> None:
+async def until(
+    condition: Callable[[], Any], seconds: float, why: Callable[[], str] = str
+) -> None:
     ends = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < ends, f"not within {seconds:g} s: {why()}"
@@ -105,12 +123,21 @@ class Team:
         self._read = 0
 
     async def look(self) -> None:
-        self.observer = await Program.start(*self.place(self.config.ids[0]), *OBSERVER, self.path)
+        self.observer = await Program.start(
+            *self.place(self.config.ids[0]), *OBSERVER, self.path
+        )
 
     async def start(self, *groups: tuple[int, ...]) -> None:
         for group in groups:
             ids = [word for i in group for word in ("--id", str(i))]
-            command = (*self.place(group[0]), *AGENT, "--swarm", self.path, "--json", *ids)
+            command = (
+                *self.place(group[0]),
+                *AGENT,
+                "--swarm",
+                self.path,
+                "--json",
+                *ids,
+            )
             self.agents[group[0]] = await Program.start(*command)
 
     def statuses(self, drone: int | None = None) -> list[dict[str, Any]]:
@@ -119,29 +146,48 @@ class Team:
         for line in said[self._read :]:
             heard = json.loads(line) if line.startswith("{") else {}
             if "status" in heard:
-                self._statuses.append(heard["status"] | {"t": heard["t"], "drone": heard["drone"]})
+                self._statuses.append(
+                    heard["status"] | {"t": heard["t"], "drone": heard["drone"]}
+                )
         self._read = len(said)
         return [status for status in self._statuses if drone in (None, status["drone"])]
 
     def newest(self) -> list[dict[str, Any]]:
         """The last status of every drone; of one that has not been heard of, an empty one."""
-        return [(self.statuses(i) or [{"phase": "", "task": ""}])[-1] for i in self.config.ids]
+        return [
+            (self.statuses(i) or [{"phase": "", "task": ""}])[-1]
+            for i in self.config.ids
+        ]
 
     def planning_round(self) -> int:
         """The highest round that was seen in planning; -1 as soon as somebody goes on."""
         seen = self.statuses()
         if any(status["task"].startswith(("agreeing", "flying")) for status in seen):
             return -1
-        return max((status["round"] for status in seen if status["task"].startswith("planning")), default=0)
+        return max(
+            (
+                status["round"]
+                for status in seen
+                if status["task"].startswith("planning")
+            ),
+            default=0,
+        )
 
     async def in_planning(self, k: int) -> None:
-        await until(lambda: self.planning_round() >= k or self.planning_round() < 0, 60, lambda: self.text)
+        await until(
+            lambda: self.planning_round() >= k or self.planning_round() < 0,
+            60,
+            lambda: self.text,
+        )
         assert self.planning_round() >= k, "planning was over before anybody looked"
 
     async def phase(self, *phases: str, seconds: float = 40.0) -> None:
         """Wait until every drone was seen in one of these phases."""
         await until(
-            lambda: all(any(s["phase"] in phases for s in self.statuses(i)) for i in self.config.ids),
+            lambda: all(
+                any(s["phase"] in phases for s in self.statuses(i))
+                for i in self.config.ids
+            ),
             seconds,
             lambda: f"not all {phases}: {self.text}",
         )
@@ -149,7 +195,9 @@ class Team:
     async def law(self, seconds: float = 40.0) -> None:
         """Wait until every drone was seen in the law of its mission: they have met in the air."""
         await until(
-            lambda: all(any(s["task"] == LAW for s in self.statuses(i)) for i in self.config.ids),
+            lambda: all(
+                any(s["task"] == LAW for s in self.statuses(i)) for i in self.config.ids
+            ),
             seconds,
             lambda: f"not all in the law: {self.text}",
         )
@@ -157,7 +205,9 @@ class Team:
     async def end(self, seconds: float, *without: int) -> dict[int, dict[str, Any]]:
         """What each process says at its end, by its lowest drone."""
         there = {i: program for i, program in self.agents.items() if i not in without}
-        ended = await asyncio.gather(*(program.end(seconds) for program in there.values()))
+        ended = await asyncio.gather(
+            *(program.end(seconds) for program in there.values())
+        )
         return dict(zip(there, ended, strict=True))
 
     @property
@@ -166,7 +216,9 @@ class Team:
 
 
 @contextlib.asynccontextmanager
-async def flying(config: SwarmConfig, folder: Path, place: Place = lambda i: []) -> AsyncIterator[Team]:
+async def flying(
+    config: SwarmConfig, folder: Path, place: Place = lambda i: []
+) -> AsyncIterator[Team]:
     """All processes of the swarm file; killed afterwards."""
     team = Team(config, folder, place)
     try:
@@ -174,10 +226,14 @@ async def flying(config: SwarmConfig, folder: Path, place: Place = lambda i: [])
         await team.start(*config.groups())
         yield team
     finally:
-        await asyncio.gather(*(program.kill() for program in [team.observer, *team.agents.values()]))
+        await asyncio.gather(
+            *(program.kill() for program in [team.observer, *team.agents.values()])
+        )
 
 
-def seen(ended: dict[int, dict[str, Any]], i: int, j: int, state: str, after: float) -> float:
+def seen(
+    ended: dict[int, dict[str, Any]], i: int, j: int, state: str, after: float
+) -> float:
     """s after `after` at which drone i began to hold j for `state`."""
     history = ended[i]["presence"][str(i)]
     times = [t for t, who, what in history if (who, what) == (j, state) and t > after]
@@ -187,4 +243,8 @@ def seen(ended: dict[int, dict[str, Any]], i: int, j: int, state: str, after: fl
 
 def results(ended: dict[int, dict[str, Any]]) -> dict[int, dict[str, Any]]:
     """Each drone's result."""
-    return {int(i): result for one in ended.values() for i, result in one.get("results", {}).items()}
+    return {
+        int(i): result
+        for one in ended.values()
+        for i, result in one.get("results", {}).items()
+    }

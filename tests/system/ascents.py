@@ -38,8 +38,15 @@ class Wire:
 
     silence, latency, answered, rssi, failure = 0.0, 0.02, 1.0, math.nan, ""
 
-    def __init__(self, clock: Clock, drone: VirtualCrazyflie, draw: np.random.Generator) -> None:
-        self.clock, self.drone, self.draw, self._logs = clock, drone, draw, readings(drone)
+    def __init__(
+        self, clock: Clock, drone: VirtualCrazyflie, draw: np.random.Generator
+    ) -> None:
+        self.clock, self.drone, self.draw, self._logs = (
+            clock,
+            drone,
+            draw,
+            readings(drone),
+        )
 
     def send(self, packet: Packet) -> None:
         self._later(lambda: list(self.drone.take(packet)))
@@ -54,18 +61,27 @@ class Wire:
     def forget(self, kind: str) -> None:
         """Nothing waits here."""
 
-    async def log(self, name: str, variables: Any, period: float, data: Any, seconds: float) -> None:
+    async def log(
+        self, name: str, variables: Any, period: float, data: Any, seconds: float
+    ) -> None:
         self._say(tuple(variables), round(period * SECOND), data)
 
     def _say(self, names: tuple[str, ...], period_ns: int, data: Any) -> None:
         on, more = self.drone.onboard, self._logs
-        values = {name: more[name]() if name in more else on.log(name) for name in names}
+        values = {
+            name: more[name]() if name in more else on.log(name) for name in names
+        }
         at = self.drone.uptime
         self._later(lambda: data(values, at))
-        self.clock.call_at(self.clock.now_ns() + period_ns, self._say, names, period_ns, data)
+        self.clock.call_at(
+            self.clock.now_ns() + period_ns, self._say, names, period_ns, data
+        )
 
     def _later(self, does: Any) -> None:
-        self.clock.call_at(self.clock.now_ns() + round(self.draw.uniform(0.003, SLOWEST) * SECOND), does)
+        self.clock.call_at(
+            self.clock.now_ns() + round(self.draw.uniform(0.003, SLOWEST) * SECOND),
+            does,
+        )
 
 
 @dataclass
@@ -88,7 +104,12 @@ class Hall(Actor):
     name = "hall"
 
     def __init__(
-        self, agent: Agent, seed: int, body_of: dict[int, int], reaches: dict[int, int], turned: dict[int, float]
+        self,
+        agent: Agent,
+        seed: int,
+        body_of: dict[int, int],
+        reaches: dict[int, int],
+        turned: dict[int, float],
     ) -> None:
         self.agent, self.clock, config = agent, agent.clock, agent.config
         hall = of_swarm(config, ())
@@ -96,7 +117,11 @@ class Hall(Actor):
         self.body_of, self.turned, draw = body_of, turned, np.random.default_rng(seed)
         self.blur, self.ids = Blur(config.replace(seed=seed)), config.ids
         bus, contents = agent.bus, TableOfContents(Path("nowhere"))
-        self.drones, self.bodies, self.tracks = {}, {}, {i: Ascent() for i in config.ids}
+        self.drones, self.bodies, self.tracks = (
+            {},
+            {},
+            {i: Ascent() for i in config.ids},
+        )
         self.at = {i: reaches.get(i, i) for i in config.ids}
         for i in config.ids:
             bus.port(EYES + i)
@@ -104,7 +129,14 @@ class Hall(Actor):
             onboard = self.world.onboard[self.at[i]]
             port = bus.port(BODIES + i)
             kind = config.control_of(i).sender
-            drone = RadioDrone(bus, config, i, kind, rates(config)[config.drone(i).dongle or 0], contents)
+            drone = RadioDrone(
+                bus,
+                config,
+                i,
+                kind,
+                rates(config)[config.drone(i).dongle or 0],
+                contents,
+            )
             virtual = VirtualCrazyflie(onboard)
             for name, value in drone.handler.parameters.items():
                 virtual.parameters.set(name, value)
@@ -128,7 +160,9 @@ class Hall(Actor):
             for i, pose in self.seen(k).items():
                 self.agent.bus.ports[EYES + i].publish(POSE, pose, pose.age)
                 if k % 5 == 0:
-                    self.agent.bus.ports[EYES + i].publish(TRUTH, State(self.world.states[self.world.row[i]].copy()))
+                    self.agent.bus.ports[EYES + i].publish(
+                        TRUTH, State(self.world.states[self.world.row[i]].copy())
+                    )
             if k % round(1.0 / STEP / LOOKS) == 0:
                 for i, drone in self.drones.items():
                     drone._feed_watchdog()
@@ -143,11 +177,16 @@ class Hall(Actor):
         bodies = {}
         for i in self.ids:
             x = self.world.states[self.world.row[self.body_of.get(i, i)]]
-            q = product(tuple(x[6:10]), tuple(quaternion_of_yaw(self.turned.get(i, 0.0))))
+            q = product(
+                tuple(x[6:10]), tuple(quaternion_of_yaw(self.turned.get(i, 0.0)))
+            )
             bodies[self.agent.config.body_name(i)] = np.array([*x[:3], *q])
         frame, late = self.blur.see(Frame(k, k * STEP, bodies))
-        return {i: Pose(frame.bodies[name], late) for i in self.ids
-                if (name := self.agent.config.body_name(i)) in frame.bodies}
+        return {
+            i: Pose(frame.bodies[name], late)
+            for i in self.ids
+            if (name := self.agent.config.body_name(i)) in frame.bodies
+        }
 
     def _note(self) -> None:
         for i, track in self.tracks.items():
@@ -165,21 +204,35 @@ class Hall(Actor):
 
 def swarm(kind: str, n: int = 3, **tables: Any) -> SwarmConfig:
     drones = [
-        {"id": i, "home": [0.8 * (i % 2), 0.8 * (i // 2), 0.0], "uri": f"udp://127.0.0.1:{21000 + i}", "dongle": i // 2,
-         "platform": "cf21"}
+        {
+            "id": i,
+            "home": [0.8 * (i % 2), 0.8 * (i // 2), 0.0],
+            "uri": f"udp://127.0.0.1:{21000 + i}",
+            "dongle": i // 2,
+            "platform": "cf21",
+        }
         for i in range(n)
-    ]  # fmt: skip
-    return SwarmConfig.of({"name": "ascents", "drones": drones, "control": {"sender": kind}, **tables})
+    ]
+    return SwarmConfig.of(
+        {"name": "ascents", "drones": drones, "control": {"sender": kind}, **tables}
+    )
 
 
 def ascend(
-    config: SwarmConfig, seed: int, body_of: dict[int, int] | None = None, reaches: dict[int, int] | None = None,
-    turned: dict[int, float] | None = None, flying: tuple[int, ...] | None = None, hover: float = 3.0,
-) -> dict[int, Ascent]:  # fmt: skip
+    config: SwarmConfig,
+    seed: int,
+    body_of: dict[int, int] | None = None,
+    reaches: dict[int, int] | None = None,
+    turned: dict[int, float] | None = None,
+    flying: tuple[int, ...] | None = None,
+    hover: float = 3.0,
+) -> dict[int, Ascent]:
     """All take off, hover, and land."""
 
     async def does(me: Any) -> Any:
-        await me.sleep(2.0 + 0.05 * float(np.random.default_rng([seed, me.id]).random()))
+        await me.sleep(
+            2.0 + 0.05 * float(np.random.default_rng([seed, me.id]).random())
+        )
         if flying is None or me.id in flying:
             await me.take_off()
         await me.sleep(hover)
@@ -187,7 +240,9 @@ def ascend(
         return {"success": True}
 
     async def main(clock: Clock) -> dict[int, Ascent]:
-        agent = Agent(clock, config.replace(seed=seed), mission_of(does), config.ids, alone=False)
+        agent = Agent(
+            clock, config.replace(seed=seed), mission_of(does), config.ids, alone=False
+        )
         hall = Hall(agent, seed, body_of or {}, reaches or {}, turned or {})
         agent.services.append(hall)
         results = await agent.run()

@@ -12,7 +12,12 @@ from playwright.async_api import Page, TimeoutError, WebSocketRoute, async_playw
 
 CHROMIUM = shutil.which("chromium")
 Row = dict[str, Any]
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+FLAGS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
 
 
 class Wire:
@@ -44,7 +49,9 @@ class Wire:
 
         def down(told: str | bytes) -> None:
             if not (born_dead or self.dead):
-                page.send(self.frame(told) if isinstance(told, bytes) else self.told(told))
+                page.send(
+                    self.frame(told) if isinstance(told, bytes) else self.told(told)
+                )
 
         page.on_message(up)
         server.on_message(down)
@@ -53,7 +60,9 @@ class Wire:
         news: dict[str, Any] = json.loads(text)
         if "drones" in news:
             news["drones"] = self.drones(news["drones"])
-        return json.dumps({kind: self.news.get(kind, value) for kind, value in news.items()})
+        return json.dumps(
+            {kind: self.news.get(kind, value) for kind, value in news.items()}
+        )
 
     async def cut(self) -> None:
         await self.page.close()
@@ -64,26 +73,48 @@ class Wire:
 
 @contextlib.asynccontextmanager
 async def browser(
-    address: str, shots: Path, wire: Wire | None = None, strict: bool = True, **options: Any
+    address: str,
+    shots: Path,
+    wire: Wire | None = None,
+    strict: bool = True,
+    **options: Any,
 ) -> AsyncIterator[Page]:
     """A page in the browser; its pictures are kept in a folder.  strict: without an error on its console."""
     async with async_playwright() as playwright:
-        chromium = await playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        page = await chromium.new_page(**{"viewport": {"width": 1400, "height": 900}, **options})
+        chromium = await playwright.chromium.launch(
+            executable_path=CHROMIUM, args=FLAGS
+        )
+        page = await chromium.new_page(
+            **{"viewport": {"width": 1400, "height": 900}, **options}
+        )
         page.set_default_timeout(30_000)
         errors: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
-        page.on("console", lambda line: errors.append(line.text) if line.type == "error" else None)
+        page.on(
+            "console",
+            lambda line: errors.append(line.text) if line.type == "error" else None,
+        )
         page.on("requestfailed", lambda request: errors.append(request.url))
-        page.on("request", lambda request: None if address[5:] in request.url else errors.append(request.url))
+        page.on(
+            "request",
+            lambda request: (
+                None if address[5:] in request.url else errors.append(request.url)
+            ),
+        )
         page.shot = lambda name: page.screenshot(path=shots / f"{name}.png")
         if wire is not None:
             await page.route_web_socket(re.compile("/line$"), wire.lay)
         await page.goto(address)
-        await page.wait_for_function("window.choir?.seen.received > 5 && choir.seen.drones.length")
+        await page.wait_for_function(
+            "window.choir?.seen.received > 5 && choir.seen.drones.length"
+        )
         yield page
         await chromium.close()
-        assert not strict or [error for error in errors if not error.startswith(("data:", "blob:"))] == []
+        assert (
+            not strict
+            or [error for error in errors if not error.startswith(("data:", "blob:"))]
+            == []
+        )
 
 
 async def says(page: Page, region: str, text: str, seconds: float = 30.0) -> str:
@@ -108,7 +139,9 @@ NEWEST = "text => document.querySelector('#receipts li')?.textContent.includes(t
 
 async def draw_word(page: Page) -> None:
     """`hi`, by mouse, in the middle of the canvas."""
-    await page.evaluate("document.querySelector('#panel-draw').scrollTop = 0; scrollTo(0, 0)")
+    await page.evaluate(
+        "document.querySelector('#panel-draw').scrollTop = 0; scrollTo(0, 0)"
+    )
     box = await page.locator("#sketch").bounding_box()
     x0, y0 = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     h_line = [(-70, -50), (-70, 40)]

@@ -39,16 +39,25 @@ class Said:
             assert word in self.err, self.err
 
 
-def call(program: str, *words: object, seconds: float = 60.0, **environment: str) -> Said:
+def call(
+    program: str, *words: object, seconds: float = 60.0, **environment: str
+) -> Said:
     """Run a command to its end."""
     command = [*PROGRAMS[program], *map(str, words)]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=seconds, check=False, env={**os.environ, **environment}
+        command,
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+        env={**os.environ, **environment},
     )
     return Said(done.returncode, done.stdout, done.stderr)
 
 
-def fly(config: SwarmConfig, folder: Path, *words: object, seconds: float = 110.0) -> dict[str, Any]:
+def fly(
+    config: SwarmConfig, folder: Path, *words: object, seconds: float = 110.0
+) -> dict[str, Any]:
     """`crazychoir run` of a swarm file, in real time; its object."""
     path = folder / "swarm.json"
     path.write_text(config.dumps())

@@ -19,8 +19,12 @@ def here():
 
     def call_here(program, *words):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(logging.root, "handlers", [*logging.root.handlers])  # a command sets up its own
-            done = CliRunner().invoke(apps[program], [str(word) for word in words], catch_exceptions=False)
+            patch.setattr(
+                logging.root, "handlers", [*logging.root.handlers]
+            )  # a command sets up its own
+            done = CliRunner().invoke(
+                apps[program], [str(word) for word in words], catch_exceptions=False
+            )
         return Said(done.exit_code, done.stdout, done.stderr)
 
     return call_here
@@ -39,4 +43,10 @@ def formation(tmp_path_factory, compiled):
     """A formation flown in real time by three processes and recorded: what the run says, its file, the time before."""
     folder, before = tmp_path_factory.mktemp("formation"), time.time()
     path = folder / "a.mcap"
-    return fly(scattered(1).replace(processes=[[0], [1], [2, 3]]), folder, "--record", path), path, before
+    return (
+        fly(
+            scattered(1).replace(processes=[[0], [1], [2, 3]]), folder, "--record", path
+        ),
+        path,
+        before,
+    )

@@ -20,7 +20,9 @@ from crazychoir.safety.rules.modes import Mode
 TICK = 0.01
 
 
-@dataclass(repr=False)  # asyncio asks for that of a task's result, twice: seconds, for so many arrays
+@dataclass(
+    repr=False
+)  # asyncio asks for that of a task's result, twice: seconds, for so many arrays
 class Flight:
     """What one drone did, tick by tick.
 
@@ -107,19 +109,34 @@ class Does(CFGuidance):
 def swarm_of(rows: list[tuple[str, str]], yaw: float, **tables: Any) -> SwarmConfig:
     """Whole drones 1.5 m apart, row by row of (platform, sender)."""
     drones = [
-        {"id": k, "home": [1.5 * (k % 4), 1.5 * (k // 4), 0.0], "uri": "sim://motors", "platform": platform,
-         "role": sender, "yaw": yaw}
+        {
+            "id": k,
+            "home": [1.5 * (k % 4), 1.5 * (k // 4), 0.0],
+            "uri": "sim://motors",
+            "platform": platform,
+            "role": sender,
+            "yaw": yaw,
+        }
         for k, (platform, sender) in enumerate(rows)
-    ]  # fmt: skip
-    roles = [{"name": sender, "sender": sender} for sender in dict.fromkeys(sender for _, sender in rows)]
+    ]
+    roles = [
+        {"name": sender, "sender": sender}
+        for sender in dict.fromkeys(sender for _, sender in rows)
+    ]
     fence = {"min": [-3.0, -3.0, 0.0], "max": [9.0, 9.0, 3.0]}
-    return SwarmConfig.of({"name": "whole", "drones": drones, "roles": roles, "fence": fence, **tables})
+    return SwarmConfig.of(
+        {"name": "whole", "drones": drones, "roles": roles, "fence": fence, **tables}
+    )
 
 
 def scattered(seed: int) -> SwarmConfig:
     """The formation with a quick take-off and landing; the law has 18 s."""
     mission = load("bearing_formation")
-    return mission.scatter(mission.swarm(None).replace(seed=seed, flight=BRISK, mission_options={"duration": 18.0}))
+    return mission.scatter(
+        mission.swarm(None).replace(
+            seed=seed, flight=BRISK, mission_options={"duration": 18.0}
+        )
+    )
 
 
 def mission_of(does: Any) -> SimpleNamespace:

@@ -38,7 +38,12 @@ def udp_block(count: int) -> int:
     raise AssertionError("no free UDP ports")
 
 
-def reached(config: SwarmConfig, ids: tuple[int, ...] | None = None, per_dongle: int = 2, **tables: Any) -> SwarmConfig:
+def reached(
+    config: SwarmConfig,
+    ids: tuple[int, ...] | None = None,
+    per_dongle: int = 2,
+    **tables: Any,
+) -> SwarmConfig:
     """The swarm with these drones (None: all) behind udp:// uris, so many a dongle; nothing else changes but tables."""
     first = udp_block(len(config.ids))
     raw = json.loads(config.dumps())
@@ -53,7 +58,9 @@ def reached(config: SwarmConfig, ids: tuple[int, ...] | None = None, per_dongle:
 
 def processes(pattern: str) -> list[int]:
     """Those whose command line matches, of this user."""
-    found = subprocess.run(["pgrep", "-f", pattern], capture_output=True, text=True, check=False).stdout
+    found = subprocess.run(
+        ["pgrep", "-f", pattern], capture_output=True, text=True, check=False
+    ).stdout
     return [int(word) for word in found.split()]
 
 
@@ -95,18 +102,24 @@ class Hall:
 
     def state(self) -> dict[int, dict[str, Any]]:
         """The truth about each drone."""
-        return {int(i): said for i, said in self.ask({"ask": "state"})["drones"].items()}
+        return {
+            int(i): said for i, said in self.ask({"ask": "state"})["drones"].items()
+        }
 
     def fault(self, drone: int | str, **faults: Any) -> None:
         """Let something go wrong, or right again."""
         self.ask({"faults": {str(drone): faults}})
 
-    async def until(self, holds: Any, seconds: float = 60.0) -> dict[int, dict[str, Any]]:
+    async def until(
+        self, holds: Any, seconds: float = 60.0
+    ) -> dict[int, dict[str, Any]]:
         """Wait until the truth is so; returns it."""
         loop = asyncio.get_running_loop()
         ends = loop.time() + seconds
         while not holds(state := self.state()):
-            assert loop.time() < ends, f"not so within {seconds:g} s: {state}; {[p.text for p in self.programs]}"
+            assert loop.time() < ends, (
+                f"not so within {seconds:g} s: {state}; {[p.text for p in self.programs]}"
+            )
             await asyncio.sleep(0.05)
         return state
 

@@ -23,7 +23,9 @@ from crazychoir.team.graph import ring
 
 
 @contextlib.asynccontextmanager
-async def linked(clock: Clock, process: str, swarm: str, drones: list[int], **options: Any) -> AsyncIterator[ZenohLink]:
+async def linked(
+    clock: Clock, process: str, swarm: str, drones: list[int], **options: Any
+) -> AsyncIterator[ZenohLink]:
     """A bus with ports, linked and saying HELLO; closed at the end."""
     bus = Bus(clock, process=process, host=options.pop("host", "here"))
     for i in drones:
@@ -60,7 +62,9 @@ async def consensus(communicator: Communicator, rounds: int) -> list[float]:
     return x.tolist()
 
 
-async def consensus_here(link: ZenohLink, size: int, rounds: int) -> dict[str, list[float]]:
+async def consensus_here(
+    link: ZenohLink, size: int, rounds: int
+) -> dict[str, list[float]]:
     """All drones of this process take part."""
     team = [Communicator(port, ring(size)) for port in link.bus.ports.values()]
     results = await asyncio.gather(*(consensus(member, rounds) for member in team))
@@ -112,14 +116,18 @@ class Commands:
     async def status(self) -> dict[str, Any]:
         """Whom we have heard, and who has heard us."""
         known = [peer for peer in self.link.peers.values() if peer.hello is not None]
-        heard_by = [peer.process for peer in known if self.link.bus.process in peer.hello.heard]
+        heard_by = [
+            peer.process for peer in known if self.link.bus.process in peer.hello.heard
+        ]
         boxes = {name: box.received for name, box in self.boxes.items()}
         return {
             "heard": [peer.process for peer in known],
             "heard_by": heard_by,
             "refused": self.refused,
             "received": boxes,
-            "messages": sum(port.counters.received for port in self.link.bus.ports.values()),
+            "messages": sum(
+                port.counters.received for port in self.link.bus.ports.values()
+            ),
             "counters": vars(self.link.counters),
         }
 
@@ -131,7 +139,9 @@ class Commands:
         """What our drones end with."""
         return await endings_here(self.link, size, loss)
 
-    async def subscribe(self, topic: str, source: int, reader: int, rate: float = 0.0) -> dict[str, Any]:
+    async def subscribe(
+        self, topic: str, source: int, reader: int, rate: float = 0.0
+    ) -> dict[str, Any]:
         """Read a topic of a drone."""
         row = BY_NAME[topic]
         self.boxes[topic] = row.mailbox(self.link.bus.clock)
@@ -153,7 +163,9 @@ def answer(value: dict[str, Any]) -> None:
 async def obey(clock: Clock, options: dict[str, Any]) -> None:
     """Until standard input ends."""
     reader = asyncio.StreamReader()
-    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    await asyncio.get_running_loop().connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(reader), sys.stdin
+    )
     refused: list[str] = []
 
     def on_refused(error: Refused) -> None:

@@ -18,7 +18,9 @@ RELAY = (sys.executable, str(Path(__file__).with_name("relay.py")))
 class Cable:
     """Two hosts on it: namespaces, by their names."""
 
-    def __init__(self, names: dict[str, str], process: asyncio.subprocess.Process) -> None:
+    def __init__(
+        self, names: dict[str, str], process: asyncio.subprocess.Process
+    ) -> None:
         self.names, self.process = names, process
 
     def command(self, host: str) -> list[str]:
@@ -41,14 +43,24 @@ async def wired(addresses: dict[str, str], **now_on: float) -> AsyncIterator[Cab
             middle.append(f"end{len(middle)}")
             cable((names[host], DEVICE), (between, middle[-1]))
             ip("-n", names[host], "address", "add", f"{address}/24", "dev", DEVICE)
-            done = await Program.start("ip", "netns", "exec", names[host], *RELAY, DEVICE)
+            done = await Program.start(
+                "ip", "netns", "exec", names[host], *RELAY, DEVICE
+            )
             assert (await done.end(20.0))["code"] == 0, done.text
         process = await asyncio.create_subprocess_exec(
-            "ip", "netns", "exec", between, *RELAY, *middle,
-            stdin=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-        )  # fmt: skip
+            "ip",
+            "netns",
+            "exec",
+            between,
+            *RELAY,
+            *middle,
+            stdin=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
         try:
-            assert await asyncio.wait_for(process.stderr.readline(), 20.0) == b"relaying\n"
+            assert (
+                await asyncio.wait_for(process.stderr.readline(), 20.0) == b"relaying\n"
+            )
             made = Cable(names, process)
             made.change(**now_on)
             yield made

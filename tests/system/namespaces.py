@@ -23,7 +23,14 @@ class Hosts:
     def command(self, host: int) -> list[str]:
         """What a command line begins with to run there."""
         inside = ["ip", "netns", "exec", self.names[host]]
-        skewed = ["unshare", "--time", "--monotonic", f"{self.skew:.0f}", "--fork", "--kill-child"]
+        skewed = [
+            "unshare",
+            "--time",
+            "--monotonic",
+            f"{self.skew:.0f}",
+            "--fork",
+            "--kill-child",
+        ]
         return inside + (skewed if host and self.skew else [])
 
     def cut(self) -> None:

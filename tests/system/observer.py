@@ -21,8 +21,14 @@ from crazychoir.runtime.supervisor import Supervisor
 
 
 def say(clock: Clock, drone: int, topic: str, value: Any) -> None:
-    plain = msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value
-    print(json.dumps({"t": clock.now(), "drone": drone, topic: plain}), file=sys.stderr, flush=True)  # noqa: T201
+    plain = (
+        msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value
+    )
+    print(  # noqa: T201
+        json.dumps({"t": clock.now(), "drone": drone, topic: plain}),
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 async def look(clock: Clock) -> None:
@@ -32,7 +38,10 @@ async def look(clock: Clock) -> None:
     bus.port(OBSERVER + 1)
     for i in config.ids:
         for topic in (STATUS, LOG):
-            box = Call(clock, lambda value, age, i=i, topic=topic: say(clock, i, topic.name, value))
+            box = Call(
+                clock,
+                lambda value, age, i=i, topic=topic: say(clock, i, topic.name, value),
+            )
             bus.subscribe(topic, i, OBSERVER + 1, box)
     link = observer_link(bus, config)
     link.open()

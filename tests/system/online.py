@@ -26,7 +26,9 @@ def crash(agent: Agent, i: int) -> None:
     """
     drone = agent.drones[i]
     port, send = drone.port, drone.port.send
-    port.send = lambda topic, *args, **named: send(topic, *args, **named) if topic.of_body else None
+    port.send = lambda topic, *args, **named: (
+        send(topic, *args, **named) if topic.of_body else None
+    )
     agent.bus.close(i)
     drone.pilot.cut("killed")
     agent._guidances[i].abort("killed")
@@ -66,18 +68,27 @@ class Outcome:
     @property
     def fates(self) -> dict[int, list[Any]]:
         """What the lowest living drone says of each task."""
-        return {int(j): value for j, value in self.results[self.living[0]]["tasks"].items()}
+        return {
+            int(j): value for j, value in self.results[self.living[0]]["tasks"].items()
+        }
 
 
-def killed_at(config: SwarmConfig, kills: int, soonest: float = 3.0, latest: float = 30.0) -> dict[int, float]:
+def killed_at(
+    config: SwarmConfig, kills: int, soonest: float = 3.0, latest: float = 30.0
+) -> dict[int, float]:
     """So many drones and times in s after the start, from the seed."""
     draw = np.random.default_rng([config.seed, 2])
     who = draw.choice(config.ids, size=kills, replace=False).tolist()
-    return dict(zip(who, draw.uniform(soonest, latest, size=kills).tolist(), strict=True))
+    return dict(
+        zip(who, draw.uniform(soonest, latest, size=kills).tolist(), strict=True)
+    )
 
 
 def fly_online(
-    config: SwarmConfig, kills: dict[int, float], prepare: Any = None, killed: dict[int, list[int]] | None = None
+    config: SwarmConfig,
+    kills: dict[int, float],
+    prepare: Any = None,
+    killed: dict[int, list[int]] | None = None,
 ) -> Outcome:
     """Fly it, killing drones.
 
@@ -98,10 +109,14 @@ def fly_online(
             if not agent.drones[i].result:
                 aboard[i] = carried(agent, i)
                 crash(agent, i)
-                clock.call_at(clock.now_ns() + round(FALL * 1e9), fallen, i, list(score.touching))
+                clock.call_at(
+                    clock.now_ns() + round(FALL * 1e9), fallen, i, list(score.touching)
+                )
 
         def fallen(i: int, before: list[tuple[int, int]]) -> None:
-            for pair in [pair for pair in score.touching if i in pair and pair not in before]:
+            for pair in [
+                pair for pair in score.touching if i in pair and pair not in before
+            ]:
                 struck[pair] = score.touching.pop(pair)
 
         for i, t in kills.items():
@@ -116,8 +131,20 @@ def fly_online(
             for stop in guidance.served:
                 if stop["kind"] == "delivery":
                     delivered.setdefault(stop["task"], []).append(i)
-        touching = {pair: gap for pair, gap in score.touching.items() if pair not in struck}  # it may lie there
-        return Outcome(config, results, aboard, delivered, clock.now(), score.min_separation, touching, struck, [])
+        touching = {
+            pair: gap for pair, gap in score.touching.items() if pair not in struck
+        }  # it may lie there
+        return Outcome(
+            config,
+            results,
+            aboard,
+            delivered,
+            clock.now(),
+            score.min_separation,
+            touching,
+            struck,
+            [],
+        )
 
     outcome = run_virtual(main)
     outcome.reasons = list(faults(outcome))
@@ -127,8 +154,15 @@ def fly_online(
 def faults(outcome: Outcome) -> Any:
     """What is wrong: a living drone that failed, other stories, goods twice or not delivered, drones that touch."""
     config, mission = outcome.config, load("online_delivery")
-    instance, tasks = mission.instance(config), {task.id: task for task in mission.known(config)}
-    tasks |= {event.task.id: event.task for event in mission.events(config) if not event.task.cancelled}
+    instance, tasks = (
+        mission.instance(config),
+        {task.id: task for task in mission.known(config)},
+    )
+    tasks |= {
+        event.task.id: event.task
+        for event in mission.events(config)
+        if not event.task.cancelled
+    }
     for i in outcome.living:
         if not outcome.results[i].get("success"):
             yield f"drone {i}: {outcome.results[i].get('reason')}"
@@ -160,14 +194,22 @@ def faults(outcome: Outcome) -> Any:
 
 def may(instance: Any, i: int, task: Any) -> bool:
     """Whether drone i could serve a task alone."""
-    capable = instance.capability[i][task.id] if task.id < len(instance.tasks) else not task.robots or i in task.robots
+    capable = (
+        instance.capability[i][task.id]
+        if task.id < len(instance.tasks)
+        else not task.robots or i in task.robots
+    )
     return bool(capable) and task.load <= instance.capacity[i]
 
 
-def drawn(seed: int, loss: float = 0.2, drones: int = 10, **options: Any) -> SwarmConfig:
+def drawn(
+    seed: int, loss: float = 0.2, drones: int = 10, **options: Any
+) -> SwarmConfig:
     """The mission's own swarm with this seed."""
     mission = load("online_delivery")
-    return mission.swarm(drones).replace(seed=seed, network={"loss": loss}, mission_options=options)
+    return mission.swarm(drones).replace(
+        seed=seed, network={"loss": loss}, mission_options=options
+    )
 
 
 def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:

@@ -14,14 +14,30 @@ from websockets.asyncio.client import connect
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import apart
 
-FLIGHT = {"takeoff_height": 0.6, "speed_limit": 1.5, "acceleration_limit": 3.0, "landing_speed": 0.6, "operator": True}
+FLIGHT = {
+    "takeoff_height": 0.6,
+    "speed_limit": 1.5,
+    "acceleration_limit": 3.0,
+    "landing_speed": 0.6,
+    "operator": True,
+}
 COLUMNS = 17
 
 
 def six(mission: str = "figure", processes: int = 3, **tables: Any) -> SwarmConfig:
     """Six drones of a mission that waits for its operator."""
-    drones = [{"id": i, "home": [1.2 * (i % 3) - 1.2, 1.4 * (i // 3) - 0.7, 0.0]} for i in range(6)]
-    raw = {"name": "six", "mission": mission, "seed": 1, "drones": drones, "flight": FLIGHT, **tables}
+    drones = [
+        {"id": i, "home": [1.2 * (i % 3) - 1.2, 1.4 * (i // 3) - 0.7, 0.0]}
+        for i in range(6)
+    ]
+    raw = {
+        "name": "six",
+        "mission": mission,
+        "seed": 1,
+        "drones": drones,
+        "flight": FLIGHT,
+        **tables,
+    }
     return apart(SwarmConfig.of(raw), processes)
 
 
@@ -49,7 +65,9 @@ class Seen:
             self.about = told.pop("about", self.about)
             self.drones = told.pop("drones", self.drones)
             self.log += told.pop("log", [])
-            self.receipts |= {receipt["number"]: receipt for receipt in told.pop("receipts", [])}
+            self.receipts |= {
+                receipt["number"]: receipt for receipt in told.pop("receipts", [])
+            }
             if "refused" in told or "plan" in told:
                 self.replies.append(told)
             self.news |= told
@@ -64,7 +82,9 @@ class Seen:
         """The newest receipt of a verb, when all have answered."""
 
         def newest() -> dict[str, Any]:
-            found = [receipt for receipt in self.receipts.values() if receipt["verb"] == verb]
+            found = [
+                receipt for receipt in self.receipts.values() if receipt["verb"] == verb
+            ]
             return found[-1] if found else {"answers": {}}
 
         def answered() -> bool:
@@ -74,16 +94,26 @@ class Seen:
         await until(answered, seconds, lambda: f"{verb}: {newest()}; {self.replies}")
         return newest()
 
-    async def does(self, verb: str, ask: str = "order", seconds: float = 40.0, **words: Any) -> dict[str, Any]:
+    async def does(
+        self, verb: str, ask: str = "order", seconds: float = 40.0, **words: Any
+    ) -> dict[str, Any]:
         """Ask, and see it done by all that were asked."""
         await self.ask(ask, **({"verb": verb} if ask == "order" else {}), **words)
-        await until(lambda: any(r["verb"] == verb for r in self.receipts.values()), 5.0, lambda: str(self.replies))
+        await until(
+            lambda: any(r["verb"] == verb for r in self.receipts.values()),
+            5.0,
+            lambda: str(self.replies),
+        )
         receipt = await self.receipt(verb, seconds)
         assert {kind for kind, _ in receipt["answers"].values()} == {"done"}, receipt
         return receipt
 
     async def sees(self, *phases: str, seconds: float = 40.0) -> None:
-        await until(lambda: self.drones and set(self.phases()) <= set(phases), seconds, lambda: str(self.drones))
+        await until(
+            lambda: self.drones and set(self.phases()) <= set(phases),
+            seconds,
+            lambda: str(self.drones),
+        )
 
 
 async def dashboard(path: Path | str, *words: str) -> tuple[Program, str]:
@@ -96,7 +126,9 @@ async def dashboard(path: Path | str, *words: str) -> tuple[Program, str]:
 @contextlib.asynccontextmanager
 async def looking_on(address: str) -> AsyncIterator[Seen]:
     """A page, as soon as it has been told all that there is."""
-    async with connect(address.replace("http", "ws") + "/line", origin=address, max_size=None) as socket:
+    async with connect(
+        address.replace("http", "ws") + "/line", origin=address, max_size=None
+    ) as socket:
         seen = Seen(socket)
         reading = asyncio.create_task(seen.read())
         await until(lambda: seen.about and seen.drones and seen.frames > 2, 20.0)
@@ -105,6 +137,3 @@ async def looking_on(address: str) -> AsyncIterator[Seen]:
         finally:
             reading.cancel()
             await asyncio.wait([reading])
-
-
-

@@ -21,7 +21,9 @@ async def main(clock: Clock) -> None:
     bus = Bus(clock)
     port = bus.port(0)
     file = RecordingFile(Path(sys.argv[1]), {"version": "test"}, "{}", durable=True)
-    recording = asyncio.create_task(Supervisor(clock, "test").run([Recorder(bus, (0,), file)]))
+    recording = asyncio.create_task(
+        Supervisor(clock, "test").run([Recorder(bus, (0,), file)])
+    )
     numbers = count()
     async for _ in clock.ticks(STATE.rate):
         k = next(numbers)

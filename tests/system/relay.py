@@ -41,7 +41,9 @@ def relay(devices: tuple[str, str]) -> None:
     draw = random.Random(1)  # noqa: S311 - of frames
     ends = []
     for device in devices:
-        end = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETHERNET_P_ALL))
+        end = socket.socket(
+            socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETHERNET_P_ALL)
+        )
         end.bind((device, 0))
         end.setblocking(False)
         end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
@@ -69,10 +71,17 @@ def relay(devices: tuple[str, str]) -> None:
             with contextlib.suppress(BlockingIOError):
                 while True:
                     frame, address = ends[side].recvfrom(65535)
-                    if address[2] == OUTGOING or now_on["cut"] or draw.random() < now_on["loss"]:
+                    if (
+                        address[2] == OUTGOING
+                        or now_on["cut"]
+                        or draw.random() < now_on["loss"]
+                    ):
                         continue
                     number += 1
-                    heapq.heappush(late, (time.monotonic() + now_on["delay"], number, 1 - side, frame))
+                    heapq.heappush(
+                        late,
+                        (time.monotonic() + now_on["delay"], number, 1 - side, frame),
+                    )
 
 
 if __name__ == "__main__":

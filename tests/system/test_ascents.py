@@ -7,7 +7,10 @@ import pytest
 from system.ascents import ascend, swarm
 
 pytestmark = pytest.mark.system
-WINDY = {"motors": {"gusts": 0.3, "wind": [0.5, 0.3, 0.0]}, "mocap": {"latency": 0.01, "dropout": 0.05}}
+WINDY = {
+    "motors": {"gusts": 0.3, "wind": [0.5, 0.3, 0.0]},
+    "mocap": {"latency": 0.01, "dropout": 0.05},
+}
 NAMED = "it does not tilt as its body does, but as "
 WRONG = {
     "exchanged": ({"reaches": {0: 1, 1: 0}}, (0, 1)),
@@ -29,7 +32,10 @@ def check(tracks, wrong) -> None:
             assert np.degrees(track.found[2]) < 15.0, "tilted, when it is named"
 
 
-@pytest.mark.parametrize(("kind", "case"), [("fpqr", "exchanged"), ("frpy", "turned by a quarter"), ("xyz", "turned")])
+@pytest.mark.parametrize(
+    ("kind", "case"),
+    [("fpqr", "exchanged"), ("frpy", "turned by a quarter"), ("xyz", "turned")],
+)
 def test_wrong_bodies_are_named_in_the_ascent(kind, case):
     options, wrong = WRONG[case]
     check(ascend(swarm(kind), 2, **options, hover=1.0), wrong)
@@ -48,7 +54,9 @@ def test_of_one_that_takes_off_alone_with_the_body_of_another():
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("kind", ["fpqr", "frpy", "xyz"])
-def test_of_many_take_offs_in_wind_none_is_stopped_for_nothing_and_each_that_must_be_is(kind):
+def test_of_many_take_offs_in_wind_none_is_stopped_for_nothing_and_each_that_must_be_is(
+    kind,
+):
     for seed in range(20):
         check(ascend(swarm(kind, **WINDY), seed), ())
         for options, wrong in WRONG.values():

@@ -14,7 +14,12 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 @pytest.mark.parametrize(
     ("module", "extra", "processes"),
-    [("crazychoir", "", 1), ("crazychoir", "", 2), ("cyclonedds", "cyclonedds", 4), ("mpi4py", "mpi4py", 4)],
+    [
+        ("crazychoir", "", 1),
+        ("crazychoir", "", 2),
+        ("cyclonedds", "cyclonedds", 4),
+        ("mpi4py", "mpi4py", 4),
+    ],
 )
 def test_each_program_exchanges(module: str, extra: str, processes: int) -> None:
     if extra and importlib.util.find_spec(extra) is None:
@@ -26,7 +31,9 @@ def test_each_program_exchanges(module: str, extra: str, processes: int) -> None
     assert row.cpu[0] > 0.1
 
 
-def test_a_missing_program_is_a_row_that_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_program_is_a_row_that_says_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rows = [Row("absent", "peers_absent", "ring", 10, 10, "no_such_module")]
     monkeypatch.setattr(bench_exchange, "_rows", lambda graphs: rows)
     monkeypatch.setattr(bench_exchange, "_ratios", lambda rows: {})
@@ -36,7 +43,9 @@ def test_a_missing_program_is_a_row_that_says_how_to_install_it(monkeypatch: pyt
     assert row["note"] == "not measured: pip install crazychoir[bench]"
     console = Console(width=120, record=True, file=io.StringIO())
     console.print(bench_exchange.table(result))
-    assert "absent: not measured: pip install crazychoir[bench]" in console.export_text()
+    assert (
+        "absent: not measured: pip install crazychoir[bench]" in console.export_text()
+    )
 
 
 def test_a_program_that_fails_is_a_row_that_says_so() -> None:

@@ -13,9 +13,13 @@ PROGRAMS = [("peers_rounds", "", 2), ("peers_mpi4py_rounds", "mpi4py", 3)]
 @pytest.mark.parametrize("algorithm", ["consensus", "dual decomposition"])
 @pytest.mark.parametrize(("module", "extra", "processes"), PROGRAMS)
 def test_each_program_makes_rounds(module, extra, processes, algorithm):
-    if extra and any(importlib.util.find_spec(name) is None for name in (extra, "dill")):
+    if extra and any(
+        importlib.util.find_spec(name) is None for name in (extra, "dill")
+    ):
         pytest.skip("the extra `bench` is not installed")
-    row = Row(module, module, "ring", 3, processes, extra, options={"algorithm": algorithm})
+    row = Row(
+        module, module, "ring", 3, processes, extra, options={"algorithm": algorithm}
+    )
     measure(row, 0.2)
     assert row.note == ""
     assert row.rounds[0] > 1.0

@@ -17,9 +17,24 @@ def cell(n, p, noise=0.0):
     far = 0.0 if p == 1 else 4000.0 * n * (p - 1) / p
     near, frames = 4000.0 * n - far, 50.0 * p * (p - 1)
     cpu = 1e-5 * 1000.0 * n + 1e-6 * near + 3e-6 * far + 1e-4 * frames
-    memory, start = 3e7 * p + 2e4 * n + 5e5 * p * (p - 1), 0.2 + 0.3 * p + 0.01 * p * (p - 1)
-    return Cell(n, p, 1000.0, 1000.0 * n, near, far, frames, 40.0 * far + 100.0 * frames, cpu * (1.0 + noise),
-                memory, start, 5)  # fmt: skip
+    memory, start = (
+        3e7 * p + 2e4 * n + 5e5 * p * (p - 1),
+        0.2 + 0.3 * p + 0.01 * p * (p - 1),
+    )
+    return Cell(
+        n,
+        p,
+        1000.0,
+        1000.0 * n,
+        near,
+        far,
+        frames,
+        40.0 * far + 100.0 * frames,
+        cpu * (1.0 + noise),
+        memory,
+        start,
+        5,
+    )
 
 
 GRID = [(n, p) for n in (10, 100, 1000) for p in (1, 2, 4, 8) if n >= 5 * p]
@@ -27,15 +42,24 @@ GRID = [(n, p) for n in (10, 100, 1000) for p in (1, 2, 4, 8) if n >= 5 * p]
 
 def test_a_model_finds_the_costs_of_a_machine_that_obeys_it():
     cells = [cell(n, p) for n, p in GRID]
-    processor, memory = bench_scale.fit("processor", cells), bench_scale.fit("memory", cells)
-    assert processor.coefficients == pytest.approx({"step": 1.4e-5, "far": 2e-6, "frame": 1e-4}, rel=1e-3)
-    assert memory.coefficients == pytest.approx({"process": 3e7, "agent": 2e4, "link": 5e5}, rel=1e-6)
+    processor, memory = (
+        bench_scale.fit("processor", cells),
+        bench_scale.fit("memory", cells),
+    )
+    assert processor.coefficients == pytest.approx(
+        {"step": 1.4e-5, "far": 2e-6, "frame": 1e-4}, rel=1e-3
+    )
+    assert memory.coefficients == pytest.approx(
+        {"process": 3e7, "agent": 2e4, "link": 5e5}, rel=1e-6
+    )
     assert max(processor.worst, processor.left_out_worst, memory.left_out_worst) < 1e-3
 
 
 def test_a_model_says_how_far_it_is_off():
     draw = np.random.default_rng(1)
-    fit = bench_scale.fit("processor", [cell(n, p, float(draw.uniform(-0.2, 0.2))) for n, p in GRID])
+    fit = bench_scale.fit(
+        "processor", [cell(n, p, float(draw.uniform(-0.2, 0.2))) for n, p in GRID]
+    )
     assert 0.01 < fit.error < fit.worst
     assert fit.worst <= fit.left_out_worst
 
@@ -47,12 +71,19 @@ def test_a_grid_too_small_to_leave_cells_out_says_no_error_of_them():
 
 
 def test_what_more_agents_need_is_what_the_model_says():
-    fits = {name: bench_scale.fit(name, [cell(n, p) for n, p in GRID]) for name in bench_scale.TERMS}
+    fits = {
+        name: bench_scale.fit(name, [cell(n, p) for n, p in GRID])
+        for name in bench_scale.TERMS
+    }
     one, each = bench_scale.needs(fits)
     assert (one["processes"], one["links"], each["links"]) == (100, 4950, 319_600)
-    assert one["cores_a_host"] == pytest.approx(1000.0 * (1e-5 + 4 * (3e-6 + 1e-4)), rel=1e-3)
+    assert one["cores_a_host"] == pytest.approx(
+        1000.0 * (1e-5 + 4 * (3e-6 + 1e-4)), rel=1e-3
+    )
     assert one["bytes_a_host"] == pytest.approx(4000.0 * 140.0, rel=1e-3)
-    assert each["memory_a_host"] == pytest.approx(8 * 3e7 + 100 * 2e4 + 8 * 799 * 5e5, rel=1e-3)
+    assert each["memory_a_host"] == pytest.approx(
+        8 * 3e7 + 100 * 2e4 + 8 * 799 * 5e5, rel=1e-3
+    )
 
 
 @pytest.mark.slow
@@ -62,9 +93,16 @@ def test_cells_are_measured_and_shown(monkeypatch, namespaces):
     monkeypatch.setattr(bench_scale, "QUICK", ((10, 20), (1, 2)))
     said = []
     result = bench_scale.run(True, namespaces, 1, said.append)
-    assert [(row["agents"], row["processes"]) for row in result["cells"]] == [(10, 1), (10, 2), (20, 1), (20, 2)]
+    assert [(row["agents"], row["processes"]) for row in result["cells"]] == [
+        (10, 1),
+        (10, 2),
+        (20, 1),
+        (20, 2),
+    ]
     for row in result["cells"]:
-        assert min(row[key] for key in ("rounds", "steps", "cpu", "memory", "start")) > 0.0
+        assert (
+            min(row[key] for key in ("rounds", "steps", "cpu", "memory", "start")) > 0.0
+        )
         assert (row["frames"] > 0.0, row["far"] > 0.0) == (row["processes"] == 2,) * 2
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(bench_scale.table(result))

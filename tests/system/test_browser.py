@@ -7,7 +7,10 @@ import pytest
 from system.agents import flying, until
 
 for package in ("nicegui", "playwright"):
-    pytest.importorskip(package, reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'")
+    pytest.importorskip(
+        package,
+        reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'",
+    )
 
 from system.browsers import CHROMIUM, browser, draw_word, receipt, says  # noqa: E402 - see above
 from system.pages import dashboard, looking_on, six  # noqa: E402
@@ -17,34 +20,49 @@ pytestmark = [
     pytest.mark.system,
     pytest.mark.real_time,
     pytest.mark.timeout(300),
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no chromium: apt-get install chromium"
+    ),
 ]
 
 
 def lost(team, since):
     """Share of messages that was lost since these statuses."""
     pairs = list(zip(team.newest(), since, strict=True))
-    return sum(b["lost"] - a["lost"] for b, a in pairs) / max(sum(b["sent"] - a["sent"] for b, a in pairs), 1)
+    return sum(b["lost"] - a["lost"] for b, a in pairs) / max(
+        sum(b["sent"] - a["sent"] for b, a in pairs), 1
+    )
 
 
 @pytest.mark.slow
-async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_all(tmp_path, compiled):
+async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_all(
+    tmp_path, compiled
+):
     async with flying(six(), tmp_path) as team:
         program, address = await dashboard(team.path)
         try:
             async with browser(address, tmp_path) as page, looking_on(address) as seen:
-                await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'on ground')")
+                await page.wait_for_function(
+                    "choir.seen.drones.every(drone => drone.phase === 'on ground')"
+                )
                 await page.click("text='Arm'")
                 assert "done: ready" in await receipt(page, "ready")
                 await page.click("text=Take off")
                 assert "done: hovering" in await receipt(page, "hovering")
-                await until(lambda: {status["phase"] for status in team.newest()} == {"hovering"}, 20.0)
+                await until(
+                    lambda: (
+                        {status["phase"] for status in team.newest()} == {"hovering"}
+                    ),
+                    20.0,
+                )
                 await page.shot("1_taken_off")
 
                 await page.click("#tab-draw")
                 await page.fill("#height", "1.6")
                 await draw_word(page)
-                await page.wait_for_function("document.querySelector('#plan').textContent.includes('m/s²')")
+                await page.wait_for_function(
+                    "document.querySelector('#plan').textContent.includes('m/s²')"
+                )
                 await page.shot("2_smoothed")
                 assert "In the way" not in await page.inner_text("#plan")
                 assert len(await page.evaluate("choir.sketch.strokes()")) == 4
@@ -52,29 +70,42 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 await page.fill("#slower", "1.5")
                 await page.dispatch_event("#slower", "change")
                 text = f"{1.5 * slower:.1f}"[:-2]
-                await page.wait_for_function("t => document.querySelector('#plan').textContent.startsWith(t)", arg=text)
+                await page.wait_for_function(
+                    "t => document.querySelector('#plan').textContent.startsWith(t)",
+                    arg=text,
+                )
                 await page.fill("#slower", "1")
                 await page.dispatch_event("#slower", "change")
                 await page.wait_for_function(
-                    "t => document.querySelector('#plan').textContent.startsWith(t)", arg=f"{slower:g}"
+                    "t => document.querySelector('#plan').textContent.startsWith(t)",
+                    arg=f"{slower:g}",
                 )
 
                 await page.check('input[aria-label="drone 4"]')
                 await page.click("text=Fly it with the chosen drones")
                 way = []
-                while not any(r["verb"] == "fly" and r["answers"]["4"][0] == "done" for r in seen.receipts.values()):
+                while not any(
+                    r["verb"] == "fly" and r["answers"]["4"][0] == "done"
+                    for r in seen.receipts.values()
+                ):
                     way.append(seen.rows[4, 0:3].copy())
                     assert len(way) < 1200, seen.receipts
                     if len(way) == 200:
-                        await page.evaluate("document.querySelector('#panel-draw').scrollTop = 60")
+                        await page.evaluate(
+                            "document.querySelector('#panel-draw').scrollTop = 60"
+                        )
                         await page.shot("3_flying")
                     await asyncio.sleep(0.05)
                 await page.click("#tab-fly")
                 assert "4 done: flown" in await receipt(page, "flown")
                 await page.shot("4_flown")
                 strokes = await page.evaluate("choir.sketch.strokes()")
-                drawn = np.array([[x, y, 1.6] for stroke in strokes for _, x, y in stroke])
-                away = np.linalg.norm(drawn[:, None] - np.array(way)[None], axis=2).min(axis=1)
+                drawn = np.array(
+                    [[x, y, 1.6] for stroke in strokes for _, x, y in stroke]
+                )
+                away = np.linalg.norm(drawn[:, None] - np.array(way)[None], axis=2).min(
+                    axis=1
+                )
                 assert away.max() < 0.15, f"{away.max():.2f} m beside what was drawn"
 
                 await page.uncheck('input[aria-label="drone 4"]')
@@ -82,9 +113,14 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 await page.click("#tab-network")
                 await page.fill("#loss", "30")
                 await page.click("text=Apply")
-                await until(lambda: lost(team, before) > 0.2, 30.0, lambda: f"{lost(team, before)}")
+                await until(
+                    lambda: lost(team, before) > 0.2,
+                    30.0,
+                    lambda: f"{lost(team, before)}",
+                )
                 await page.wait_for_function(
-                    "choir.seen.drones.every(drone => drone.lost > 0.2 && drone.lost < 0.4)", timeout=30_000
+                    "choir.seen.drones.every(drone => drone.lost > 0.2 && drone.lost < 0.4)",
+                    timeout=30_000,
                 )
                 assert await page.text_content("#network-said") == "loss 0.3, delay 0"
                 await page.click("#tab-fly")
@@ -94,15 +130,21 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
                 await page.click("#tab-draw")
                 await page.focus("#height")
                 await page.keyboard.press("Space")
-                assert "emergency stop" in await says(page, "header [role=alert]", "motors off")
+                assert "emergency stop" in await says(
+                    page, "header [role=alert]", "motors off"
+                )
                 assert "emergency stop" in await receipt(page, "motors off")
                 await page.shot("6_stopped")
                 await page.click("#tab-fly")
-                await page.wait_for_function("choir.seen.drones.every(drone => drone.phase === 'stopped')")
+                await page.wait_for_function(
+                    "choir.seen.drones.every(drone => drone.phase === 'stopped')"
+                )
                 assert {status["phase"] for status in team.newest()} == {"stopped"}
                 await page.focus('input[aria-label="drone 2"]')
                 await page.keyboard.press("Space")
-                assert not await page.is_checked('input[aria-label="drone 2"]'), "space does nothing else"
+                assert not await page.is_checked('input[aria-label="drone 2"]'), (
+                    "space does nothing else"
+                )
                 stops = page.locator("#receipts li:has-text('emergency stop')")
                 await stops.nth(1).wait_for()
                 await page.shot("7_stopped")
@@ -111,16 +153,20 @@ async def test_six_take_off_and_one_flies_a_word_that_was_drawn_and_space_stops_
 
 
 @pytest.mark.slow
-async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, compiled):
+async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(
+    tmp_path, compiled
+):
     tables = {
-        "mission_options": {"tasks": 6, "later": 0, "until": 60.0}, "fence": {"min": [-3, -3, 0], "max": [7, 7, 3]},
-    }  # fmt: skip
+        "mission_options": {"tasks": 6, "later": 0, "until": 60.0},
+        "fence": {"min": [-3, -3, 0], "max": [7, 7, 3]},
+    }
     async with flying(six("online_delivery", **tables), tmp_path) as team:
         program, address = await dashboard(team.path)
         try:
             async with browser(address, tmp_path, color_scheme="dark") as page:
                 await page.wait_for_function(
-                    "choir.seen.drones.every(drone => drone.task.includes('start'))", timeout=60_000
+                    "choir.seen.drones.every(drone => drone.task.includes('start'))",
+                    timeout=60_000,
                 )
                 await page.click("text=Start")
                 assert "its mission goes on" in await receipt(page, "goes on")
@@ -129,17 +175,25 @@ async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, c
                 await page.check("#placing")
                 box = await page.locator("#scene canvas").bounding_box()
                 for share in (0.4, 0.6):
-                    await page.mouse.click(box["x"] + share * box["width"], box["y"] + 0.6 * box["height"])
+                    await page.mouse.click(
+                        box["x"] + share * box["width"], box["y"] + 0.6 * box["height"]
+                    )
                     await asyncio.sleep(0.3)
                 await page.wait_for_selector('[data-task^="1000"]', timeout=30_000)
                 await page.shot("7_task")
                 listed = await page.inner_text('[data-task^="1000"]')
                 assert "load 1: open" in listed
                 await page.wait_for_function(
-                    "choir.seen.drones.some(drone => drone.task.includes('1 aboard'))", timeout=60_000
+                    "choir.seen.drones.some(drone => drone.task.includes('1 aboard'))",
+                    timeout=60_000,
                 )
                 await page.shot("8_delivering")
-                for name, metres in {"pickup_x": 6, "pickup_y": 6, "delivery_x": -2, "delivery_y": 6}.items():
+                for name, metres in {
+                    "pickup_x": 6,
+                    "pickup_y": 6,
+                    "delivery_x": -2,
+                    "delivery_y": 6,
+                }.items():
                     await page.fill(f"#{name}", str(metres))
                 await page.click("text=Add task")
                 last = "#tasks li:has-text('6.00, 6.00 → -2.00, 6.00 m')"
@@ -150,15 +204,26 @@ async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(tmp_path, c
 
 
 @pytest.mark.slow
-async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(tmp_path, compiled):
+async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(
+    tmp_path, compiled
+):
     async with flying(six(processes=1), tmp_path) as team:
         program, address = await dashboard(team.path)
         try:
             for scheme in ("light", "dark"):
-                async with browser(address, tmp_path, viewport=PHONE, color_scheme=scheme, has_touch=True) as page:
+                async with browser(
+                    address,
+                    tmp_path,
+                    viewport=PHONE,
+                    color_scheme=scheme,
+                    has_touch=True,
+                ) as page:
                     for tab in ("fly", "draw", "tasks", "network", "plots", "log"):
                         await page.click(f"#tab-{tab}")
-                        assert await page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], tab
+                        assert (
+                            await page.evaluate("document.documentElement.scrollWidth")
+                            <= PHONE["width"]
+                        ), tab
                         assert await page.locator(f"#panel-{tab}").is_visible()
                     await page.click("#tab-fly")
                     await page.shot(f"phone_{scheme}")

@@ -7,7 +7,10 @@ import pytest
 from system.agents import until
 
 for package in ("nicegui", "playwright"):
-    pytest.importorskip(package, reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'")
+    pytest.importorskip(
+        package,
+        reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'",
+    )
 
 from system.browsers import CHROMIUM, Wire, browser, draw_word, says  # noqa: E402 - see above
 from system.pages import COLUMNS, dashboard, six  # noqa: E402
@@ -16,7 +19,9 @@ pytestmark = [
     pytest.mark.system,
     pytest.mark.real_time,
     pytest.mark.timeout(180),
-    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: apt-get install chromium"),
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no chromium: apt-get install chromium"
+    ),
 ]
 CONNECTED, LOST = '#connection[data-there="true"]', "body[data-lost]"
 PLACES = """[".stop", "#drones", "#scene"].map(name => {
@@ -55,7 +60,9 @@ async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1366, 1024])
-async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(tmp_path, width):
+async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(
+    tmp_path, width
+):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.set_viewport_size({"width": width, "height": 768})
         await page.wait_for_selector("#connection[data-ended]")
@@ -83,20 +90,28 @@ async def test_who_must_log_in_again_is_told_so(tmp_path):
 
 
 @pytest.mark.slow
-async def test_those_that_are_ticked_are_commanded_after_the_server_was_started_again(tmp_path):
+async def test_those_that_are_ticked_are_commanded_after_the_server_was_started_again(
+    tmp_path,
+):
     async with looked_at(tmp_path, strict=False) as (page, _, program):
         await page.check('input[aria-label="drone 1"]')
         await program.kill()
         await page.wait_for_selector(LOST)
-        again, _ = await dashboard(tmp_path / "swarm.json", "--port", page.url.split(":")[-1].strip("/"))
+        again, _ = await dashboard(
+            tmp_path / "swarm.json", "--port", page.url.split(":")[-1].strip("/")
+        )
         try:
             await page.wait_for_selector(CONNECTED)
-            await page.wait_for_function(f"`${{{TICKED}}}` === `${{(choir.chosen() ?? []).map(i => `drone ${{i}}`)}}`")
+            await page.wait_for_function(
+                f"`${{{TICKED}}}` === `${{(choir.chosen() ?? []).map(i => `drone ${{i}}`)}}`"
+            )
         finally:
             await again.kill()
 
 
-async def test_a_line_on_which_no_frames_come_is_said_to_be_dead_and_opened_anew(tmp_path):
+async def test_a_line_on_which_no_frames_come_is_said_to_be_dead_and_opened_anew(
+    tmp_path,
+):
     async with looked_at(tmp_path, strict=False) as (page, wire, _):
         wire.dead = True
         await page.keyboard.press("Space")
@@ -104,7 +119,10 @@ async def test_a_line_on_which_no_frames_come_is_said_to_be_dead_and_opened_anew
         await page.wait_for_selector(LOST, timeout=4_000)
         assert "NOT CONNECTED" in await page.inner_text("#connection")
         assert "emergency stop: no answer" in await says(page, "#trouble", "✗")
-        assert await page.locator(".view").evaluate("one => getComputedStyle(one).filter") == "grayscale(1)"
+        assert (
+            await page.locator(".view").evaluate("one => getComputedStyle(one).filter")
+            == "grayscale(1)"
+        )
         await says(page, "#kept", "STOP ALL: will be sent when connected")
         await page.shot("kept")
         wire.dead = False
@@ -117,10 +135,14 @@ async def test_a_line_on_which_no_frames_come_is_said_to_be_dead_and_opened_anew
         await wire.cut()
         await until(lambda: wire.lines > lines, 10.0)
         await page.wait_for_selector(CONNECTED)
-        assert await page.locator("#receipts li:has-text('emergency stop')").count() == 1, "it was pressed once"
+        assert (
+            await page.locator("#receipts li:has-text('emergency stop')").count() == 1
+        ), "it was pressed once"
 
 
-async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_asked_about_when_it_is_old(tmp_path):
+async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_asked_about_when_it_is_old(
+    tmp_path,
+):
     async with looked_at(tmp_path, strict=False) as (page, wire, _):
 
         async def pressed():
@@ -140,8 +162,14 @@ async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_as
         await page.locator("#kept").wait_for(state="hidden")
         assert await again() == []
         await pressed()
-        await page.evaluate("(() => { const now = Date.now; Date.now = () => now() + 31_000; })()")
-        await says(page, "#kept", "more than 30 s ago: nobody has answered. Is it to be sent now?")
+        await page.evaluate(
+            "(() => { const now = Date.now; Date.now = () => now() + 31_000; })()"
+        )
+        await says(
+            page,
+            "#kept",
+            "more than 30 s ago: nobody has answered. Is it to be sent now?",
+        )
         await page.shot("asked_about")
         assert await again() == []
         await page.click("text=Send it now")
@@ -150,7 +178,9 @@ async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_as
         await page.locator("#kept").wait_for(state="hidden")
 
 
-async def test_a_stop_that_the_server_does_not_hear_is_sent_until_it_does_unless_it_is_cleared(tmp_path):
+async def test_a_stop_that_the_server_does_not_hear_is_sent_until_it_does_unless_it_is_cleared(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         wire.deaf = True
         await page.check('input[aria-label="drone 3"]')
@@ -170,33 +200,49 @@ async def test_a_stop_that_the_server_does_not_hear_is_sent_until_it_does_unless
 
 
 @pytest.mark.slow
-async def test_what_is_stopped_is_told_as_drones_say_it_beside_the_stops_that_some_have_not_obeyed(tmp_path):
+async def test_what_is_stopped_is_told_as_drones_say_it_beside_the_stops_that_some_have_not_obeyed(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.keyboard.press("Space")
         await says(page, "#stopped", "emergency stop → 0, 1, 2, 3, 4, 5 sent")
         await page.check('input[aria-label="drone 0"]')
         await page.click("text=Motors off")
         line = await says(page, "#stopped", "emergency stop → 0 sent")
-        assert "emergency stop → 0, 1, 2, 3, 4, 5 s" in line, "that of the swarm is still sent"
+        assert "emergency stop → 0, 1, 2, 3, 4, 5 s" in line, (
+            "that of the swarm is still sent"
+        )
         await page.click("text=Clear stop")
         await page.click("text=End it")
-        await page.wait_for_function("document.querySelector('#stopped').textContent === ''", timeout=5_000)
+        await page.wait_for_function(
+            "document.querySelector('#stopped').textContent === ''", timeout=5_000
+        )
         wire.drones = lambda rows: [row | said.get(row["id"], {}) for row in rows]
         stopped = {"heard": True, "stopped": True, "phase": "stopped"}
         said = {0: stopped, 1: stopped, 2: stopped | {"phase": "on ground"}}
-        await says(page, "#stopped", "stop of the swarm in force: 0, 1, 2 may not take off · motors off: 0, 1")
+        await says(
+            page,
+            "#stopped",
+            "stop of the swarm in force: 0, 1, 2 may not take off · motors off: 0, 1",
+        )
         await page.shot("in_force")
         said = {1: {"heard": True, "stopped": False, "phase": "stopped"}}
-        await page.wait_for_function("document.querySelector('#stopped').textContent === 'motors off: 1'")
+        await page.wait_for_function(
+            "document.querySelector('#stopped').textContent === 'motors off: 1'"
+        )
         said = {}
-        await page.wait_for_function("document.querySelector('#stopped').textContent === ''")
+        await page.wait_for_function(
+            "document.querySelector('#stopped').textContent === ''"
+        )
 
 
 async def test_what_the_server_does_not_answer_is_told_within_a_second_or_so(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         wire.deaf = True
         await page.click("text=Hold")
-        await says(page, "header [role=alert]", "hold: no answer of this page's server", 4.0)
+        await says(
+            page, "header [role=alert]", "hold: no answer of this page's server", 4.0
+        )
         assert await page.locator(CONNECTED).count() == 1
         wire.deaf = False
         await page.click("text=Land")
@@ -235,7 +281,9 @@ async def test_space_stops_all_while_it_is_asked_whether_a_stop_is_to_end(tmp_pa
             await page.click("text=Clear stop")
             await page.keyboard.press(key)
             await page.locator("#clear").wait_for(state="hidden")
-        assert len({message["key"] for message in wire.of("stop")}) == len(wire.asked) == 2
+        assert (
+            len({message["key"] for message in wire.of("stop")}) == len(wire.asked) == 2
+        )
         await page.click("text=Clear stop")
         await page.shot("clear")
         await page.click("text=End it")
@@ -267,17 +315,31 @@ async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
 
 
 @pytest.mark.slow
-async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often_as_is_asked(tmp_path):
+async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often_as_is_asked(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-network")
         assert await page.inner_text("#network-said") == "not known yet"
-        rules = [{"loss": 0.3}, {"edge": [2, 1], "delay": 0.1}, {"drone": 1, "loss": 0.5}, {"drone": 4, "delay": 0.2}]
-        wire.news = {"network": {"rules": rules, "words": "loss 0.3; drone 1: loss 0.5; ..."}}
+        rules = [
+            {"loss": 0.3},
+            {"edge": [2, 1], "delay": 0.1},
+            {"drone": 1, "loss": 0.5},
+            {"drone": 4, "delay": 0.2},
+        ]
+        wire.news = {
+            "network": {"rules": rules, "words": "loss 0.3; drone 1: loss 0.5; ..."}
+        }
         await page.wait_for_function(SLIDERS + " === '30 0'")
-        assert await page.inner_text("#network-said") == "loss 0.3; drone 1: loss 0.5; ..."
+        assert (
+            await page.inner_text("#network-said") == "loss 0.3; drone 1: loss 0.5; ..."
+        )
         for _ in range(2):
             await page.click("text=Apply")
-        assert wire.of("impair") == [{"ask": "impair", "loss": 0.3, "delay": 0, "drones": None}] * 2
+        assert (
+            wire.of("impair")
+            == [{"ask": "impair", "loss": 0.3, "delay": 0, "drones": None}] * 2
+        )
         await page.check('input[aria-label="drone 1"]')
         assert await page.evaluate(SLIDERS) == "50 0"
         await page.check('input[aria-label="drone 2"]')
@@ -289,11 +351,20 @@ async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often
         for _ in range(5):
             await page.keyboard.press("ArrowRight")
         await page.wait_for_timeout(700)
-        assert await page.evaluate(SLIDERS) == "35 0", "news that say the same move nothing"
-        assert len(wire.of("impair")) == 2, "nor is anything sent before it is asked for"
+        assert await page.evaluate(SLIDERS) == "35 0", (
+            "news that say the same move nothing"
+        )
+        assert len(wire.of("impair")) == 2, (
+            "nor is anything sent before it is asked for"
+        )
         await page.click("text=Take everything back")
         assert await page.evaluate(SLIDERS) == "0 0"
-        wire.news = {"network": {"rules": [{"p_good_bad": 0.1, "p_bad_good": 0.3}], "words": "bursts"}}
+        wire.news = {
+            "network": {
+                "rules": [{"p_good_bad": 0.1, "p_bad_good": 0.3}],
+                "words": "bursts",
+            }
+        }
         await page.wait_for_function(SLIDERS + " === '25 0'")
 
 
@@ -324,7 +395,11 @@ async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
 @pytest.mark.slow
 async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_path):
     """Who has a box under his hand ticks that one."""
-    async with looked_at(tmp_path, viewport={"width": 1280, "height": 800}) as (page, _, _program):
+    async with looked_at(tmp_path, viewport={"width": 1280, "height": 800}) as (
+        page,
+        _,
+        _program,
+    ):
         first = page.locator('input[aria-label="drone 0"]')
         places = []
         for tab in ("fly", "draw", "tasks", "network", "plots", "log"):
@@ -338,11 +413,15 @@ async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_p
 
 
 @pytest.mark.slow
-async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is_not_sent(tmp_path):
+async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is_not_sent(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-draw")
         box = await page.locator("#sketch").bounding_box()
-        await page.mouse.move(box["x"] + box["width"] / 2 + 60, box["y"] + box["height"] / 2)
+        await page.mouse.move(
+            box["x"] + box["width"] / 2 + 60, box["y"] + box["height"] / 2
+        )
         await page.mouse.down()
         await page.evaluate(CIRCLES)
         await page.mouse.up()
@@ -352,8 +431,12 @@ async def test_a_drawing_of_very_many_points_is_thinned_and_what_is_too_large_is
         assert 500 < len(places) < 5000
         assert np.linalg.norm(np.diff(places[:-1], axis=0), axis=1).min() > 0.0019
         before = len(wire.asked), wire.lines
-        assert not await page.evaluate('choir.ask({ ask: "load", name: "a.csv", text: "x".repeat(1 << 18) })')
-        assert "load: too large, 257 KiB of at most 256" in await says(page, "#trouble", "✗")
+        assert not await page.evaluate(
+            'choir.ask({ ask: "load", name: "a.csv", text: "x".repeat(1 << 18) })'
+        )
+        assert "load: too large, 257 KiB of at most 256" in await says(
+            page, "#trouble", "✗"
+        )
         assert (len(wire.asked), wire.lines) == before
 
 
@@ -386,7 +469,9 @@ async def test_who_is_in_the_way_of_the_second_that_flies_a_drawing_is_named(tmp
         await page.shot("beside")
         await page.fill("#offset_y", "-1")
         await page.dispatch_event("#offset_y", "change")
-        await page.wait_for_function("!document.querySelector('#plan').textContent.includes('In the way')")
+        await page.wait_for_function(
+            "!document.querySelector('#plan').textContent.includes('In the way')"
+        )
 
 
 def hovering(places):
@@ -407,22 +492,34 @@ async def test_what_plans_cost_and_their_relaxations_are_drawn_by_round(tmp_path
         await page.click("#tab-plots")
         await page.evaluate(WRITTEN)
         wire.news = {"costs": [[2, 33.4, 32.6], [30, 33.0, 32.6], [57, 32.9, 32.7]]}
-        await page.wait_for_function("written.has('round 57, 0.6 % above the relaxation')")
-        assert {"rounds 2 to 57", "32.60", "33.00", "33.40"} <= set(await page.evaluate("[...written]"))
-        assert await page.is_visible("text=mean cost of the plans, and of their relaxations (dashed), by round")
+        await page.wait_for_function(
+            "written.has('round 57, 0.6 % above the relaxation')"
+        )
+        assert {"rounds 2 to 57", "32.60", "33.00", "33.40"} <= set(
+            await page.evaluate("[...written]")
+        )
+        assert await page.is_visible(
+            "text=mean cost of the plans, and of their relaxations (dashed), by round"
+        )
         places = await page.evaluate("[...lines.at(-1)]")
-        assert abs((places[1] - places[0]) / (places[2] - places[0]) - 28 / 55) < 1e-6, "a round is where its number is"
+        assert (
+            abs((places[1] - places[0]) / (places[2] - places[0]) - 28 / 55) < 1e-6
+        ), "a round is where its number is"
 
 
 @pytest.mark.slow
-async def test_curves_have_the_time_of_their_samples_and_are_open_where_nothing_was_heard(tmp_path):
+async def test_curves_have_the_time_of_their_samples_and_are_open_where_nothing_was_heard(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-plots")
         await page.evaluate(WRITTEN)
         wire.frame = timed(0.0)
         await page.wait_for_timeout(2000)
         wire.frame = timed(10.0)
-        await page.wait_for_function("[...written].some(text => /^1[123456]\\.\\d s$/.test(text))")
+        await page.wait_for_function(
+            "[...written].some(text => /^1[123456]\\.\\d s$/.test(text))"
+        )
         places = await page.evaluate("lines.filter(line => line.length > 12).at(-1)")
         assert max(np.diff(places)) < 20, "one piece ends where the other begins"
 
@@ -444,11 +541,16 @@ async def test_routes_are_drawn_from_where_their_drones_are(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         wire.frame = hovering({1: (0.0, 0.0, 1.0)})
         await page.wait_for_timeout(1500)
-        bare, tour = await page.locator("#scene canvas").screenshot(), {"1": [[1.5, -1.5, 1.0], [-1.5, -1.5, 1.0]]}
+        bare, tour = (
+            await page.locator("#scene canvas").screenshot(),
+            {"1": [[1.5, -1.5, 1.0], [-1.5, -1.5, 1.0]]},
+        )
         wire.news = {"routes": tour}
         await page.wait_for_function("choir.seen.routes?.[1]")
         await page.wait_for_timeout(500)
-        drawn = await page.locator("#scene canvas").screenshot(path=tmp_path / "routes.png")
+        drawn = await page.locator("#scene canvas").screenshot(
+            path=tmp_path / "routes.png"
+        )
         assert drawn != bare
         wire.news = {"routes": {}}
         await page.wait_for_function("!choir.seen.routes[1]")

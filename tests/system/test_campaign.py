@@ -63,16 +63,22 @@ def test_a_scenario_that_hangs_is_a_finding(monkeypatch):
 def formation():
     """Half a minute of it."""
     mission = load("bearing_formation")
-    made = mission.swarm(None).replace(flight=flights.BRISK, mission_options={"duration": 30.0})
+    made = mission.swarm(None).replace(
+        flight=flights.BRISK, mission_options={"duration": 30.0}
+    )
     return mission.scatter(made)
 
 
 def test_all_are_told_to_land_once(monkeypatch):
     told = []
     land = Agent.land_all
-    monkeypatch.setattr(Agent, "land_all", lambda self, why: (told.append(why), land(self, why))[1])
+    monkeypatch.setattr(
+        Agent, "land_all", lambda self, why: (told.append(why), land(self, why))[1]
+    )
     report = Report(17, "formation")
-    flights.flown(report, np.random.default_rng(1), formation(), load("bearing_formation"), 0, 5.0)
+    flights.flown(
+        report, np.random.default_rng(1), formation(), load("bearing_formation"), 0, 5.0
+    )
     assert report.wrong == []
     assert told == ["the scenario is over"]
 
@@ -82,10 +88,14 @@ def test_a_drone_that_is_nowhere_is_a_finding(monkeypatch):
 
     def lost(self, now):
         if now > 3.0:
-            self.agent._owner_of[0].world.states[self.agent._owner_of[0].world.row[0], 0] = np.nan
+            self.agent._owner_of[0].world.states[
+                self.agent._owner_of[0].world.row[0], 0
+            ] = np.nan
         look(self, now)
 
     monkeypatch.setattr(flights.Invariants, "look", lost)
     report = Report(17, "formation")
     seeds.KINDS["formation"](report, np.random.default_rng([17, 8]))
-    assert any(said.startswith("drone 0 is at") and "nan" in said for said in report.wrong), report.wrong
+    assert any(
+        said.startswith("drone 0 is at") and "nan" in said for said in report.wrong
+    ), report.wrong

@@ -13,18 +13,40 @@ import pytest
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HERE = Path(__file__).parent
 PROGRAMS = (
-    "high_level", "motion_commander", "position_commander", "trajectory", "compressed_trajectory", "set_points",
-    "supervisor", "emergency_stop", "emergency_stop_watchdog", "poses_from_outside", "restart_by_a_wrong_packet",
-    "nobody_there", "connect_with_callbacks", "log_synchronously", "log_by_callback", "log_too_much", "parameters",
-    "persistent_parameters", "console", "memories", "lighthouse", "statistics", "multiranger", "three",
-)  # fmt: skip
+    "high_level",
+    "motion_commander",
+    "position_commander",
+    "trajectory",
+    "compressed_trajectory",
+    "set_points",
+    "supervisor",
+    "emergency_stop",
+    "emergency_stop_watchdog",
+    "poses_from_outside",
+    "restart_by_a_wrong_packet",
+    "nobody_there",
+    "connect_with_callbacks",
+    "log_synchronously",
+    "log_by_callback",
+    "log_too_much",
+    "parameters",
+    "persistent_parameters",
+    "console",
+    "memories",
+    "lighthouse",
+    "statistics",
+    "multiranger",
+    "three",
+)
 DRONES = 19
 
 
 def _free_ports() -> int:
     """The first of as many free ports in a row, one below it for the poses."""
     for first in range(20_200, 60_000, 50):
-        doors = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(DRONES + 1)]
+        doors = [
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(DRONES + 1)
+        ]
         try:
             for k, door in enumerate(doors):
                 door.bind(("127.0.0.1", first - 1 + k))
@@ -49,16 +71,32 @@ def _readme(port: int) -> str:
 def ran():
     """What each program has ended with, and the server; all fly at once, each its own drone."""
     port = _free_ports()
-    command = [sys.executable, "-m", "crazychoir.cli.main", "virtual", "--drones", str(DRONES), "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "crazychoir.cli.main",
+        "virtual",
+        "--drones",
+        str(DRONES),
+        "--json",
+    ]
     server = subprocess.Popen(
-        [*command, "--port", str(port)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*command, "--port", str(port)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         while "poses at" not in (line := server.stderr.readline()):
             assert line, "the server has ended"
         run = [sys.executable, "-m", "cflib_programs.run", str(port)]
-        shown = subprocess.Popen([sys.executable, "-c", _readme(port + DRONES - 1)], stdout=subprocess.DEVNULL)
-        found = subprocess.run(run, cwd=HERE, capture_output=True, text=True, timeout=100, check=False)
+        shown = subprocess.Popen(
+            [sys.executable, "-c", _readme(port + DRONES - 1)],
+            stdout=subprocess.DEVNULL,
+        )
+        found = subprocess.run(
+            run, cwd=HERE, capture_output=True, text=True, timeout=100, check=False
+        )
         assert found.stdout, found.stderr
         assert shown.wait(30) == 0
         server.send_signal(signal.SIGINT)
@@ -86,5 +124,9 @@ def test_the_server_ends_by_ctrl_c_with_what_became_of_the_drones(ran):
     restarted = [i for i, drone in report["drones"].items() if drone["starts"] > 1]
     assert restarted == ["10"]  # the one that got a packet that was too short
     assert report["drones"]["10"]["malformed"] == 1
-    assert report["drones"][str(DRONES - 1)]["last"] == "rpyt"  # the README's has flown, and closed its link
-    assert sum(drone["unknown"] for drone in report["drones"].values()) == 1  # to an application that is not there
+    assert (
+        report["drones"][str(DRONES - 1)]["last"] == "rpyt"
+    )  # the README's has flown, and closed its link
+    assert (
+        sum(drone["unknown"] for drone in report["drones"].values()) == 1
+    )  # to an application that is not there

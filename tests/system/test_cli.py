@@ -69,13 +69,25 @@ DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
     [
         (["nothing", "--fast"], ["nothing", *names()]),
         (["no_file.toml", "--fast"], ["no_file.toml"]),
-        (["bearing_formation", "--only", "2,3"], ["--only", "2,3 without a swarm file", "--swarm"]),
+        (
+            ["bearing_formation", "--only", "2,3"],
+            ["--only", "2,3 without a swarm file", "--swarm"],
+        ),
         (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "17"], ["--only: found 17", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "2", "--fast"], ["--only", "--fast"]),
-        (["bearing_formation", "--fast", "--drones", "31"], ["--drones", "31", "11 (a letter)"]),
-        (["deploy/lab6.toml", "--fast", "--drones", "3"], ["--drones", "3 beside a swarm file"]),
-        (["bearing_formation", "--fast", "--processes", "2"], ["--processes", "--fast beside it"]),
+        (
+            ["bearing_formation", "--fast", "--drones", "31"],
+            ["--drones", "31", "11 (a letter)"],
+        ),
+        (
+            ["deploy/lab6.toml", "--fast", "--drones", "3"],
+            ["--drones", "3 beside a swarm file"],
+        ),
+        (
+            ["bearing_formation", "--fast", "--processes", "2"],
+            ["--processes", "--fast beside it"],
+        ),
         (["bearing_formation", "--fast", "--loss", "2"], ["loss", "probability"]),
     ],
 )
@@ -109,8 +121,14 @@ def test_a_mission_file_that_is_none_is_refused(here, tmp_path, text, said):
     ("text", "said"),
     [
         ('name = "x"\nfoo = 3\n' + DRONE, ["foo = 3", "no such key"]),
-        ('name = "x"\n' + DRONE + "neighbors = [7]\n", ["neighbors = [7]", "no drone 7"]),
-        ('name = "x"\n' + DRONE + 'uri = "radio://0/80/2M/E7E7"\n', ["radio://", "hexadecimal"]),
+        (
+            'name = "x"\n' + DRONE + "neighbors = [7]\n",
+            ["neighbors = [7]", "no drone 7"],
+        ),
+        (
+            'name = "x"\n' + DRONE + 'uri = "radio://0/80/2M/E7E7"\n',
+            ["radio://", "hexadecimal"],
+        ),
         ('name = "x"\n' + DRONE, ["no mission"]),
         ("name = [", ["swarm.toml"]),
     ],
@@ -133,9 +151,13 @@ def test_a_mission_that_fails_lands_its_drone_and_the_others_go_on(here, tmp_pat
 
 
 @pytest.mark.parametrize(
-    "fast", [True, pytest.param(False, marks=(pytest.mark.real_time, pytest.mark.slow))], ids=["fast", "real time"]
+    "fast",
+    [True, pytest.param(False, marks=(pytest.mark.real_time, pytest.mark.slow))],
+    ids=["fast", "real time"],
 )
-def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints(tmp_path, fast):
+def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints(
+    tmp_path, fast
+):
     path = tmp_path / "telling.py"
     path.write_text(TELLING)
     words = ("run", path, "--drones", 2, "--json", *(["--fast"] if fast else []))
@@ -145,7 +167,10 @@ def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints
     assert said.json["reasons"] == {"1": NO_REASON}
     assert said.json["results"]["0"]["far"] == 9.0
     assert len(said.json["results"]["0"]["at"]) == 3
-    assert sorted(line for line in said.err.splitlines() if "hovering" in line) == ["hovering 0", "hovering 1"]
+    assert sorted(line for line in said.err.splitlines() if "hovering" in line) == [
+        "hovering 0",
+        "hovering 1",
+    ]
 
 
 def test_the_live_table_shows_a_drone_flying_only_when_it_flies():
@@ -153,7 +178,9 @@ def test_the_live_table_shows_a_drone_flying_only_when_it_flies():
 
     def watch(score):
         for i, status in score.statuses.items():
-            told.setdefault(i, {})[status.phase, status.task.split(":")[0].split()[0]] = None
+            told.setdefault(i, {})[
+                status.phase, status.task.split(":")[0].split()[0]
+            ] = None
 
     fly_fast(mission.swarm(None).replace(flight=BRISK), mission, watch)
     assert not any(("on ground", "flying") in seen for seen in told.values()), told
@@ -177,7 +204,9 @@ def test_an_agent_refuses(here, words, said):
 @pytest.mark.parametrize("words", [["bench"], ["bench", "--help"]])
 def test_bench_has_commands_of_its_own(here, words):
     said = here("crazychoir", *words)
-    assert all(name in said.out for name in ("exchange", "flight", "latency", "all")), said
+    assert all(name in said.out for name in ("exchange", "flight", "latency", "all")), (
+        said
+    )
 
 
 def test_an_option_of_a_bench_is_read_by_it(here):
@@ -189,7 +218,12 @@ def test_an_option_of_a_bench_is_read_by_it(here):
 @pytest.fixture
 def four(tmp_path):
     """A swarm file of a long formation, two drones a process, on ports of its own."""
-    config = apart(load("bearing_formation").swarm(None).replace(flight=BRISK, mission_options={"duration": 300.0}), 2)
+    config = apart(
+        load("bearing_formation")
+        .swarm(None)
+        .replace(flight=BRISK, mission_options={"duration": 300.0}),
+        2,
+    )
     return written(tmp_path / "four.json", config.replace(start_deadline=60.0))
 
 
@@ -203,7 +237,9 @@ def test_a_port_in_use_is_named(here, four):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", config.base_port))
         taken.listen()
-        here("crazychoir-agent", "--swarm", path, "--id", 0).refuses(str(config.base_port))
+        here("crazychoir-agent", "--swarm", path, "--id", 0).refuses(
+            str(config.base_port)
+        )
 
 
 def test_who_is_absent_at_the_start_is_named(four):
@@ -215,11 +251,20 @@ def test_who_is_absent_at_the_start_is_named(four):
 
 @pytest.mark.parametrize(
     "words",
-    [["echo", "state", "--seconds", "1"], ["hz", "state"], ["status"], ["impair", "--loss", "0.3"], ["land"], ["stop"]],
+    [
+        ["echo", "state", "--seconds", "1"],
+        ["hz", "state"],
+        ["status"],
+        ["impair", "--loss", "0.3"],
+        ["land"],
+        ["stop"],
+    ],
 )
 def test_looking_into_a_swarm_that_does_not_run(here, four, monkeypatch, words):
     monkeypatch.setattr(window, "DISCOVERY", 0.1)
-    here("crazychoir", *words, "--swarm", four[0]).refuses("no agent found", "is it running?")
+    here("crazychoir", *words, "--swarm", four[0]).refuses(
+        "no agent found", "is it running?"
+    )
 
 
 def test_topics_that_do_not_exist_and_edges_that_are_none(here):
@@ -252,7 +297,11 @@ async def flown_by(program, path, config, folder, command=None):
     command: an operator's part in it, awaited with the observer.
     """
     ids = [word for i in config.ids for word in ("--id", str(i))]
-    words = (*AGENT, "--swarm", path, "--json", *ids) if program == "agent" else (*CRAZYCHOIR, "run", path, "--json")
+    words = (
+        (*AGENT, "--swarm", path, "--json", *ids)
+        if program == "agent"
+        else (*CRAZYCHOIR, "run", path, "--json")
+    )
     flying = await Program.start(*words)
     team = None
     try:
@@ -272,41 +321,78 @@ async def flown_by(program, path, config, folder, command=None):
 
 
 @pytest.mark.timeout(240)
-async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look_here, four, tmp_path, compiled):
+async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(
+    look_here, four, tmp_path, compiled
+):
     path, config = written(four[0], four[1].replace(flight={**BRISK, "operator": True}))
 
     async def command(team):
         for verb, says in (("take-off", "hovering"), ("start", "its mission goes on")):
-            await until(lambda verb=verb: all(f": {verb}" in s["task"] for s in team.newest()), 40.0)
+            await until(
+                lambda verb=verb: all(f": {verb}" in s["task"] for s in team.newest()),
+                40.0,
+            )
             said = await look_here(verb, "--json", "--swarm", path)
             assert (said.code, said.json) == (0, answers("0123", "done", says))
 
     async with flown_by("agent", path, config, tmp_path, command) as (agent, team):
-        await until(lambda: all(team.statuses(i)[-1]["phase"] == "mission" for i in (2, 3)), 20.0)
+        await until(
+            lambda: all(team.statuses(i)[-1]["phase"] == "mission" for i in (2, 3)),
+            20.0,
+        )
         said = await look_here("status", "--swarm", path, "--json")
         phases = {i: row["phase"] for i, row in said.json.items()}
-        assert phases == {"0": "hovering", "1": "hovering", "2": "mission", "3": "mission"}
+        assert phases == {
+            "0": "hovering",
+            "1": "hovering",
+            "2": "mission",
+            "3": "mission",
+        }
         said = await look("echo", "state", "--seconds", "1", "--swarm", path)
         rows = [json.loads(line) for line in said.out.splitlines()]
         assert {row["drone"] for row in rows} == {0, 1, 2, 3}
-        rates = (await look_here("hz", "state", "--seconds", "1", "--json", "--swarm", path)).json
+        rates = (
+            await look_here("hz", "state", "--seconds", "1", "--json", "--swarm", path)
+        ).json
         assert all(rate > 20.0 for rate in rates.values()), rates
         said = await look_here("impair", "--loss", "0.3", "--json", "--swarm", path)
         assert said.code == 0
         assert set(said.json) == {"0", "1", "2", "3"}
         assert "0.3" in str(said.json["0"])
-        said = await look_here("param", "set", "control.kr", "7,7,4", "--drone", "2", "--json", "--swarm", path)
+        said = await look_here(
+            "param",
+            "set",
+            "control.kr",
+            "7,7,4",
+            "--drone",
+            "2",
+            "--json",
+            "--swarm",
+            path,
+        )
         assert (said.code, said.json) == (0, {"2": [7.0, 7.0, 4.0]})
-        said = await look_here("param", "set", "control.kr", "30,30,4", "--json", "--swarm", path)
+        said = await look_here(
+            "param", "set", "control.kr", "30,30,4", "--json", "--swarm", path
+        )
         assert said.code == 1
-        assert all("gains that bear 40 ms more delay" in text for text in said.json.values())
+        assert all(
+            "gains that bear 40 ms more delay" in text for text in said.json.values()
+        )
         said = await look_here("param", "get", "control.kr", "--json", "--swarm", path)
         kept = {"control.kr": [8.0, 8.0, 4.0]}
-        assert said.json == {"0": kept, "1": kept, "2": {"control.kr": [7.0, 7.0, 4.0]}, "3": kept}
+        assert said.json == {
+            "0": kept,
+            "1": kept,
+            "2": {"control.kr": [7.0, 7.0, 4.0]},
+            "3": kept,
+        }
         said = await look_here("hold", "--drones", "2-3", "--json", "--swarm", path)
         assert (said.code, said.json) == (0, answers("23", "done", "held"))
         said = await look_here("start", "--drones", "2", "--json", "--swarm", path)
-        assert (said.code, said.json) == (1, answers("2", "refused", "its mission has started"))
+        assert (said.code, said.json) == (
+            1,
+            answers("2", "refused", "its mission has started"),
+        )
         said = await look_here("land", "--json", "--swarm", path)
         assert (said.code, said.json) == (0, answers("0123", "done", "on ground"))
         ended = await agent.end(40.0)
@@ -318,17 +404,32 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(look
 async def test_beside_an_agent_that_waits(look_here, four, compiled):
     """The second agent of one drone is refused; and a stop says who has not acknowledged."""
     path, config = four
-    agent = await Program.start(*AGENT, "--swarm", path, "--json", "--id", "0", "--id", "1")
+    agent = await Program.start(
+        *AGENT, "--swarm", path, "--json", "--id", "0", "--id", "1"
+    )
     try:
         await listening(config.base_port)
-        second = await Program.start(*AGENT, "--swarm", path, "--id", "0", "--json", "--listen", "tcp/127.0.0.1:0",
-                                     "--connect", config.endpoint(0))  # fmt: skip
+        second = await Program.start(
+            *AGENT,
+            "--swarm",
+            path,
+            "--id",
+            "0",
+            "--json",
+            "--listen",
+            "tcp/127.0.0.1:0",
+            "--connect",
+            config.endpoint(0),
+        )
         ended = await second.end(60.0)
         assert ended["code"] == 1
         assert "Traceback" not in second.text
         assert "flies drone(s) 0 too" in second.text
         said = await look_here("stop", "--json", "--swarm", path)
-        off, gone = {"answer": "done", "says": "motors off"}, {"answer": "absent", "says": ""}
+        off, gone = (
+            {"answer": "done", "says": "motors off"},
+            {"answer": "absent", "says": ""},
+        )
         expected = {"0": off, "1": off, "2": gone, "3": gone}
         assert (said.code, said.json) == (1, expected), said
     finally:
@@ -347,9 +448,14 @@ async def listening(port):
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(four, compiled):
+async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(
+    four, compiled
+):
     path, config = written(four[0], four[1].replace(mission_options={"duration": 1.0}))
-    runs = {only: await Program.start(*CRAZYCHOIR, "run", path, "--only", only, "--json") for only in ("0,1", "2,3")}
+    runs = {
+        only: await Program.start(*CRAZYCHOIR, "run", path, "--only", only, "--json")
+        for only in ("0,1", "2,3")
+    }
     try:
         said = await runs["2,3"].says("crazychoir status --swarm ")
         effective = SwarmConfig.load(said.rsplit(" ", 1)[1])
@@ -357,9 +463,15 @@ async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(four,
         for only, program in runs.items():
             ended = await program.end(90.0)
             here = [int(word) for word in only.split(",")]
-            assert (ended["code"], ended["success"], ended["here"]) == (0, True, here), ended
+            assert (ended["code"], ended["success"], ended["here"]) == (
+                0,
+                True,
+                here,
+            ), ended
             assert (ended["drones"], list(map(int, ended["results"]))) == (4, here)
-            assert all(length > 0.5 for length in ended["flown_m"].values()), "all four were seen flying"
+            assert all(length > 0.5 for length in ended["flown_m"].values()), (
+                "all four were seen flying"
+            )
     finally:
         for program in runs.values():
             await program.kill()
@@ -369,7 +481,9 @@ async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(four,
 async def test_a_run_fails_whose_processes_cannot_all_start(four, tmp_path, compiled):
     """Of some drones, and of all: then who is killed at the start ends the wait of the others."""
     async with asyncio.TaskGroup() as group:
-        group.create_task(some_are_missing(written(tmp_path / "some.json", apart(four[1], 2))))
+        group.create_task(
+            some_are_missing(written(tmp_path / "some.json", apart(four[1], 2)))
+        )
         group.create_task(others_wait(four))
 
 
@@ -390,13 +504,18 @@ async def others_wait(swarm):
         said = await look("run", path, "--only", "0,1,2,3", "--json")
     assert time.monotonic() - began < 30.0, "not the whole deadline"
     assert said.code == 1, said.err
-    assert {2, 3} <= set(said.json["absent"]), "of the others, those too that had not begun to obey signals"
+    assert {2, 3} <= set(said.json["absent"]), (
+        "of the others, those too that had not begun to obey signals"
+    )
     assert "the others wait no more" in said.err
 
 
 def children_of(pid):
     """Ids of its processes."""
-    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return [
+        int(word)
+        for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    ]
 
 
 def alive(pid):
@@ -407,25 +526,43 @@ def alive(pid):
 
 def phases(team):
     """What each drone was seen doing, one after the other."""
-    seen = {i: [status["phase"] for status in team.statuses(i)] for i in team.config.ids}
-    return {i: [new for old, new in pairwise([None, *told]) if new != old] for i, told in seen.items()}
+    seen = {
+        i: [status["phase"] for status in team.statuses(i)] for i in team.config.ids
+    }
+    return {
+        i: [new for old, new in pairwise([None, *told]) if new != old]
+        for i, told in seen.items()
+    }
 
 
 def landed(team):
     """Whether every drone was seen landing, then on the ground, and never stopped in the air."""
     every = phases(team).values()
-    return all("landing" in seen and seen[-1] == "on ground" and "stopped" not in seen for seen in every)
+    return all(
+        "landing" in seen and seen[-1] == "on ground" and "stopped" not in seen
+        for seen in every
+    )
 
 
 async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, tmp_path):
     path, _ = written(four[0], four[1].replace(mission_options={"duration": 1e5}))
     recorded = tmp_path / "a.mcap"
-    flying = await Program.start(*CRAZYCHOIR, "run", path, "--fast", "--json", "--record", recorded)
+    flying = await Program.start(
+        *CRAZYCHOIR, "run", path, "--fast", "--json", "--record", recorded
+    )
     try:
-        await until(lambda: recorded.exists() and recorded.stat().st_size > 1e5, 60.0, lambda: flying.text)
+        await until(
+            lambda: recorded.exists() and recorded.stat().st_size > 1e5,
+            60.0,
+            lambda: flying.text,
+        )
         flying.signal(signal.SIGINT)
         ended = await flying.end(30.0)
-        assert (ended["code"], ended["success"], ended["kind"]) == (130, False, "KeyboardInterrupt")
+        assert (ended["code"], ended["success"], ended["kind"]) == (
+            130,
+            False,
+            "KeyboardInterrupt",
+        )
         assert "Ctrl-C" in flying.text
         assert "Traceback" not in flying.text
     finally:
@@ -433,12 +570,18 @@ async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, tmp_pa
 
 
 @pytest.mark.timeout(240)
-async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(four, tmp_path, compiled):
+async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(
+    four, tmp_path, compiled
+):
     async with asyncio.TaskGroup() as group:
         for program in ("run", "agent"):
             folder = tmp_path / program
             folder.mkdir()
-            group.create_task(interrupt(program, written(folder / "four.json", apart(four[1], 2)), folder))
+            group.create_task(
+                interrupt(
+                    program, written(folder / "four.json", apart(four[1], 2)), folder
+                )
+            )
 
 
 async def interrupt(program, swarm, folder):
@@ -447,7 +590,9 @@ async def interrupt(program, swarm, folder):
         children = children_of(flying.process.pid)
         assert len(children) == (2 if program == "run" else 0)
         said = await look("status", "--swarm", swarm[0], "--json")
-        assert set(said.json) == {"0", "1", "2", "3"}, "the file that was flown finds who flies it"
+        assert set(said.json) == {"0", "1", "2", "3"}, (
+            "the file that was flown finds who flies it"
+        )
         flying.signal(signal.SIGINT)
         ended = await flying.end(60.0)
         assert ended["code"] == 1
@@ -460,16 +605,21 @@ async def interrupt(program, swarm, folder):
 
 
 @pytest.mark.timeout(240)
-async def test_children_land_and_end_when_their_parent_is_killed(four, tmp_path, compiled):
+async def test_children_land_and_end_when_their_parent_is_killed(
+    four, tmp_path, compiled
+):
     async with flown_by("run", *four, tmp_path) as (flying, team):
         children = children_of(flying.process.pid)
         assert len(children) == 2
         await flying.kill()
         try:
-            await until(lambda: not any(alive(child) for child in children), 40.0, lambda: "children still run")
+            await until(
+                lambda: not any(alive(child) for child in children),
+                40.0,
+                lambda: "children still run",
+            )
             assert landed(team), (phases(team), {s["note"] for s in team.statuses()})
         finally:
             for child in children:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(child, signal.SIGKILL)
-

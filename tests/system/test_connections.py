@@ -16,24 +16,36 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 EIGHT = range(8)
 
 
-async def opened(clock: WallClock, config, folder, seconds: float) -> tuple[list[Connection], dict[int, str], float]:
+async def opened(
+    clock: WallClock, config, folder, seconds: float
+) -> tuple[list[Connection], dict[int, str], float]:
     """Connections to all, what those say that fail, and the s that all took together."""
     contents, began = TableOfContents(folder), clock.now()
     links = [Connection(clock, config.drone(i).uri, contents) for i in EIGHT]
-    answers = await asyncio.gather(*(link.open(seconds) for link in links), return_exceptions=True)
-    failed = {i: str(said) for i, said in enumerate(answers) if isinstance(said, LinkFailed)}
-    assert all(said is None or isinstance(said, LinkFailed) for said in answers), answers
+    answers = await asyncio.gather(
+        *(link.open(seconds) for link in links), return_exceptions=True
+    )
+    failed = {
+        i: str(said) for i, said in enumerate(answers) if isinstance(said, LinkFailed)
+    }
+    assert all(said is None or isinstance(said, LinkFailed) for said in answers), (
+        answers
+    )
     return links, failed, clock.now() - began
 
 
-async def test_eight_connect_within_their_deadlines_and_leave_no_thread(tmp_path) -> None:
+async def test_eight_connect_within_their_deadlines_and_leave_no_thread(
+    tmp_path,
+) -> None:
     """The deadlines are those of the users of radios: 2 s with nothing known, 1 s with tables of contents."""
     clock = WallClock(asyncio.get_running_loop())
     config = reached(default_swarm(8).replace(control={"sender": "xyz"}), per_dongle=8)
     async with Hall(config, tmp_path, "--capacity", "100000") as hall:
         before = threading.active_count()
         for deadline in (2.0, 1.0):
-            links, failed, _ = await opened(clock, config, tmp_path / "contents", deadline)
+            links, failed, _ = await opened(
+                clock, config, tmp_path / "contents", deadline
+            )
             assert failed == {}
             async with asyncio.timeout(1.5):
                 await asyncio.gather(*(link.close() for link in links))

@@ -31,15 +31,23 @@ def flown(mission, config, prepare=lambda agent: None):
     n = min(len(flight.t) for flight in flights.values())
     p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
     up = np.stack([flight.p[:n, 2] > 0.1 for flight in flights.values()], axis=1)
-    assert all(flight.result["success"] for flight in flights.values()), [f.result for f in flights.values()]
-    return least(p, up), max(arrival(flight, mission.goal(config)[i]) for i, flight in flights.items())
+    assert all(flight.result["success"] for flight in flights.values()), [
+        f.result for f in flights.values()
+    ]
+    return least(p, up), max(
+        arrival(flight, mission.goal(config)[i]) for i, flight in flights.items()
+    )
 
 
 def arrival(flight, goal):
     """s of a drone's law after which it stayed within WITHIN of its goal to the law's end; infinite if it did not."""
     law = np.flatnonzero(flight.during(Mode.FOLLOW))
     away = np.flatnonzero(np.linalg.norm(flight.p[law] - goal, axis=1) > WITHIN)
-    return np.inf if away[-1] == len(law) - 1 else float(flight.t[law[away[-1] + 1]] - flight.t[law[0]])
+    return (
+        np.inf
+        if away[-1] == len(law) - 1
+        else float(flight.t[law[away[-1] + 1]] - flight.t[law[0]])
+    )
 
 
 def least(p, up):
@@ -52,22 +60,44 @@ def least(p, up):
     return nearest
 
 
-@pytest.mark.parametrize("method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)]
+)
 def test_two_head_on_and_four_antipodal_pass_each_other(method):
     for n in (2, 4):
-        distance, arrived = flown(*crossing(n, 1, method, radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=8.0))
+        distance, arrived = flown(
+            *crossing(
+                n, 1, method, radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=8.0
+            )
+        )
         assert distance > MEET, n
         assert arrived < 8.0, n
 
 
 def test_without_the_filter_they_meet():
-    distance, arrived = flown(*crossing(2, 1, "off", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=5.0))
+    distance, arrived = flown(
+        *crossing(2, 1, "off", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=5.0)
+    )
     assert distance < MEET
     assert arrived < 5.0
 
 
 def test_who_is_not_at_its_goal_when_its_law_ends_has_not_arrived():
-    assert flown(*crossing(4, 1, "barrier", radius=1.2, low=0.8, high=1.2, jitter=0.02, duration=2.0))[1] == np.inf
+    assert (
+        flown(
+            *crossing(
+                4,
+                1,
+                "barrier",
+                radius=1.2,
+                low=0.8,
+                high=1.2,
+                jitter=0.02,
+                duration=2.0,
+            )
+        )[1]
+        == np.inf
+    )
 
 
 class Cut(Actor):
@@ -84,11 +114,17 @@ class Cut(Actor):
         self.agent.bus.impairment.update({"edge": [0, 2], "loss": 1.0})
 
 
-@pytest.mark.parametrize("method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)]
+)
 def test_two_whose_link_fails_are_told_of_each_other_by_the_rest(method):
     """0 flies at 2 and neither hears the other; 1 and 3, that cross their way, hear both."""
-    mission, config = crossing(4, 1, method, radius=2.0, low=0.8, high=1.2, jitter=0.02, duration=10.0)
-    distance, arrived = flown(mission, config, lambda agent: agent.services.append(Cut(agent)))
+    mission, config = crossing(
+        4, 1, method, radius=2.0, low=0.8, high=1.2, jitter=0.02, duration=10.0
+    )
+    distance, arrived = flown(
+        mission, config, lambda agent: agent.services.append(Cut(agent))
+    )
     assert distance > MEET
     assert arrived < 10.0
 
@@ -96,7 +132,9 @@ def test_two_whose_link_fails_are_told_of_each_other_by_the_rest(method):
 def test_goals_in_conflict_are_refused_before_the_flight():
     mission = load("bearing_formation")
     shape = {"0": [0, 0, 1], "1": [1, 0, 1], "2": [1, 0.1, 1], "3": [0, 1, 1]}
-    config = mission.swarm(None).replace(mission_options={"shape": shape}, collision={"method": "barrier"})
+    config = mission.swarm(None).replace(
+        mission_options={"shape": shape}, collision={"method": "barrier"}
+    )
     with pytest.raises(ConfigError, match=r"drone 1 at .* drone 2 at .* conflict"):
         look_before(mission, config, force=True)
 
@@ -135,6 +173,8 @@ def test_thirty_meet_without_the_filter(pattern):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_a_hundred_cross():
-    distance, arrived = flown(*crossing(100, 1, "barrier", "permutation", duration=36.0))
+    distance, arrived = flown(
+        *crossing(100, 1, "barrier", "permutation", duration=36.0)
+    )
     assert distance > MEET
     assert arrived < 30.0

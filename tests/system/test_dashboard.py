@@ -15,7 +15,9 @@ import pytest
 import trustme
 from system.agents import CRAZYCHOIR, Program, Team, flying, results, until
 
-pytest.importorskip("nicegui", reason="the page needs the extra: pip install 'crazychoir[dashboard]'")
+pytest.importorskip(
+    "nicegui", reason="the page needs the extra: pip install 'crazychoir[dashboard]'"
+)
 
 from system.pages import FLIGHT, dashboard, looking_on, six
 from websockets.asyncio.client import connect
@@ -30,7 +32,9 @@ async def served(team: Team, *words):
     return await dashboard(team.path, *words)
 
 
-async def test_six_take_off_land_and_stop_by_the_page_with_receipts_and_fly_on_without_it(tmp_path, compiled):
+async def test_six_take_off_land_and_stop_by_the_page_with_receipts_and_fly_on_without_it(
+    tmp_path, compiled
+):
     async with flying(six(), tmp_path) as team:
         program, address = await served(team)
         other, other_address = await served(team)
@@ -38,17 +42,25 @@ async def test_six_take_off_land_and_stop_by_the_page_with_receipts_and_fly_on_w
             async with looking_on(address) as page, looking_on(other_address) as second:
                 await page.sees("on ground")
                 receipt = await page.does("take-off")
-                assert [said for _, said in receipt["answers"].values()] == ["hovering"] * 6
+                assert [said for _, said in receipt["answers"].values()] == [
+                    "hovering"
+                ] * 6
                 await second.sees("hovering", seconds=5.0)
                 assert page.rows[:, 2].min() > 0.5
                 assert second.rows[:, 2].min() > 0.5
                 await page.ask("order", verb="take-off", drones=[2])
                 await asyncio.sleep(0.5)
                 refused = await page.receipt("take-off")
-                assert refused["answers"] == {"2": ["refused", "it is in the air already"]}
+                assert refused["answers"] == {
+                    "2": ["refused", "it is in the air already"]
+                }
                 await second.does("hold", drones=[4])
                 told = {"drone": 4, "text": "commanded: hold", "level": "info"}
-                await until(lambda: any(told.items() <= line.items() for line in page.log), 5.0, lambda: str(page.log))
+                await until(
+                    lambda: any(told.items() <= line.items() for line in page.log),
+                    5.0,
+                    lambda: str(page.log),
+                )
             program.signal(signal.SIGKILL)
             await program.process.wait()
             await asyncio.sleep(1.5)
@@ -73,9 +85,13 @@ async def test_what_a_page_may_not_ask_for_is_refused_and_said(tmp_path, compile
         try:
             async with looking_on(address) as page:
                 for words in (
-                    {"verb": "explode"}, {"verb": "land", "drones": [9]}, {"verb": "land", "drones": []},
-                    {"verb": "land", "drones": [1e9]}, {"verb": "land", "more": 1}, {},
-                ):  # fmt: skip
+                    {"verb": "explode"},
+                    {"verb": "land", "drones": [9]},
+                    {"verb": "land", "drones": []},
+                    {"verb": "land", "drones": [1e9]},
+                    {"verb": "land", "more": 1},
+                    {},
+                ):
                     await page.ask("order", **words)
                 await page.socket.send("{")
                 await page.socket.send("[" * 5000)
@@ -91,31 +107,60 @@ async def test_what_a_page_may_not_ask_for_is_refused_and_said(tmp_path, compile
 
 
 @pytest.mark.slow
-async def test_a_drone_flies_to_a_place_and_along_a_drawing_by_page_and_by_command_line(tmp_path, compiled):
+async def test_a_drone_flies_to_a_place_and_along_a_drawing_by_page_and_by_command_line(
+    tmp_path, compiled
+):
     file = tmp_path / "hook.csv"
-    rows = [f"0,{0.05 * k},{0.5 * np.cos(0.05 * k)},{0.5 * np.sin(0.05 * k)}" for k in range(60)]
+    rows = [
+        f"0,{0.05 * k},{0.5 * np.cos(0.05 * k)},{0.5 * np.sin(0.05 * k)}"
+        for k in range(60)
+    ]
     file.write_text("\n".join(["stroke,t,x,y", *rows]))
     async with flying(six(), tmp_path) as team:
         program, address = await served(team)
         try:
             async with looking_on(address) as page:
                 await page.does("take-off")
-                await page.does("go-to", "go-to", drones=[1, 2], p=[0.0, 0.0, 1.4], offset=[0.8, 0.0, 0.0])
+                await page.does(
+                    "go-to",
+                    "go-to",
+                    drones=[1, 2],
+                    p=[0.0, 0.0, 1.4],
+                    offset=[0.8, 0.0, 0.0],
+                )
                 assert page.rows[1, 0:3] == pytest.approx([0.0, 0.0, 1.4], abs=0.1)
                 assert page.rows[2, 0:3] == pytest.approx([0.8, 0.0, 1.4], abs=0.1)
                 await page.does("go-to", "go-to", drones=[2], p=[1.2, -0.7, 0.6])
                 swarm = ("--drones", "1", "--swarm", team.path, "--json")
-                flight = await Program.start(*CRAZYCHOIR, "fly", file, "--height", "1.4", "--speed", "1", *swarm)
+                flight = await Program.start(
+                    *CRAZYCHOIR, "fly", file, "--height", "1.4", "--speed", "1", *swarm
+                )
                 said = await flight.end(60.0)
-                assert json.loads(said["answer"]) == {"1": {"answer": "done", "says": "flown"}}
+                assert json.loads(said["answer"]) == {
+                    "1": {"answer": "done", "says": "flown"}
+                }
                 end = [0.5 * np.cos(2.95), 0.5 * np.sin(2.95), 1.4]
                 assert page.rows[1, 0:3] == pytest.approx(end, abs=0.1)
-                near = ("--offset", "0,0.1,0", "--drones", "1,2", "--swarm", team.path, "--json")
-                said = await (await Program.start(*CRAZYCHOIR, "go-to", "0,0,1", *near)).end(60.0)
-                assert "from one drone to the next" in json.loads(said["answer"])["error"]
+                near = (
+                    "--offset",
+                    "0,0.1,0",
+                    "--drones",
+                    "1,2",
+                    "--swarm",
+                    team.path,
+                    "--json",
+                )
+                said = await (
+                    await Program.start(*CRAZYCHOIR, "go-to", "0,0,1", *near)
+                ).end(60.0)
+                assert (
+                    "from one drone to the next" in json.loads(said["answer"])["error"]
+                )
                 flight = await Program.start(*CRAZYCHOIR, "go-to", "0,-0.7,0.6", *swarm)
                 said = await flight.end(60.0)
-                assert json.loads(said["answer"]) == {"1": {"answer": "done", "says": "there"}}
+                assert json.loads(said["answer"]) == {
+                    "1": {"answer": "done", "says": "there"}
+                }
                 told = [line["text"] for line in page.log if line["drone"] == 1]
                 assert told.count("commanded: go-to") == 2
                 assert told.count("commanded: fly") == 1
@@ -141,24 +186,39 @@ async def refused_line(address, **headers):
     return raised.value.response.status_code
 
 
-async def test_the_page_of_loopback_is_closed_to_other_sites_other_names_and_oversized_input(tmp_path):
+async def test_the_page_of_loopback_is_closed_to_other_sites_other_names_and_oversized_input(
+    tmp_path,
+):
     path = tmp_path / "swarm.json"
     path.write_text(six(processes=1).dumps())  # nobody flies it
     program, address = await dashboard(path)
     try:
         assert (await asyncio.to_thread(asks, address))[0] == 200
         for words, status in (
-            ({"headers": {"Host": "evil.example"}}, 421), ({"method": "POST"}, 403),
-            ({"headers": {"Origin": "http://evil.example"}}, 403), ({"headers": {"Sec-Fetch-Site": "same-site"}}, 403),
+            ({"headers": {"Host": "evil.example"}}, 421),
+            ({"method": "POST"}, 403),
+            ({"headers": {"Origin": "http://evil.example"}}, 403),
+            ({"headers": {"Sec-Fetch-Site": "same-site"}}, 403),
             ({"method": "POST", "headers": {"Origin": "http://evil.example"}}, 403),
-            ({"method": "POST", "headers": {"Origin": address}, "data": b"x" * (1 << 19)}, 413),
-        ):  # fmt: skip
+            (
+                {
+                    "method": "POST",
+                    "headers": {"Origin": address},
+                    "data": b"x" * (1 << 19),
+                },
+                413,
+            ),
+        ):
             assert (await asyncio.to_thread(asks, address, **words))[0] == status
         assert (await asyncio.to_thread(asks, address, "/own/../model.py"))[0] == 404
         assert await refused_line(address) == 403
         assert await refused_line(address, origin="http://evil.example") == 403
-        async with connect(address.replace("http", "ws") + "/line", origin=address) as socket:
-            await socket.send('{"ask":"load","name":"a.csv","text":"' + "x" * (1 << 19) + '"}')
+        async with connect(
+            address.replace("http", "ws") + "/line", origin=address
+        ) as socket:
+            await socket.send(
+                '{"ask":"load","name":"a.csv","text":"' + "x" * (1 << 19) + '"}'
+            )
             with contextlib.suppress(ConnectionClosed):
                 async with asyncio.timeout(10.0):
                     while True:
@@ -178,19 +238,32 @@ def on_all(authority, folder):
     made = authority.issue_cert("localhost")
     made.cert_chain_pems[0].write_to_path(files["certificate"])
     made.private_key_pem.write_to_path(files["key"])
-    return "--host", "0.0.0.0", *(word for name, file in files.items() for word in (f"--{name}", str(file)))  # noqa: S104
+    return (
+        "--host",
+        "0.0.0.0",  # noqa: S104
+        *(word for name, file in files.items() for word in (f"--{name}", str(file))),
+    )
 
 
 async def test_another_address_wants_a_password_and_may_have_a_certificate(tmp_path):
     path, secret = tmp_path / "swarm.json", tmp_path / "secret"
     path.write_text(six(processes=1).dumps())
-    refused = await Program.start(*CRAZYCHOIR, "dashboard", "--swarm", path, "--host", "0.0.0.0")  # noqa: S104
+    refused = await Program.start(
+        *CRAZYCHOIR,
+        "dashboard",
+        "--swarm",
+        path,
+        "--host",
+        "0.0.0.0",  # noqa: S104
+    )
     said = await refused.end(30.0)
     assert said["code"] == 2
     assert "--password-file" in refused.text
     secret.write_text("correct horse\n")
     authority = trustme.CA()
-    program, address = await dashboard(path, "--password-file", str(secret), *on_all(authority, tmp_path))
+    program, address = await dashboard(
+        path, "--password-file", str(secret), *on_all(authority, tmp_path)
+    )
     assert address.startswith("https://0.0.0.0:")
     try:
         address = address.replace("0.0.0.0", "localhost")  # noqa: S104
@@ -199,7 +272,11 @@ async def test_another_address_wants_a_password_and_may_have_a_certificate(tmp_p
         status, body = await asyncio.to_thread(asks, address, context=trusting)
         assert (status, b"Password" in body) == (401, True)
         assert await refused_line(address, origin=address, ssl=trusting) in (401, 403)
-        form = {"method": "POST", "headers": {"Origin": address}, "data": b"password=correct+horse"}
+        form = {
+            "method": "POST",
+            "headers": {"Origin": address},
+            "data": b"password=correct+horse",
+        }
         opener = urllib.request.build_opener(
             urllib.request.HTTPCookieProcessor(jar := http.cookiejar.CookieJar()),
             urllib.request.HTTPSHandler(context=trusting),
@@ -211,19 +288,26 @@ async def test_another_address_wants_a_password_and_may_have_a_certificate(tmp_p
         assert cookie.secure
         headers = {"Cookie": f"{cookie.name}={cookie.value}"}
         async with connect(
-            address.replace("https", "wss") + "/line", origin=address, additional_headers=headers, ssl=trusting
+            address.replace("https", "wss") + "/line",
+            origin=address,
+            additional_headers=headers,
+            ssl=trusting,
         ) as socket:
             assert json.loads(await socket.recv())["about"]["ids"] == list(range(6))
     finally:
         await program.kill()
 
 
-async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(tmp_path):
+async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(
+    tmp_path,
+):
     path, file = tmp_path / "swarm.json", tmp_path / "authority.pem"
     path.write_text(six(processes=1).dumps())
     authority, foreign = trustme.CA(), trustme.CA()
     authority.cert_pem.write_to_path(file)
-    program, address = await dashboard(path, "--authority", str(file), *on_all(authority, tmp_path))
+    program, address = await dashboard(
+        path, "--authority", str(file), *on_all(authority, tmp_path)
+    )
     address = address.replace("0.0.0.0", "localhost")  # noqa: S104
     try:
         for signer in (None, foreign, authority):
@@ -231,11 +315,15 @@ async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(t
             authority.configure_trust(mine)
             if signer is not None:
                 signer.issue_cert("operator@lab.example").configure_cert(mine)
-            line = connect(address.replace("https", "wss") + "/line", origin=address, ssl=mine)
+            line = connect(
+                address.replace("https", "wss") + "/line", origin=address, ssl=mine
+            )
             if signer is authority:
                 assert (await asyncio.to_thread(asks, address, context=mine))[0] == 200
                 async with line as socket:
-                    assert json.loads(await socket.recv())["about"]["ids"] == list(range(6))
+                    assert json.loads(await socket.recv())["about"]["ids"] == list(
+                        range(6)
+                    )
                 continue
             with pytest.raises((OSError, http.client.HTTPException)):
                 await asyncio.to_thread(asks, address, context=mine)
@@ -252,11 +340,20 @@ async def test_strangers_who_say_nothing_keep_nobody_out(tmp_path):
     path, secret = tmp_path / "swarm.json", tmp_path / "secret"
     path.write_text(six(processes=1).dumps())
     secret.write_text("correct horse\n")
-    program, address = await dashboard(path, "--host", "0.0.0.0", "--password-file", str(secret))  # noqa: S104
+    program, address = await dashboard(
+        path,
+        "--host",
+        "0.0.0.0",  # noqa: S104
+        "--password-file",
+        str(secret),
+    )
     port = int(address.rpartition(":")[2])
     try:
         strangers = [
-            await asyncio.open_connection("127.0.0.1", port, local_addr=(f"127.0.0.{2 + k % 2}", 0)) for k in range(600)
+            await asyncio.open_connection(
+                "127.0.0.1", port, local_addr=(f"127.0.0.{2 + k % 2}", 0)
+            )
+            for k in range(600)
         ]
         strangers[0][1].write(b"GET / HTTP/1.1\r\nHost: x\r\n")  # and no more
         ends = [asyncio.create_task(reader.read()) for reader, _ in strangers]
@@ -271,7 +368,9 @@ async def test_strangers_who_say_nothing_keep_nobody_out(tmp_path):
         await program.kill()
 
 
-async def test_without_their_operators_console_all_land_by_themselves(tmp_path, compiled):
+async def test_without_their_operators_console_all_land_by_themselves(
+    tmp_path, compiled
+):
     """flight.dead_man: the page's server is killed; the observer that looks on is no console."""
     async with flying(six(flight={**FLIGHT, "dead_man": 3.0}), tmp_path) as team:
         program, address = await served(team)
@@ -283,6 +382,10 @@ async def test_without_their_operators_console_all_land_by_themselves(tmp_path, 
         program.signal(signal.SIGKILL)
         await program.process.wait()
         ended = await team.end(30.0)
-    reasons = [one["results"][key]["reason"] for one in ended.values() for key in one["results"]]
+    reasons = [
+        one["results"][key]["reason"]
+        for one in ended.values()
+        for key in one["results"]
+    ]
     assert len(reasons) == 6
     assert all("no operator's console for 3 s" in reason for reason in reasons), reasons

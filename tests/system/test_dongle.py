@@ -48,7 +48,11 @@ def plugged(*dongles):
     drivers.ready()
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(crazyradio, "_find_devices", lambda serial=None: [one for one in dongles if one.there])
+            patch.setattr(
+                crazyradio,
+                "_find_devices",
+                lambda serial=None: [one for one in dongles if one.there],
+            )
             yield
     finally:
         for dongle in dongles:
@@ -65,10 +69,16 @@ async def air(n, exchanges=1000.0, loss=0.0):
     server = VirtualServer(clock, hall.world(0), hall.seats, hall.poses)
     server.listen()
     running = asyncio.create_task(server.run())
-    dongle = FakeDongle({(80, address(i)): Receiver(port + i, loss) for i in range(n)}, exchanges)
+    dongle = FakeDongle(
+        {(80, address(i)): Receiver(port + i, loss) for i in range(n)}, exchanges
+    )
     try:
         with plugged(dongle):
-            yield (there := SimpleNamespace(clock=clock, server=server, dongle=dongle, links=[]))
+            yield (
+                there := SimpleNamespace(
+                    clock=clock, server=server, dongle=dongle, links=[]
+                )
+            )
     finally:
         await asyncio.gather(*(link.close() for link in there.links))
         running.cancel()
@@ -98,7 +108,11 @@ async def closed(links):
     async with asyncio.timeout(1.5):
         await asyncio.gather(*(link.close() for link in links))
     for _ in range(40):
-        names = [thread.name for thread in threading.enumerate() if thread.name.startswith(("radio", "Radio", "Inc"))]
+        names = [
+            thread.name
+            for thread in threading.enumerate()
+            if thread.name.startswith(("radio", "Radio", "Inc"))
+        ]
         if not names:
             return
         await asyncio.sleep(0.05)
@@ -144,19 +158,29 @@ async def test_three_on_one_dongle_are_read_told_and_flown(known) -> None:
             flood(links)
             await asyncio.sleep(0.02)
         assert all(0.3 < z < 0.5 for z in heights), heights
-        assert [there.server.drones[i].parameters.read("ring.effect") for i in range(3)] == [3, 4, 5]
+        assert [
+            there.server.drones[i].parameters.read("ring.effect") for i in range(3)
+        ] == [3, 4, 5]
         assert all(link.answered == 1.0 and 0.0 < link.latency < 0.1 for link in links)
         assert all(link.rssi == pytest.approx(-40.0) for link in links)
-        assert [drone.flight.zeros for drone in there.server.drones.values()] == [0, 0, 0]
+        assert [drone.flight.zeros for drone in there.server.drones.values()] == [
+            0,
+            0,
+            0,
+        ]
         await closed(links)
 
 
-async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_first(known) -> None:
+async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_first(
+    known,
+) -> None:
     """40 exchanges a second for 300 set-points, and questions to the firmware between them."""
     async with air(3) as there:
         links = await opened(there, known, 3)
         there.dongle.exchanges = 40.0
-        asking = [asyncio.create_task(Firmware(link).get("ring.effect")) for link in links]
+        asking = [
+            asyncio.create_task(Firmware(link).get("ring.effect")) for link in links
+        ]
         used = there.dongle.used
         for _ in range(200):
             flood(links, 0.3)
@@ -170,16 +194,29 @@ async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_fir
             link.send(Packet(15, 2, b"an order that waits"))
             link.urgent(emergency())
         flood(links, 0.3)
-        await until(lambda: all(drone.onboard.state == "locked" for drone in there.server.drones.values()), 1.0)
+        await until(
+            lambda: all(
+                drone.onboard.state == "locked"
+                for drone in there.server.drones.values()
+            ),
+            1.0,
+        )
         for drone, k in zip(there.dongle.drones.values(), before, strict=True):
             after = [plain(packet) for packet in drone.up[k:]]
-            assert after.index(EMERGENCY[0]) <= 2, "one was in the air, one had left for it"
-            assert EMERGENCY[1] not in after or after.index(EMERGENCY[1]) == after.index(EMERGENCY[0]) + 1
+            assert after.index(EMERGENCY[0]) <= 2, (
+                "one was in the air, one had left for it"
+            )
+            assert (
+                EMERGENCY[1] not in after
+                or after.index(EMERGENCY[1]) == after.index(EMERGENCY[0]) + 1
+            )
         await closed(links)
 
 
 @pytest.mark.slow
-async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(known) -> None:
+async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(
+    known,
+) -> None:
     async with air(2, loss=0.3) as there:
         links = await opened(there, known, 2)
         orders = [Packet(15, 2, bytes([k])) for k in range(100)]
@@ -190,13 +227,21 @@ async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(
         def arrived(drone):
             return [packet[1] for packet in drone.up if packet[0] & 0xF3 == 0xF2]
 
-        await until(lambda: all(len(arrived(drone)) == 100 for drone in there.dongle.drones.values()))
-        assert all(arrived(drone) == list(range(100)) for drone in there.dongle.drones.values())
+        await until(
+            lambda: all(
+                len(arrived(drone)) == 100 for drone in there.dongle.drones.values()
+            )
+        )
+        assert all(
+            arrived(drone) == list(range(100)) for drone in there.dongle.drones.values()
+        )
         await closed(links)
 
 
 @pytest.mark.slow
-async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_is_back(known) -> None:
+async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_is_back(
+    known,
+) -> None:
     async with air(2, 250.0) as there:
         links = await opened(there, known, 2)
         silent, other = there.dongle.drones.values()
@@ -213,10 +258,16 @@ async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_
         silent.silent = False
 
         def heights():
-            return [HOVER.values(Packet(7, 0, p[1:]))[3] for p in silent.up if p[0] & 0xF3 == 0x70]
+            return [
+                HOVER.values(Packet(7, 0, p[1:]))[3]
+                for p in silent.up
+                if p[0] & 0xF3 == 0x70
+            ]
 
         await until(lambda: heights()[-1:] == [pytest.approx(0.399)])
-        assert len(heights()) <= 3, "one in the air, one that had left for it, and the newest"
+        assert len(heights()) <= 3, (
+            "one in the air, one that had left for it, and the newest"
+        )
         await closed(links)
 
 
@@ -240,7 +291,9 @@ async def test_a_dongle_that_is_pulled_out_is_named(known, n) -> None:
 
 
 @pytest.mark.slow
-async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(known) -> None:
+async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(
+    known,
+) -> None:
     async with air(1) as there:
         links = await opened(there, known, 1)
         firmware, (receiver,) = Firmware(links[0]), there.dongle.drones.values()
@@ -250,30 +303,52 @@ async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(known
         kept = bytes(there.server.drones[0].memories.all[2].content)
         assert kept[132 : 132 + len(flown.memory)] == flown.memory
         before = sum(plain(packet)[:1] == b"\x4e" for packet in receiver.up)
-        for memory, slot, offset in ((flown.memory, 31, 0), (flown.memory, -1, 0), (flown.memory, 0, 4000)):
+        for memory, slot, offset in (
+            (flown.memory, 31, 0),
+            (flown.memory, -1, 0),
+            (flown.memory, 0, 4000),
+        ):
             with pytest.raises(LinkFailed, match=r"slots 0 to 30|4096 are there"):
                 await firmware.upload(memory, slot, pieces, offset)
         assert sum(plain(packet)[:1] == b"\x4e" for packet in receiver.up) == before
         with pytest.raises(LinkFailed, match="its planner refuses"):
             await firmware.start(7)
-        asked = sum(packet[0] >> 4 == MEMORY and packet[0] & 3 == 0 for packet in receiver.up)
-        assert asked <= 2 * len(there.server.drones[0].memories.all), "those of decks are not read"
+        asked = sum(
+            packet[0] >> 4 == MEMORY and packet[0] & 3 == 0 for packet in receiver.up
+        )
+        assert asked <= 2 * len(there.server.drones[0].memories.all), (
+            "those of decks are not read"
+        )
         await closed(links)
 
 
 @pytest.mark.slow
-async def test_three_cold_ones_are_told_their_tables_once_and_in_time(tmp_path, monkeypatch) -> None:
+async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
+    tmp_path, monkeypatch
+) -> None:
     """250 exchanges a second; the tables of this firmware model have 471 entries, which one of the three is asked."""
-    async with air(3, 250.0) as there, owner(there.clock, swarm(3), tmp_path, monkeypatch) as (radios, _):
+    async with (
+        air(3, 250.0) as there,
+        owner(there.clock, swarm(3), tmp_path, monkeypatch) as (radios, _),
+    ):
         limit = radios.config.radio.connect_deadline + TABLES
-        await until(lambda: all(drone.state_of_link == "up" for drone in radios.drones.values()), limit)
-        entries = [sum(plain(packet)[:2] in (b"\x5c\x02", b"\x2c\x02") for packet in drone.up)
-                   for drone in there.dongle.drones.values()]  # fmt: skip
+        await until(
+            lambda: all(
+                drone.state_of_link == "up" for drone in radios.drones.values()
+            ),
+            limit,
+        )
+        entries = [
+            sum(plain(packet)[:2] in (b"\x5c\x02", b"\x2c\x02") for packet in drone.up)
+            for drone in there.dongle.drones.values()
+        ]
         assert sum(entries) < 600, "asked of one, with a few that were asked again"
         assert there.dongle.used < limit * 250.0
 
 
-async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_reached(known) -> None:
+async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_reached(
+    known,
+) -> None:
     """It counts packets for an earlier link, and would take each new one for one sent again."""
     async with air(1) as there:
         (first,) = await opened(there, known, 1)
@@ -285,7 +360,9 @@ async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_rea
         drone.silent = False
         (link,) = await asyncio.wait_for(opening, 5.0)
         assert await Firmware(link).release() == "2025.12"
-        assert not any(packet[0] >> 4 == MEMORY for packet in drone.up), "memories of decks are not read"
+        assert not any(packet[0] >> 4 == MEMORY for packet in drone.up), (
+            "memories of decks are not read"
+        )
         await closed([link])
 
 
@@ -304,8 +381,12 @@ async def test_an_emergency_stop_leaves_while_a_link_is_being_opened(tmp_path) -
 @pytest.mark.slow
 async def test_who_is_not_there_is_named_within_its_deadline(known) -> None:
     async with air(2) as there:
-        links = [Connection(there.clock, uri(i), TableOfContents(known)) for i in (0, 7)]
-        said = await asyncio.gather(*(link.open(1.0) for link in links), return_exceptions=True)
+        links = [
+            Connection(there.clock, uri(i), TableOfContents(known)) for i in (0, 7)
+        ]
+        said = await asyncio.gather(
+            *(link.open(1.0) for link in links), return_exceptions=True
+        )
         assert said[0] is None
         assert isinstance(said[1], LinkFailed)
         assert "no answer within 1 s" in str(said[1])
@@ -333,12 +414,26 @@ async def owner(clock, config, known, monkeypatch):
         await asyncio.wait([serving], timeout=5.0)
 
 
-async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(known, monkeypatch) -> None:
-    async with air(2) as there, owner(there.clock, swarm(2), known, monkeypatch) as (
-        radios, serving,
-    ):  # fmt: skip
-        await until(lambda: all(drone.state_of_link == "up" for drone in radios.drones.values()), 15.0)
-        await until(lambda: all(drone.problems() == [] for drone in radios.drones.values()), 10.0)
+async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(
+    known, monkeypatch
+) -> None:
+    async with (
+        air(2) as there,
+        owner(there.clock, swarm(2), known, monkeypatch) as (
+            radios,
+            serving,
+        ),
+    ):
+        await until(
+            lambda: all(
+                drone.state_of_link == "up" for drone in radios.drones.values()
+            ),
+            15.0,
+        )
+        await until(
+            lambda: all(drone.problems() == [] for drone in radios.drones.values()),
+            10.0,
+        )
         there.dongle.there = False
         async with asyncio.timeout(3.0):
             await serving
@@ -350,10 +445,15 @@ async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(known,
 
 
 @pytest.mark.slow
-async def test_the_owner_of_a_dongle_that_is_not_there_says_so_and_ends_by_its_deadline(known, monkeypatch) -> None:
+async def test_the_owner_of_a_dongle_that_is_not_there_says_so_and_ends_by_its_deadline(
+    known, monkeypatch
+) -> None:
     clock = WallClock(asyncio.get_running_loop())
     with plugged():
-        async with owner(clock, swarm(2, connect_deadline=1.0), known, monkeypatch) as (radios, serving):
+        async with owner(clock, swarm(2, connect_deadline=1.0), known, monkeypatch) as (
+            radios,
+            serving,
+        ):
             began = clock.now()
             async with asyncio.timeout(3.0):
                 await serving

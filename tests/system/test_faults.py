@@ -24,7 +24,11 @@ from crazychoir.guidance.mission import load
 from crazychoir.launch.network import apart
 from crazychoir.runtime.watchdog import EXIT_CODE
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(300), pytest.mark.usefixtures("compiled")]
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.timeout(300),
+    pytest.mark.usefixtures("compiled"),
+]
 DATA = Path(__file__).parents[1] / "data"
 LOST_AFTER = 3.0
 LEASE = 1.0
@@ -75,15 +79,24 @@ def guidance(i, config):
 def ahead_of_others() -> list[str]:
     """What lets a command go before the rest of this machine, whose load would show as late puts; [] if forbidden."""
     command = ["chrt", "--rr", "1"]
-    allowed = subprocess.run([*command, "true"], check=False, capture_output=True).returncode == 0
+    allowed = (
+        subprocess.run([*command, "true"], check=False, capture_output=True).returncode
+        == 0
+    )
     return command if allowed else []
 
 
 def planners(instance: str, **network: float) -> SwarmConfig:
     """Drones in a ring that share pickups and deliveries, over a network that makes them plan for some seconds."""
-    config = load("pickup_delivery").swarm(None, DATA / f"pickup_delivery_{instance}.json")
+    config = load("pickup_delivery").swarm(
+        None, DATA / f"pickup_delivery_{instance}.json"
+    )
     options = {**json.loads(config.dumps())["mission_options"], "service_time": 0.2}
-    changes = {"network": {"loss": 0.2, **network}, "mission_options": options, "flight": BRISK}
+    changes = {
+        "network": {"loss": 0.2, **network},
+        "mission_options": options,
+        "flight": BRISK,
+    }
     return apart(config.replace(lost_after=LOST_AFTER, lease=LEASE, **changes), None)
 
 
@@ -97,7 +110,10 @@ def standing(folder: Path, drones: int = 4, **options: object) -> SwarmConfig:
             "name": "standing",
             "mission": str(path),
             "mission_options": options,
-            "drones": [{"id": i, "home": [0.8 * (i // 2), float(i % 2), 0.0]} for i in range(drones)],
+            "drones": [
+                {"id": i, "home": [0.8 * (i // 2), float(i % 2), 0.0]}
+                for i in range(drones)
+            ],
             "flight": {**BRISK, "takeoff_height": 0.3},
             "lost_after": LOST_AFTER,
             "lease": LEASE,
@@ -134,7 +150,9 @@ def names(j: int, reason: str) -> bool:
 
 
 @pytest.mark.slow
-async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_is_named(tmp_path):
+async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_is_named(
+    tmp_path,
+):
     async with asyncio.TaskGroup() as group:
         group.create_task(kill_in_planning(tmp_path / "coordinator", 0))
         group.create_task(kill_in_planning(tmp_path / "member", 3))
@@ -146,7 +164,10 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 @pytest.mark.slow
 async def test_a_stopped_process_delays_nobody(tmp_path):
     alone = {"method": "off"}  # else who stands beside it evades it
-    config, first = apart(standing(tmp_path, duration=4.0).replace(collision=alone), None), ahead_of_others()
+    config, first = (
+        apart(standing(tmp_path, duration=4.0).replace(collision=alone), None),
+        ahead_of_others(),
+    )
     async with flying(config, tmp_path, lambda i: first) as team:
         await team.law()
         stopped = time.monotonic()
@@ -157,7 +178,11 @@ async def test_a_stopped_process_delays_nobody(tmp_path):
         assert seen(ended, i, 3, "suspect", stopped) <= 2 * LEASE
     for i in ended:
         assert ended[i]["code"] == 0, results(ended)
-    assert {i: one["worst_put_s"] for i, one in ended.items() if one["worst_put_s"] >= SAFE_PUT} == {}
+    assert {
+        i: one["worst_put_s"]
+        for i, one in ended.items()
+        if one["worst_put_s"] >= SAFE_PUT
+    } == {}
 
 
 # Steps that hang or raise -------------------------------------------------------------------------------------
@@ -180,11 +205,16 @@ class Ended:
 def wrong(tmp_path_factory: pytest.TempPathFactory, compiled: None) -> Ended:
     """Ten drones, two in each process; of each but one process the first goes wrong."""
     folder = tmp_path_factory.mktemp("wrong")
-    config = apart(standing(folder, 10, duration=3.5, wrong=True).replace(processes=PAIRS), None)
+    config = apart(
+        standing(folder, 10, duration=3.5, wrong=True).replace(processes=PAIRS), None
+    )
 
     async def fly() -> Ended:
         async with flying(config, folder) as team:
-            return Ended(await team.end(60.0), {i: program.text for i, program in team.agents.items()})
+            return Ended(
+                await team.end(60.0),
+                {i: program.text for i, program in team.agents.items()},
+            )
 
     return asyncio.run(fly())
 
@@ -196,8 +226,12 @@ def line_of(text: str) -> str:
 
 def test_a_step_that_raises_lands_its_drone_and_all_others_fly_on(wrong):
     found, place = wrong.results, line_of("no idea")
-    assert [found[i]["success"] for i in (0, 1, 4, 5)] == [True, True, False, True], found
-    assert found[4]["reason"].startswith("drone 4: guidance failed: ValueError: no idea (")
+    assert [found[i]["success"] for i in (0, 1, 4, 5)] == [True, True, False, True], (
+        found
+    )
+    assert found[4]["reason"].startswith(
+        "drone 4: guidance failed: ValueError: no idea ("
+    )
     assert place in found[4]["reason"]
     assert "hovering, then landing" in wrong.said[4]
 
@@ -205,28 +239,50 @@ def test_a_step_that_raises_lands_its_drone_and_all_others_fly_on(wrong):
 def test_a_step_that_hangs_lands_its_drone_alone_and_is_named(wrong):
     found, place, said = wrong.results, line_of("while True"), wrong.said[2]
     assert [found[i]["success"] for i in (0, 1, 2)] == [True, True, False], found
-    assert found[2]["reason"].startswith("drone 2: guidance failed: Hung: did not return, and was interrupted (")
+    assert found[2]["reason"].startswith(
+        "drone 2: guidance failed: Hung: did not return, and was interrupted ("
+    )
     assert place in found[2]["reason"]
     assert "crash" not in found[2]["reason"]
-    assert any("drone 2 guidance keeps the event loop" in line and place in line for line in said.splitlines()), said
+    assert any(
+        "drone 2 guidance keeps the event loop" in line and place in line
+        for line in said.splitlines()
+    ), said
     computed = re.search(r"computed for ([0-9.]+) s", said)
     assert computed is not None, said
     assert float(computed[1]) < 0.6, "its neighbour in the process waits"
     if wrong.answers[2]["late_s"] < 0.45:  # nobody else kept the processor from it
         assert found[3]["success"], found
     else:  # the safety table lands who is not flown for half a second
-        assert found[3]["success"] or re.fullmatch(r"drone 3: landing: pose .* limit 0.50 s.*", found[3]["reason"])
+        assert found[3]["success"] or re.fullmatch(
+            r"drone 3: landing: pose .* limit 0.50 s.*", found[3]["reason"]
+        )
 
 
 def test_foreign_code_that_hangs_ends_its_process_and_says_where(wrong):
     assert sorted(wrong.results) == [0, 1, 2, 3, 4, 5]
     assert wrong.answers[6]["code"] == EXIT_CODE
     assert "this process ends itself" in wrong.said[6]
-    assert any("drone 6 guidance keeps the event loop" in line for line in wrong.said[6].splitlines())
-    assert line_of("time.sleep").replace(":", '", line ').replace(" go_wrong", " in go_wrong") in wrong.said[6]
-    assert wrong.answers[8]["code"] == 1, "ended from C: it keeps the interpreter's lock"
+    assert any(
+        "drone 6 guidance keeps the event loop" in line
+        for line in wrong.said[6].splitlines()
+    )
+    assert (
+        line_of("time.sleep")
+        .replace(":", '", line ')
+        .replace(" go_wrong", " in go_wrong")
+        in wrong.said[6]
+    )
+    assert wrong.answers[8]["code"] == 1, (
+        "ended from C: it keeps the interpreter's lock"
+    )
     assert "Timeout (0:00:03)!" in wrong.said[8]
-    assert line_of("re.match").replace(":", '", line ').replace(" go_wrong", " in go_wrong") in wrong.said[8]
+    assert (
+        line_of("re.match")
+        .replace(":", '", line ')
+        .replace(" go_wrong", " in go_wrong")
+        in wrong.said[8]
+    )
 
 
 # Hostile bytes ------------------------------------------------------------------------------------------------
@@ -234,7 +290,11 @@ def test_foreign_code_that_hangs_ends_its_process_and_says_where(wrong):
 
 def opened(endpoint: str) -> zenoh.Session:
     config = zenoh.Config()
-    for key, value in (("mode", "client"), ("connect/endpoints", [endpoint]), ("scouting/multicast/enabled", False)):
+    for key, value in (
+        ("mode", "client"),
+        ("connect/endpoints", [endpoint]),
+        ("scouting/multicast/enabled", False),
+    ):
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
 
@@ -242,10 +302,24 @@ def opened(endpoint: str) -> zenoh.Session:
 def lies(draw: np.random.Generator, process: str) -> list[Envelope]:
     """Messages that look valid, from drones that the process does not fly, or that nobody flies."""
     sources = [j for j in range(6) if str(j) != process.split("-")[0]]
-    payloads = [encode(None), encode([1, 2, [0], [3], 9, "x"]), encode({"epoch": 10**9}), draw.bytes(40)]
+    payloads = [
+        encode(None),
+        encode([1, 2, [0], [3], 9, "x"]),
+        encode({"epoch": 10**9}),
+        draw.bytes(40),
+    ]
     topics = [ROUND, HEARTBEAT, ROSTER, STATE, ESTOP, HELLO]
     return [
-        Envelope(topic.number, int(draw.choice(sources)), (0, 1, 2, 3), int(draw.integers(99)), 0, 0.0, "main", payload)
+        Envelope(
+            topic.number,
+            int(draw.choice(sources)),
+            (0, 1, 2, 3),
+            int(draw.integers(99)),
+            0,
+            0.0,
+            "main",
+            payload,
+        )
         for topic in topics
         for payload in payloads
     ]
@@ -263,7 +337,9 @@ def attack(config: SwarmConfig, ends: Callable[[], bool]) -> int:
             for _, process in tokens:
                 for host, claimed in (*tokens, ("nowhere", "stranger")):
                     key = f"choir/{config.name}/f/{process}/{host}/{claimed}"
-                    frame = encode_frame(Frame(claimed, 1, Class.ROUNDS, lies(draw, claimed)))
+                    frame = encode_frame(
+                        Frame(claimed, 1, Class.ROUNDS, lies(draw, claimed))
+                    )
                     session.put(f"{key}/rounds", draw.bytes(int(draw.integers(0, 400))))
                     session.put(f"{key}/control", frame)
                     sent += 2
@@ -276,7 +352,11 @@ async def plan_and_fly_under_attack(folder: Path) -> None:
     async with flying(config, folder) as team:
         await team.in_planning(2)
         agents = list(team.agents.values())
-        sent = await asyncio.to_thread(attack, config, lambda: any(p.process.returncode is not None for p in agents))
+        sent = await asyncio.to_thread(
+            attack,
+            config,
+            lambda: any(p.process.returncode is not None for p in agents),
+        )
         ended = await team.end(60.0)
     assert [one["code"] for one in ended.values()] == [0] * len(config.ids), team.text
     assert load("pickup_delivery").report(config, results(ended))["success"]
@@ -303,14 +383,19 @@ async def stop_restart_and_clear(folder: Path) -> None:
     async with flying(config, folder) as team:
         await team.law()
         assert (await stop(team)).count("motors off") == 2
-        await until(lambda: all(team.statuses(i)[-1]["phase"] == "stopped" for i in config.ids), 3.0)
+        await until(
+            lambda: all(team.statuses(i)[-1]["phase"] == "stopped" for i in config.ids),
+            3.0,
+        )
         team.agents[1].signal(signal.SIGKILL)
         await team.agents[1].process.wait()
         await team.start((1,))
         await team.agents[1].says("emergency stop in force")
         before = len(team.statuses(1))
         await until(lambda: len(team.statuses(1)) > before + 8, 10.0)
-        assert {status["phase"] for status in team.statuses(1)[before:]} == {"on ground"}
+        assert {status["phase"] for status in team.statuses(1)[before:]} == {
+            "on ground"
+        }
         assert team.agents[0].process.returncode is None
         assert (await stop(team, "--clear")).count("cleared") == 2
         first = await team.agents[0].end(10.0)
@@ -319,7 +404,9 @@ async def stop_restart_and_clear(folder: Path) -> None:
 
 
 @pytest.mark.slow
-async def test_hostile_bytes_are_counted_and_an_emergency_stop_holds_until_it_is_cleared(tmp_path):
+async def test_hostile_bytes_are_counted_and_an_emergency_stop_holds_until_it_is_cleared(
+    tmp_path,
+):
     async with asyncio.TaskGroup() as group:
         group.create_task(plan_and_fly_under_attack(tmp_path / "attack"))
         group.create_task(stop_restart_and_clear(tmp_path / "stop"))

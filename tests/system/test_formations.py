@@ -37,7 +37,11 @@ def of_file(name, watch=None, **options):
     return fly_fast(config, mission, watch), config, mission
 
 
-@pytest.mark.parametrize("case", [c for c in CASES if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}], ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [c for c in CASES if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}],
+    ids=str,
+)
 def test_four_with_motors_form_up_in_time(case):
     [settled] = times(case, range(1, 2))
     assert settled is not None
@@ -50,7 +54,9 @@ def test_four_with_motors_form_up_in_time(case):
 def test_the_worst_of_fifty_starts_is_in_time(case):
     found = summary(case, times(case, range(50), print))
     assert found["reached"], found
-    assert str(case.drones) in str(table({"seeds": 50, "rows": [found]}).columns[0]._cells)
+    assert str(case.drones) in str(
+        table({"seeds": 50, "rows": [found]}).columns[0]._cells
+    )
 
 
 def test_eleven_take_the_places_of_a_letter():
@@ -73,7 +79,11 @@ def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeyp
 
     monkeypatch.setattr(Pilot, "_posed", late)
     config = load("bearing_formation").swarm(30)
-    result = flown("bearing_formation", 30, mission_options=config.mission_options | {"duration": 7.0})
+    result = flown(
+        "bearing_formation",
+        30,
+        mission_options=config.mission_options | {"duration": 7.0},
+    )
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] < 0.003
     assert result["settling_s"] < 2.0
@@ -88,28 +98,40 @@ def similarity(a, b):
 
 
 def test_the_originals_letter_is_at_rest_as_a_larger_letter_distorted():
-    config, mission = SwarmConfig.load(DEPLOY / "original_letter.toml"), load("bearing_formation")
+    config, mission = (
+        SwarmConfig.load(DEPLOY / "original_letter.toml"),
+        load("bearing_formation"),
+    )
     shape, goal = mission.shape(config), mission.goal(config)
     of, at = (np.array([p[i][:2] for i in config.ids]) for p in (shape, goal))
     s, shift, left = similarity(of, at)
     assert s == pytest.approx(1.197, abs=0.02)
     np.testing.assert_allclose(shift, [-0.07, 0.12], atol=0.02)
     assert 0.03 < left < 0.06
-    assert {round(float(p[2]), 9) for p in goal.values()} == {1.0}, "the leaders' height, not the shape's 0.5 m"
+    assert {round(float(p[2]), 9) for p in goal.values()} == {1.0}, (
+        "the leaders' height, not the shape's 0.5 m"
+    )
 
 
 def test_the_originals_grid_is_rigid_and_as_slow_as_it_is_known():
-    config, mission = SwarmConfig.load(DEPLOY / "original_grid.toml"), load("bearing_formation")
+    config, mission = (
+        SwarmConfig.load(DEPLOY / "original_grid.toml"),
+        load("bearing_formation"),
+    )
     assert len(config.graph().edges()) == 99
     assert max(len(config.graph().neighbors(i)) for i in config.ids) == 14
-    slow = config.replace(mission_options=config.mission_options | {"law": "paper", "kp": 0.2, "kv": 1.0})
+    slow = config.replace(
+        mission_options=config.mission_options | {"law": "paper", "kp": 0.2, "kv": 1.0}
+    )
     with pytest.raises(Refused, match=r"smallest eigenvalue 0\.0035"):
         mission.check(slow, False)
     for i, p in mission.goal(config).items():
         np.testing.assert_allclose(p, mission.shape(config)[i], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["original_letter", pytest.param("original_grid", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["original_letter", pytest.param("original_grid", marks=pytest.mark.slow)]
+)
 def test_the_originals_reach_their_equilibria_and_keep_clear(name):
     result, config, _ = of_file(name)
     assert config.collision.method == "barrier"
@@ -129,9 +151,19 @@ def test_the_originals_reach_their_equilibria_and_keep_clear(name):
 )
 def test_the_originals_reach_them_by_the_papers_law_too_in_minutes(name, uri, options):
     config = SwarmConfig.load(DEPLOY / f"{name}.toml")
-    drones = [{"id": d.id, "home": [*d.home[:2], 1.0 * (uri != "sim://")], "leader": d.leader, "uri": uri}
-              for d in config.drones]  # fmt: skip
-    config = config.replace(drones=drones, mission_options=config.mission_options | {"law": "paper"} | options)
+    drones = [
+        {
+            "id": d.id,
+            "home": [*d.home[:2], 1.0 * (uri != "sim://")],
+            "leader": d.leader,
+            "uri": uri,
+        }
+        for d in config.drones
+    ]
+    config = config.replace(
+        drones=drones,
+        mission_options=config.mission_options | {"law": "paper"} | options,
+    )
     result = fly_fast(config, load(config.mission))
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] <= 0.01
@@ -142,17 +174,32 @@ def worst_beside_leaders(config, rows):
     """(n,) m: how far followers are from where the leaders' true places want them; rows: {i: (3,) m}."""
     mission = load("bearing_formation")
     leaders = [i for i in config.ids if config.drone(i).leader]
-    b_ff, b_fl, followers = bearing_laplacian(mission.shape(config), mission.neighbors(config), leaders)
-    wanted = [-np.linalg.solve(b_ff, b_fl @ np.concatenate([at[i] for i in leaders])).reshape(-1, 3) for at in rows]
+    b_ff, b_fl, followers = bearing_laplacian(
+        mission.shape(config), mission.neighbors(config), leaders
+    )
+    wanted = [
+        -np.linalg.solve(b_ff, b_fl @ np.concatenate([at[i] for i in leaders])).reshape(
+            -1, 3
+        )
+        for at in rows
+    ]
     pairs = zip(rows, wanted, strict=True)
-    return [max(np.linalg.norm(at[i] - p) for i, p in zip(followers, w, strict=True)) for at, w in pairs]
+    return [
+        max(np.linalg.norm(at[i] - p) for i, p in zip(followers, w, strict=True))
+        for at, w in pairs
+    ]
 
 
 @pytest.mark.parametrize("uri", ["sim://", "sim://motors"])
 def test_followers_of_leaders_on_a_circle_are_within_2_mm(uri):
     config = SwarmConfig.load(DEPLOY / "formation_circle.toml")
-    drones = [{"id": d.id, "home": d.home, "leader": d.leader, "uri": uri, "platform": "cf21"} for d in config.drones]
-    config = config.replace(drones=drones, mission_options=config.mission_options | {"duration": 20.0})
+    drones = [
+        {"id": d.id, "home": d.home, "leader": d.leader, "uri": uri, "platform": "cf21"}
+        for d in config.drones
+    ]
+    config = config.replace(
+        drones=drones, mission_options=config.mission_options | {"duration": 20.0}
+    )
     mission, rows = load("bearing_formation"), []
 
     def watch(score):
@@ -162,7 +209,9 @@ def test_followers_of_leaders_on_a_circle_are_within_2_mm(uri):
     assert mission.check(config, False) == []
     fly_fast(config, mission, watch)
     assert len(rows) > 100
-    assert max(np.linalg.norm(row[0] - rows[0][0]) for row in rows) > 0.3, "the leaders move"
+    assert max(np.linalg.norm(row[0] - rows[0][0]) for row in rows) > 0.3, (
+        "the leaders move"
+    )
     assert max(worst_beside_leaders(config, rows)) <= 0.002
 
 
@@ -198,7 +247,10 @@ def test_what_distances_do_not_hold_is_refused_with_the_loose_drones():
     mission = load("distance_formation")
     config = mission.swarm(6)
     ring = [[k, (k + 1) % 6] for k in range(6)]
-    with pytest.raises(Refused, match=r"not infinitesimally rigid with leaders \[0, 1\]: drones \[2, 3, 4, 5\]"):
+    with pytest.raises(
+        Refused,
+        match=r"not infinitesimally rigid with leaders \[0, 1\]: drones \[2, 3, 4, 5\]",
+    ):
         mission.check(config.replace(edges=ring))
     cube = {str(k): [float(k % 2), float(k // 2 % 2), 1.0 + 0.2 * k] for k in range(6)}
     options = config.mission_options | {"shape": cube}

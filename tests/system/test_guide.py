@@ -27,7 +27,9 @@ pytestmark = [
     pytest.mark.real_time,
     pytest.mark.slow,
     pytest.mark.timeout(2400),
-    pytest.mark.skipif(SSHD is None or not SYSTEMD.exists(), reason="needs openssh-server and systemd"),
+    pytest.mark.skipif(
+        SSHD is None or not SYSTEMD.exists(), reason="needs openssh-server and systemd"
+    ),
 ]
 LEFT, RIGHT = (0, 1, 2), (6, 7, 8)
 LONG = 900.0
@@ -54,18 +56,33 @@ exec {SSHD} -D -e -f /dev/null -h "$1/key" -o UsePAM=no -o PidFile=none -o Stric
 def sections(text):
     """The first block of commands of each numbered section."""
     parts = re.split(r"^## (\d)\. ", text, flags=re.MULTILINE)[1:]
-    found = {int(k): re.search(r"```sh\n(.*?)```", part, re.DOTALL) for k, part in zip(*[iter(parts)] * 2, strict=True)}
+    found = {
+        int(k): re.search(r"```sh\n(.*?)```", part, re.DOTALL)
+        for k, part in zip(*[iter(parts)] * 2, strict=True)
+    }
     return {k: block[1] for k, block in found.items() if block}
 
 
 def fewer(text):
     """The swarm file with the drones of LEFT and RIGHT alone, who are on those hosts."""
     kept = LEFT + RIGHT
-    text = re.sub(r"\[(\d+), (\d+)\],", lambda m: m[0] if {int(m[1]), int(m[2])} <= {*kept} else "", text)
-    text = re.sub(r"^(\d+) = \[.*\n", lambda m: m[0] if int(m[1]) in kept else "", text, flags=re.MULTILINE)
+    text = re.sub(
+        r"\[(\d+), (\d+)\],",
+        lambda m: m[0] if {int(m[1]), int(m[2])} <= {*kept} else "",
+        text,
+    )
+    text = re.sub(
+        r"^(\d+) = \[.*\n",
+        lambda m: m[0] if int(m[1]) in kept else "",
+        text,
+        flags=re.MULTILINE,
+    )
     head, *drones = text.split("[[drones]]\n")
     some = [drone for drone in drones if int(re.match(r"id = (\d+)", drone)[1]) in kept]
-    placed = [drone.replace('"left"', '"right"') if k >= len(LEFT) else drone for k, drone in enumerate(some)]
+    placed = [
+        drone.replace('"left"', '"right"') if k >= len(LEFT) else drone
+        for k, drone in enumerate(some)
+    ]
     placed[len(LEFT) - 1] = placed[len(LEFT) - 1].replace("home", "leader = true\nhome")
     return "[[drones]]\n".join([head, *placed])
 
@@ -78,8 +95,17 @@ class Lab:
     """The workstations of a swarm file, one user `me` on each."""
 
     def __init__(self, folder, hosts, config, repository):
-        self.folder, self.hosts, self.config, self.repository = folder, hosts, config, repository
-        self.wheels, self.programs, self.origin = folder / "wheels", folder / "bin", folder / "origin"
+        self.folder, self.hosts, self.config, self.repository = (
+            folder,
+            hosts,
+            config,
+            repository,
+        )
+        self.wheels, self.programs, self.origin = (
+            folder / "wheels",
+            folder / "bin",
+            folder / "origin",
+        )
         self.stations = {host: folder / host for host in config.hosts}
         self.running = []
 
@@ -94,9 +120,28 @@ class Lab:
         run("git", "clone", "-q", self.repository, self.origin)
         file = self.origin / "deploy/three_workstations.toml"
         file.write_text(fewer(file.read_text()))
-        run("git", "-C", self.origin, "-c", "user.name=me", "-c", "user.email=me@lab", "commit", "-qam", "Six drones")
+        run(
+            "git",
+            "-C",
+            self.origin,
+            "-c",
+            "user.name=me",
+            "-c",
+            "user.email=me@lab",
+            "commit",
+            "-qam",
+            "Six drones",
+        )
         run(PYTHON, "-m", "venv", self.folder / "index")
-        wheel = [self.folder / "index/bin/python", "-m", "pip", "wheel", "-q", "-w", self.wheels]
+        wheel = [
+            self.folder / "index/bin/python",
+            "-m",
+            "pip",
+            "wheel",
+            "-q",
+            "-w",
+            self.wheels,
+        ]
         run(*wheel, self.origin, "setuptools>=77", "wheel", cwd=self.folder)
         for made in self.wheels.glob("crazychoir-*"):
             made.unlink()  # the guide makes its own
@@ -104,32 +149,70 @@ class Lab:
         run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", console)
         for station in self.stations.values():
             (station / "home/.ssh").mkdir(parents=True)
-            (station / "home/.ssh/config").write_text("StrictHostKeyChecking accept-new\nLogLevel ERROR\n")
-            shutil.copy(self.folder / "console.pub", station / "home/.ssh/authorized_keys")
+            (station / "home/.ssh/config").write_text(
+                "StrictHostKeyChecking accept-new\nLogLevel ERROR\n"
+            )
+            shutil.copy(
+                self.folder / "console.pub", station / "home/.ssh/authorized_keys"
+            )
             given = Path("/etc/passwd").read_text()
             (station / "passwd").write_text(f"me:x:0:0::/home/me:/bin/bash\n{given}")
             run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", station / "key")
 
     async def boot(self, host):
-        station, path = self.stations[host], f"{self.programs}:/usr/local/bin:/usr/bin:/bin"
+        station, path = (
+            self.stations[host],
+            f"{self.programs}:/usr/local/bin:/usr/bin:/bin",
+        )
         arguments = [station, f"cc-{os.getpid()}-{host}", host, path, self.wheels]
         log = os.open(station / "sshd.txt", os.O_CREAT | os.O_WRONLY)
-        self.running.append(await asyncio.create_subprocess_exec(
-            *self.hosts.command(host), "unshare", "--mount", "--uts", "--pid", "--fork", "--kill-child", "--mount-proc",
-            "bash", "-c", WORKSTATION, "workstation", *map(str, arguments), stderr=log,
-        ))  # fmt: skip
+        self.running.append(
+            await asyncio.create_subprocess_exec(
+                *self.hosts.command(host),
+                "unshare",
+                "--mount",
+                "--uts",
+                "--pid",
+                "--fork",
+                "--kill-child",
+                "--mount-proc",
+                "bash",
+                "-c",
+                WORKSTATION,
+                "workstation",
+                *map(str, arguments),
+                stderr=log,
+            )
+        )
         os.close(log)
 
     async def type(self, text, host="physics", seconds=LONG):
         """What somebody types there, line by line, and what comes; all of it is kept in typed.txt."""
         at = f"me@{self.config.hosts[host]}"
-        quiet = [word for one in ("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "LogLevel=ERROR")
-                 for word in ("-o", one)]  # fmt: skip
+        quiet = [
+            word
+            for one in (
+                "StrictHostKeyChecking=no",
+                "UserKnownHostsFile=/dev/null",
+                "LogLevel=ERROR",
+            )
+            for word in ("-o", one)
+        ]
         process = await asyncio.create_subprocess_exec(
-            *self.hosts.command(host), "ssh", "-i", str(self.folder / "console"), *quiet, at, f"set -ex\n{text}",
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        said = (await asyncio.wait_for(process.communicate(), seconds))[0].decode(errors="replace")
+            *self.hosts.command(host),
+            "ssh",
+            "-i",
+            str(self.folder / "console"),
+            *quiet,
+            at,
+            f"set -ex\n{text}",
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+        said = (await asyncio.wait_for(process.communicate(), seconds))[0].decode(
+            errors="replace"
+        )
         with open(self.folder / "typed.txt", "a") as file:  # noqa: ASYNC230
             file.write(f"$ {text}\n{said}\n")
         assert process.returncode == 0, said[-4000:]
@@ -158,7 +241,9 @@ async def ended(made, host, ids):
     units = " ".join(f"crazychoir-agent@{i}" for i in ids)
     ends = time.monotonic() + LONG
     while True:
-        said = await made.type(f"systemctl --user show -P ActiveState -P ExecMainStatus {units}", host)
+        said = await made.type(
+            f"systemctl --user show -P ActiveState -P ExecMainStatus {units}", host
+        )
         words = said.split()
         if not {"active", "activating", "reloading", "deactivating"} & set(words):
             return [int(word) for word in words if word.isdigit()]
@@ -179,4 +264,8 @@ async def test_from_empty_workstations_to_a_flying_swarm(repository, tmp_path):
             starts = starts.replace(asked, f"echo {' '.join(map(str, ids))}")
         said = await made.type(starts)
         assert "on ground" in said or "mission" in said, said
-        assert await ended(made, "left", LEFT) == await ended(made, "right", RIGHT) == [0, 0, 0]
+        assert (
+            await ended(made, "left", LEFT)
+            == await ended(made, "right", RIGHT)
+            == [0, 0, 0]
+        )

@@ -21,7 +21,9 @@ OUTAGE = 1.3
 MISSION = load("pickup_delivery")
 
 
-def demo(folder: Path, network: dict[str, float], groups: list[list[int]]) -> SwarmConfig:
+def demo(
+    folder: Path, network: dict[str, float], groups: list[list[int]]
+) -> SwarmConfig:
     """The demo's six drones and ten goods, three drones a host, flown briskly; with mutual TLS."""
     keys = folder / "keys"
     authority.init(keys)
@@ -32,7 +34,10 @@ def demo(folder: Path, network: dict[str, float], groups: list[list[int]]) -> Sw
     return config.replace(
         hosts=dict(zip("ab", ADDRESSES, strict=True)),
         security={"operators": ["a"], "keys": str(keys)},
-        drones=[{"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]} for d in raw["drones"]],
+        drones=[
+            {"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]}
+            for d in raw["drones"]
+        ],
         processes=groups,
         network=network,
         mission_options={**raw["mission_options"], "service_time": 0.2},
@@ -49,7 +54,12 @@ def check_served(config: SwarmConfig, ended: dict[int, dict[str, Any]]) -> None:
 
 
 def states(ended: dict[int, dict[str, Any]]) -> list[str]:
-    return [state for one in ended.values() for history in one["presence"].values() for _, _, state in history]
+    return [
+        state
+        for one in ended.values()
+        for history in one["presence"].values()
+        for _, _, state in history
+    ]
 
 
 def check_clocks(team: Team) -> None:
@@ -59,13 +69,20 @@ def check_clocks(team: Team) -> None:
         assert said, f"drone {i} knows nothing of the other clock"
         assert {host for status in said for host in status["hosts"]} == {"ba"[i // 3]}
         for status in said:
-            assert abs(status["offsets"][0] - (SKEW if i < 3 else -SKEW)) <= status["offset_errors"][0]
+            assert (
+                abs(status["offsets"][0] - (SKEW if i < 3 else -SKEW))
+                <= status["offset_errors"][0]
+            )
         assert said[-1]["offset_errors"][0] < 0.01
 
 
 def clock_of(hosts: Hosts, host: int) -> float:
     program = [sys.executable, "-c", "import time; print(time.monotonic())"]
-    return float(subprocess.run([*hosts.command(host), *program], check=True, capture_output=True).stdout)
+    return float(
+        subprocess.run(
+            [*hosts.command(host), *program], check=True, capture_output=True
+        ).stdout
+    )
 
 
 async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -> None:
@@ -75,7 +92,9 @@ async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -
         await team.in_planning(10)
         hosts.cut()
         await asyncio.sleep(OUTAGE)
-        assert team.planning_round() >= 10, "the outage was not in the middle of planning"
+        assert team.planning_round() >= 10, (
+            "the outage was not in the middle of planning"
+        )
         hosts.mend()
         ended = await team.end(90)
         check_clocks(team)
@@ -93,7 +112,9 @@ async def fly_undisturbed(hosts: Hosts, folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
-async def test_demo_on_two_hosts_whose_clocks_differ_through_a_partition(tmp_path, compiled):
+async def test_demo_on_two_hosts_whose_clocks_differ_through_a_partition(
+    tmp_path, compiled
+):
     """Two processes on one host, one on the other."""
     with two_hosts(SKEW) as hosts:
         assert clock_of(hosts, 1) - clock_of(hosts, 0) == pytest.approx(SKEW, abs=5.0)
@@ -106,7 +127,9 @@ async def test_demo_on_two_pairs_of_hosts_at_once(tmp_path, compiled):
     """Three processes a host, through a partition, and beside them one process a host, undisturbed."""
     with two_hosts(SKEW) as hosts, two_hosts(SKEW) as others:
         async with asyncio.TaskGroup() as group:
-            group.create_task(cut_in_planning(hosts, tmp_path / "cut", [[i] for i in range(6)]))
+            group.create_task(
+                cut_in_planning(hosts, tmp_path / "cut", [[i] for i in range(6)])
+            )
             group.create_task(fly_undisturbed(others, tmp_path / "undisturbed"))
 
 
@@ -119,4 +142,6 @@ def test_hosts_side_by_side_are_others_and_gone_afterwards():
 
 
 def namespaces() -> str:
-    return subprocess.run(["ip", "netns", "list"], check=True, capture_output=True, text=True).stdout
+    return subprocess.run(
+        ["ip", "netns", "list"], check=True, capture_output=True, text=True
+    ).stdout

@@ -15,29 +15,54 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(120
 
 
 @pytest.mark.slow
-async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_dongle(tmp_path) -> None:
+async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_dongle(
+    tmp_path,
+) -> None:
     config = reached(default_swarm(2).replace(control={"sender": "xyz"}))
     async with Hall(config, tmp_path) as hall:
-        command = (*CRAZYCHOIR, "identify", "1", "--swarm", str(hall.path), "--seconds", "1", "--json")
+        command = (
+            *CRAZYCHOIR,
+            "identify",
+            "1",
+            "--swarm",
+            str(hall.path),
+            "--seconds",
+            "1",
+            "--json",
+        )
         lights = await Program.start(*command)
         hall.programs.append(lights)
         lit = await hall.until(lambda state: state[1]["led"] == 255, 30.0)
         assert lit[0]["led"] == 0
         said = await lights.end(20.0)
-        found = [lights.text.index(words) for words in ("is being connected", "are lit", "as they")]
+        found = [
+            lights.text.index(words)
+            for words in ("is being connected", "are lit", "as they")
+        ]
         assert found == sorted(found)
-        assert (said["code"], said["drone"], said["parameters"]) == (0, 1, {"led.bitmask": 255})
+        assert (said["code"], said["drone"], said["parameters"]) == (
+            0,
+            1,
+            {"led.bitmask": 255},
+        )
         state = hall.state()
         assert state[1]["led"] == 0
         assert state[1]["zeros"] == 0
         with owned(config, 0):
             refused = CliRunner().invoke(app, command[-7:])
         assert refused.exit_code == 2
-        assert "has it, and may fly drones: land them first" in json.loads(refused.stdout)["error"]
+        assert (
+            "has it, and may fly drones: land them first"
+            in json.loads(refused.stdout)["error"]
+        )
 
 
 def test_who_is_not_reached_by_a_radio_is_refused(tmp_path) -> None:
     (tmp_path / "swarm.json").write_text(default_swarm(2).dumps())
-    said = CliRunner().invoke(app, ["identify", "7", "--swarm", str(tmp_path / "swarm.json"), "--json"])
+    said = CliRunner().invoke(
+        app, ["identify", "7", "--swarm", str(tmp_path / "swarm.json"), "--json"]
+    )
     assert said.exit_code == 2
-    assert json.loads(said.stdout)["error"].startswith("DRONE: found 7; allowed: drones that a radio reaches")
+    assert json.loads(said.stdout)["error"].startswith(
+        "DRONE: found 7; allowed: drones that a radio reaches"
+    )

@@ -15,7 +15,15 @@ from crazychoir.types import Acceleration, FullState
 
 pytestmark = pytest.mark.system
 log = logging.getLogger(__name__)
-OUT = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+OUT = np.array(
+    [
+        [1.0, 0.0, 0.0],
+        [-1.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0],
+        [0.0, -1.0, 0.0],
+        [0.0, 0.0, 1.0],
+    ]
+)
 """Where drone i wants to get out."""
 FENCE = {"min": [-1.5, -1.5, 0.0], "max": [1.5, 1.5, 1.8]}
 LIMIT = {"min": [-2.0, -2.0, -0.5], "max": [2.0, 2.0, 2.3]}
@@ -37,9 +45,13 @@ class Out(CFDistributedFeedback):
         self.start = me.p.copy() if self.start is None else self.start
         self.steps += 1
         if self.by_places:
-            return FullState.at(self.start + min(0.01 * self.steps, 5.0) * self.out, self.out)
+            return FullState.at(
+                self.start + min(0.01 * self.steps, 5.0) * self.out, self.out
+            )
         aside = (np.eye(3) - np.outer(self.out, self.out)) @ (me.p - self.start)
-        return Acceleration(2.0 * self.out - 4.0 * aside - 3.0 * (me.v - self.out * (self.out @ me.v)))
+        return Acceleration(
+            2.0 * self.out - 4.0 * aside - 3.0 * (me.v - self.out * (self.out @ me.v))
+        )
 
 
 @dataclass
@@ -57,19 +69,38 @@ def config_of(seed, wind, gusts):
     direction = draw.standard_normal(3) * [1.0, 1.0, 0.3]
     blows = draw.uniform(*wind) * direction / np.linalg.norm(direction)
     drones = [
-        {"id": i, "home": [*(0.75 * out[:2]).tolist(), 0.0], "uri": "sim://motors", "platform": "cf21"}
+        {
+            "id": i,
+            "home": [*(0.75 * out[:2]).tolist(), 0.0],
+            "uri": "sim://motors",
+            "platform": "cf21",
+        }
         for i, out in enumerate(OUT)
     ]
-    return SwarmConfig.of({
-        "name": "out", "drones": drones, "fence": FENCE, "keep_out": LIMIT, "seed": seed,
-        "flight": {"takeoff_height": 0.8, "landing_speed": 0.6},
-        "motors": {"wind": blows.tolist(), "gusts": float(draw.uniform(*gusts)), "downwash": False},
-    })  # fmt: skip
+    return SwarmConfig.of(
+        {
+            "name": "out",
+            "drones": drones,
+            "fence": FENCE,
+            "keep_out": LIMIT,
+            "seed": seed,
+            "flight": {"takeoff_height": 0.8, "landing_speed": 0.6},
+            "motors": {
+                "wind": blows.tolist(),
+                "gusts": float(draw.uniform(*gusts)),
+                "downwash": False,
+            },
+        }
+    )
 
 
 def flown(seed, wind, gusts) -> list[Gone]:
-    mission = SimpleNamespace(guidance=lambda i, config: Out(i, by_places=bool((seed + i) % 2)))
-    return [gone(flight) for flight in fly(config_of(seed, wind, gusts), mission).values()]
+    mission = SimpleNamespace(
+        guidance=lambda i, config: Out(i, by_places=bool((seed + i) % 2))
+    )
+    return [
+        gone(flight) for flight in fly(config_of(seed, wind, gusts), mission).values()
+    ]
 
 
 def gone(flight: Flight) -> Gone:
@@ -77,13 +108,18 @@ def gone(flight: Flight) -> Gone:
     fence, limit = beyond(p, FENCE), beyond(p, LIMIT)
     # Who has landed, and is blown on over the floor, has its motors off already.
     cut = next((k for k, mode in enumerate(modes) if mode is Mode.CUT), None)
-    crossed = next((k for k in range(len(p)) if limit[k] > SEEN and modes[k] is not Mode.GROUND), None)
+    crossed = next(
+        (k for k in range(len(p)) if limit[k] > SEEN and modes[k] is not Mode.GROUND),
+        None,
+    )
     assert cut is None or limit[cut] > -INSIDE, "it was shut down inside the limit area"
     if crossed is None:
         ticks = None if cut is None else 0
     else:
         ticks = len(p) if cut is None else cut - crossed
-    return Gone(float(fence[: len(p) if cut is None else cut + 1].max()), cut is not None, ticks)
+    return Gone(
+        float(fence[: len(p) if cut is None else cut + 1].max()), cut is not None, ticks
+    )
 
 
 def beyond(p, box):
@@ -93,9 +129,9 @@ def beyond(p, box):
 
 
 def within_a_tick(found: list[Gone]) -> bool:
-    return all(one.ticks is not None and one.ticks <= 1 for one in found if one.cut) and all(
-        one.cut for one in found if one.ticks is not None
-    )
+    return all(
+        one.ticks is not None and one.ticks <= 1 for one in found if one.cut
+    ) and all(one.cut for one in found if one.ticks is not None)
 
 
 WINDY, STORMY = ((0.0, 3.0), (0.0, 1.0)), ((5.0, 10.0), (2.0, 5.0))
@@ -104,21 +140,34 @@ WINDY, STORMY = ((0.0, 3.0), (0.0, 1.0)), ((5.0, 10.0), (2.0, 5.0))
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize(("seeds", "wind"), [(range(80), WINDY), (range(80, 100), STORMY)], ids=["windy", "storm"])
-def test_in_a_hundred_seeds_the_fence_holds_and_the_limit_is_never_passed_by_more_than_a_tick(seeds, wind):
+@pytest.mark.parametrize(
+    ("seeds", "wind"),
+    [(range(80), WINDY), (range(80, 100), STORMY)],
+    ids=["windy", "storm"],
+)
+def test_in_a_hundred_seeds_the_fence_holds_and_the_limit_is_never_passed_by_more_than_a_tick(
+    seeds, wind
+):
     found = [one for seed in seeds for one in flown(seed, *wind)]
     at_edge = [one for one in found if one.beyond > -0.1]
     log.warning(
         "%d flights, %d at the edge, of these %d within 0.25 m of the fence, %d shut down; furthest out %.3f m; ticks "
         "from the limit to the cut: %s",
-        len(found), len(at_edge), sum(one.beyond < 0.25 for one in at_edge), sum(one.cut for one in found),
+        len(found),
+        len(at_edge),
+        sum(one.beyond < 0.25 for one in at_edge),
+        sum(one.cut for one in found),
         max(one.beyond for one in found),
         sorted({one.ticks for one in found if one.cut}),
-    )  # fmt: skip
+    )
     assert within_a_tick(found), found
-    assert wind is STORMY or sum(one.beyond > 0.25 for one in found) <= len(found) / 100, "one gust in 400 flights"
+    assert (
+        wind is STORMY or sum(one.beyond > 0.25 for one in found) <= len(found) / 100
+    ), "one gust in 400 flights"
     assert len(at_edge) > len(found) / 4
-    assert any(one.cut for one in found) == (wind is STORMY), "rare: not in what is flown indoors"
+    assert any(one.cut for one in found) == (wind is STORMY), (
+        "rare: not in what is flown indoors"
+    )
 
 
 def test_the_fence_holds_drones_that_want_out_in_wind_and_gusts():

@@ -4,12 +4,23 @@ from statistics import median
 
 import pytest
 
-from crazychoir.bench.latency import added_p99_ms, pose_to_command, ten_robots, tick_alone, tick_while_solving
+from crazychoir.bench.latency import (
+    added_p99_ms,
+    pose_to_command,
+    ten_robots,
+    tick_alone,
+    tick_while_solving,
+)
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.clock import WallClock
 from crazychoir.solve.solving import solve_here
 
-pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.real_time,
+    pytest.mark.slow,
+    pytest.mark.timeout(300),
+]
 QUIET_MS = 1.0
 """p99 of a tick with nothing beside it, above which other programs are what would be measured."""
 ATTEMPTS = 8
@@ -30,7 +41,9 @@ def quiet_median(measure, wanted=3):
             found.append(value)
         if len(found) == wanted:
             return median(found)
-    pytest.skip(f"the machine is busy: an idle tick is prompt around {len(found)} of {ATTEMPTS} measurements only")
+    pytest.skip(
+        f"the machine is busy: an idle tick is prompt around {len(found)} of {ATTEMPTS} measurements only"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +54,12 @@ def instance():
 
 
 def test_solving_adds_less_than_two_ms_to_the_tick(instance):
-    assert quiet_median(lambda before: added_p99_ms(before, tick_while_solving(instance, 3.0))) < 2.0
+    assert (
+        quiet_median(
+            lambda before: added_p99_ms(before, tick_while_solving(instance, 3.0))
+        )
+        < 2.0
+    )
 
 
 def test_the_measure_sees_a_solver_on_the_event_loop(instance, monkeypatch):

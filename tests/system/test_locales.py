@@ -66,15 +66,26 @@ def folder_named(name, tmp_path):
 
 
 def run(command, environment, folder):
-    done = subprocess.run(command, env=os.environ | environment, cwd=folder, capture_output=True, check=False)
+    done = subprocess.run(
+        command,
+        env=os.environ | environment,
+        cwd=folder,
+        capture_output=True,
+        check=False,
+    )
     assert b"Traceback" not in done.stderr, done.stderr.decode(errors="replace")
     return done
 
 
 @pytest.mark.parametrize(("name", "environment"), CASES.values(), ids=CASES)
-def test_commands_read_write_and_print_names_that_no_locale_expects(name, environment, tmp_path):
+def test_commands_read_write_and_print_names_that_no_locale_expects(
+    name, environment, tmp_path
+):
     folder = folder_named(name, tmp_path)
-    commands = [["run", "swarm.toml", "--fast", "--record", "flight.mcap"], ["solve", "HERE/missing.json"]]
+    commands = [
+        ["run", "swarm.toml", "--fast", "--record", "flight.mcap"],
+        ["solve", "HERE/missing.json"],
+    ]
     codes = [b"1", b"2"]
     if name == NAMES["umlaut"]:
         words = ["--agents", "3", "--picture", "$\\frac$.png", "--save", "history.json"]
@@ -83,7 +94,9 @@ def test_commands_read_write_and_print_names_that_no_locale_expects(name, enviro
     if name == NAMES["markup"]:
         commands.append(["plot", "flight.mcap"])
         codes.append(b"0")
-    done = run([sys.executable, "-c", COMMANDS, json.dumps(commands)], environment, folder)
+    done = run(
+        [sys.executable, "-c", COMMANDS, json.dumps(commands)], environment, folder
+    )
     assert re.findall(rb"ended with (\d)", done.stdout) == codes, done.stderr
     assert b"[red]" in done.stdout
     assert b"[/red] [/] :smile:" in done.stdout
@@ -99,8 +112,18 @@ def test_commands_read_write_and_print_names_that_no_locale_expects(name, enviro
 def test_processes_are_told_such_names_and_say_them(tmp_path):
     name, environment = CASES["umlaut, ASCII"]
     folder = folder_named(name, tmp_path)
-    words = ["run", str(folder / "rise.py"), "--drones", "1", "--processes", "1", "--json"]
-    done = run([sys.executable, "-m", "crazychoir.cli.main", *words], environment, folder)
+    words = [
+        "run",
+        str(folder / "rise.py"),
+        "--drones",
+        "1",
+        "--processes",
+        "1",
+        "--json",
+    ]
+    done = run(
+        [sys.executable, "-m", "crazychoir.cli.main", *words], environment, folder
+    )
     result = json.loads(done.stdout)
     assert "[red]böse[/red] [/] :smile:" in result["reasons"]["0"]
     assert done.returncode == 1

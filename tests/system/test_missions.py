@@ -14,21 +14,34 @@ from crazychoir.types import Status
 
 pytestmark = pytest.mark.system
 KEYS = {
-    "mission", "success", "drones", "simulated_s", "wall_s", "real_time_factor", "min_separation_m", "messages",
-    "rounds", "digest",
-}  # fmt: skip
+    "mission",
+    "success",
+    "drones",
+    "simulated_s",
+    "wall_s",
+    "real_time_factor",
+    "min_separation_m",
+    "messages",
+    "rounds",
+    "digest",
+}
 
 
 def formed(seed, loss=0.0):
     """A formation of four in this process, in virtual time."""
     mission = load("bearing_formation")
-    return fly_fast(mission.scatter(mission.swarm(None).replace(seed=seed, network={"loss": loss})), mission)
+    return fly_fast(
+        mission.scatter(mission.swarm(None).replace(seed=seed, network={"loss": loss})),
+        mission,
+    )
 
 
 def flown(seed, loss):
     """The pickups and deliveries in this process, in virtual time."""
     mission = load("pickup_delivery")
-    return fly_fast(mission.swarm(None).replace(seed=seed, network={"loss": loss}), mission)
+    return fly_fast(
+        mission.swarm(None).replace(seed=seed, network={"loss": loss}), mission
+    )
 
 
 def settled(result, within=4.0):
@@ -39,7 +52,9 @@ def settled(result, within=4.0):
 
 
 def test_the_result_of_a_run_has_its_keys(here):
-    result = here("crazychoir", "run", "bearing_formation", "--fast", "--seed", 1, "--json").json
+    result = here(
+        "crazychoir", "run", "bearing_formation", "--fast", "--seed", 1, "--json"
+    ).json
     assert set(result) >= KEYS | {"formation_error_m", "settling_s"}
     assert set(result["messages"]) >= {"sent", "lost", "resent"}
     settled(result)
@@ -47,7 +62,10 @@ def test_the_result_of_a_run_has_its_keys(here):
 
 def few(seeds, most):
     """The first `most` of these seeds; the rest is a campaign."""
-    return [seed if k < most else pytest.param(seed, marks=pytest.mark.slow) for k, seed in enumerate(seeds)]
+    return [
+        seed if k < most else pytest.param(seed, marks=pytest.mark.slow)
+        for k, seed in enumerate(seeds)
+    ]
 
 
 @pytest.mark.parametrize("seed", few(range(20), 3))
@@ -90,7 +108,13 @@ def test_the_formation_in_real_time_over_all_seeds(seed, tmp_path, compiled):
 
 
 def test_a_grid_without_diagonals_is_refused_with_the_reason(here, repository):
-    said = here("crazychoir", "run", repository / "tests/data/grid30_without_diagonals.toml", "--fast", "--json")
+    said = here(
+        "crazychoir",
+        "run",
+        repository / "tests/data/grid30_without_diagonals.toml",
+        "--fast",
+        "--json",
+    )
     said.refuses("not bearing-rigid", "drones [2, 8, 14, 20, 26]", "Add a diagonal")
     assert said.json["success"] is False
 
@@ -98,10 +122,14 @@ def test_a_grid_without_diagonals_is_refused_with_the_reason(here, repository):
 @pytest.mark.timeout(180)
 def test_a_grid_whose_leaders_are_neighbours_starts_only_when_forced(here, repository):
     path = repository / "tests/data/grid30_adjacent_leaders.toml"
-    here("crazychoir", "run", path, "--fast", "--json").refuses("0.0018", "952 s", "force")
+    here("crazychoir", "run", path, "--fast", "--json").refuses(
+        "0.0018", "952 s", "force"
+    )
     forced = here("crazychoir", "run", path, "--fast", "--json", "--force")
     assert (forced.code, forced.json["success"]) == (1, False), forced.err
-    assert len(forced.json["reasons"]) == 28, "all but the leaders are out of their places"
+    assert len(forced.json["reasons"]) == 28, (
+        "all but the leaders are out of their places"
+    )
     assert "0.0018" in forced.err
     assert forced.json["drones"] == 30
     assert forced.json["settling_s"] is None, "2 s of the law are not enough"
@@ -117,7 +145,11 @@ def test_thirty_drones_take_their_places(repository):
 
 
 @pytest.mark.parametrize(
-    ("seed", "loss"), [(3, 0.5), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((1, 0.0), (2, 0.3)))]
+    ("seed", "loss"),
+    [
+        (3, 0.5),
+        *(pytest.param(*both, marks=pytest.mark.slow) for both in ((1, 0.0), (2, 0.3))),
+    ],
 )
 def test_pickups_and_deliveries_keep_their_distance(seed, loss):
     served(flown(seed, loss))
@@ -135,9 +167,13 @@ def served(result):
     assert result["tasks"] == {"total": 10, "served": 10}
     assert result["violations"] == []
     assert result["min_separation_m"] > 0.24, "two semi-axes"
-    assert result["simulated_s"] < 45.0, "with flights that wait for each other it was 49 s"
+    assert result["simulated_s"] < 45.0, (
+        "with flights that wait for each other it was 49 s"
+    )
     for robot, planned in result["planned_m"].items():
-        assert 0.95 * planned < result["flown_m"][robot] < 2.0 * planned + 1.0, "the route, and round each other"
+        assert 0.95 * planned < result["flown_m"][robot] < 2.0 * planned + 1.0, (
+            "the route, and round each other"
+        )
 
 
 def test_a_drone_that_is_stopped_on_its_way_still_gets_there():
@@ -146,10 +182,16 @@ def test_a_drone_that_is_stopped_on_its_way_still_gets_there():
     notes = set()
 
     def watch(score):
-        notes.update(status.note for status in score.statuses.values() if isinstance(status, Status))
+        notes.update(
+            status.note
+            for status in score.statuses.values()
+            if isinstance(status, Status)
+        )
 
     result = fly_fast(config, mission, watch)
-    assert any("pose" in note for note in notes), "poses were missed often enough to matter"
+    assert any("pose" in note for note in notes), (
+        "poses were missed often enough to matter"
+    )
     assert result["success"], result["reasons"]
     assert result["tasks"] == {"total": 10, "served": 10}
 
@@ -158,6 +200,10 @@ def test_every_swarm_file_that_ships_is_valid(repository):
     for path in sorted((repository / "deploy").glob("*.toml")):
         config = SwarmConfig.load(path)
         mission = load(str(config.mission))
-        original = path.stem.startswith("original_")  # one of them is as slow as it is known to be
+        original = path.stem.startswith(
+            "original_"
+        )  # one of them is as slow as it is known to be
         notes = mission.check(config, original) if has(mission, "check") else []
-        assert original or not any("slow" in note or "margin" in note for note in notes), path.name
+        assert original or not any(
+            "slow" in note or "margin" in note for note in notes
+        ), path.name

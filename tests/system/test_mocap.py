@@ -24,7 +24,9 @@ from crazychoir.runtime.mailbox import Call
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HANGS = "import ctypes\n\ndef connect(system, settings):\n    ctypes.PyDLL(None).pause()  # in C, the lock is kept\n"
 NAMES = ("cf0", "wing")
-library = pytest.mark.skipif(importlib.util.find_spec("motioncapture") is None, reason="needs the extra `mocap`")
+library = pytest.mark.skipif(
+    importlib.util.find_spec("motioncapture") is None, reason="needs the extra `mocap`"
+)
 
 
 def pose(i, k):
@@ -33,7 +35,10 @@ def pose(i, k):
 
 
 def flight(count=3000):
-    return [Frame(k, 0.01 * k, {name: pose(i, k) for i, name in enumerate(NAMES)}) for k in range(count)]
+    return [
+        Frame(k, 0.01 * k, {name: pose(i, k) for i, name in enumerate(NAMES)})
+        for k in range(count)
+    ]
 
 
 class Server(asyncio.DatagramProtocol):
@@ -59,7 +64,9 @@ class Server(asyncio.DatagramProtocol):
     @contextlib.asynccontextmanager
     async def at(cls, port, frames):
         loop = asyncio.get_running_loop()
-        transport, server = await loop.create_datagram_endpoint(lambda: cls(frames), local_addr=("127.0.0.1", port))
+        transport, server = await loop.create_datagram_endpoint(
+            lambda: cls(frames), local_addr=("127.0.0.1", port)
+        )
         running = asyncio.create_task(server.run())
         try:
             yield server
@@ -69,9 +76,18 @@ class Server(asyncio.DatagramProtocol):
 
 
 def swarm(name, **mocap):
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"} for i in range(2)]
+    drones = [
+        {"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"}
+        for i in range(2)
+    ]
     drones[1]["body"] = "wing"
-    config = SwarmConfig.of({"name": name, "drones": drones, "mocap": {"noise": 0.0, "noise_angle": 0.0, **mocap}})
+    config = SwarmConfig.of(
+        {
+            "name": name,
+            "drones": drones,
+            "mocap": {"noise": 0.0, "noise_angle": 0.0, **mocap},
+        }
+    )
     return config.replace(base_port=free_ports(list(config.endpoints())))
 
 
@@ -103,11 +119,15 @@ def told(poses, i):
     """They are those of the flight, one after the other; returns the numbers of their frames."""
     ks = [round(one.p[1] / 0.001) for one in poses]
     assert ks == sorted(set(ks))
-    assert all(np.array_equal(one.flat, pose(i, k)) for one, k in zip(poses, ks, strict=True))
+    assert all(
+        np.array_equal(one.flat, pose(i, k)) for one, k in zip(poses, ks, strict=True)
+    )
     return ks
 
 
-def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_nobody(tmp_path, monkeypatch):
+def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_nobody(
+    tmp_path, monkeypatch
+):
     with Recorder(tmp_path / "flight.csv") as recorder:
         for frame in flight():
             recorder.write(frame, frame.time)
@@ -115,7 +135,9 @@ def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
     virtual = swarm("virtual", port=udp_port())
     replay = swarm("replay", source="replay", file=str(tmp_path / "flight.csv"))
-    hanging = swarm("hanging", source="vicon", hostname="10.0.0.5", connect_deadline=1.0)
+    hanging = swarm(
+        "hanging", source="vicon", hostname="10.0.0.5", connect_deadline=1.0
+    )
 
     async def main(clock):
         async with (
@@ -131,10 +153,16 @@ def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_
             try:
                 line = await programs[2].says("no connection within 1 s")
                 both = [*simulated.values(), *replayed.values()]
-                await until(lambda: all(len(one) > 50 for one in both), 20.0, lambda: programs[0].text)
+                await until(
+                    lambda: all(len(one) > 50 for one in both),
+                    20.0,
+                    lambda: programs[0].text,
+                )
                 for program in programs:
                     program.signal(signal.SIGTERM)
-                ended = [await program.end(15.0) for program in programs]  # also the one that hangs
+                ended = [
+                    await program.end(15.0) for program in programs
+                ]  # also the one that hangs
                 return line, simulated, replayed, ended
             finally:
                 for program in programs:
@@ -142,19 +170,32 @@ def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_
 
     line, simulated, replayed, ended = run_wall(main)
     assert line.startswith("vicon at 10.0.0.5: no connection within 1 s")
-    assert [one["code"] for one in ended] == [0, 0, 1], "the one that hangs saw no frame"
+    assert [one["code"] for one in ended] == [0, 0, 1], (
+        "the one that hangs saw no frame"
+    )
     assert "no frame was seen" in ended[2]["reason"]
     for i in virtual.seen:
-        assert min(len(told(simulated[i], i)), len(told(replayed[i], i))) > 50, "not a digit differs"
+        assert min(len(told(simulated[i], i)), len(told(replayed[i], i))) > 50, (
+            "not a digit differs"
+        )
     seen = read_recording(tmp_path / "seen.csv")
     first = round(float(seen[0].bodies["cf0"][1]) / 0.001)
-    assert [round(float(f.bodies["cf0"][1]) / 0.001) for f in seen] == list(range(first, first + len(seen)))
-    assert ended[0]["recorded"] == {"file": str(tmp_path / "seen.csv"), "frames": len(seen), "error": ""}
+    assert [round(float(f.bodies["cf0"][1]) / 0.001) for f in seen] == list(
+        range(first, first + len(seen))
+    )
+    assert ended[0]["recorded"] == {
+        "file": str(tmp_path / "seen.csv"),
+        "frames": len(seen),
+        "error": "",
+    }
     assert ended[0]["seen"] == {"0": len(seen), "1": len(seen)}
 
 
 @library
-@pytest.mark.parametrize(("system", "words"), [("mock", "was never seen. No body is seen"), ("vicon", "no connection")])
+@pytest.mark.parametrize(
+    ("system", "words"),
+    [("mock", "was never seen. No body is seen"), ("vicon", "no connection")],
+)
 def test_the_library_itself(tmp_path, system, words):
     config = swarm(system, source=system, hostname="127.0.0.1", connect_deadline=1.5)
 

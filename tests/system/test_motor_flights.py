@@ -13,9 +13,17 @@ from crazychoir.safety.rules.modes import Mode
 pytestmark = pytest.mark.system
 SENDERS = ("fpqr", "frpy", "vel", "xyz")
 YAW = math.radians(137.0)
-TURNING = [(platform, sender) for platform in ("cf21", "cf21plus", "cf21bl") for sender in SENDERS]
+TURNING = [
+    (platform, sender)
+    for platform in ("cf21", "cf21plus", "cf21bl")
+    for sender in SENDERS
+]
 TURNING.append(("cf21", "fullstate"))
-TILTED = [(platform, sender) for platform in ("cf21", "cf21plus", "cf21thrust", "cf21bl") for sender in SENDERS]
+TILTED = [
+    (platform, sender)
+    for platform in ("cf21", "cf21plus", "cf21thrust", "cf21bl")
+    for sender in SENDERS
+]
 names = {"ids": "-".join}
 
 
@@ -25,8 +33,17 @@ names = {"ids": "-".join}
 @pytest.fixture(scope="module")
 def circles():
     """All senders fly the circle of 0.4 m in 10 s a lap, its yaw from 137 degrees on at 1 rad/s at full rate."""
-    options = {"figure": "circle", "size": 0.4, "period": 10.0, "laps": 1.0, "yaw": YAW, "yaw_rate": 1.0}
-    config = swarm_of(TURNING, YAW, mission_options=options, flight={"takeoff_height": 0.6})
+    options = {
+        "figure": "circle",
+        "size": 0.4,
+        "period": 10.0,
+        "laps": 1.0,
+        "yaw": YAW,
+        "yaw_rate": 1.0,
+    }
+    config = swarm_of(
+        TURNING, YAW, mission_options=options, flight={"takeoff_height": 0.6}
+    )
     return dict(zip(TURNING, fly(config, load("figure")).values(), strict=True))
 
 
@@ -49,7 +66,9 @@ def test_the_yaw_turns_with_its_reference_across_pi(circles, row):
     assert np.max(errors[full]) <= 3.0
     assert np.nanmax(errors) <= 5.0
     turned = np.unwrap(flight.yaws)
-    assert turned[-1] - YAW == pytest.approx(10.0, abs=math.radians(3.0))  # from 2.39 rad on: across pi and 3 pi
+    assert turned[-1] - YAW == pytest.approx(
+        10.0, abs=math.radians(3.0)
+    )  # from 2.39 rad on: across pi and 3 pi
     assert np.any(np.abs(np.diff(flight.yaws[full])) > 6.0)
 
 
@@ -58,10 +77,15 @@ MOST = {"fpqr": 0.002, "frpy": 0.005, "vel": 0.045, "xyz": 0.045, "fullstate": 0
 
 
 @pytest.mark.parametrize("row", TURNING, **names)
-def test_the_circle_is_flown_to_the_millimetre_or_by_the_pids_on_board_to_a_few_centimetres(circles, row):
+def test_the_circle_is_flown_to_the_millimetre_or_by_the_pids_on_board_to_a_few_centimetres(
+    circles, row
+):
     """Measured peaks: fpqr 0.7 mm, frpy 3 mm, vel 31 mm, xyz 26 mm, fullstate 30 mm."""
     flight = circles[row]
-    assert np.max(np.linalg.norm(flight.errors[at_full_rate(flight)], axis=1)) <= MOST[row[1]]
+    assert (
+        np.max(np.linalg.norm(flight.errors[at_full_rate(flight)], axis=1))
+        <= MOST[row[1]]
+    )
 
 
 ALIKE = [("cf21", sender) for sender in SENDERS]
@@ -70,9 +94,21 @@ ALIKE = [("cf21", sender) for sender in SENDERS]
 @pytest.fixture(scope="module")
 def corner():
     """The circle of drones that are 3 % heavier and 5 % weaker than their platform, seen 1 degree tilted."""
-    options = {"figure": "circle", "size": 0.4, "period": 10.0, "laps": 1.0, "yaw": YAW, "yaw_rate": 1.0}
-    errors = {"plant": {"mass_error": 0.03, "thrust_error": -0.05}, "mocap": {"tilt": [math.radians(1.0), 0.0]}}
-    config = swarm_of(ALIKE, YAW, mission_options=options, flight={"takeoff_height": 0.6}, **errors)
+    options = {
+        "figure": "circle",
+        "size": 0.4,
+        "period": 10.0,
+        "laps": 1.0,
+        "yaw": YAW,
+        "yaw_rate": 1.0,
+    }
+    errors = {
+        "plant": {"mass_error": 0.03, "thrust_error": -0.05},
+        "mocap": {"tilt": [math.radians(1.0), 0.0]},
+    }
+    config = swarm_of(
+        ALIKE, YAW, mission_options=options, flight={"takeoff_height": 0.6}, **errors
+    )
     return dict(zip(ALIKE, fly(config, load("figure")).values(), strict=True))
 
 
@@ -114,7 +150,9 @@ DRIFT = {"fpqr": 0.02, "frpy": 0.02, "vel": 0.09, "xyz": 0.09, "fullstate": 0.09
 
 
 @pytest.mark.parametrize("row", TILTED, **names)
-def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(tilted, row):
+def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(
+    tilted, row
+):
     """Measured: overshoot fpqr 3 mm, frpy 7 mm, vel 22 mm, xyz 43 mm; drift 13 mm, with vel and xyz up to 75 mm.
 
     As soon as motors turn, the firmware's estimate knows of no force but theirs; the floor's, which is there still,
@@ -237,18 +275,25 @@ def since(flight, at, seconds):
 
 
 @pytest.mark.parametrize("row", [row for row in SILENT if row[1] != "xyz"], **names)
-def test_without_commands_the_firmware_levels_out_after_half_a_second_and_locks_after_two(silent, row):
+def test_without_commands_the_firmware_levels_out_after_half_a_second_and_locks_after_two(
+    silent, row
+):
     flight, at = silent[row]
     assert flight.onboard[since(flight, at, 0.45)] == "flying"
     assert flight.onboard[since(flight, at, 0.55)] == "warning: level out"
     assert flight.tilts[since(flight, at, 1.2)] < math.radians(3.0)
-    assert flight.onboard[since(flight, at, 1.95)] in ("warning: level out", "exception: free fall")
+    assert flight.onboard[since(flight, at, 1.95)] in (
+        "warning: level out",
+        "exception: free fall",
+    )
     assert flight.onboard[since(flight, at, 2.1)] == "locked"
     assert not any(flight.motors[since(flight, at, 2.1) :])
     assert flight.resting[-1]
 
 
-def test_without_commands_a_drone_that_is_sent_places_hovers_where_the_last_one_was(silent):
+def test_without_commands_a_drone_that_is_sent_places_hovers_where_the_last_one_was(
+    silent,
+):
     flight, at = silent[("cf21", "xyz")]
     hovers = slice(since(flight, at, 1.5), since(flight, at, HEARD_AGAIN - 0.1))
     assert set(flight.onboard[hovers]) == {"flying"}
@@ -278,15 +323,27 @@ def unseen():
             if not blinded and np.min(x[:, 3]) > 0.8:
                 blinded.append(k)
             poses = sample(x, k)
-            return [None] * len(poses) if blinded and k < blinded[0] + round(1.9 / TICK) else poses
+            return (
+                [None] * len(poses)
+                if blinded and k < blinded[0] + round(1.9 / TICK)
+                else poses
+            )
 
         cameras.sample = gap
 
-    return dict(zip(ALIKE, fly(swarm_of(ALIKE, 0.0), mission_of(along_x), blind).values(), strict=True))
+    return dict(
+        zip(
+            ALIKE,
+            fly(swarm_of(ALIKE, 0.0), mission_of(along_x), blind).values(),
+            strict=True,
+        )
+    )
 
 
 @pytest.mark.parametrize("row", ALIKE, **names)
-def test_a_drone_that_is_not_seen_any_more_brakes_and_lands_and_does_not_fly_backwards(unseen, row):
+def test_a_drone_that_is_not_seen_any_more_brakes_and_lands_and_does_not_fly_backwards(
+    unseen, row
+):
     """Measured: back at 0.1 m/s with fpqr and frpy, 0.4 with vel, 0.6 with xyz. Braking on a prediction that knew no
     commands, frpy flew back at 4 m/s and tilted by 45 degrees."""
     flight = unseen[row]

@@ -52,21 +52,39 @@ def folder(tmp_path_factory):
     (path / "hop.py").write_text(HOP)
     (path / "room.xml").write_text(ROOM)
     swarm = {
-        "name": "hop", "mission": "hop.py", "seed": 1, "graph": "empty", "mujoco": {"scene": "room.xml"},
+        "name": "hop",
+        "mission": "hop.py",
+        "seed": 1,
+        "graph": "empty",
+        "mujoco": {"scene": "room.xml"},
         "drones": [
-            {"id": k, "home": [1.2 * k, 0.0, 0.0], "uri": "mujoco://", "platform": "cf21", "role": sender}
+            {
+                "id": k,
+                "home": [1.2 * k, 0.0, 0.0],
+                "uri": "mujoco://",
+                "platform": "cf21",
+                "role": sender,
+            }
             for k, sender in enumerate(SENDERS)
         ],
         "roles": [{"name": sender, "sender": sender} for sender in SENDERS],
         "fence": {"min": [-2.0, -2.0, 0.0], "max": [6.0, 2.0, 2.0]},
-    }  # fmt: skip
+    }
     (path / "swarm.json").write_text(json.dumps(swarm))
     return path
 
 
 @pytest.fixture(scope="module")
 def flown(here, folder):
-    return here("crazychoir", "run", folder / "swarm.json", "--fast", "--record", folder / "hop.mcap", "--json").json
+    return here(
+        "crazychoir",
+        "run",
+        folder / "swarm.json",
+        "--fast",
+        "--record",
+        folder / "hop.mcap",
+        "--json",
+    ).json
 
 
 def places(run):
@@ -77,7 +95,9 @@ def test_all_senders_fly_there_and_land_unharmed(flown):
     """Measured: fpqr and frpy 2 mm off, vel and xyz, flown by the controllers on board, 61 and 63 mm."""
     assert flown["success"], flown["reasons"]
     assert flown["min_separation_m"] > 0.9
-    off = np.linalg.norm(places(flown) - [[1.2 * k + 0.3, 0.2, 0.6] for k in range(4)], axis=1)
+    off = np.linalg.norm(
+        places(flown) - [[1.2 * k + 0.3, 0.2, 0.6] for k in range(4)], axis=1
+    )
     assert np.all(off < [0.005, 0.005, 0.08, 0.08]), off
 
 
@@ -96,24 +116,37 @@ def test_the_same_flight_again_has_the_same_digest(here, flown, folder):
     assert again["digest"] == flown["digest"]
 
 
-@pytest.mark.skipif(bool(has_graphics()), reason=f"no OpenGL off-screen: {has_graphics()}")
-def test_the_flight_is_drawn_as_a_picture_and_as_a_video_with_drones_where_they_were(here, flown, folder):
+@pytest.mark.skipif(
+    bool(has_graphics()), reason=f"no OpenGL off-screen: {has_graphics()}"
+)
+def test_the_flight_is_drawn_as_a_picture_and_as_a_video_with_drones_where_they_were(
+    here, flown, folder
+):
     picture, video = folder / "a.png", folder / "a.webp"
     flags = "--enlarge", 3, "--size", "160x120", "--camera", "above", "--json"
-    said = here("crazychoir", "render", folder / "hop.mcap", "--picture", picture, *flags)
+    said = here(
+        "crazychoir", "render", folder / "hop.mcap", "--picture", picture, *flags
+    )
     assert said.code == 0, said.err
     assert said.json["files"] == [str(picture)]
     image = np.asarray(Image.open(picture)).astype(float) / 255.0
     assert image.shape == (120, 160, 3)
     # The camera looks down from 5 m, 45 degrees high, above (2, 0.2): drone 1, whose rotors are red, is left of it.
-    reddish = (image[..., 0] > 1.8 * image[..., 2]) & (image[..., 0] > image[..., 1] + 0.15)
+    reddish = (image[..., 0] > 1.8 * image[..., 2]) & (
+        image[..., 0] > image[..., 1] + 0.15
+    )
     rows, columns = np.nonzero(reddish)
     assert len(rows) > 8
     scale = 60.0 / (np.tan(np.radians(22.5)) * 4.4)
     assert np.mean(columns) - 80.0 == pytest.approx(scale * (1.5 - 2.0), abs=4.0)
     assert np.mean(rows) - 60.0 == pytest.approx(0.0, abs=4.0)
     few = "--fps", 1, "--speed", 4, "--trail", 0
-    assert here("crazychoir", "render", folder / "hop.mcap", "--video", video, *few, *flags).code == 0
+    assert (
+        here(
+            "crazychoir", "render", folder / "hop.mcap", "--video", video, *few, *flags
+        ).code
+        == 0
+    )
     with Image.open(video) as film:
         assert film.size == (160, 120)
         assert film.n_frames > 1
@@ -143,7 +176,12 @@ def test_what_cannot_be_drawn_is_refused(here, flown, folder, words, said):
 @pytest.mark.timeout(300)
 def test_thirty_form_up_in_real_time_over_two_processes():
     """With contacts, and all that the collision filters say to each other."""
-    result = run(Path(__file__).parents[2] / "deploy" / "mujoco30.toml", "--processes", "2", seconds=200.0)
+    result = run(
+        Path(__file__).parents[2] / "deploy" / "mujoco30.toml",
+        "--processes",
+        "2",
+        seconds=200.0,
+    )
     assert result["success"], result["reasons"]
     assert result["real_time_factor"] == pytest.approx(1.0, abs=0.01)
     assert result["formation_error_m"] < 0.005

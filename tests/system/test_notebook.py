@@ -80,19 +80,29 @@ AFTER = "print([thread.name for thread in threading.enumerate() if thread.name =
 
 
 def printed(cell):
-    return "".join(output.text for output in cell.outputs if output.output_type == "stream" and output.name == "stdout")
+    return "".join(
+        output.text
+        for output in cell.outputs
+        if output.output_type == "stream" and output.name == "stdout"
+    )
 
 
 def notebook(*cells):
-    return nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    return nbformat.v4.new_notebook(
+        cells=[nbformat.v4.new_code_cell(cell) for cell in cells]
+    )
 
 
 def test_cells_of_a_notebook_simulate_fly_and_solve_as_a_script_does():
     book = notebook(IMPORTS, SIMULATE, SIMULATE, AWAITED, SAME)
     NotebookClient(book, timeout=100).execute()
     graph = ring(4)
-    history = simulate(team(graph, lambda i, w: Consensus(i, [i], w, 9)), graph, loss=0.3, seed=2)
-    assert [json.loads(printed(cell)) for cell in book.cells[1:4]] == [history.of().tolist()] * 3
+    history = simulate(
+        team(graph, lambda i, w: Consensus(i, [i], w, 9)), graph, loss=0.3, seed=2
+    )
+    assert [json.loads(printed(cell)) for cell in book.cells[1:4]] == [
+        history.of().tolist()
+    ] * 3
     assert printed(book.cells[4]).split() == ["True"] * 3
 
 

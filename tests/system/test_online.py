@@ -36,17 +36,25 @@ def test_all_that_the_living_can_serve_is_served_though_two_are_killed():
     outcome = whole(1000)
     assert outcome.reasons == []
     assert len(outcome.fates) == 20
-    assert max(result.get("longest_wait_s", 0.0) for result in outcome.results.values()) < 2.0
+    assert (
+        max(result.get("longest_wait_s", 0.0) for result in outcome.results.values())
+        < 2.0
+    )
 
 
 @pytest.mark.slow
 def test_one_that_falls_past_another_is_told_apart_from_two_that_fly():
     """It is killed above one that stands at its home; what the living serve does not depend on it."""
-    over_home_1 = {"t": 3.0, "pickup": [0.0, 6.3], "delivery": [0.0, 2.5], "robots": [0]}
+    over_home_1 = {
+        "t": 3.0,
+        "pickup": [0.0, 6.3],
+        "delivery": [0.0, 2.5],
+        "robots": [0],
+    }
     outcome = fly_online(drawn(1, drones=3, tasks=1, appear=[over_home_1]), {0: 18.05})
     assert outcome.reasons == []
     assert outcome.touching == {}
-    (pair, gap), = outcome.struck.items()
+    ((pair, gap),) = outcome.struck.items()
     assert (pair, gap < TOUCHING) == ((0, 1), True)
 
 
@@ -56,22 +64,34 @@ def test_drones_do_not_go_where_none_can_stand_and_fly_on():
 
     def prepare(agent):
         def learn():
-            for j, place in ((ADDED, (40.0, 1.0)), (ADDED + 1, config.drone(2).home[:2])):
-                agent.drones[1].guidance.news.book.learn(Task(j, 0, False, place, (2.0, 2.0)))
+            for j, place in (
+                (ADDED, (40.0, 1.0)),
+                (ADDED + 1, config.drone(2).home[:2]),
+            ):
+                agent.drones[1].guidance.news.book.learn(
+                    Task(j, 0, False, place, (2.0, 2.0))
+                )
 
         agent.clock.call_at(round(6 * SECONDS), learn)
 
     outcome = fly_online(config, {}, prepare)
     assert outcome.touching == {}
     assert all(result["success"] for result in outcome.results.values())
-    assert {j: fate for j, (fate, _) in outcome.fates.items() if j >= ADDED} == {ADDED: "open", ADDED + 1: "open"}
-    assert {fate for j, (fate, _) in outcome.fates.items() if j < ADDED} == {"delivered"}
+    assert {j: fate for j, (fate, _) in outcome.fates.items() if j >= ADDED} == {
+        ADDED: "open",
+        ADDED + 1: "open",
+    }
+    assert {fate for j, (fate, _) in outcome.fates.items() if j < ADDED} == {
+        "delivered"
+    }
     for result in outcome.results.values():
         assert "outside the fence" in result["unserved"][str(ADDED)]
         assert "from the home of drone 2" in result["unserved"][str(ADDED + 1)]
     report = load("online_delivery").report(config, outcome.results)
     assert not report["success"]
-    assert f"task {ADDED}: its pickup [40, 1] is outside the fence" in report["reasons"][0]
+    assert (
+        f"task {ADDED}: its pickup [40, 1] is outside the fence" in report["reasons"][0]
+    )
 
 
 @pytest.mark.slow
@@ -83,20 +103,30 @@ def test_all_that_the_living_can_serve_is_served_over_200_seeds():
         outcome = whole(seed)
         failed |= {seed: outcome.reasons} if outcome.reasons else {}
         struck |= {seed: outcome.struck} if outcome.struck else {}
-        waits.append(max(outcome.results[i].get("longest_wait_s", 0.0) for i in outcome.living))
-        plannings += [s for i in outcome.living for s in outcome.results[i].get("plannings_s", [])]
+        waits.append(
+            max(outcome.results[i].get("longest_wait_s", 0.0) for i in outcome.living)
+        )
+        plannings += [
+            s for i in outcome.living for s in outcome.results[i].get("plannings_s", [])
+        ]
     low, high = wilson(200 - len(failed), 200)
-    print(f"success {200 - len(failed)} of 200, Wilson 95 % [{low:.3f}, {high:.3f}]; planning: median "  # noqa: T201
-          f"{sorted(plannings)[len(plannings) // 2]:.2f} s, longest {max(plannings):.2f} s; "
-          f"longest wait in the air {max(waits):.2f} s; failed: {failed}; "
-          f"near enough to one that fell to be hit by it: {struck}")  # fmt: skip
+    print(  # noqa: T201
+        f"success {200 - len(failed)} of 200, Wilson 95 % [{low:.3f}, {high:.3f}]; planning: median "
+        f"{sorted(plannings)[len(plannings) // 2]:.2f} s, longest {max(plannings):.2f} s; "
+        f"longest wait in the air {max(waits):.2f} s; failed: {failed}; "
+        f"near enough to one that fell to be hit by it: {struck}"
+    )
     assert not failed
     assert low > 0.95
 
 
 # A drone that is killed at a stop ------------------------------------------------------------------------------
 
-MOMENTS = [0.0, 0.9, *(pytest.param(s, marks=pytest.mark.slow) for s in (0.1, 0.25, 0.5, 1.3))]
+MOMENTS = [
+    0.0,
+    0.9,
+    *(pytest.param(s, marks=pytest.mark.slow) for s in (0.1, 0.25, 0.5, 1.3)),
+]
 """s after it has announced a stop."""
 
 
@@ -133,7 +163,7 @@ def killed_at_stop(kind, after, **options):
 
     killed = {}
     outcome = fly_online(config, {}, prepare, killed)
-    (_, task), = victims
+    ((_, task),) = victims
     return outcome, task
 
 
@@ -153,7 +183,9 @@ def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
 
 @pytest.mark.parametrize("recover", [False, True])
 @pytest.mark.parametrize("after", MOMENTS)
-def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(after, recover):
+def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(
+    after, recover
+):
     outcome, task = killed_at_stop("delivery", after, recover=recover)
     assert outcome.reasons == []
     fate, robot = outcome.fates[task]
@@ -166,12 +198,29 @@ def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(a
 
 
 def test_a_cancelled_task_is_not_picked_up_and_one_that_is_aboard_is_delivered():
-    config = drawn(4, 0.2, drones=5, tasks=6, later=0, cancel=[{"t": 1.0, "task": j} for j in range(5)])
+    config = drawn(
+        4,
+        0.2,
+        drones=5,
+        tasks=6,
+        later=0,
+        cancel=[{"t": 1.0, "task": j} for j in range(5)],
+    )
     outcome = fly_online(config, {})
     assert outcome.reasons == []
     assert [outcome.fates[j][0] for j in range(5)] == ["cancelled"] * 5
     assert outcome.fates[5][0] == "delivered"
-    late = fly_online(drawn(4, 0.2, drones=5, tasks=6, later=0, cancel=[{"t": 12.0, "task": j} for j in range(6)]), {})
+    late = fly_online(
+        drawn(
+            4,
+            0.2,
+            drones=5,
+            tasks=6,
+            later=0,
+            cancel=[{"t": 12.0, "task": j} for j in range(6)],
+        ),
+        {},
+    )
     assert late.reasons == []
     fates = [fate for fate, _ in late.fates.values()]
     assert "delivered" in fates, "what was aboard by then"
@@ -188,7 +237,9 @@ def test_an_operator_adds_a_task_and_cancels_one():
                 await agent.clock.sleep(0.5)
             task = {"pickup": [1.0, 1.0], "delivery": [3.0, 3.0]}
             said["added"] = await commander.request(2, "task_add", **task)
-            said["no place"] = await commander.request(2, "task_add", pickup=[1.0], delivery=[3.0, 3.0])
+            said["no place"] = await commander.request(
+                2, "task_add", pickup=[1.0], delivery=[3.0, 3.0]
+            )
             said["no such"] = await commander.request(1, "task_cancel", id=77)
             other = await commander.request(1, "task_add", **task)
             said["cancelled"] = await commander.request(3, "task_cancel", id=0)
@@ -197,9 +248,16 @@ def test_an_operator_adds_a_task_and_cancels_one():
         agent.operator = asyncio.ensure_future(operate())
 
     outcome = fly_online(config, {}, prepare)
-    assert [said[what].kind for what in ("added", "other", "cancelled", "no place", "no such")] == [
-        "done", "done", "done", "refused", "refused",
-    ]  # fmt: skip
+    assert [
+        said[what].kind
+        for what in ("added", "other", "cancelled", "no place", "no such")
+    ] == [
+        "done",
+        "done",
+        "done",
+        "refused",
+        "refused",
+    ]
     assert "pickup" in said["no place"].detail or "length 2" in said["no place"].detail
     ids = {said["added"].detail["id"], said["other"].detail["id"]}
     assert len(ids) == 2
@@ -216,16 +274,22 @@ def test_others_take_over_from_a_drone_that_is_held_on_its_way():
 
     def prepare(agent):
         def hold():
-            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route))
+            busy = max(
+                agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route)
+            )
             held.append((busy, len(agent.drones[busy].guidance.commitments.route)))
             agent.drones[busy].pilot.hold(True)
-            agent.clock.call_at(agent.clock.now_ns() + round(25 * SECONDS), agent.drones[busy].pilot.hold, False)
+            agent.clock.call_at(
+                agent.clock.now_ns() + round(25 * SECONDS),
+                agent.drones[busy].pilot.hold,
+                False,
+            )
 
         agent.clock.call_at(round(8 * SECONDS), hold)
 
     outcome = fly_online(config, {}, prepare)
     assert outcome.reasons == []
-    (i, left), = held
+    ((i, left),) = held
     assert left > 2
     assert sum(i in by for by in outcome.delivered.values()) < 8 - left // 2
 
@@ -235,7 +299,9 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
 
     def prepare(agent):
         def land():
-            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route))
+            busy = max(
+                agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route)
+            )
             landed.append(busy)
             agent.drones[busy].pilot.land("landing on command")
             agent._guidances[busy].abort("landed on command")
@@ -245,7 +311,9 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
     outcome = fly_online(config, {}, prepare)
     others = [i for i in outcome.config.ids if i != landed[0]]
     assert all(outcome.results[i]["success"] for i in others), outcome.results
-    assert {fate for fate, _ in outcome.results[others[0]]["tasks"].values()} == {"delivered"}
+    assert {fate for fate, _ in outcome.results[others[0]]["tasks"].values()} == {
+        "delivered"
+    }
     assert all(len(by) == 1 for by in outcome.delivered.values())
 
 
@@ -260,7 +328,9 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
 
     def prepare(agent):
         def fail():
-            busy = max(agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route))
+            busy = max(
+                agent.ids, key=lambda i: len(agent.drones[i].guidance.commitments.route)
+            )
             failed.append(busy)
             guidance = agent.drones[busy].guidance
             setattr(getattr(guidance, part, guidance), name, broken)
@@ -283,13 +353,27 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
 
 @pytest.mark.parametrize(
     ("who", "recover"),
-    [(0, True), (3, False), *(pytest.param(*both, marks=pytest.mark.slow) for both in ((0, False), (3, True)))],
+    [
+        (0, True),
+        (3, False),
+        *(
+            pytest.param(*both, marks=pytest.mark.slow)
+            for both in ((0, False), (3, True))
+        ),
+    ],
 )
 @pytest.mark.parametrize("until", [10.0, pytest.param(18.0, marks=pytest.mark.slow)])
-def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(who, recover, until):
+def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(
+    who, recover, until
+):
     """It waits where it is, and lands after 5.5 s."""
     config = drawn(8, 0.2, drones=4, tasks=6, later=0, recover=recover, until=40.0)
-    config = config.replace(network={"loss": 0.2, "partitions": [{"at": 6.0, "until": until, "groups": [[who]]}]})
+    config = config.replace(
+        network={
+            "loss": 0.2,
+            "partitions": [{"at": 6.0, "until": until, "groups": [[who]]}],
+        }
+    )
     outcome = fly_online(config, {})
     why = outcome.results[who].get("reason", "")
     assert "hears no more than half" in why or "cut off" in why or until < 12.0, why
@@ -305,14 +389,21 @@ def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve
 
 
 @pytest.mark.parametrize("recover", [False, True])
-def test_who_is_left_alone_by_a_crash_and_a_link_that_is_cut_for_good_comes_to_an_end(recover):
+def test_who_is_left_alone_by_a_crash_and_a_link_that_is_cut_for_good_comes_to_an_end(
+    recover,
+):
     """One that was cut off with nothing to do waited for ever for the others to be done."""
     config = drawn(8, 0.0, drones=3, tasks=2, later=0, recover=recover, until=40.0)
-    config = config.replace(network={"partitions": [{"at": 20.0, "until": 400.0, "groups": [[2]]}]})
+    config = config.replace(
+        network={"partitions": [{"at": 20.0, "until": 400.0, "groups": [[2]]}]}
+    )
     outcome = fly_online(config, {0: 24.0})
     assert outcome.simulated < 150.0
     for i in (1, 2):
-        assert "cut off from more than half of the team for 30 s" in outcome.results[i]["reason"]
+        assert (
+            "cut off from more than half of the team for 30 s"
+            in outcome.results[i]["reason"]
+        )
         assert not outcome.results[i]["success"]
 
 
@@ -332,7 +423,10 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end(drones):
     for result in outcome.results.values():
         assert not result["success"]
         assert "nobody that it hears flies any more for 30 s" in result["reason"]
-    assert any("the battery is empty" in result["reason"] for result in outcome.results.values())
+    assert any(
+        "the battery is empty" in result["reason"]
+        for result in outcome.results.values()
+    )
 
 
 def test_a_drone_that_is_sent_elsewhere_at_full_speed_stays_in_its_room():
@@ -351,7 +445,9 @@ def test_a_method_of_pickup_delivery_plans_in_flight_too():
 
 
 @pytest.mark.parametrize("who", [(1,), (0, 1, 2)])
-def test_a_method_that_raises_in_flight_is_replaced_by_the_auction(monkeypatch, caplog, who):
+def test_a_method_that_raises_in_flight_is_replaced_by_the_auction(
+    monkeypatch, caplog, who
+):
     """It ended the mission of all: nobody served anything more."""
     step = PickupDelivery.step
 
@@ -367,13 +463,23 @@ def test_a_method_that_raises_in_flight_is_replaced_by_the_auction(monkeypatch, 
     fallbacks = [outcome.results[i]["fallbacks"] for i in config.ids]
     assert fallbacks[0] == fallbacks[1] == fallbacks[2]
     why = f"robot {who[0]}: SolverError: columns: the solver ended with status no plan found"
-    told = {"planning": 1, "method": "columns", "why": why, "instead": "planned by parallel-auction"}
+    told = {
+        "planning": 1,
+        "method": "columns",
+        "why": why,
+        "instead": "planned by parallel-auction",
+    }
     assert fallbacks[0][0] == told
-    assert load("online_delivery").report(config, outcome.results)["fallbacks"] == fallbacks[0]
+    assert (
+        load("online_delivery").report(config, outcome.results)["fallbacks"]
+        == fallbacks[0]
+    )
     assert caplog.text.count(f"planning 1: columns: {why}") == 1
 
 
-def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home(monkeypatch):
+def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home(
+    monkeypatch,
+):
     """Every planning fails from 12 s on; those of who is bound to goods, or has them aboard, go on with them."""
     now = []
 
@@ -383,15 +489,26 @@ def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home
         return (yield from parallel_auction(robot, *args))
 
     monkeypatch.setattr(replanning, "parallel_auction", broken)
-    config = drawn(4, 0.2, drones=3, tasks=6, appear=[{"t": 12.0, "pickup": [1, 1], "delivery": [2, 2]}])
+    config = drawn(
+        4,
+        0.2,
+        drones=3,
+        tasks=6,
+        appear=[{"t": 12.0, "pickup": [1, 1], "delivery": [2, 2]}],
+    )
     outcome = fly_online(config, {}, lambda agent: now.append(agent.clock.now))
-    assert all(result["success"] for result in outcome.results.values()), outcome.results
+    assert all(result["success"] for result in outcome.results.values()), (
+        outcome.results
+    )
     assert outcome.touching == {}
     fates = [fate for fate, _ in outcome.fates.values()]
     assert set(fates) == {"delivered", "open"}
     assert all(len(by) == 1 for by in outcome.delivered.values())
     for i in config.ids:
-        picked, dropped = ([s["task"] for s in outcome.results[i]["served"] if s["kind"] == kind] for kind in KINDS)
+        picked, dropped = (
+            [s["task"] for s in outcome.results[i]["served"] if s["kind"] == kind]
+            for kind in KINDS
+        )
         assert sorted(picked) == sorted(dropped)
         assert outcome.results[i]["fallbacks"][0]["instead"] == NO_PLAN
     report = load("online_delivery").report(config, outcome.results)
@@ -405,7 +522,9 @@ def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home
 @pytest.mark.slow
 @pytest.mark.real_time
 @pytest.mark.timeout(360)
-async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_adds_a_task(tmp_path, compiled):
+async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_adds_a_task(
+    tmp_path, compiled
+):
     """What the killed drone carried is fetched from where it fell; started again it is a member as any other."""
     config = drawn(9, 0.2, drones=5, tasks=8, later=0, recover=True, until=30.0)
     config = apart(config.replace(lease=1.0), None)
@@ -416,7 +535,16 @@ async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_ad
         await team.agents[victim].process.wait()
         await team.start((victim,))
         said = await Program.start(
-            *CRAZYCHOIR, "task", "add", "--pickup", "1,1", "--delivery", "4,3.5", "--swarm", team.path, "--json"
+            *CRAZYCHOIR,
+            "task",
+            "add",
+            "--pickup",
+            "1,1",
+            "--delivery",
+            "4,3.5",
+            "--swarm",
+            team.path,
+            "--json",
         )
         added = (await said.end(30.0))["id"]
         ended = await team.end(180.0)
@@ -424,8 +552,15 @@ async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_ad
     fates = found[victim]["tasks"]
     assert {fate for fate, _ in fates.values()} == {"delivered"}, fates
     assert str(added) in fates
-    assert all(found[i]["success"] and found[i]["tasks"] == fates for i in config.ids), found
-    stops = [stop["task"] for i in config.ids for stop in found[i]["served"] if stop["kind"] == "delivery"]
+    assert all(
+        found[i]["success"] and found[i]["tasks"] == fates for i in config.ids
+    ), found
+    stops = [
+        stop["task"]
+        for i in config.ids
+        for stop in found[i]["served"]
+        if stop["kind"] == "delivery"
+    ]
     assert len(stops) == len(set(stops))
 
 

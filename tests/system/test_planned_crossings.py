@@ -20,7 +20,9 @@ CLEAR = 0.24
 def circle(draw, n=N):
     """Places (n, 3) m around a circle, off it by chance, each clear of all others."""
     angles = 2.0 * np.pi * np.arange(n) / n
-    flat = RADIUS * np.column_stack([np.cos(angles), np.sin(angles)]) + draw.uniform(-0.1, 0.1, (n, 2))
+    flat = RADIUS * np.column_stack([np.cos(angles), np.sin(angles)]) + draw.uniform(
+        -0.1, 0.1, (n, 2)
+    )
     return np.column_stack([flat, draw.uniform(0.5, 2.0, n)])
 
 
@@ -47,7 +49,10 @@ class Crosses(CFGuidance):
         await self.rendezvous()
         begins = self.member.clock.now()
         await self.go_to(self.goal)
-        while math.dist(self.state.p, self.goal) > ARRIVED and self.member.clock.now() < begins + TIME:
+        while (
+            math.dist(self.state.p, self.goal) > ARRIVED
+            and self.member.clock.now() < begins + TIME
+        ):
             await self.sleep(0.05)
         arrived = self.member.clock.now() - begins
         await self.rendezvous("there")
@@ -60,7 +65,13 @@ class Streams(CFDistributedFeedback):
     """A straight line of FullStates, that does not wait for anybody."""
 
     def __init__(self, start, goal):
-        self.start, self.goal, self.duration, self.steps, self.arrived = start, goal, LAW, 0, None
+        self.start, self.goal, self.duration, self.steps, self.arrived = (
+            start,
+            goal,
+            LAW,
+            0,
+            None,
+        )
 
     def height(self):
         return float(self.start[2])
@@ -92,14 +103,27 @@ def crossing(by, pattern, seed, method="cells", senders=("xyz",) * N):
     """The flights of a crossing."""
     starts, goals = places(pattern, seed, len(senders))
     drones = [
-        {"id": k, "home": [*starts[k, :2].tolist(), 0.0], "uri": "sim://motors", "platform": "cf21", "role": sender}
+        {
+            "id": k,
+            "home": [*starts[k, :2].tolist(), 0.0],
+            "uri": "sim://motors",
+            "platform": "cf21",
+            "role": sender,
+        }
         for k, sender in enumerate(senders)
     ]
     roles = [{"name": sender, "sender": sender} for sender in dict.fromkeys(senders)]
     config = SwarmConfig.of(
-        {"name": "crossing", "drones": drones, "roles": roles, "seed": seed, "graph": "complete",
-         "network": {"loss": 0.1, "burst": 4.0}, "collision": {"method": method}}
-    )  # fmt: skip
+        {
+            "name": "crossing",
+            "drones": drones,
+            "roles": roles,
+            "seed": seed,
+            "graph": "complete",
+            "network": {"loss": 0.1, "burst": 4.0},
+            "collision": {"method": method},
+        }
+    )
     return fly(config, Mission(by, starts, goals))
 
 
@@ -138,4 +162,11 @@ def test_six_cross_in_fifty_ways(by, pattern, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(10))
 def test_both_kinds_of_drones_respect_each_other(seed):
-    kept_clear(crossing(Streams, "antipodal", seed, senders=("fpqr", "xyz", "fpqr", "xyz", "vel", "xyz")))
+    kept_clear(
+        crossing(
+            Streams,
+            "antipodal",
+            seed,
+            senders=("fpqr", "xyz", "fpqr", "xyz", "vel", "xyz"),
+        )
+    )

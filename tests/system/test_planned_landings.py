@@ -15,17 +15,31 @@ HOMES = ((-1.2, 0.02, 0.0), (1.2, 0.0, 0.0))
 def pair(homes=HOMES, **tables):
     """Two drones that fly by their planners on board."""
     drones = [
-        {"id": k, "home": list(home), "uri": "sim://motors", "platform": "cf21", "role": "xyz"}
+        {
+            "id": k,
+            "home": list(home),
+            "uri": "sim://motors",
+            "platform": "cf21",
+            "role": "xyz",
+        }
         for k, home in enumerate(homes)
     ]
     return SwarmConfig.of(
-        {"name": "pair", "drones": drones, "roles": [{"name": "xyz", "sender": "xyz"}], "graph": "complete", **tables}
+        {
+            "name": "pair",
+            "drones": drones,
+            "roles": [{"name": "xyz", "sender": "xyz"}],
+            "graph": "complete",
+            **tables,
+        }
     )
 
 
 def nearest(flights, scale=(1.0, 1.0, 1.0)):
     n = min(len(flight.t) for flight in flights.values())
-    return float(np.linalg.norm((flights[0].p[:n] - flights[1].p[:n]) * scale, axis=1).min())
+    return float(
+        np.linalg.norm((flights[0].p[:n] - flights[1].p[:n]) * scale, axis=1).min()
+    )
 
 
 def test_who_wants_to_land_on_another_lands_beside():
@@ -40,7 +54,9 @@ def test_who_wants_to_land_on_another_lands_beside():
         return {}
 
     flights = fly(pair(((0.0, 0.0, 0.0), (1.2, 0.0, 0.0))), mission_of(does))
-    assert all(flight.result["success"] and not flight.harm for flight in flights.values())
+    assert all(
+        flight.result["success"] and not flight.harm for flight in flights.values()
+    )
     assert nearest(flights) > 0.3
     assert flights[1].t[-1] < 30.0
 
@@ -69,7 +85,9 @@ def test_who_is_not_answered_lands_after_some_seconds(edge):
         await guidance.rendezvous()
         if guidance.id == 0:
             bus = guidance.member.communicator.port.bus
-            bus.impairment = Impairment(1, [Rule({"loss": 1.0}, edge=edge, directed=True)])
+            bus.impairment = Impairment(
+                1, [Rule({"loss": 1.0}, edge=edge, directed=True)]
+            )
             bus.impairment.begin(guidance.member.clock.now())
         await guidance.sleep(20.0 * (1 - guidance.id) + 5.0)
         begins = guidance.member.clock.now()
@@ -77,5 +95,7 @@ def test_who_is_not_answered_lands_after_some_seconds(edge):
         return {"took": guidance.member.clock.now() - begins}
 
     flights = fly(pair(lost_after=60.0), mission_of(does))
-    assert all(flight.result["success"] and not flight.harm for flight in flights.values())
+    assert all(
+        flight.result["success"] and not flight.harm for flight in flights.values()
+    )
     assert flights[1].result["took"] < 12.0

@@ -42,16 +42,31 @@ def delivery(folder):
         authority.add(keys, name)
     config = MISSION.swarm(6)
     drones = [
-        {"id": d.id, "home": list(d.home), "host": "a" if d.id in FIRST else "b", "uri": "sim://motors"}
+        {
+            "id": d.id,
+            "home": list(d.home),
+            "host": "a" if d.id in FIRST else "b",
+            "uri": "sim://motors",
+        }
         for d in config.drones
     ]
     raw = json.loads(config.dumps())
     return config.replace(
-        hosts=ADDRESSES, drones=drones, world={"owned": True, "host": "a"}, lease=LEASE, graph="complete",
-        security={"operators": ["a"], "keys": str(keys)}, start_deadline=60.0,
+        hosts=ADDRESSES,
+        drones=drones,
+        world={"owned": True, "host": "a"},
+        lease=LEASE,
+        graph="complete",
+        security={"operators": ["a"], "keys": str(keys)},
+        start_deadline=60.0,
         mission_options={**raw["mission_options"], "tasks": 8, "later": 0},
-        flight={"takeoff_height": 0.6, "speed_limit": 1.0, "acceleration_limit": 2.0, "landing_speed": 0.4},
-    )  # fmt: skip
+        flight={
+            "takeoff_height": 0.6,
+            "speed_limit": 1.0,
+            "acceleration_limit": 2.0,
+            "landing_speed": 0.4,
+        },
+    )
 
 
 @contextlib.asynccontextmanager
@@ -61,11 +76,17 @@ async def in_flight(folder):
     async with wired(ADDRESSES, loss=0.01, delay=0.005) as cable:
         file = folder / "world.json"
         file.write_text(config.dumps())
-        world = await Program.start(*cable.command("a"), *WORLD, "--swarm", file, "--json")
+        world = await Program.start(
+            *cable.command("a"), *WORLD, "--swarm", file, "--json"
+        )
         try:
             place = {i: cable.command("a" if i in FIRST else "b") for i in config.ids}
             async with flying(config, folder / "team", lambda i: place[i]) as team:
-                await until(lambda: under_way(team.newest()), 90.0, lambda: f"{team.newest()} {world.text}")
+                await until(
+                    lambda: under_way(team.newest()),
+                    90.0,
+                    lambda: f"{team.newest()} {world.text}",
+                )
                 yield world, team, cable
         finally:
             await world.kill()
@@ -78,11 +99,20 @@ def under_way(statuses):
 
 def score(folder, name, world, found, **figures):
     """One line of results; who has delivered what is counted once."""
-    stops = [stop["task"] for one in found.values() for stop in one.get("served", []) if stop["kind"] == "delivery"]
+    stops = [
+        stop["task"]
+        for one in found.values()
+        for stop in one.get("served", [])
+        if stop["kind"] == "delivery"
+    ]
     assert len(stops) == len(set(stops)), stops
     reasons = {i: one.get("reason", "") for i, one in sorted(found.items())}
     line = {"fault": name, **figures, "delivered": len(stops), "reasons": reasons}
-    line["firmware"] = [said for said in world.said if "landing" in said or "crash" in said or "hit" in said]
+    line["firmware"] = [
+        said
+        for said in world.said
+        if "landing" in said or "crash" in said or "hit" in said
+    ]
     out = folder / "out"
     out.mkdir(exist_ok=True)
     with (out / "process_faults.jsonl").open("a") as file:
@@ -107,11 +137,15 @@ async def test_one_of_six_is_killed_and_the_rest_finish(tmp_path, repository):
     named = max(seen(ended, i, VICTIM, "suspect", killed) for i in others)
     line = score(repository, "kill -9", world, found, named_s=named)
     assert named <= 2 * LEASE
-    assert any(f"drone {VICTIM}" in said and "landing" in said for said in world.said), world.text
+    assert any(
+        f"drone {VICTIM}" in said and "landing" in said for said in world.said
+    ), world.text
     assert all(found[i]["success"] for i in others), line
 
 
-async def test_one_that_is_killed_and_started_again_takes_part_again(tmp_path, repository):
+async def test_one_that_is_killed_and_started_again_takes_part_again(
+    tmp_path, repository
+):
     """Its drone has been landed by its firmware meanwhile."""
     async with in_flight(tmp_path) as (world, team, _):
         await asyncio.sleep(0.5)
@@ -125,7 +159,14 @@ async def test_one_that_is_killed_and_started_again_takes_part_again(tmp_path, r
         await ending(world)
     found, others = results(ended), [i for i in team.config.ids if i != VICTIM]
     back = max(seen(ended, i, VICTIM, "alive", again) for i in others)
-    line = score(repository, "kill -9, started again", world, found, heard_again_s=back, away_s=again - killed)
+    line = score(
+        repository,
+        "kill -9, started again",
+        world,
+        found,
+        heard_again_s=back,
+        away_s=again - killed,
+    )
     assert all(found[i]["success"] for i in others), line
     assert found[VICTIM]["success"], (line, team.agents[VICTIM].text)
 
@@ -142,9 +183,17 @@ async def test_a_partition_that_heals(tmp_path, repository, length):
         await ending(world)
     found = results(ended)
     named = {i: seen(ended, i, VICTIM, "suspect", cut) for i in FIRST}
-    line = score(repository, f"partition of {length:g} s", world, found, named_s=max(named.values()))
+    line = score(
+        repository,
+        f"partition of {length:g} s",
+        world,
+        found,
+        named_s=max(named.values()),
+    )
     assert max(named.values()) <= 2 * LEASE
-    deaf = DEAF if length > 10.0 else "-"  # by then half of the team lands, wherever it is
+    deaf = (
+        DEAF if length > 10.0 else "-"
+    )  # by then half of the team lands, wherever it is
     assert all(found[i]["success"] or deaf in found[i]["reason"] for i in FIRST), line
 
 
@@ -164,7 +213,14 @@ async def test_one_that_is_stopped_for_a_while(tmp_path, repository):
 
 
 async def test_a_full_disk_ends_the_recording_and_not_the_flight(small_disk):
-    flown = await Program.start(*CRAZYCHOIR, "run", "pickup_delivery", "--record", small_disk / "flight.mcap", "--json")
+    flown = await Program.start(
+        *CRAZYCHOIR,
+        "run",
+        "pickup_delivery",
+        "--record",
+        small_disk / "flight.mcap",
+        "--json",
+    )
     result = await flown.end(150.0)
     told = result["recording"]
     assert (result["success"], result["code"]) == (True, 0), flown.text
@@ -177,6 +233,8 @@ def small_disk(tmp_path):
     """A folder that half a megabyte fills."""
     folder = tmp_path / "small"
     folder.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", folder], check=True)
+    subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", folder], check=True
+    )
     yield folder
     subprocess.run(["umount", folder], check=True)

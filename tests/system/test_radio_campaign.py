@@ -80,12 +80,21 @@ def drawn(seed: int) -> tuple[SwarmConfig, list[Fault]]:
         row |= {"role": str(draws.choice(SENDERS)), "home": [*home, 0.0]}
     raw |= {
         "roles": [{"name": sender, "sender": sender} for sender in SENDERS],
-        "mission": "figure", "mission_options": {"size": 0.3, "laps": 1.0, "period": 8.0},
-        "flight": {"takeoff_height": 0.8, "speed_limit": 0.5, "acceleration_limit": 1.0},
+        "mission": "figure",
+        "mission_options": {"size": 0.3, "laps": 1.0, "period": 8.0},
+        "flight": {
+            "takeoff_height": 0.8,
+            "speed_limit": 0.5,
+            "acceleration_limit": 1.0,
+        },
         "processes": [[0, 1], [2, 3]],
-    }  # fmt: skip
+    }
     faults = [
-        Fault(draws.uniform(0.0, 6.0), str(draws.choice(KINDS)), int(draws.integers(DRONES)))
+        Fault(
+            draws.uniform(0.0, 6.0),
+            str(draws.choice(KINDS)),
+            int(draws.integers(DRONES)),
+        )
         for _ in range(draws.choice((1, 2, 2, 3)))
     ]
     raw["radio"] = {"watchdog": bool(draws.integers(2))}
@@ -104,35 +113,51 @@ class Watched:
 
     def look(self, state: dict[int, dict[str, Any]]) -> None:
         up = [said["p"] for said in state.values() if not said["resting"]]
-        self.apart = min([self.apart, *itertools.starmap(math.dist, itertools.combinations(up, 2))])
+        self.apart = min(
+            [self.apart, *itertools.starmap(math.dist, itertools.combinations(up, 2))]
+        )
         for said in state.values():
             if max(said["motors"]) > 0.0 and not said["resting"]:
                 self.outside = max(self.outside, self.limit.outside(*said["p"]))
         self.resting = not up
 
 
-def begin(fault: Fault, hall: Hall, run: Program) -> Iterator[tuple[float, dict[str, Any]]]:
+def begin(
+    fault: Fault, hall: Hall, run: Program
+) -> Iterator[tuple[float, dict[str, Any]]]:
     """Let it go wrong; what ends it, and after how many s."""
     i, kind = fault.drone, fault.kind
     if kind in LASTING:
         hall.fault(i, **LASTING[kind][0])
     elif kind in PASSING:
         seconds, begins, ends = PASSING[kind]
-        hall.fault(i, **{name: (i + 1) % DRONES if value is None else value for name, value in begins.items()})
+        hall.fault(
+            i,
+            **{
+                name: (i + 1) % DRONES if value is None else value
+                for name, value in begins.items()
+            },
+        )
         yield seconds, ends
     elif kind == STOPPED:
         hall.interrupt(run)
     else:
-        pattern = KILLED[kind].format(name=hall.config.name, first=i - i % 2, group=i // 2)
+        pattern = KILLED[kind].format(
+            name=hall.config.name, first=i - i % 2, group=i // 2
+        )
         found = processes(pattern)
-        ended = run.process.returncode is not None or kind == "its agent"  # nobody starts one again
+        ended = (
+            run.process.returncode is not None or kind == "its agent"
+        )  # nobody starts one again
         assert found or ended, (pattern, "nobody to kill")
         for process in found:
             os.kill(process, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("seed", range(100))
-async def test_whatever_fails_nobody_is_outside_nobody_collides_nobody_hangs(tmp_path, seed) -> None:
+async def test_whatever_fails_nobody_is_outside_nobody_collides_nobody_hangs(
+    tmp_path, seed
+) -> None:
     config, faults = drawn(seed)
     for sender in TILTED:
         margin = inset(config, sender)
@@ -143,14 +168,19 @@ async def test_whatever_fails_nobody_is_outside_nobody_collides_nobody_hangs(tmp
     watched = Watched(Fence.box(*limit_area(config)))
     async with Hall(config, tmp_path) as hall:
         run = await hall.fly()
-        await hall.until(lambda state: all(said["p"][2] > 0.6 for said in state.values()), 90.0)
+        await hall.until(
+            lambda state: all(said["p"][2] > 0.6 for said in state.values()), 90.0
+        )
         began, todo = loop.time(), list(faults)
         ends: list[tuple[float, int, dict[str, Any]]] = []
         while not watched.resting or todo:
             t = loop.time() - began
             while todo and todo[0].t <= t:
                 fault = todo.pop(0)
-                ends += [(t + seconds, fault.drone, right) for seconds, right in begin(fault, hall, run)]
+                ends += [
+                    (t + seconds, fault.drone, right)
+                    for seconds, right in begin(fault, hall, run)
+                ]
             for end in [end for end in ends if end[0] <= t]:
                 ends.remove(end)
                 hall.fault(end[1], **end[2])

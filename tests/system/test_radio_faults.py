@@ -39,10 +39,11 @@ def swarm() -> SwarmConfig:
         row |= {"home": home, "role": sender}
     raw |= {
         "roles": [{"name": sender, "sender": sender} for sender in SENDERS],
-        "mission": "figure", "mission_options": {"size": 0.3, "laps": 1.0, "period": 10.0},
+        "mission": "figure",
+        "mission_options": {"size": 0.3, "laps": 1.0, "period": 10.0},
         "flight": {"takeoff_height": HEIGHT},
         "fence": {"min": [-2.5, -2.5, 0.0], "max": [3.7, 3.7, 2.5]},
-    }  # fmt: skip
+    }
     return reached(SwarmConfig.of(raw), per_dongle=1)
 
 
@@ -73,14 +74,19 @@ class Flight:
             turn = max(said["motors"]) > 0.0
             if turn:
                 self.still.pop(i, None)
-                self.far[i] = max(self.far.get(i, 0.0), *(abs(a - b) for a, b in zip(said["p"], HOMES[i], strict=True)))
+                self.far[i] = max(
+                    self.far.get(i, 0.0),
+                    *(abs(a - b) for a, b in zip(said["p"], HOMES[i], strict=True)),
+                )
             else:
                 self.still.setdefault(i, t)
             if said["supervisor"] == "warning: level out":
                 self.levelled.setdefault(i, t)
             came = self.came.setdefault(i, [])
             if not came or t > came[-1][0] + 0.5:
-                came.append((*(round(x, 2) for x in (t, *said["p"])), said["up"], said["poses"]))
+                came.append(
+                    (*(round(x, 2) for x in (t, *said["p"])), said["up"], said["poses"])
+                )
         self.last = state
 
     def reason(self, i: int) -> str:
@@ -154,19 +160,29 @@ def killed(pattern: str) -> Callable[[Hall, Program], None]:
     return begin
 
 
-AGENT, OWNER = "[c]li.agent --swarm .*{name}.* --id {i} ", "[c]li.radios --swarm .*{name}.* --dongle {i} "
+AGENT, OWNER = (
+    "[c]li.agent --swarm .*{name}.* --id {i} ",
+    "[c]li.radios --swarm .*{name}.* --dongle {i} ",
+)
 
 
 def on_its_figure(p: Sequence[float], home: Sequence[float]) -> bool:
     return p[2] > 0.9 * HEIGHT and math.dist(p[:2], home[:2]) > 0.15
 
 
-async def fly(folder, *steps: Step, config: SwarmConfig | None = None, seconds: float = 60.0) -> Flight:
+async def fly(
+    folder, *steps: Step, config: SwarmConfig | None = None, seconds: float = 60.0
+) -> Flight:
     """All in the air, on their figures; then the steps, at s after that; until all motors stand."""
     flight, loop = Flight(), asyncio.get_running_loop()
     async with Hall(swarm() if config is None else config, folder) as hall:
         run = await hall.fly()
-        await hall.until(lambda state: all(on_its_figure(said["p"], HOMES[i]) for i, said in state.items()), 90.0)
+        await hall.until(
+            lambda state: all(
+                on_its_figure(said["p"], HOMES[i]) for i, said in state.items()
+            ),
+            90.0,
+        )
         began, todo = loop.time(), list(steps)
         while loop.time() < began + seconds:
             t = loop.time() - began
@@ -184,7 +200,9 @@ async def fly(folder, *steps: Step, config: SwarmConfig | None = None, seconds: 
 
 @pytest.mark.parametrize("watchdog", [True, False])
 async def test_a_radio_silent_for_a_second(tmp_path, watchdog) -> None:
-    flight = await fly(tmp_path, (0.0, on(silent=1)), (1.2, off("silent")), config=choosing(watchdog))
+    flight = await fly(
+        tmp_path, (0.0, on(silent=1)), (1.2, off("silent")), config=choosing(watchdog)
+    )
     for i in (0, 1, WELL):
         flight.flew_on(i)
     for i in (0, 1):
@@ -199,7 +217,9 @@ async def test_a_radio_silent_for_a_second(tmp_path, watchdog) -> None:
 
 @pytest.mark.parametrize("watchdog", [True, False])
 async def test_a_radio_silent_for_five_seconds(tmp_path, watchdog) -> None:
-    flight = await fly(tmp_path, (0.0, on(silent=1)), (5.0, off("silent")), config=choosing(watchdog))
+    flight = await fly(
+        tmp_path, (0.0, on(silent=1)), (5.0, off("silent")), config=choosing(watchdog)
+    )
     flight.was_silent(watchdog, 13.0)
 
 
@@ -222,7 +242,9 @@ async def test_cameras_that_do_not_see_it(tmp_path, seconds, lands) -> None:
 
 
 async def test_a_pose_that_jumps(tmp_path) -> None:
-    flight = await fly(tmp_path, (0.0, on(offset=[0.5, 0.3, 0.0])), (5.0, off("offset")))
+    flight = await fly(
+        tmp_path, (0.0, on(offset=[0.5, 0.3, 0.0])), (5.0, off("offset"))
+    )
     for i in range(WELL):
         flight.landed(i, "limit 0.50 s: landing", 8.0)
         assert flight.far[i] < HEIGHT + 0.2
@@ -232,7 +254,9 @@ async def test_a_pose_that_jumps(tmp_path) -> None:
 
 @pytest.mark.parametrize("pair", [(0, 1), (1, 2)])
 async def test_bodies_that_are_exchanged_in_flight(tmp_path, pair) -> None:
-    flight = await fly(tmp_path, (0.0, lambda hall, run: hall.fault(pair[0], swap=pair[1])))
+    flight = await fly(
+        tmp_path, (0.0, lambda hall, run: hall.fault(pair[0], swap=pair[1]))
+    )
     for i in flight.last:
         if i in pair:
             flight.landed(i, "limit 0.50 s: landing", 8.0)
@@ -279,21 +303,29 @@ async def test_owners_of_dongles_that_are_killed(tmp_path, watchdog) -> None:
         if flight.result["results"][str(i)]["success"]:
             flight.flew_on(i)
         else:
-            flight.fell(i, " silent for ", 1.8, 2.6)  # seen on the floor before its owner is back, or locked after
+            flight.fell(
+                i, " silent for ", 1.8, 2.6
+            )  # seen on the floor before its owner is back, or locked after
     if not watchdog and flight.result["results"]["2"]["success"]:
         flight.flew_on(2)
         flight.flew_on(WELL)
     else:
         flight.planned_on(watchdog, 25.0)
     for i in range(WELL):
-        assert f"dongle {i}: its owner was ended by SIGKILL: started again" in flight.text
+        assert (
+            f"dongle {i}: its owner was ended by SIGKILL: started again" in flight.text
+        )
 
 
 async def test_a_host_that_is_lost_with_agents_and_owners(tmp_path) -> None:
-    flight = await fly(tmp_path, (0.0, killed(AGENT)), (0.0, killed(OWNER)), config=choosing(False))
+    flight = await fly(
+        tmp_path, (0.0, killed(AGENT)), (0.0, killed(OWNER)), config=choosing(False)
+    )
     for i in (0, 1):
         assert 1.8 < flight.still[i] < 2.6, "as without a radio"
-    assert flight.still[2] < 25.0, "the owner that is started again finds it in the air, and nobody who flies it"
+    assert flight.still[2] < 25.0, (
+        "the owner that is started again finds it in the air, and nobody who flies it"
+    )
     assert flight.softly(2)
     assert flight.softly(WELL)
 
@@ -309,9 +341,15 @@ async def test_an_emergency_stop_of_all(tmp_path) -> None:
     told: list[asyncio.Task[Program]] = []
 
     def stop(hall: Hall, run: Program) -> None:
-        told.append(asyncio.ensure_future(Program.start(*CRAZYCHOIR, "stop", "--swarm", hall.path, "--json")))
+        told.append(
+            asyncio.ensure_future(
+                Program.start(*CRAZYCHOIR, "stop", "--swarm", hall.path, "--json")
+            )
+        )
 
-    flight = await fly(tmp_path, (0.0, stop), (8.0, lambda hall, run: hall.interrupt(run)))
+    flight = await fly(
+        tmp_path, (0.0, stop), (8.0, lambda hall, run: hall.interrupt(run))
+    )
     ended = max(flight.still.values())
     assert ended - min(flight.still.values()) < 0.5, flight.still
     for i in flight.last:

@@ -21,8 +21,14 @@ pytestmark = [
     pytest.mark.timeout(240),
     pytest.mark.usefixtures("compiled"),
 ]
-FIGURE = {"mission": "figure", "mission_options": {"size": 0.25, "laps": 1.0, "period": 8.0}}
-TILTS, STAYS = "it does not tilt as its body does, but as", "its body does not rise as it takes off: another drone's"
+FIGURE = {
+    "mission": "figure",
+    "mission_options": {"size": 0.25, "laps": 1.0, "period": 8.0},
+}
+TILTS, STAYS = (
+    "it does not tilt as its body does, but as",
+    "its body does not rise as it takes off: another drone's",
+)
 """What is said of a drone with a wrong body; the other of two that are exchanged may see that one landed before."""
 UP = 0.4
 """m, above which a drone flies."""
@@ -30,18 +36,26 @@ UP = 0.4
 
 def figures(n: int, sender: str, **changes: Any) -> SwarmConfig:
     flight = {"takeoff_height": 0.6, "landing_speed": 0.4}
-    return default_swarm(n).replace(**FIGURE, control={"sender": sender}, flight=flight, **changes)
+    return default_swarm(n).replace(
+        **FIGURE, control={"sender": sender}, flight=flight, **changes
+    )
 
 
-async def flown(config: SwarmConfig, folder, seconds: float = 150.0, *options: str) -> dict[str, Any]:
+async def flown(
+    config: SwarmConfig, folder, seconds: float = 150.0, *options: str
+) -> dict[str, Any]:
     """What a run of it said, whole."""
     async with Hall(config, folder, *options) as hall:
         run = await hall.fly()
         result = await run.end(seconds)
         assert result["success"], (result["reasons"], run.text, hall.programs[0].text)
         landed = hall.state()
-        assert all(landed[i]["resting"] and not landed[i]["crashed"] for i in landed), landed
-        assert all(said["malformed"] == 0 for said in landed.values()), "a packet at which a firmware resets"
+        assert all(landed[i]["resting"] and not landed[i]["crashed"] for i in landed), (
+            landed
+        )
+        assert all(said["malformed"] == 0 for said in landed.values()), (
+            "a packet at which a firmware resets"
+        )
         return result
 
 
@@ -68,7 +82,9 @@ async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> 
         run = await hall.fly()
         result = await run.end(120.0)
         state = hall.state()
-    assert [result["results"][i]["success"] for i in "13"] == [True, True], result["reasons"]
+    assert [result["results"][i]["success"] for i in "13"] == [True, True], result[
+        "reasons"
+    ]
     assert "no virtual drone is there" in result["reasons"]["0"]
     assert "no answer within" in result["reasons"]["2"]
     assert state[1]["poses"] > 0
@@ -76,8 +92,14 @@ async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> 
 
 
 @pytest.mark.slow
-async def test_a_drone_in_hover_keeps_hovering_through_a_reconnect_and_sees_no_zero_set_point(tmp_path) -> None:
-    config = reached(figures(1, "xyz").replace(mission_options={"size": 0.1, "laps": 3.0, "period": 10.0}))
+async def test_a_drone_in_hover_keeps_hovering_through_a_reconnect_and_sees_no_zero_set_point(
+    tmp_path,
+) -> None:
+    config = reached(
+        figures(1, "xyz").replace(
+            mission_options={"size": 0.1, "laps": 3.0, "period": 10.0}
+        )
+    )
     async with Hall(config, tmp_path) as hall:
         run = await hall.fly()
         await in_the_air(hall, run, 0)
@@ -103,7 +125,9 @@ def fake_usb(tmp_path, monkeypatch):
     folder = tmp_path / "usb"
     folder.mkdir()
     here = Path(__file__).parent
-    path = os.pathsep.join([str(here / "fake_usb"), str(here.parent), os.environ.get("PYTHONPATH", "")])
+    path = os.pathsep.join(
+        [str(here / "fake_usb"), str(here.parent), os.environ.get("PYTHONPATH", "")]
+    )
     monkeypatch.setenv("FAKE_USB", str(folder))
     monkeypatch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
     return folder
@@ -121,8 +145,12 @@ def by_radio(config: SwarmConfig, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-async def test_a_dongle_that_is_pulled_out_in_flight_and_plugged_in_again_finds_its_drones(tmp_path, fake_usb) -> None:
-    some = figures(2, "xyz").replace(mission_options={"size": 0.1, "laps": 6.0, "period": 10.0})
+async def test_a_dongle_that_is_pulled_out_in_flight_and_plugged_in_again_finds_its_drones(
+    tmp_path, fake_usb
+) -> None:
+    some = figures(2, "xyz").replace(
+        mission_options={"size": 0.1, "laps": 6.0, "period": 10.0}
+    )
     raw = json.loads(reached(some, radio={"log_rate": 25.0}).dumps())
     for drone in raw["drones"]:
         drone["pose"] = "onboard"  # who has no dongle tells nobody what the cameras see
@@ -136,15 +164,21 @@ async def test_a_dongle_that_is_pulled_out_in_flight_and_plugged_in_again_finds_
         await run.says("dongle 0: its owner ended with code 1: started again")
         await run.says("Plug a Crazyradio in")
         (fake_usb / "pulled").unlink()
-        landed = await hall.until(lambda state: all(state[i]["resting"] for i in (0, 1)), 60.0)
+        landed = await hall.until(
+            lambda state: all(state[i]["resting"] for i in (0, 1)), 60.0
+        )
         await run.end(60.0)
     for said in landed.values():
         assert (said["zeros"], said["crashed"], said["starts"]) == (0, "", 1), said
-        assert said["impact"] < 1.0, "landed by its firmware, as the owner that found it has told it"
+        assert said["impact"] < 1.0, (
+            "landed by its firmware, as the owner that found it has told it"
+        )
 
 
 @pytest.mark.slow
-async def test_a_run_without_its_dongle_ends_and_says_what_to_do(tmp_path, fake_usb) -> None:
+async def test_a_run_without_its_dongle_ends_and_says_what_to_do(
+    tmp_path, fake_usb
+) -> None:
     some = figures(1, "xyz", start_deadline=8.0)
     config = reached(some, radio={"connect_deadline": 2.0})
     (fake_usb / "pulled").touch()
@@ -158,7 +192,9 @@ async def test_a_run_without_its_dongle_ends_and_says_what_to_do(tmp_path, fake_
 
 
 @pytest.mark.slow
-async def test_an_agent_that_is_killed_leaves_its_drone_to_its_firmware(tmp_path) -> None:
+async def test_an_agent_that_is_killed_leaves_its_drone_to_its_firmware(
+    tmp_path,
+) -> None:
     config = reached(figures(2, "frpy"))
     async with Hall(config, tmp_path) as hall:
         run = await hall.fly()
@@ -175,7 +211,9 @@ async def test_an_agent_that_is_killed_leaves_its_drone_to_its_firmware(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("given", [None, 136_531.0])
-async def test_thrust_is_known_by_the_release_and_a_wrong_map_is_found_in_hover(tmp_path, given) -> None:
+async def test_thrust_is_known_by_the_release_and_a_wrong_map_is_found_in_hover(
+    tmp_path, given
+) -> None:
     radio = {} if given is None else {"thrust_map": given}
     config = reached(figures(1, "fpqr"), radio=radio)
     async with Hall(config, tmp_path, "--firmware", "2023.11") as hall:
@@ -186,11 +224,18 @@ async def test_thrust_is_known_by_the_release_and_a_wrong_map_is_found_in_hover(
     assert not landed["crashed"]
     assert result["success"] is (given is None), result["reasons"]
     if given is not None:
-        assert "times the thrust that its platform and firmware are known for" in result["reasons"]["0"]
+        assert (
+            "times the thrust that its platform and firmware are known for"
+            in result["reasons"]["0"]
+        )
 
 
 def pickup(per_dongle: int) -> SwarmConfig:
-    config = load("pickup_delivery").swarm(None).replace(mission="pickup_delivery", control={"sender": "xyz"})
+    config = (
+        load("pickup_delivery")
+        .swarm(None)
+        .replace(mission="pickup_delivery", control={"sender": "xyz"})
+    )
     return reached(config, per_dongle=per_dongle)
 
 
@@ -201,22 +246,34 @@ def exclusive(tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.setenv("EXCLUSIVE_LINKS", str(folder))
     here = Path(__file__).parent
-    path = os.pathsep.join([str(here / "exclusive_driver"), str(here.parent), os.environ.get("PYTHONPATH", "")])
+    path = os.pathsep.join(
+        [
+            str(here / "exclusive_driver"),
+            str(here.parent),
+            os.environ.get("PYTHONPATH", ""),
+        ]
+    )
     monkeypatch.setenv("PYTHONPATH", path.rstrip(os.pathsep))
     return folder
 
 
 @pytest.mark.slow
-async def test_six_share_pickups_and_deliveries_over_three_dongles(tmp_path, exclusive) -> None:
+async def test_six_share_pickups_and_deliveries_over_three_dongles(
+    tmp_path, exclusive
+) -> None:
     config = pickup(2)
     result = await flown(config, tmp_path)
-    assert [r["cost"] for r in result["results"].values()] == [pytest.approx(32.6247, abs=1e-3)] * 6
+    assert [r["cost"] for r in result["results"].values()] == [
+        pytest.approx(32.6247, abs=1e-3)
+    ] * 6
     owners: dict[str, list[str]] = {}
     for line in (exclusive / "opened").read_text().splitlines():
         process, uri = line.split()
         owners.setdefault(process, []).append(uri)
     uris = [config.drone(i).uri for i in config.ids]
-    assert sorted(owners.values()) == sorted([uris[0:2], uris[2:4], uris[4:6]]), "three owners, two links each, once"
+    assert sorted(owners.values()) == sorted([uris[0:2], uris[2:4], uris[4:6]]), (
+        "three owners, two links each, once"
+    )
 
 
 async def test_a_dongle_has_one_owner(tmp_path, exclusive) -> None:
@@ -224,8 +281,12 @@ async def test_a_dongle_has_one_owner(tmp_path, exclusive) -> None:
     async with Hall(config, tmp_path) as hall:
         first = await Program.start(*RADIO, "--swarm", hall.path, "--dongle", "0")
         hall.programs.append(first)
-        await hall.until(lambda state: all(said["client"] for said in state.values()), 30.0)
-        second = await (await Program.start(*RADIO, "--swarm", hall.path, "--dongle", "0", "--json")).end(30.0)
+        await hall.until(
+            lambda state: all(said["client"] for said in state.values()), 30.0
+        )
+        second = await (
+            await Program.start(*RADIO, "--swarm", hall.path, "--dongle", "0", "--json")
+        ).end(30.0)
         assert second["code"] == 2
         has_it = f"dongle 0: refused: process {first.process.pid} (swarm {config.name}) has it, and may fly drones"
         assert second["error"].startswith(has_it)
@@ -236,13 +297,23 @@ async def test_a_dongle_has_one_owner(tmp_path, exclusive) -> None:
 
 @pytest.mark.slow
 async def test_a_word_is_drawn_by_body_rates(tmp_path) -> None:
-    config = reached(load("drawn_path").swarm(None).replace(mission="drawn_path", control={"sender": "fpqr"}))
+    config = reached(
+        load("drawn_path")
+        .swarm(None)
+        .replace(mission="drawn_path", control={"sender": "fpqr"})
+    )
     await flown(config, tmp_path)
 
 
 @pytest.mark.slow
-async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_carries(tmp_path) -> None:
-    config = load("bearing_formation").swarm(4).replace(mission="bearing_formation", control={"sender": "frpy"})
+async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_carries(
+    tmp_path,
+) -> None:
+    config = (
+        load("bearing_formation")
+        .swarm(4)
+        .replace(mission="bearing_formation", control={"sender": "frpy"})
+    )
     result = await flown(reached(config, per_dongle=4), tmp_path)
     assert result["formation_error_m"] < 0.01
 
@@ -251,7 +322,9 @@ async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_ca
 async def test_twenty_fly_a_figure(tmp_path) -> None:
     """By cameras at 50 Hz: at 100 Hz the nine processes of this flight would need more than two processors have."""
     groups = [list(range(0, 20, 2)), list(range(1, 20, 2))]
-    config = reached(figures(20, "xyz", processes=groups), per_dongle=4, mocap={"rate": 50})
+    config = reached(
+        figures(20, "xyz", processes=groups), per_dongle=4, mocap={"rate": 50}
+    )
     await flown(config, tmp_path, 200.0)
 
 
@@ -267,8 +340,13 @@ async def farthest(hall: Hall, run: Program, homes: dict[int, Any]) -> dict[int,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "sender"), [("exchanged", "fpqr"), ("exchanged", "xyz"), ("turned", "frpy")])
-async def test_drones_with_wrong_bodies_are_named_in_the_ascent_and_come_down(tmp_path, case, sender) -> None:
+@pytest.mark.parametrize(
+    ("case", "sender"),
+    [("exchanged", "fpqr"), ("exchanged", "xyz"), ("turned", "frpy")],
+)
+async def test_drones_with_wrong_bodies_are_named_in_the_ascent_and_come_down(
+    tmp_path, case, sender
+) -> None:
     """Exchanged: each radio reaches the drone whose body is taken for the other's, and which stands at its home."""
     config = reached(figures(2, sender))
     raw = json.loads(config.dumps())
@@ -291,4 +369,6 @@ async def test_drones_with_wrong_bodies_are_named_in_the_ascent_and_come_down(tm
     assert max(far[i] for i in wrong) < 0.5, far
     assert all(said["p"][2] < 0.05 for said in landed.values())
     for i in [i for i in homes if i not in wrong]:  # it may have failed with its team
-        assert f"drone {i}: stopped" not in result["reasons"].get(str(i), ""), result["reasons"]
+        assert f"drone {i}: stopped" not in result["reasons"].get(str(i), ""), result[
+            "reasons"
+        ]

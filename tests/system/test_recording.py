@@ -49,12 +49,27 @@ def guidance(i, config):
 @pytest.fixture(scope="module")
 def fly_short(here, tmp_path_factory):
     """Flies a short formation in virtual time with lost messages; what the run says."""
-    swarm = load(MISSION).swarm(None).replace(flight=BRISK, mission_options={"duration": 3.0})
+    swarm = (
+        load(MISSION)
+        .swarm(None)
+        .replace(flight=BRISK, mission_options={"duration": 3.0})
+    )
     path = tmp_path_factory.mktemp("short") / "swarm.json"
     path.write_text(swarm.dumps())
 
     def fly(*words):
-        said = here("crazychoir", "run", path, "--fast", "--loss", 0.2, "--seed", 3, "--json", *words)
+        said = here(
+            "crazychoir",
+            "run",
+            path,
+            "--fast",
+            "--loss",
+            0.2,
+            "--seed",
+            3,
+            "--json",
+            *words,
+        )
         assert said.code == 0, said.err
         return said.json
 
@@ -72,21 +87,39 @@ def test_a_recorded_flight_is_the_same_flight(recorded, fly_short):
     _, result = recorded
     plain = fly_short()
     assert result["digest"] == plain["digest"]
-    assert (result["messages"], result["flown_m"]) == (plain["messages"], plain["flown_m"])
+    assert (result["messages"], result["flown_m"]) == (
+        plain["messages"],
+        plain["flown_m"],
+    )
     assert plain["recording"] is None
 
 
 def test_others_read_every_message(recorded):
     path, result = recorded
     found = by_mcap_ros2(path)
-    assert result["recording"] == {"file": str(path), "messages": len(found), "lost": 0, "missed": 0, "error": ""}
+    assert result["recording"] == {
+        "file": str(path),
+        "messages": len(found),
+        "lost": 0,
+        "missed": 0,
+        "error": "",
+    }
     assert str(found) == str(by_rosbags(path))
-    times = {name: [t for topic, _, t, _ in found if topic == name] for name in {topic for topic, *_ in found}}
-    said = {name for name in OBSERVABLE if name not in ("log", "telemetry", "plan", "link")} | {"round"}
+    times = {
+        name: [t for topic, _, t, _ in found if topic == name]
+        for name in {topic for topic, *_ in found}
+    }
+    said = {
+        name for name in OBSERVABLE if name not in ("log", "telemetry", "plan", "link")
+    } | {"round"}
     assert set(times) >= {f"/drone{i}/{name}" for i in range(4) for name in said}
     for i in range(4):
-        assert len(times[f"/drone{i}/pose"]) == pytest.approx(100 * result["simulated_s"], rel=0.01)
-        assert len(times[f"/drone{i}/truth"]) == pytest.approx(20 * result["simulated_s"], rel=0.01)
+        assert len(times[f"/drone{i}/pose"]) == pytest.approx(
+            100 * result["simulated_s"], rel=0.01
+        )
+        assert len(times[f"/drone{i}/truth"]) == pytest.approx(
+            20 * result["simulated_s"], rel=0.01
+        )
     (told,) = [fields for name, *_, fields in found if name == "/drone2/result"]
     assert json.loads(told["json"]) == result["results"]["2"]
 
@@ -94,11 +127,17 @@ def test_others_read_every_message(recorded):
 def test_the_figures_are_those_of_the_run(recorded):
     path, result = recorded
     recording = read(path, ("truth", "state", "reference"))
-    assert (recording.about["mission"], recording.about["seed"], recording.about["time"]) == (MISSION, "3", "virtual")
+    assert (
+        recording.about["mission"],
+        recording.about["seed"],
+        recording.about["time"],
+    ) == (MISSION, "3", "virtual")
     config = SwarmConfig.loads(recording.swarm)
     assert (config.seed, config.network.loss) == (3, 0.2)
     figures = flight_of(recording).figures()
-    assert figures["min_separation_m"] == pytest.approx(result["min_separation_m"], abs=0.005)
+    assert figures["min_separation_m"] == pytest.approx(
+        result["min_separation_m"], abs=0.005
+    )
     for i, length in result["flown_m"].items():
         assert figures["drones"][int(i)]["flown_m"] == pytest.approx(length, abs=1e-3)
 
@@ -110,7 +149,11 @@ def test_a_rerun_is_the_same_flight(here, recorded, tmp_path):
     assert said.code == 0, said.err
     assert said.json["success"]
     assert said.json["digest"] == said.json["recorded_digest"] == result["digest"]
-    assert (said.json["seed"], said.json["others"], said.json["first_difference"]) == (3, {}, None)
+    assert (said.json["seed"], said.json["others"], said.json["first_difference"]) == (
+        3,
+        {},
+        None,
+    )
     assert again.read_bytes() == path.read_bytes()
 
 
@@ -118,7 +161,10 @@ def test_a_rerun_names_the_module_beside_the_mission_that_is_another(here, tmp_p
     (tmp_path / "gain_of_rising.py").write_text("GAIN = 0.5\n")
     law, path = tmp_path / "law.py", tmp_path / "a.mcap"
     law.write_text(f"from gain_of_rising import GAIN\n{RISING.format(gain='GAIN')}")
-    assert here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code == 0
+    assert (
+        here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code
+        == 0
+    )
     assert here("crazychoir", "rerun", path, "--json").json["others"] == {}
     (tmp_path / "gain_of_rising.py").write_text("GAIN = 0.625\n")
     said = here("crazychoir", "rerun", path, "--json")
@@ -129,7 +175,10 @@ def test_a_rerun_of_a_changed_mission_says_where_it_first_differs(here, tmp_path
     law = tmp_path / "law.py"
     law.write_text(RISING.format(gain=0.5))
     path = tmp_path / "a.mcap"
-    assert here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code == 0
+    assert (
+        here("crazychoir", "run", law, "--drones", 2, "--fast", "--record", path).code
+        == 0
+    )
     assert here("crazychoir", "rerun", path, "--json").json["success"]
     law.write_text(RISING.format(gain=0.625))
     said = here("crazychoir", "rerun", path, "--json")
@@ -150,7 +199,11 @@ def test_a_rerun_of_a_cut_off_recording(here, recorded, tmp_path):
     path.write_bytes(content[: len(content) // 2])
     said = here("crazychoir", "rerun", path, "--json")
     assert said.code == 1, said.err
-    assert (said.json["complete"], said.json["same"], said.json["recorded_digest"]) == (False, True, None)
+    assert (said.json["complete"], said.json["same"], said.json["recorded_digest"]) == (
+        False,
+        True,
+        None,
+    )
     assert "as far as it goes" in said.err
 
 
@@ -162,20 +215,33 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     assert said.json["about"]["mission"] == MISSION
     assert all(Path(file).stat().st_size for file in said.json["files"])
     assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 24
-    monkeypatch.setattr(plots, "draw", lambda pictures, folder: list(folder.glob("*.png")))  # they are there already
+    monkeypatch.setattr(
+        plots, "draw", lambda pictures, folder: list(folder.glob("*.png"))
+    )  # they are there already
     table = here("crazychoir", "plot", path, "--out", tmp_path / "made")
     assert table.code == 0
     assert table.err == ""
-    for word in ("RMSE", "its place against the reference", f"{said.json['min_separation_m']:.3f} m", "made"):
+    for word in (
+        "RMSE",
+        "its place against the reference",
+        f"{said.json['min_separation_m']:.3f} m",
+        "made",
+    ):
         assert word in table.out
 
 
 def test_what_cannot_be_recorded_is_said_before_anybody_flies(here, tmp_path):
     taken = tmp_path / "taken.mcap"
     taken.write_text("old")
-    wrong = ((taken, "one already"), (tmp_path / "a.bag", "ends in .mcap"), ("/proc/a.mcap", "that can be made"))
+    wrong = (
+        (taken, "one already"),
+        (tmp_path / "a.bag", "ends in .mcap"),
+        ("/proc/a.mcap", "that can be made"),
+    )
     for world, (path, words) in zip(((), ("--fast",), ()), wrong, strict=True):
-        here("crazychoir", "run", MISSION, "--record", path, *world).refuses("--record", words)
+        here("crazychoir", "run", MISSION, "--record", path, *world).refuses(
+            "--record", words
+        )
     assert taken.read_text() == "old"
 
 
@@ -183,14 +249,22 @@ def test_what_cannot_be_plotted_is_said(here, tmp_path, recorded):
     other = tmp_path / "other.mcap"
     other.write_text("not MCAP")
     here("crazychoir", "plot", other).refuses("other.mcap", "an MCAP file")
-    here("crazychoir", "plot", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
-    here("crazychoir", "plot", recorded[0], "--out", other).refuses("--out", "File exists")
+    here("crazychoir", "plot", tmp_path / "none.mcap").refuses(
+        "none.mcap", "No such file"
+    )
+    here("crazychoir", "plot", recorded[0], "--out", other).refuses(
+        "--out", "File exists"
+    )
 
 
 @pytest.mark.real_time
 def test_killed_all_but_the_last_second_can_be_read(tmp_path):
     path = tmp_path / "a.mcap"
-    command = [sys.executable, str(Path(__file__).with_name("recording_process.py")), str(path)]
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name("recording_process.py")),
+        str(path),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         while int(process.stdout.readline()) < 250:
             pass
@@ -229,10 +303,17 @@ def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
         async with attached(link):
             window = Window(clock, config, link, None, 60.0)
             assert await window.find() == [0, 1, 2, 3]
-            file, topics = new_recording(new, config, None, virtual=False), ("state", "truth", "result")
-            recorder = Recorder(link.bus, config.ids, file, window.address, config.source, topics=topics)
+            file, topics = (
+                new_recording(new, config, None, virtual=False),
+                ("state", "truth", "result"),
+            )
+            recorder = Recorder(
+                link.bus, config.ids, file, window.address, config.source, topics=topics
+            )
             recording = asyncio.create_task(Supervisor(clock, "record").run([recorder]))
-            assert (await _until_gone(window, recorder, 100.0)).startswith("no drone was there")
+            assert (await _until_gone(window, recorder, 100.0)).startswith(
+                "no drone was there"
+            )
             recording.cancel()
             await asyncio.wait([recording])
         return await replaying, recorder.result()
@@ -252,32 +333,50 @@ def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
 
 @pytest.mark.real_time
 def test_a_replay_that_nobody_sees_ends(here, recorded):
-    said = here("crazychoir", "replay", recorded[0], "--speed", "100", "--wait", "0", "--json")
+    said = here(
+        "crazychoir", "replay", recorded[0], "--speed", "100", "--wait", "0", "--json"
+    )
     assert said.code == 0, said.err
     assert "crazychoir status --swarm" in said.err
     assert said.json["seconds"] == pytest.approx(recorded[1]["simulated_s"], abs=0.3)
 
 
 def test_what_cannot_be_recorded_or_replayed_is_said(here, tmp_path):
-    said = here("crazychoir", "record", tmp_path / "a.mcap", "--topics", "state,nothing")
+    said = here(
+        "crazychoir", "record", tmp_path / "a.mcap", "--topics", "state,nothing"
+    )
     said.refuses("--topics", "nothing", "pose")
-    here("crazychoir", "replay", tmp_path / "none.mcap").refuses("none.mcap", "No such file")
+    here("crazychoir", "replay", tmp_path / "none.mcap").refuses(
+        "none.mcap", "No such file"
+    )
 
 
 def test_a_flight_as_a_bag_of_ros(here, recorded, tmp_path):
-    said = here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag", "--json")
+    said = here(
+        "crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag", "--json"
+    )
     assert said.code == 0, said.err
     assert said.json["topics"]["/tf"]["type"] == "tf2_msgs/msg/TFMessage"
     with Reader(tmp_path / "bag") as reader:
-        assert reader.message_count == said.json["messages"] > recorded[1]["recording"]["messages"]
-    here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag").refuses("--rosbag2", "File exists")
-    here("crazychoir", "convert", tmp_path / "none.mcap", "--rosbag2", tmp_path / "new").refuses("none.mcap")
+        assert (
+            reader.message_count
+            == said.json["messages"]
+            > recorded[1]["recording"]["messages"]
+        )
+    here("crazychoir", "convert", recorded[0], "--rosbag2", tmp_path / "bag").refuses(
+        "--rosbag2", "File exists"
+    )
+    here(
+        "crazychoir", "convert", tmp_path / "none.mcap", "--rosbag2", tmp_path / "new"
+    ).refuses("none.mcap")
     assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.real_time
 def test_real_time_is_not_flown_again(here, formation):
-    here("crazychoir", "rerun", formation[1]).refuses("a flight in real time", "--fast --record")
+    here("crazychoir", "rerun", formation[1]).refuses(
+        "a flight in real time", "--fast --record"
+    )
 
 
 @pytest.mark.real_time
@@ -291,7 +390,12 @@ def test_a_flight_in_real_time(formation):
     first, last = recording.seconds
     assert before - 5.0 < first < last < time.time() + 5.0
     for i in range(4):
-        for topic, rate in (("pose", 100.0), ("state", 100.0), ("command", 100.0), ("truth", 20.0)):
+        for topic, rate in (
+            ("pose", 100.0),
+            ("state", 100.0),
+            ("command", 100.0),
+            ("truth", 20.0),
+        ):
             came = recording.of(i, topic).came
             assert len(came) / (came[-1] - came[0]) > 0.8 * rate, (i, topic)
             assert np.all(np.diff(came) >= 0.0)

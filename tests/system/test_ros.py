@@ -30,14 +30,19 @@ def until(condition):
 def router():
     """A router at an endpoint, with all that it hears: samples, and keys of tokens."""
     config, endpoint = zenoh.Config(), f"tcp/127.0.0.1:{free_ports([0])}"
-    for key, value in (("mode", '"router"'), ("listen/endpoints", f'["{endpoint}"]'),
-                       ("scouting/multicast/enabled", "false")):  # fmt: skip
+    for key, value in (
+        ("mode", '"router"'),
+        ("listen/endpoints", f'["{endpoint}"]'),
+        ("scouting/multicast/enabled", "false"),
+    ):
         config.insert_json5(key, value)
     samples, tokens = [], []
     with zenoh.open(config) as session:
         one = session.declare_subscriber("0/**", samples.append)
         lives = session.liveliness()
-        other = lives.declare_subscriber("@ros2_lv/**", lambda sample: tokens.append(str(sample.key_expr)))
+        other = lives.declare_subscriber(
+            "@ros2_lv/**", lambda sample: tokens.append(str(sample.key_expr))
+        )
         yield endpoint, samples, tokens
         one.undeclare()
         other.undeclare()
@@ -57,17 +62,29 @@ def test_what_a_router_of_ros_hears(router):
         for _ in range(2):
             bridge.publish({3: (State.at((1.0, 2.0, 3.0)), NS - 1)}, NS)
         until(lambda: len(samples) == 7)
-    heard = [(str(s.key_expr).split("/"), s.payload.to_bytes(), s.attachment.to_bytes()) for s in samples]
+    heard = [
+        (str(s.key_expr).split("/"), s.payload.to_bytes(), s.attachment.to_bytes())
+        for s in samples
+    ]
     topics = ["/".join(key[1:-2]) for key, *_ in heard]
-    assert sorted(topics) == sorted(2 * ["drone3/pose", "tf", "drones"] + ["drone3/path"])
+    assert sorted(topics) == sorted(
+        2 * ["drone3/pose", "tf", "drones"] + ["drone3/path"]
+    )
     for key, data, attachment in heard:
         package, kind = key[-2].removesuffix("_").split("::msg::dds_::")
         assert key[-1] == store.hash_rihs01(f"{package}/msg/{kind}")
         found = fields(store.deserialize_cdr(data, f"{package}/msg/{kind}"))
         assert "header" in found or "transforms" in found or "markers" in found
         number, born_ns, length = struct.unpack("<qqB", attachment[:17])
-        assert (number in (1, 2), born_ns, length, len(attachment)) == (True, NS, 16, 33)
+        assert (number in (1, 2), born_ns, length, len(attachment)) == (
+            True,
+            NS,
+            16,
+            33,
+        )
     pose = next(data for key, data, _ in heard if "pose" in key)
     found = fields(store.deserialize_cdr(pose, "geometry_msgs/msg/PoseStamped"))
     assert list(found["pose"]["position"].values()) == np.arange(1.0, 4.0).tolist()
-    assert found["header"]["stamp"]["nanosec"] == NS % 1_000_000_000 - 1, "when it was measured"
+    assert found["header"]["stamp"]["nanosec"] == NS % 1_000_000_000 - 1, (
+        "when it was measured"
+    )

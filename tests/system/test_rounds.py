@@ -17,7 +17,18 @@ from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, metropolis
 
 pytestmark = pytest.mark.system
-LOSSY = [Rule({"loss": 0.5, "delay": 0.001, "jitter": 0.004, "duplicate": 0.2, "reorder": 0.2, "reorder_delay": 0.01})]
+LOSSY = [
+    Rule(
+        {
+            "loss": 0.5,
+            "delay": 0.001,
+            "jitter": 0.004,
+            "duplicate": 0.2,
+            "reorder": 0.2,
+            "reorder_delay": 0.01,
+        }
+    )
+]
 
 
 class Consensus:
@@ -46,8 +57,13 @@ def mission(graph: Graph, impairment: Impairment, rounds: int) -> Any:
 
     async def main(clock: Clock) -> list[bytes]:
         bus = Bus(clock, impairment)
-        barriers = [Barrier(bus.port(i), graph, mission_hash="m", version="1") for i in graph.ids]
-        watching = [asyncio.ensure_future(barrier.monitor.run()) for barrier in barriers]
+        barriers = [
+            Barrier(bus.port(i), graph, mission_hash="m", version="1")
+            for i in graph.ids
+        ]
+        watching = [
+            asyncio.ensure_future(barrier.monitor.run()) for barrier in barriers
+        ]
 
         async def agent(barrier: Barrier) -> bytes:
             communicator = Communicator(barrier.port, graph)
@@ -59,7 +75,9 @@ def mission(graph: Graph, impairment: Impairment, rounds: int) -> Any:
             return algorithm.x.tobytes()
 
         try:
-            roster, *answers = await asyncio.gather(barriers[0].go(), *map(agent, barriers))
+            roster, *answers = await asyncio.gather(
+                barriers[0].go(), *map(agent, barriers)
+            )
             assert roster.graph == graph
         finally:
             for task in watching:
@@ -101,7 +119,9 @@ def test_a_good_network_in_real_time_needs_no_resends():
         agents = [Consensus(i, graph, 200) for i in graph.ids]
         for agent in agents:
             agent.heavy = False  # type: ignore[misc]
-        await asyncio.gather(*(run_algorithm(c, agent) for c, agent in zip(team, agents, strict=True)))
+        await asyncio.gather(
+            *(run_algorithm(c, agent) for c, agent in zip(team, agents, strict=True))
+        )
         resent.extend(c.port.counters.resent for c in team)
         return [agent.x.tobytes() for agent in agents]
 

@@ -39,7 +39,9 @@ def apart():
         for name in hosts.names.values():
             stack.enter_context(namespace(name))
         router = hosts.names["r"]
-        subprocess.run([*hosts.command("r"), "sysctl", "-qw", "net.ipv4.ip_forward=0"], check=True)
+        subprocess.run(
+            [*hosts.command("r"), "sysctl", "-qw", "net.ipv4.ip_forward=0"], check=True
+        )
         for name, gate in GATES.items():
             there = hosts.names[name]
             cable((there, DEVICE), (router, f"veth{name}"))
@@ -57,12 +59,17 @@ def demo(folder, secured):
         authority.add(keys, name)
     config = MISSION.swarm(None)
     raw = json.loads(config.dumps())
-    security = {"operators": ["a"], "keys": str(keys)} if secured else {"insecure": True}
+    security = (
+        {"operators": ["a"], "keys": str(keys)} if secured else {"insecure": True}
+    )
     return config.replace(
         hosts=ADDRESSES,
         router="r",
         security=security,
-        drones=[{"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]} for d in raw["drones"]],
+        drones=[
+            {"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]}
+            for d in raw["drones"]
+        ],
         processes=[[0, 1, 2], [3, 4, 5]],
         mission_options={**raw["mission_options"], "service_time": 0.2},
         flight=BRISK,
@@ -71,15 +78,21 @@ def demo(folder, secured):
 
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
 @pytest.mark.parametrize("secured", [True, pytest.param(False, marks=pytest.mark.slow)])
-async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(tmp_path, compiled, secured):
+async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(
+    tmp_path, compiled, secured
+):
     config = demo(tmp_path, secured)
     file = tmp_path / "router.json"
     file.write_text(config.dumps())
     with apart() as hosts:
-        router = await Program.start(*hosts.command("r"), *CRAZYCHOIR, "router", "--swarm", file)
+        router = await Program.start(
+            *hosts.command("r"), *CRAZYCHOIR, "router", "--swarm", file
+        )
         try:
             await router.says("router at")
-            async with flying(config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])) as team:
+            async with flying(
+                config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])
+            ) as team:
                 ended = await team.end(120)
             report = MISSION.report(config, results(ended))
             assert report["success"], (report, team.text)
@@ -95,7 +108,9 @@ async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
     """The hosts of the test above are apart: nobody else passes anything on."""
     config = demo(tmp_path, secured=False).replace(start_deadline=4.0)
     with apart() as hosts:
-        async with flying(config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])) as team:
+        async with flying(
+            config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])
+        ) as team:
             await asyncio.sleep(0)
             ended = await team.end(120)
     assert not MISSION.report(config, results(ended))["success"]
@@ -104,7 +119,9 @@ async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("secured", [True, False])
-async def test_a_router_that_is_killed_and_started_again_is_found_again(tmp_path, compiled, secured):
+async def test_a_router_that_is_killed_and_started_again_is_found_again(
+    tmp_path, compiled, secured
+):
     """The six are in the middle of planning."""
     config = demo(tmp_path, secured).replace(network={"loss": 0.3, "delay": 0.02})
     file = tmp_path / "router.json"
@@ -113,12 +130,18 @@ async def test_a_router_that_is_killed_and_started_again_is_found_again(tmp_path
     with apart() as hosts:
 
         async def route():
-            routers.append(await Program.start(*hosts.command("r"), *CRAZYCHOIR, "router", "--swarm", file))
+            routers.append(
+                await Program.start(
+                    *hosts.command("r"), *CRAZYCHOIR, "router", "--swarm", file
+                )
+            )
             await routers[-1].says("router at")
 
         try:
             await route()
-            async with flying(config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])) as team:
+            async with flying(
+                config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])
+            ) as team:
                 await team.in_planning(10)
                 await routers[0].kill()
                 await asyncio.sleep(1.0)

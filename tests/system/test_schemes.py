@@ -23,16 +23,20 @@ ABOVE = {str(i): [[9.0, 0.5 * i, 0.0, 4.0]] for i in range(4)}
 def flown(name, loss=0.0, file=None, config=None, **changes):
     """A mission's own swarm, or this one, with changes, in virtual time; checked first, as `run` does."""
     mission = load(name)
-    config = (config or mission.swarm(None)).replace(**{"network": {"loss": loss}, **changes})
+    config = (config or mission.swarm(None)).replace(
+        **{"network": {"loss": loss}, **changes}
+    )
     mission.check(config, False)
     return config, fly_fast(config, mission, file=file)
 
 
 @pytest.mark.parametrize(
     ("x", "loss", "places"),
-    [(0.0, 0.3, {0: [-0.5, 0.5], 1: [-0.5, -0.5], 2: [0.5, 0.0]}),
-     (0.2, 0.0, {0: [-0.3, 0.5], 1: [-0.3, -0.5], 2: [0.7, 0.0]})],
-)  # fmt: skip
+    [
+        (0.0, 0.3, {0: [-0.5, 0.5], 1: [-0.5, -0.5], 2: [0.5, 0.0]}),
+        (0.2, 0.0, {0: [-0.3, 0.5], 1: [-0.3, -0.5], 2: [0.7, 0.0]}),
+    ],
+)
 def test_defenders_end_between_their_intruders_and_the_target(x, loss, places):
     intruders = [[x - 1.0, 1.0], [x - 1.0, -1.0], [x + 1.0, 0.0]]
     options = {"target": [x, 0.0], "intruders": intruders, "duration": 6.0}
@@ -58,13 +62,26 @@ def test_a_round_that_fails_beside_the_law_ends_the_law_at_once(monkeypatch):
     assert result["simulated_s"] < 20.0
 
 
-def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_recording(repository, tmp_path):
+def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_recording(
+    repository, tmp_path
+):
     config = SwarmConfig.load(repository / "deploy" / "aggregative_moving.toml")
     options, path = {"leg": 7.0, "legs": 1}, tmp_path / "a.mcap"
     with recording_file(path, config, load("aggregative"), virtual=True) as file:
-        config, first = flown("aggregative", file=file, config=config, flight=QUICK, mission_options=options)
+        config, first = flown(
+            "aggregative",
+            file=file,
+            config=config,
+            flight=QUICK,
+            mission_options=options,
+        )
     drones = [
-        {"id": i, "home": config.drone(i).home, "role": config.drone(i).role, **replayed}
+        {
+            "id": i,
+            "home": config.drone(i).home,
+            "role": config.drone(i).role,
+            **replayed,
+        }
         for i, replayed in enumerate([{}] * 3 + [{"uri": f"replay://{path}"}] * 3)
     ]
     _, again = flown("aggregative", config=config, drones=drones)
@@ -87,15 +104,25 @@ def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost(monkey
         return wanted
 
     monkeypatch.setattr(MPCGuidance, "step", kept)
-    _, result = flown("mpc", 0.3, flight=QUICK, mission_options={"shift": [1.0, 0.5], "duration": 9.0})
+    _, result = flown(
+        "mpc", 0.3, flight=QUICK, mission_options={"shift": [1.0, 0.5], "duration": 9.0}
+    )
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] < 0.02
-    assert 0.25 < result["most_ahead_m"] <= result["reach_m"] == 0.35, "the constraint counts, and holds"
+    assert 0.25 < result["most_ahead_m"] <= result["reach_m"] == 0.35, (
+        "the constraint counts, and holds"
+    )
     assert all(count >= 10 for count in result["solved"].values())
     assert set(result["infeasible"].values()) == {0}
     p, v, a, j = (np.array(flat)[:, 3 * n : 3 * n + 3] for n in range(4))
-    for slope, x, most in ((v, p, 1e-4), (a, v, 1e-3), (j, a, 0.05)):  # a reference of which only the jerk jumps
-        assert np.abs(np.diff(x, axis=0) - 0.005 * (slope[1:] + slope[:-1])).max() < most
+    for slope, x, most in (
+        (v, p, 1e-4),
+        (a, v, 1e-3),
+        (j, a, 0.05),
+    ):  # a reference of which only the jerk jumps
+        assert (
+            np.abs(np.diff(x, axis=0) - 0.005 * (slope[1:] + slope[:-1])).max() < most
+        )
 
 
 def test_a_row_waits_for_a_drone_that_its_operator_holds():
@@ -114,7 +141,9 @@ def test_a_row_waits_for_a_drone_that_its_operator_holds():
     held = (way[1][:, 0] > 4.0) & (way[1][:, 0] < 5.0)
     assert np.ptp(way[1][held, 1]) < 0.01, "it stood"
     ahead, _ = mission.most_ahead(config, results)
-    assert 0.3 < ahead < 0.9, "they waited: a step until it is seen, one until it is decided, and brakes; of 1.5 m"
+    assert 0.3 < ahead < 0.9, (
+        "they waited: a step until it is seen, one until it is decided, and brakes; of 1.5 m"
+    )
     assert all(result["infeasible"] == 0 for result in results.values())
     for i, result in results.items():
         assert np.linalg.norm(result["place"][:2] - mission.goal(config)[i][:2]) < 0.03
@@ -124,27 +153,47 @@ def test_a_row_waits_for_a_drone_that_its_operator_holds():
 def test_defenders_go_on_after_a_partition_and_land_when_a_mate_is_lost(until):
     network = {"partitions": [{"at": 6.0, "groups": [[0], [1, 2]], **until}]}
     options = {"duration": 9.0}
-    _, result = flown("aggregative", flight=QUICK, network=network, lost_after=3.0, mission_options=options)
+    _, result = flown(
+        "aggregative",
+        flight=QUICK,
+        network=network,
+        lost_after=3.0,
+        mission_options=options,
+    )
     assert result["success"] is bool(until)
     assert result["results"][0]["success"] is bool(until)
     assert (result["reasons"] == {}) is bool(until)
-    assert all(result["results"][i]["success"] or "left [" in result["reasons"][i] for i in range(3)), result["reasons"]
+    assert all(
+        result["results"][i]["success"] or "left [" in result["reasons"][i]
+        for i in range(3)
+    ), result["reasons"]
 
 
 def test_defenders_that_stand_wrong_or_follow_late_are_no_success():
     mission = load("aggregative")
     config = mission.swarm(None)
     t = np.arange(0.0, 12.0, 0.1)
-    seen = {i: np.column_stack([t, *np.outer([x, y], 1.0 + 0.1 * t), 0 * t]) for i, (x, y) in enumerate(mission.STILL)}
+    seen = {
+        i: np.column_stack([t, *np.outer([x, y], 1.0 + 0.1 * t), 0 * t])
+        for i, (x, y) in enumerate(mission.STILL)
+    }
 
     def judged(late, off):
         """Defenders that are half-way `late` s late, the first one also `off` m aside."""
         results = {}
         for i, rows in seen.items():
             way = rows.copy()
-            way[:, 1:3] = 0.5 * rows[:, 1:3] * ((1.0 + 0.1 * (t - late)) / (1.0 + 0.1 * t))[:, None]
+            way[:, 1:3] = (
+                0.5
+                * rows[:, 1:3]
+                * ((1.0 + 0.1 * (t - late)) / (1.0 + 0.1 * t))[:, None]
+            )
             way[-1, 1:3] = 0.5 * rows[-1, 1:3] + [off if i == 0 else 0.0, 0.0]
-            results[i] = {"way": way.tolist(), "intruder_way": rows.tolist(), "rounds": 1}
+            results[i] = {
+                "way": way.tolist(),
+                "intruder_way": rows.tolist(),
+                "rounds": 1,
+            }
         return mission.report(config, results)
 
     assert judged(1.0, 0.0)["success"] is True
@@ -159,25 +208,40 @@ def test_four_cross_a_square_in_time():
         str(k): [[2.5, x, y, 1.0], [9.5, -x, -y, 1.0], [14.5, y, -x, 1.0]]
         for k, (x, y) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)])
     }
-    _, result = flown("goto", flight=QUICK, graph="path", mission_options={"goals": goals})
+    _, result = flown(
+        "goto", flight=QUICK, graph="path", mission_options={"goals": goals}
+    )
     assert result["success"], result["reasons"]
     assert max(max(errors) for errors in result["goal_errors_m"].values()) < 0.02
     assert [len(errors) for errors in result["goal_errors_m"].values()] == [3] * 4
     assert result["min_separation_m"] > CLEAR
 
 
-@pytest.mark.parametrize("method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)]
+)
 def test_two_exchange_their_places_head_on(method):
     _, result = flown("head_on", 0.1, flight=QUICK, collision={"method": method})
     assert result["success"], result["reasons"]
     for i, end in ((0, [1.0, -0.1]), (1, [-1.0, 0.1])):
-        assert np.linalg.norm(np.subtract(result["results"][i]["way"][-1][1:3], end)) < 0.02
+        assert (
+            np.linalg.norm(np.subtract(result["results"][i]["way"][-1][1:3], end))
+            < 0.02
+        )
     assert result["min_separation_m"] > CLEAR
 
 
 def test_two_head_on_meet_without_the_filter():
-    goals = {"0": [[2.5, -0.5, 0.1, 1], [6.5, 0.5, -0.1, 1]], "1": [[2.5, 0.5, -0.1, 1], [6.5, -0.5, 0.1, 1]]}
-    _, result = flown("head_on", flight=QUICK, collision={"method": "off"}, mission_options={"goals": goals})
+    goals = {
+        "0": [[2.5, -0.5, 0.1, 1], [6.5, 0.5, -0.1, 1]],
+        "1": [[2.5, 0.5, -0.1, 1], [6.5, -0.5, 0.1, 1]],
+    }
+    _, result = flown(
+        "head_on",
+        flight=QUICK,
+        collision={"method": "off"},
+        mission_options={"goals": goals},
+    )
     assert result["min_separation_m"] < 0.15
 
 
@@ -206,9 +270,13 @@ def test_an_svg_picture_is_flown_as_it_is_seen(tmp_path):
     x, y = np.array(result["results"][0]["way"])[:, 1:3].T
     assert np.ptp(x) == pytest.approx(0.4, abs=0.03)
     assert np.ptp(y) == pytest.approx(0.33, abs=0.03)
-    assert x[np.argmax(y)] == pytest.approx(0.0, abs=0.03), "the arc is above the rectangle"
+    assert x[np.argmax(y)] == pytest.approx(0.0, abs=0.03), (
+        "the arc is above the rectangle"
+    )
     with pytest.raises(ConfigError, match='"drawn"'):
-        mission.check(config.replace(mission_options={"drawing": str(file), "timing": "drawn"}))
+        mission.check(
+            config.replace(mission_options={"drawing": str(file), "timing": "drawn"})
+        )
 
 
 def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
@@ -219,7 +287,11 @@ def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
     good = mission.report(config, {0: {"way": rows}})
     assert good["success"]
     assert good["written_mm"][0] < 15.0
-    for wrong in (rows[: len(rows) // 2], [[t, x, y + 0.05, z] for t, x, y, z in rows], []):
+    for wrong in (
+        rows[: len(rows) // 2],
+        [[t, x, y + 0.05, z] for t, x, y, z in rows],
+        [],
+    ):
         report = mission.report(config, {0: {"way": wrong}})
         assert report["success"] is False
         assert "from its drawing, allowed 30 mm" in report["reasons"][0]
@@ -227,7 +299,10 @@ def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
 
 def six(edges, role="intruder"):
     """Three defenders and three others in a row."""
-    drones = [{"id": i, "home": [0.5 * i, 0.0, 0.0], "role": role if i > 2 else ""} for i in range(6)]
+    drones = [
+        {"id": i, "home": [0.5 * i, 0.0, 0.0], "role": role if i > 2 else ""}
+        for i in range(6)
+    ]
     return {"name": "six", "drones": drones, "edges": edges}
 
 
@@ -242,37 +317,91 @@ PATH = [[0, 1], [1, 2], [0, 3], [1, 4]]
     ("name", "changes", "says"),
     [
         ("aggregative", {"graph": "empty"}, "graph.*not connected by themselves"),
-        ("aggregative", {"mission_options": {"intruders": [[1, 1]]}}, "1 places in mission_options.intruders.*3: one"),
-        ("aggregative", {"mission_options": {"intruders": [[9, 9], [1, 1], [1, 0]]}}, "drone 0 would end at.*fence"),
-        ("aggregative", {"mission_options": {"step_size": -1}}, "step_size: found -1.*a share"),
+        (
+            "aggregative",
+            {"mission_options": {"intruders": [[1, 1]]}},
+            "1 places in mission_options.intruders.*3: one",
+        ),
+        (
+            "aggregative",
+            {"mission_options": {"intruders": [[9, 9], [1, 1], [1, 0]]}},
+            "drone 0 would end at.*fence",
+        ),
+        (
+            "aggregative",
+            {"mission_options": {"step_size": -1}},
+            "step_size: found -1.*a share",
+        ),
         ("aggregative", {"mission_options": {"weights": [0, 1, 0]}}, "weights"),
         ("aggregative", {"mission_options": {"target": "here"}}, "target.*a place"),
         ("aggregative", six([*PATH, [4, 5]]), "no edge 2-5.*Add the edge .2, 5."),
-        ("aggregative", six([[0, 3], [1, 3], [2, 3], [3, 4], [3, 5]]), "not connected by themselves"),
-        ("aggregative", six([*PATH, [2, 5]], role="scout"), "3 places in mission_options.intruders.*6: one"),
+        (
+            "aggregative",
+            six([[0, 3], [1, 3], [2, 3], [3, 4], [3, 5]]),
+            "not connected by themselves",
+        ),
+        (
+            "aggregative",
+            six([*PATH, [2, 5]], role="scout"),
+            "3 places in mission_options.intruders.*6: one",
+        ),
         ("mpc", {"graph": "empty"}, "graph.*undirected and connected"),
         ("mpc", {"mission_options": {"shift": [9, 0]}}, "drone 0: goal.*inside .fence"),
-        ("mpc", {"mission_options": {"reach": 0.05}}, "reach: found 0.05.*more than 0.05"),
-        ("mpc", {"mission_options": {"speed": 3.0}}, "drone 0: speed: found 3.0.*flight.speed_limit"),
+        (
+            "mpc",
+            {"mission_options": {"reach": 0.05}},
+            "reach: found 0.05.*more than 0.05",
+        ),
+        (
+            "mpc",
+            {"mission_options": {"speed": 3.0}},
+            "drone 0: speed: found 3.0.*flight.speed_limit",
+        ),
         ("mpc", {"mission_options": {"horizon": 2}}, "horizon: found 2.*3 steps"),
         (
             "mpc",
-            {"graph": "path", "drones": [{"id": 0, "home": [0, 0, 0]}, {"id": 1, "home": [1, 0, 0],
-             "options": {"goal": [1.0, 0.0]}}], "mission_options": {"shift": [1.0, 0.0]}},
+            {
+                "graph": "path",
+                "drones": [
+                    {"id": 0, "home": [0, 0, 0]},
+                    {"id": 1, "home": [1, 0, 0], "options": {"goal": [1.0, 0.0]}},
+                ],
+                "mission_options": {"shift": [1.0, 0.0]},
+            },
             "drone 0: goal.*1.00 m more or less to go than drone 1.*infeasible at the start",
         ),
-        ("goto", {"mission_options": {"goals": {"0": [[5, 0, 0, 1]]}}}, "places of drones .0.*0 to 3"),
-        ("goto", {"mission_options": {"goals": ABOVE}}, r"drone 0: goals.*\[-2.0, -2.0, 0.0\]"),
+        (
+            "goto",
+            {"mission_options": {"goals": {"0": [[5, 0, 0, 1]]}}},
+            "places of drones .0.*0 to 3",
+        ),
+        (
+            "goto",
+            {"mission_options": {"goals": ABOVE}},
+            r"drone 0: goals.*\[-2.0, -2.0, 0.0\]",
+        ),
         ("goto", {"mission_options": {"goals": "none"}}, "goals.*one row"),
-        ("head_on", {"mission_options": {"goals": {"0": [[1, 1, 0, 1]], "1": [[9, -1, 0, 1]]}}}, "drone 0: goals.0."),
-        ("targets", {"mission_options": {"targets": [[0, 0, 9]]}}, r"targets\[0\].*fence"),
+        (
+            "head_on",
+            {"mission_options": {"goals": {"0": [[1, 1, 0, 1]], "1": [[9, -1, 0, 1]]}}},
+            "drone 0: goals.0.",
+        ),
+        (
+            "targets",
+            {"mission_options": {"targets": [[0, 0, 9]]}},
+            r"targets\[0\].*fence",
+        ),
         ("targets", {"mission_options": {"targets": []}}, "targets.*one place"),
         ("targets", {"mission_options": {"targets": [1]}}, "targets.*one place"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_flown_is_refused(name, changes, says):
     mission = load(name)
-    base = SwarmConfig.of({"name": "a", **changes}) if "drones" in changes else mission.swarm(None).replace(**changes)
+    base = (
+        SwarmConfig.of({"name": "a", **changes})
+        if "drones" in changes
+        else mission.swarm(None).replace(**changes)
+    )
     with pytest.raises(ConfigError, match=says):
         mission.check(base, False)
 
@@ -280,6 +409,8 @@ def test_what_cannot_be_flown_is_refused(name, changes, says):
 def test_flights_that_meet_are_named_before_the_flight():
     mission = load("goto")
     assert mission.check(mission.swarm(None), False) == []
-    notes = mission.check(mission.swarm(None).replace(collision={"method": "off"}), False)
+    notes = mission.check(
+        mission.swarm(None).replace(collision={"method": "off"}), False
+    )
     assert len(notes) == 1
     assert "are planned 0.00 m from each other" in notes[0]

@@ -33,37 +33,65 @@ class Lab:
     """Two hosts of this machine with mutual TLS: drone 0 is on a, drone 1 on b, who commands on console."""
 
     def __init__(self, folder, clock, stack):
-        self.folder, self.clock, self.stack, self.keys = folder, clock, stack, folder / "keys"
+        self.folder, self.clock, self.stack, self.keys = (
+            folder,
+            clock,
+            stack,
+            folder / "keys",
+        )
         authority.init(self.keys)
         for name in ("a", "b", "console"):
             authority.add(self.keys, name)
-        self.config = SwarmConfig.of({
-            "name": "closed", "hosts": {"a": "127.0.0.1", "b": "127.0.0.1"}, "base_port": free_ports([0, 1]),
-            "security": SECURED | {"keys": str(self.keys)},
-            "drones": [{"id": i, "home": [1.0 * i, 0, 0], "host": "ab"[i]} for i in range(2)],
-        })  # fmt: skip
+        self.config = SwarmConfig.of(
+            {
+                "name": "closed",
+                "hosts": {"a": "127.0.0.1", "b": "127.0.0.1"},
+                "base_port": free_ports([0, 1]),
+                "security": SECURED | {"keys": str(self.keys)},
+                "drones": [
+                    {"id": i, "home": [1.0 * i, 0, 0], "host": "ab"[i]}
+                    for i in range(2)
+                ],
+            }
+        )
 
     async def link(self, host, process, drones, connect=True, **options):
         """A process of a host, as the swarm file has it."""
         first, second = self.config.endpoints().values()
         own = {"a": first, "b": second}.get(host, "tls/127.0.0.1:0")
         made = linked(
-            self.clock, process, "closed", drones, host=host, listen=[own], connect=[first] if connect else [],
-            access=self.config.access(host), **options,
-        )  # fmt: skip
+            self.clock,
+            process,
+            "closed",
+            drones,
+            host=host,
+            listen=[own],
+            connect=[first] if connect else [],
+            access=self.config.access(host),
+            **options,
+        )
         return await self.stack.enter_async_context(made)
 
     def intruder(self, folder=None):
         """A session of another program, with the keys of a folder, or with none."""
         config = zenoh.Config()
-        tls = {"root_ca_certificate": str((folder or self.keys / "a") / ROOT), "verify_name_on_connect": False}
+        tls = {
+            "root_ca_certificate": str((folder or self.keys / "a") / ROOT),
+            "verify_name_on_connect": False,
+        }
         if folder is not None:
-            tls |= {"connect_private_key": str(folder / KEY), "connect_certificate": str(folder / CERTIFICATE)}
+            tls |= {
+                "connect_private_key": str(folder / KEY),
+                "connect_certificate": str(folder / CERTIFICATE),
+            }
             tls["enable_mtls"] = True
         settings = {
-            "mode": "peer", "connect/endpoints": [self.config.endpoint(0)], "scouting/multicast/enabled": False,
-            "transport/shared_memory/enabled": False, "transport/link/tls": tls,
-        }  # fmt: skip
+            "mode": "peer",
+            "connect/endpoints": [self.config.endpoint(0)],
+            "scouting/multicast/enabled": False,
+            "transport/shared_memory/enabled": False,
+            "transport/link/tls": tls,
+        }
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
         session = zenoh.open(config)
@@ -85,17 +113,36 @@ async def until(condition, seconds=10.0):
 
 async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD, asks="**"):
     """What an intruder hears, though drone 0 speaks, and whether anything of it has come; it says it is `process`."""
-    heard, before = [], link.counters.frames_received + link.counters.strangers + link.counters.malformed
-    subscriber = of.declare_subscriber(asks, lambda sample: heard.append(str(sample.key_expr)))
+    heard, before = (
+        [],
+        link.counters.frames_received
+        + link.counters.strangers
+        + link.counters.malformed,
+    )
+    subscriber = of.declare_subscriber(
+        asks, lambda sample: heard.append(str(sample.key_expr))
+    )
     token = of.liveliness().declare_token(f"choir/closed/live/{host}/{process}")
-    frame = encode_frame(Frame(process, 1, STATUS.klass, [Envelope(STATUS.number, 1, (0,), 1, 0, 0.0, "", b"x")]))
+    frame = encode_frame(
+        Frame(
+            process,
+            1,
+            STATUS.klass,
+            [Envelope(STATUS.number, 1, (0,), 1, 0, 0.0, "", b"x")],
+        )
+    )
     for _ in range(round(seconds / 0.05)):
         of.put(f"choir/closed/f/{link.bus.process}/{host}/{process}/control", frame)
         link.bus.ports[0].publish(STATUS, Status("on ground"))
         await asyncio.sleep(0.05)
     token.undeclare()
     subscriber.undeclare()
-    came = link.counters.frames_received + link.counters.strangers + link.counters.malformed - before
+    came = (
+        link.counters.frames_received
+        + link.counters.strangers
+        + link.counters.malformed
+        - before
+    )
     return [key for key in heard if f"/{process}/" not in f"{key}/"], came
 
 
@@ -138,24 +185,46 @@ async def test_with_the_certificate_of_a_host_its_own_name_is_heard(lab):
     assert heard == []
 
 
-@pytest.mark.parametrize("asks", ["**", "choir/closed/f/**", "choir/closed/f/observer-$*/**", "choir/closed/f/*/a/**"])
+@pytest.mark.parametrize(
+    "asks",
+    [
+        "**",
+        "choir/closed/f/**",
+        "choir/closed/f/observer-$*/**",
+        "choir/closed/f/*/a/**",
+    ],
+)
 async def test_a_host_is_held_to_its_own_name_and_reads_nothing_of_others(lab, asks):
     """The certificate of b, in a program of its own that asks for everything and says it is a."""
     link = await lab.link("a", "0-1", [0])
     friend = await lab.link("console", "observer-console.1", [OBSERVER])
-    await until(lambda: "observer-console.1" in link.peers and link.table.mutual(link.peers["observer-console.1"]))
+    await until(
+        lambda: (
+            "observer-console.1" in link.peers
+            and link.table.mutual(link.peers["observer-console.1"])
+        )
+    )
     intruder = lab.intruder(lab.keys / "b")
     heard, _ = await speaks(lab, intruder, link, host="a", process="0-2", asks=asks)
-    assert [key for key in heard if "/observer-console.1/" in key] == [], "what a says to the console is theirs"
+    assert [key for key in heard if "/observer-console.1/" in key] == [], (
+        "what a says to the console is theirs"
+    )
     assert "0-2" not in link.peers
     assert "0-2" not in friend.peers
     assert link.counters.malformed == 0
 
 
-async def test_a_program_with_the_certificate_of_a_host_that_is_no_process_of_it_is_told_once(lab, caplog):
+async def test_a_program_with_the_certificate_of_a_host_that_is_no_process_of_it_is_told_once(
+    lab, caplog
+):
     link = await lab.link("a", "0-1", [0])
     lab.intruder(lab.keys / "b")
-    await until(lambda: "a program with the certificate of host b is connected and is no process" in caplog.text)
+    await until(
+        lambda: (
+            "a program with the certificate of host b is connected and is no process"
+            in caplog.text
+        )
+    )
     await asyncio.sleep(2.0 * LOOKS)
     assert caplog.text.count("a program with the certificate of host") == 1
     assert link.peers == {}
@@ -166,7 +235,10 @@ async def test_a_host_speaks_for_its_drones_alone(lab, caplog):
     liar = await lab.link("b", "1-1", [0])
     await until(lambda: link.peers.get("1-1") and link.peers["1-1"].refusal)
     assert 0 not in link.directory
-    assert "process 1-1 on host b speaks for drone 0, which the swarm file does not give to that host" in caplog.text
+    assert (
+        "process 1-1 on host b speaks for drone 0, which the swarm file does not give to that host"
+        in caplog.text
+    )
     assert caplog.text.count("speaks for drone 0") == 1
     await liar.on_stop()
 
@@ -174,17 +246,28 @@ async def test_a_host_speaks_for_its_drones_alone(lab, caplog):
 async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, caplog):
     link = await lab.link("a", "0-1", [0])
     commanded = []
-    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(message)
+    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(
+        message
+    )
     others = {"b": await lab.link("b", "observer-b.2", [OBSERVER + 1])}
     others["console"] = await lab.link("console", "observer-console.1", [OBSERVER])
-    await until(lambda: len([peer for peer in link.peers.values() if link.table.mutual(peer)]) == 2)
+    await until(
+        lambda: (
+            len([peer for peer in link.peers.values() if link.table.mutual(peer)]) == 2
+        )
+    )
     await until(lambda: all(0 in other.directory for other in others.values()))
     for other in others.values():
         (port,) = other.bus.ports.values()
         for number in range(3):
             port.send(REQUEST, (0,), encode(["land", {}, 5.0]), number, "1", 0, 0)
     await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
-    assert caplog.text.count("host b (process observer-b.2) commands and is no operator: not obeyed") == 1
+    assert (
+        caplog.text.count(
+            "host b (process observer-b.2) commands and is no operator: not obeyed"
+        )
+        == 1
+    )
 
 
 async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
@@ -196,10 +279,14 @@ async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
 
     assert await found(lab.keys / "b") == ""
     assert await found(lab.keys / "nobody") == "No such file or directory"
-    assert "it does not take the certificate of this host: " in await found(pretender(lab))
+    assert "it does not take the certificate of this host: " in await found(
+        pretender(lab)
+    )
     elsewhere = lab.folder / "elsewhere"
     authority.init(elsewhere)
-    assert "its certificate is not good here: " in await found(authority.add(elsewhere, "b"))
+    assert "its certificate is not good here: " in await found(
+        authority.add(elsewhere, "b")
+    )
 
 
 async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab):
@@ -217,15 +304,22 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
         refused = "somebody connected and was turned away: "
         await asyncio.sleep(1.5)  # they call again each second
         assert router.text.count(refused) == 3, router.text
-        assert f"{refused}peer sent no certificates. Nothing of it was read" in router.text
+        assert (
+            f"{refused}peer sent no certificates. Nothing of it was read" in router.text
+        )
         elsewhere = lab.folder / "elsewhere"
         authority.init(elsewhere)
         authority.add(elsewhere, "console")
         other = lab.config.replace(security=SECURED | {"keys": str(elsewhere)})
         (lab.folder / "other.json").write_text(other.dumps())
-        status = await Program.start(*CRAZYCHOIR, "status", "--swarm", lab.folder / "other.json", "--json")
+        status = await Program.start(
+            *CRAZYCHOIR, "status", "--swarm", lab.folder / "other.json", "--json"
+        )
         ended = await status.end(30.0)
-        assert f"{at} and we do not accept each other's certificate: invalid peer certificate" in status.text
+        assert (
+            f"{at} and we do not accept each other's certificate: invalid peer certificate"
+            in status.text
+        )
         assert json.loads(ended["answer"]), "and nothing else on standard output"
         router.signal(signal.SIGINT)
         assert (await router.end(10.0))["answer"] == ""
@@ -245,7 +339,12 @@ async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
 async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(lab, caplog):
     link = await lab.link("a", "0-1", [0])
     friend = await lab.link("console", "observer-console.1", [OBSERVER])
-    await until(lambda: "observer-console.1" in link.peers and link.table.mutual(link.peers["observer-console.1"]))
+    await until(
+        lambda: (
+            "observer-console.1" in link.peers
+            and link.table.mutual(link.peers["observer-console.1"])
+        )
+    )
     intruder = lab.intruder(lab.keys / "b")
     heard = []
     link.bus.ports[0].handlers[REQUEST.number] = lambda *message: heard.append(message)
@@ -254,18 +353,24 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(lab, caplo
     def flood():
         block = zenoh.CongestionControl.BLOCK
         for _ in range(60_000):
-            intruder.put("choir/closed/f/0-1/b/1-f/control", frame, congestion_control=block)
+            intruder.put(
+                "choir/closed/f/0-1/b/1-f/control", frame, congestion_control=block
+            )
 
     flooding = asyncio.create_task(asyncio.to_thread(flood))
     asked = 0
     while not flooding.done():
-        friend.bus.ports[OBSERVER].send(REQUEST, (0,), encode(["land", {}, 5.0]), asked, "1", 0, 0)
+        friend.bus.ports[OBSERVER].send(
+            REQUEST, (0,), encode(["land", {}, 5.0]), asked, "1", 0, 0
+        )
         asked += 1
         await asyncio.sleep(0.01)
     await flooding
     await until(lambda: len(heard) == asked)
     assert asked > 5
-    assert link.counters.flooded > 1_000  # of 60 000, as fast as this machine sends them
+    assert (
+        link.counters.flooded > 1_000
+    )  # of 60 000, as fast as this machine sends them
     assert link.counters.overflowed == 0
     assert caplog.text.count("host b floods us") == 1
 
@@ -274,21 +379,42 @@ async def test_a_host_cannot_put_another_s_name_behind_its_own_in_a_key(lab):
     """Access control looks at the beginning of a key; who speaks is read at the same place."""
     link = await lab.link("a", "0-1", [0])
     friend = await lab.link("console", "observer-console.1", [OBSERVER])
-    await until(lambda: "observer-console.1" in link.peers and link.table.mutual(link.peers["observer-console.1"]))
+    await until(
+        lambda: (
+            "observer-console.1" in link.peers
+            and link.table.mutual(link.peers["observer-console.1"])
+        )
+    )
     commanded = []
-    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(message)
-    order = Envelope(REQUEST.number, OBSERVER, (0,), 99, 0, 0.0, "1", encode(["land", {}, 5.0]))
+    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(
+        message
+    )
+    order = Envelope(
+        REQUEST.number, OBSERVER, (0,), 99, 0, 0.0, "1", encode(["land", {}, 5.0])
+    )
     frame = encode_frame(Frame("observer-console.1", 7, REQUEST.klass, [order]))
     intruder = lab.intruder(lab.keys / "b")
     for _ in range(round(HEARD / 0.05)):
         for middle in ("b", "b/1-f", "b/1-f/x", "*", "**/b", "b/**"):
-            intruder.put(f"choir/closed/f/0-1/{middle}/console/observer-console.1/rounds", frame)
+            intruder.put(
+                f"choir/closed/f/0-1/{middle}/console/observer-console.1/rounds", frame
+            )
         await asyncio.sleep(0.05)
     assert commanded == []
     assert friend.peers["0-1"].hello is not None
 
 
-@pytest.mark.parametrize(("listen", "times"), [("tcp/0.0.0.0:0", 1), ("tcp/127.0.0.1:0", 0)])
-async def test_an_open_network_beyond_this_machine_is_said_at_start(listen, times, caplog):
-    async with wall_clock() as clock, linked(clock, "0-1", "open", [0], listen=[listen]):
-        assert caplog.text.count("neither encrypted nor closed (security.insecure)") == times
+@pytest.mark.parametrize(
+    ("listen", "times"), [("tcp/0.0.0.0:0", 1), ("tcp/127.0.0.1:0", 0)]
+)
+async def test_an_open_network_beyond_this_machine_is_said_at_start(
+    listen, times, caplog
+):
+    async with (
+        wall_clock() as clock,
+        linked(clock, "0-1", "open", [0], listen=[listen]),
+    ):
+        assert (
+            caplog.text.count("neither encrypted nor closed (security.insecure)")
+            == times
+        )

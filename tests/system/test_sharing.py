@@ -22,17 +22,25 @@ def depot(path):
     pickup = circle.copy()
     pickup[1] = pickup[0] + [0.2, 0.0]
     instance = {
-        "home": (2.0 * circle).tolist(), "pickup": pickup.tolist(), "delivery": [[0.0, 0.0]] * N, "load": [1.0] * N,
-        "capacity": [1.0] * N, "capability": np.eye(N, dtype=bool).tolist(),
-    }  # fmt: skip
+        "home": (2.0 * circle).tolist(),
+        "pickup": pickup.tolist(),
+        "delivery": [[0.0, 0.0]] * N,
+        "load": [1.0] * N,
+        "capacity": [1.0] * N,
+        "capability": np.eye(N, dtype=bool).tolist(),
+    }
     path.write_text(json.dumps(instance))
     return path
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))]
+)
 def test_all_bring_their_goods_to_one_place_one_after_the_other(seed, tmp_path):
     mission = load("pickup_delivery")
-    config = mission.swarm(None, depot(tmp_path / "depot.json")).replace(seed=seed, network={"loss": 0.2})
+    config = mission.swarm(None, depot(tmp_path / "depot.json")).replace(
+        seed=seed, network={"loss": 0.2}
+    )
     result = fly_fast(config, mission)
     assert result["success"], result["reasons"]
     assert result["tasks"] == {"total": N, "served": N}
@@ -42,10 +50,21 @@ def test_all_bring_their_goods_to_one_place_one_after_the_other(seed, tmp_path):
 
 def flown(does, *homes):
     """Drones that do this, at motor level; their flights."""
-    rows = [{"id": i, "home": [*home, 0.0], "uri": "sim://motors"} for i, home in enumerate(homes)]
-    config = SwarmConfig.of({"name": "some", "drones": rows, "fence": {"min": [-3, -3, 0], "max": [3, 3, 3]}})
+    rows = [
+        {"id": i, "home": [*home, 0.0], "uri": "sim://motors"}
+        for i, home in enumerate(homes)
+    ]
+    config = SwarmConfig.of(
+        {
+            "name": "some",
+            "drones": rows,
+            "fence": {"min": [-3, -3, 0], "max": [3, 3, 3]},
+        }
+    )
     flights = fly(config, mission_of(does))
-    assert all(flight.result["success"] for flight in flights.values()), [f.result for f in flights.values()]
+    assert all(flight.result["success"] for flight in flights.values()), [
+        f.result for f in flights.values()
+    ]
     return flights
 
 
@@ -55,7 +74,9 @@ def two(does, *homes):
     n = min(len(flight.t) for flight in flights.values())
     apart = (flights[0].p[:n] - flights[1].p[:n]) * [1.0, 1.0, 0.4]
     up = np.minimum(flights[0].p[:n, 2], flights[1].p[:n, 2]) > 0.1
-    assert np.linalg.norm(apart[up], axis=1).min(initial=np.inf) > 0.24, "their ellipsoids do not meet"
+    assert np.linalg.norm(apart[up], axis=1).min(initial=np.inf) > 0.24, (
+        "their ellipsoids do not meet"
+    )
     return flights
 
 
@@ -131,4 +152,6 @@ def test_nobody_rises_into_or_comes_down_on_one_who_is_in_its_way():
 
     flights = two(does, (0.0, 0.0), (1.0, 0.0))
     landed = flights[1].during(Mode.GROUND) & (np.array(flights[1].t) > 20.0)
-    assert flights[1].p[landed][:, 2].max() < 0.05, "its motors stop on the ground, and not above another"
+    assert flights[1].p[landed][:, 2].max() < 0.05, (
+        "its motors stop on the ground, and not above another"
+    )

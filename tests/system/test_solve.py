@@ -11,9 +11,21 @@ from crazychoir.solve.solving import solve_here
 
 pytestmark = pytest.mark.system
 KEYS = {
-    "cost", "feasible", "lower_bound", "bound_exact", "method", "disclosed", "rounds", "messages", "bytes", "wall_s",
-    "critical_path_s", "plan_digest", "routes", "bound_relaxation",
-}  # fmt: skip
+    "cost",
+    "feasible",
+    "lower_bound",
+    "bound_exact",
+    "method",
+    "disclosed",
+    "rounds",
+    "messages",
+    "bytes",
+    "wall_s",
+    "critical_path_s",
+    "plan_digest",
+    "routes",
+    "bound_relaxation",
+}
 SHARED = ["N3_M3_s1", "N5_M5_s1", "N5_M8_s1_R25", "lab6_M10_s1", "N10_M15_s1_R25"]
 OWN = ["flat", "limited", "room"]
 
@@ -24,8 +36,15 @@ def near(result, optimum):
     assert result["feasible"]
     assert optimum - 1e-6 <= result["cost"] <= 1.01 * optimum
     assert result["lower_bound"] <= optimum + 1e-6
-    assert result["cost"] == pytest.approx(sum(route["length"] for route in result["routes"]))
-    served = [stop["task"] for route in result["routes"] for stop in route["stops"] if stop["kind"] == "pickup"]
+    assert result["cost"] == pytest.approx(
+        sum(route["length"] for route in result["routes"])
+    )
+    served = [
+        stop["task"]
+        for route in result["routes"]
+        for stop in route["stops"]
+        if stop["kind"] == "pickup"
+    ]
     assert len(served) == len(set(served))
 
 
@@ -74,14 +93,22 @@ for method, several in (("columns", changes), ("resource-columns", changes[:-1])
 def test_the_clock_of_a_solution_counts_no_compiling(repository):
     """Nor any loading of compiled laws: before it starts all have been called, with the types that they will get."""
     path = repository / "tests" / "data" / "pickup_delivery_flat.json"
-    done = subprocess.run([sys.executable, "-c", WARM, path], capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", WARM, path],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
 
 
 @pytest.fixture
 def instance(repository):
     """A small instance, to be spoilt."""
-    return json.loads((repository / "tests" / "data" / "pickup_delivery_flat.json").read_text())
+    return json.loads(
+        (repository / "tests" / "data" / "pickup_delivery_flat.json").read_text()
+    )
 
 
 def test_a_task_that_no_robot_can_carry_is_named(here, tmp_path, instance):
@@ -102,12 +129,21 @@ def test_a_file_that_is_no_instance_is_refused(here, tmp_path, text):
 
 def test_a_method_and_a_graph_that_do_not_exist_are_refused(here, repository):
     path = repository / "tests" / "data" / "pickup_delivery_flat.json"
-    here("crazychoir", "solve", path, "--method", "magic").refuses("magic", "resource-columns")
+    here("crazychoir", "solve", path, "--method", "magic").refuses(
+        "magic", "resource-columns"
+    )
     here("crazychoir", "solve", path, "--graph", "knot").refuses("knot")
     here("crazychoir", "solve", path, "--loss", "1").refuses("--loss", "less than 1")
 
 
-@pytest.mark.parametrize(("name", "said"), [("a.txt", ".png, .pdf, .svg"), ("/proc/none/a.png", "can be made")])
-def test_a_picture_that_cannot_be_drawn_is_refused_before_anything_is_solved(here, repository, tmp_path, name, said):
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("a.txt", ".png, .pdf, .svg"), ("/proc/none/a.png", "can be made")],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_before_anything_is_solved(
+    here, repository, tmp_path, name, said
+):
     path = repository / "tests" / "data" / "pickup_delivery_flat.json"
-    here("crazychoir", "solve", path, "--picture", tmp_path / name).refuses("--picture", said)
+    here("crazychoir", "solve", path, "--picture", tmp_path / name).refuses(
+        "--picture", said
+    )

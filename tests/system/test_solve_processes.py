@@ -16,7 +16,11 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve import team
 from crazychoir.solve.solving import solve_here
 
-pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.usefixtures("compiled")]
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.real_time,
+    pytest.mark.usefixtures("compiled"),
+]
 
 
 @pytest.fixture
@@ -33,9 +37,14 @@ def test_four_processes_of_six_robots_find_the_plan_of_virtual_time(demo):
     assert found["lost"] == pytest.approx(0.2 * found["messages"], rel=0.1)
     assert found["resent"] > 0
     assert [robot["robot"] for robot in found["robots"]] == list(range(6))
-    assert all(robot["rounds"] == found["rounds"] and robot["cpu_s"] > 0.0 for robot in found["robots"])
+    assert all(
+        robot["rounds"] == found["rounds"] and robot["cpu_s"] > 0.0
+        for robot in found["robots"]
+    )
     assert sum(robot["bytes"] for robot in found["robots"]) == found["bytes"]
-    assert found["critical_path_s"] == pytest.approx(found["critical_cpu_s"] + found["exchange_s"])
+    assert found["critical_path_s"] == pytest.approx(
+        found["critical_cpu_s"] + found["exchange_s"]
+    )
     assert found["critical_cpu_s"] < found["cpu_s"]
     assert found["curve"][-1][1] == pytest.approx(found["cost"])
 
@@ -46,7 +55,9 @@ def test_options_that_cannot_be_are_refused_before_anything_starts(demo):
         team.solve_in_processes(problem, 7)
     with pytest.raises(ConfigError, match="magic"):
         team.solve_in_processes(problem, 2, method="magic")
-    call("crazychoir", "solve", demo, "--processes", 2, "--loss", 1.5).refuses("--loss", "a probability, 0 to 1")
+    call("crazychoir", "solve", demo, "--processes", 2, "--loss", 1.5).refuses(
+        "--loss", "a probability, 0 to 1"
+    )
 
 
 def test_an_error_of_a_robot_names_it_and_ends_all(demo, monkeypatch):
@@ -58,21 +69,31 @@ def test_an_error_of_a_robot_names_it_and_ends_all(demo, monkeypatch):
         return [first, second]
 
     monkeypatch.setattr(team, "_commands", other_method)
-    with pytest.raises(ProcessFailed, match=r"robots \d to \d: ConfigError: .*another task list, method"):
+    with pytest.raises(
+        ProcessFailed,
+        match=r"robots \d to \d: ConfigError: .*another task list, method",
+    ):
         team.solve_in_processes(Instance.load(demo), 2)
 
 
 def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
     end = [sys.executable, "-c", "raise SystemExit('out of memory, say')"]
     monkeypatch.setattr(team, "_commands", lambda parts, common: [end, end])
-    with pytest.raises(ProcessFailed, match=r"robots \d to \d: .* ended before its answer: out of memory, say"):
+    with pytest.raises(
+        ProcessFailed,
+        match=r"robots \d to \d: .* ended before its answer: out of memory, say",
+    ):
         team.solve_in_processes(Instance.load(demo), 2)
 
 
 def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
     cache.say_once.cache_clear()
-    words = "import json; print(json.dumps({'compiles': True})); raise SystemExit('done')"
-    monkeypatch.setattr(team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2)
+    words = (
+        "import json; print(json.dumps({'compiles': True})); raise SystemExit('done')"
+    )
+    monkeypatch.setattr(
+        team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2
+    )
     with pytest.raises(ProcessFailed, match="done"):
         team.solve_in_processes(Instance.load(demo), 2)
     assert capsys.readouterr().err == f"{cache.COMPILES}\n"
@@ -81,16 +102,32 @@ def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
 def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
     monkeypatch.setenv("CRAZYCHOIR_TOLD", "")
     words = "import json; print(json.dumps({'warning': 'cache: compiled laws: none'})); raise SystemExit('done')"
-    monkeypatch.setattr(team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2)
+    monkeypatch.setattr(
+        team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2
+    )
     with pytest.raises(ProcessFailed, match="done"):
         team.solve_in_processes(Instance.load(demo), 2)
     assert capsys.readouterr().err == "cache: compiled laws: none\n"
 
 
 def test_no_robot_outlives_who_started_it(demo):
-    words = [sys.executable, "-m", "crazychoir.cli.main", "solve", str(demo), "--processes", "2", "--loss", "0.9"]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as parent:
-        children = _until(lambda: found if len(found := _children(parent.pid)) == 2 else None)
+    words = [
+        sys.executable,
+        "-m",
+        "crazychoir.cli.main",
+        "solve",
+        str(demo),
+        "--processes",
+        "2",
+        "--loss",
+        "0.9",
+    ]
+    with subprocess.Popen(
+        words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as parent:
+        children = _until(
+            lambda: found if len(found := _children(parent.pid)) == 2 else None
+        )
         os.kill(parent.pid, signal.SIGKILL)
     _until(lambda: all(not _alive(child) for child in children))
 

@@ -21,7 +21,9 @@ LONGEST = 200.0
 
 def flown(seed, loss=0.2, prepare=lambda agent: None, **options):
     """The mission in virtual time; prepare: called with the agent. Returns its report, results and score."""
-    config = MISSION.swarm(None).replace(seed=seed, network={"loss": loss}, mission_options=options)
+    config = MISSION.swarm(None).replace(
+        seed=seed, network={"loss": loss}, mission_options=options
+    )
     assert MISSION.check(config, False) == []
 
     async def main(clock):
@@ -55,14 +57,25 @@ def test_every_task_is_done_once_at_the_least_cost_though_messages_and_a_robot_a
         crash(agent, 3)
 
     report, results, score = flown(
-        4, prepare=lambda agent: agent.clock.call_at(5 * SECOND, lose, agent), generations=4
+        4,
+        prepare=lambda agent: agent.clock.call_at(5 * SECOND, lose, agent),
+        generations=4,
     )
     served(report, results, score, lost=[3])
     first = report["tables"][0]
-    assert (first["number"], first["served"], first["cost"]) == (1, [5], pytest.approx(12.049, abs=0.02))
+    assert (first["number"], first["served"], first["cost"]) == (
+        1,
+        [5],
+        pytest.approx(12.049, abs=0.02),
+    )
     assert held == [3]
-    assert 3 in [task for i, result in results.items() if i != 3 for task, _ in result["done"]], "another has done it"
-    assert report["tasks"]["done"] == max(max(table["tasks"], default=0) for table in report["tables"]) + 1
+    assert 3 in [
+        task for i, result in results.items() if i != 3 for task, _ in result["done"]
+    ], "another has done it"
+    assert (
+        report["tasks"]["done"]
+        == max(max(table["tasks"], default=0) for table in report["tables"]) + 1
+    )
 
 
 def test_operators_add_and_cancel_tasks_in_flight():
@@ -77,7 +90,10 @@ def test_operators_add_and_cancel_tasks_in_flight():
 
     asking = []
     report, results, score = flown(
-        4, 0.0, lambda agent: asking.append(asyncio.ensure_future(ask(agent))), generations=1
+        4,
+        0.0,
+        lambda agent: asking.append(asyncio.ensure_future(ask(agent))),
+        generations=1,
     )
     assert asking[0].exception() is None
     assert [answer["id"] for answer in answers] == [ADDED + 2, 2]
@@ -94,7 +110,9 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
         for drone in agent.drones.values():
             drone.pilot.land("the battery is empty")
 
-    _, results, _ = flown(4, 0.1, lambda agent: agent.clock.call_at(6 * SECOND, land, agent))
+    _, results, _ = flown(
+        4, 0.1, lambda agent: agent.clock.call_at(6 * SECOND, land, agent)
+    )
     for result in results.values():
         assert not result["success"]
         assert "; then nobody that it hears flies any more for 20 s" in result["reason"]
@@ -109,7 +127,9 @@ def test_who_is_left_alone_by_crashes_comes_to_an_end():
 
     _, results, _ = flown(4, 0.0, prepare)
     for i in (4, 5):
-        assert "cut off from more than half of the team for 20 s" in results[i]["reason"]
+        assert (
+            "cut off from more than half of the team for 20 s" in results[i]["reason"]
+        )
 
 
 @pytest.mark.slow
@@ -132,7 +152,11 @@ def test_a_part_that_is_cut_off_comes_back_or_goes_home(until):
     config = MISSION.swarm(None).replace(network={"loss": 0.1, "partitions": [cut]})
     result = fly_fast(config, MISSION)
     assert result["min_separation_m"] > TOUCHING
-    assert all(not ("touched" in why or "twice" in why) for why in result["reasons"].values())
+    assert all(
+        not ("touched" in why or "twice" in why) for why in result["reasons"].values()
+    )
     ends = {i: one.get("reason", "") for i, one in result["results"].items()}
-    assert [i for i, why in ends.items() if "cut off" in why] == ([] if until else [1, 4])
+    assert [i for i, why in ends.items() if "cut off" in why] == (
+        [] if until else [1, 4]
+    )
     assert result["success"] == (until is not None)

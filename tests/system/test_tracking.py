@@ -3,7 +3,15 @@
 import pytest
 
 from crazychoir.bench import tracking as bench_tracking
-from crazychoir.bench.tracking import CORNERS, NOMINAL, alone, original, ours, row, whole
+from crazychoir.bench.tracking import (
+    CORNERS,
+    NOMINAL,
+    alone,
+    original,
+    ours,
+    row,
+    whole,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import load
@@ -51,17 +59,29 @@ def test_the_whole_stack_with_a_drone_that_is_not_what_its_controllers_believe(c
     ("mission", "options", "says"),
     [
         ("figure", {"period": 1.0}, "drone 0: trajectory at .* s: acceleration"),
-        ("figure", {"figure": "eight", "size": 1.5, "period": 40.0}, "drone 1: trajectory: set-point.*fence"),
+        (
+            "figure",
+            {"figure": "eight", "size": 1.5, "period": 40.0},
+            "drone 1: trajectory: set-point.*fence",
+        ),
         ("figure", {"size": "wide"}, "mission_options.size.*a length"),
         ("drawn_path", {}, "drone 1: .*fence"),
     ],
 )
-def test_what_one_of_the_drones_cannot_fly_is_refused_before_the_flight(mission, options, says):
+def test_what_one_of_the_drones_cannot_fly_is_refused_before_the_flight(
+    mission, options, says
+):
     drones = [{"id": 0, "home": [0.0, 0.0, 0.0]}, {"id": 1, "home": [1.5, 3.5, 0.0]}]
     config = SwarmConfig.of(
-        {"name": "wide", "mission": mission, "mission_options": options, "graph": "path", "drones": drones,
-         "fence": {"min": [-2.5, -2.5, 0.0], "max": [2.5, 4.0, 3.0]}}
-    )  # fmt: skip
+        {
+            "name": "wide",
+            "mission": mission,
+            "mission_options": options,
+            "graph": "path",
+            "drones": drones,
+            "fence": {"min": [-2.5, -2.5, 0.0], "max": [2.5, 4.0, 3.0]},
+        }
+    )
     with pytest.raises(ConfigError, match=says):
         load(mission).check(config, False)
 

@@ -24,7 +24,10 @@ def run_by_fits_and_starts(path, *words):
     """
     environment, stops = {**os.environ, "PYTHONHASHSEED": "random"}, 0
     command = [*PROGRAMS["crazychoir"], *words]
-    with path.open("w") as out, subprocess.Popen(command, stdout=out, env=environment) as process:
+    with (
+        path.open("w") as out,
+        subprocess.Popen(command, stdout=out, env=environment) as process,
+    ):
         while process.poll() is None:
             time.sleep(RUNNING)
             process.send_signal(signal.SIGSTOP)
@@ -37,7 +40,9 @@ def run_by_fits_and_starts(path, *words):
 @pytest.fixture(scope="module")
 def fly(here):
     """Flies the pickups and deliveries in this process; what the run says."""
-    return lambda *words: here("crazychoir", "run", "pickup_delivery", "--fast", "--json", *words).json
+    return lambda *words: (
+        here("crazychoir", "run", "pickup_delivery", "--fast", "--json", *words).json
+    )
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +51,9 @@ def usual(fly):
     return fly("--seed", 1)
 
 
-def test_the_digest_depends_neither_on_the_process_and_its_hash_seed_nor_on_the_load_of_the_machine(usual, tmp_path):
+def test_the_digest_depends_neither_on_the_process_and_its_hash_seed_nor_on_the_load_of_the_machine(
+    usual, tmp_path
+):
     words = "run", "pickup_delivery", "--fast", "--seed", "1", "--json"
     again, stops = run_by_fits_and_starts(tmp_path / "said.json", *words)
     assert stops > 3
@@ -62,7 +69,9 @@ def test_the_plan_does_not_depend_on_what_is_lost(usual, fly):
     lossy = fly("--seed", 1, "--loss", loss)
     assert lossy["success"]
     assert lossy["plan_digest"] == usual["plan_digest"]
-    assert lossy["messages"]["lost"] == pytest.approx(loss * lossy["messages"]["sent"], rel=0.1)
+    assert lossy["messages"]["lost"] == pytest.approx(
+        loss * lossy["messages"]["sent"], rel=0.1
+    )
     assert lossy["messages"]["resent"] > usual["messages"]["resent"]
     assert lossy["digest"] != usual["digest"]
 

@@ -24,13 +24,19 @@ def guidance(i, config):
 
 @pytest.mark.parametrize("uri", ["sim://", "sim://motors"])
 @pytest.mark.parametrize("thrust_error", [-0.05, 0.05])
-def test_it_neither_sinks_nor_rises_as_it_has_learnt_its_thrust_before(tmp_path, uri, thrust_error):
+def test_it_neither_sinks_nor_rises_as_it_has_learnt_its_thrust_before(
+    tmp_path, uri, thrust_error
+):
     path = tmp_path / "still.py"
     path.write_text(LAW)
     config = default_swarm(1).replace(
-        mission=str(path), graph="empty", plant={"thrust_error": thrust_error, "command_delay": 0.02},
+        mission=str(path),
+        graph="empty",
+        plant={"thrust_error": thrust_error, "command_delay": 0.02},
         drones=[{"id": 0, "home": [0.0, 0.0, 0.0], "uri": uri, "platform": "cf21"}],
-    )  # fmt: skip
+    )
     result = fly_fast(config, load(str(path)))
     assert result["success"], result["reasons"]
-    assert result["results"][0]["place"][2] == pytest.approx(1.0, abs=0.12), "0.5 m and more without"
+    assert result["results"][0]["place"][2] == pytest.approx(1.0, abs=0.12), (
+        "0.5 m and more without"
+    )

@@ -6,13 +6,27 @@ import shutil
 import signal
 
 import pytest
-from system.agents import AGENT, CRAZYCHOIR, MOCAP, RADIO, WORLD, Program, results, until
+from system.agents import (
+    AGENT,
+    CRAZYCHOIR,
+    MOCAP,
+    RADIO,
+    WORLD,
+    Program,
+    results,
+    until,
+)
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.namespaces import switched
 
-pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.real_time,
+    pytest.mark.slow,
+    pytest.mark.timeout(300),
+]
 FORMATION = load("bearing_formation")
 FOR_ALL = 120.0  # s
 
@@ -28,14 +42,24 @@ class Lab:
     async def keys(self):
         """As the guide says."""
         for words in (["init"], *(["add", name] for name in self.config.hosts)):
-            made = await Program.start(*CRAZYCHOIR, "keys", *words, "--folder", self.folder / "keys")
+            made = await Program.start(
+                *CRAZYCHOIR, "keys", *words, "--folder", self.folder / "keys"
+            )
             assert (await made.end(20.0))["code"] == 0, made.text
         for name in self.config.hosts:
-            shutil.copytree(self.folder / "keys" / name, self.folder / name / "keys" / name)
+            shutil.copytree(
+                self.folder / "keys" / name, self.folder / name / "keys" / name
+            )
             shutil.copy(self.file, self.folder / name / "swarm.toml")
 
     async def start(self, host, *command):
-        where = [*self.hosts.command(host), "sh", "-c", 'cd "$0" && exec "$@"', self.folder / host]
+        where = [
+            *self.hosts.command(host),
+            "sh",
+            "-c",
+            'cd "$0" && exec "$@"',
+            self.folder / host,
+        ]
         self.programs.append(await Program.start(*where, *command))
         return self.programs[-1]
 
@@ -58,7 +82,9 @@ async def fly(made, each):
     for host in made.config.hosts:
         ids = [drone.id for drone in made.config.drones if drone.host == host]
         for first in range(0, len(ids), each):
-            words = [word for i in ids[first : first + each] for word in ("--id", str(i))]
+            words = [
+                word for i in ids[first : first + each] for word in ("--id", str(i))
+            ]
             agents[ids[first]] = await made.start(host, *AGENT, "--json", *words)
     ended = await asyncio.gather(*(agent.end(FOR_ALL) for agent in agents.values()))
     found = results(dict(zip(agents, ended, strict=True)))
@@ -69,7 +95,9 @@ async def fly(made, each):
 
 
 @pytest.mark.parametrize("each", [15, 3])
-async def test_thirty_form_their_grid_from_three_workstations(repository, tmp_path, compiled, each):
+async def test_thirty_form_their_grid_from_three_workstations(
+    repository, tmp_path, compiled, each
+):
     async with lab(repository / "deploy/three_workstations.toml", tmp_path) as made:
         world = await made.start("physics", *WORLD, "--json")
         await fly(made, each)
@@ -77,9 +105,13 @@ async def test_thirty_form_their_grid_from_three_workstations(repository, tmp_pa
         assert (await world.end(20.0))["success"], world.text
 
 
-async def test_six_virtual_crazyflies_behind_dongles_of_two_workstations(repository, tmp_path, compiled):
+async def test_six_virtual_crazyflies_behind_dongles_of_two_workstations(
+    repository, tmp_path, compiled
+):
     async with lab(repository / "deploy/virtual_dongles.toml", tmp_path) as made:
-        hall = await made.start("physics", *CRAZYCHOIR, "virtual", "--swarm", "swarm.toml", "--json")
+        hall = await made.start(
+            "physics", *CRAZYCHOIR, "virtual", "--swarm", "swarm.toml", "--json"
+        )
         await until(lambda: "virtual Crazyflies" in hall.text, 30.0, lambda: hall.text)
         owners = [
             await made.start("physics", *MOCAP, "--json"),

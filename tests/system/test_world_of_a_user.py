@@ -108,8 +108,12 @@ def installed(tmp_path, monkeypatch):
     (tmp_path / "marbles_of_a_user.py").write_text(PACKAGE)
     about = tmp_path / "marbles_of_a_user-1.0.dist-info"
     about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: marbles-of-a-user\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[crazychoir.worlds]\nmarbles = marbles_of_a_user:world\n")
+    (about / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: marbles-of-a-user\nVersion: 1.0\n"
+    )
+    (about / "entry_points.txt").write_text(
+        "[crazychoir.worlds]\nmarbles = marbles_of_a_user:world\n"
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
     return importlib.import_module("marbles_of_a_user")
 
@@ -143,13 +147,18 @@ def guidance(i, config):
 '''
 
 
-def test_drones_in_a_world_of_another_package_reach_their_goals_and_land(installed, tmp_path):
+def test_drones_in_a_world_of_another_package_reach_their_goals_and_land(
+    installed, tmp_path
+):
     (tmp_path / "hop.py").write_text(HOP)
     config = SwarmConfig.of(
         {
             "name": "hop",
             "mission": str(tmp_path / "hop.py"),
-            "drones": [{"id": k, "home": [0.8 * k, 0.0, 0.0], "uri": "marbles://bag"} for k in range(3)],
+            "drones": [
+                {"id": k, "home": [0.8 * k, 0.0, 0.0], "uri": "marbles://bag"}
+                for k in range(3)
+            ],
             "world": {"options": {"colour": "blue"}},
         }
     )

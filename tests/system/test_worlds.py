@@ -50,7 +50,9 @@ def guidance(i, config):
 '''
 
 
-def standing(folder: Path, duration: float, drones: int = 4, motors: int = 0, **tables: object) -> SwarmConfig:
+def standing(
+    folder: Path, duration: float, drones: int = 4, motors: int = 0, **tables: object
+) -> SwarmConfig:
     """Drones in a row, in worlds with an owner: the first `motors` of them with motors and firmware."""
     folder.mkdir(exist_ok=True)
     path = folder / "standing.py"
@@ -61,7 +63,11 @@ def standing(folder: Path, duration: float, drones: int = 4, motors: int = 0, **
             "mission": str(path),
             "mission_options": {"duration": duration, "looked": str(folder / "looked")},
             "drones": [
-                {"id": i, "home": [float(i), 0.0, 0.0], **({"uri": MOTORS, "platform": "cf21"} if i < motors else {})}
+                {
+                    "id": i,
+                    "home": [float(i), 0.0, 0.0],
+                    **({"uri": MOTORS, "platform": "cf21"} if i < motors else {}),
+                }
                 for i in range(drones)
             ],
             "flight": {**BRISK, "takeoff_height": 0.5},
@@ -76,25 +82,41 @@ def standing(folder: Path, duration: float, drones: int = 4, motors: int = 0, **
 class Run:
     """`crazychoir run` of a swarm, and an observer of it."""
 
-    def __init__(self, config: SwarmConfig, program: Program, observer: Program, path: Path) -> None:
-        self.config, self.program, self.observer, self.path = config, program, observer, path
+    def __init__(
+        self, config: SwarmConfig, program: Program, observer: Program, path: Path
+    ) -> None:
+        self.config, self.program, self.observer, self.path = (
+            config,
+            program,
+            observer,
+            path,
+        )
 
     def pid(self, word: str) -> int:
         """The child whose command line holds the word."""
         pid = self.program.process.pid
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        return next(int(c) for c in children if word in Path(f"/proc/{c}/cmdline").read_text().replace("\0", " "))
+        return next(
+            int(c)
+            for c in children
+            if word in Path(f"/proc/{c}/cmdline").read_text().replace("\0", " ")
+        )
 
     @property
     def tasks(self) -> dict[int, str]:
         """What each drone last said that it does."""
-        heard = [json.loads(line) for line in self.observer.said if line.startswith("{")]
+        heard = [
+            json.loads(line) for line in self.observer.said if line.startswith("{")
+        ]
         return {one["drone"]: one["status"]["task"] for one in heard if "status" in one}
 
     async def stands(self) -> None:
         """Until all drones stand in the air, and have met."""
         await until(
-            lambda: [self.tasks.get(i) for i in self.config.ids] == ["standing"] * len(self.config.ids),
+            lambda: (
+                [self.tasks.get(i) for i in self.config.ids]
+                == ["standing"] * len(self.config.ids)
+            ),
             40.0,
             lambda: f"{self.tasks}: {self.program.text}",
         )
@@ -121,17 +143,23 @@ def gone(pids: list[int]) -> bool:
 
 
 @pytest.mark.slow
-async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_into(tmp_path):
+async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_into(
+    tmp_path,
+):
     async with running(standing(tmp_path, 60.0, motors=2), tmp_path) as run:
         await run.stands()
-        said = await asyncio.to_thread(call, "crazychoir", "echo", "truth", "--swarm", run.path, "--seconds", 1)
+        said = await asyncio.to_thread(
+            call, "crazychoir", "echo", "truth", "--swarm", run.path, "--seconds", 1
+        )
         (tmp_path / "looked").touch()
         ended = await run.program.end(60.0)
     truths = [json.loads(line) for line in said.out.splitlines()]
     assert {truth["drone"] for truth in truths} == {0, 1, 2, 3}, said.err
     assert all(0.4 < truth["p"][2] < 0.6 for truth in truths)
     assert ended["code"] == 0, ended["reasons"]
-    assert ended["min_separation_m"] == pytest.approx(1.0, abs=0.1), "between drones of several processes, by the truth"
+    assert ended["min_separation_m"] == pytest.approx(1.0, abs=0.1), (
+        "between drones of several processes, by the truth"
+    )
     assert all(0.9 < far < 1.5 for far in ended["flown_m"].values()), ended["flown_m"]
 
 
@@ -175,7 +203,9 @@ def test_a_world_that_nobody_owns_is_refused(tmp_path):
     path = tmp_path / "swarm.json"
     config = standing(tmp_path, 1.0, world={})
     path.write_text(config.dumps())
-    call("crazychoir-world", "--swarm", path).refuses("swarm.json", "owned = true into [world]")
+    call("crazychoir-world", "--swarm", path).refuses(
+        "swarm.json", "owned = true into [world]"
+    )
 
 
 async def test_a_second_owner_cannot_be_and_the_first_ends_when_it_is_told_to(tmp_path):
@@ -185,13 +215,21 @@ async def test_a_second_owner_cannot_be_and_the_first_ends_when_it_is_told_to(tm
     first = await Program.start(*WORLD, "--swarm", path, "--json")
     second = None
     try:
-        await until(lambda: not network._free(config.base_port - 1), 20.0, lambda: first.text)
+        await until(
+            lambda: not network._free(config.base_port - 1), 20.0, lambda: first.text
+        )
         second = await Program.start(*WORLD, "--swarm", path, "--json")
         assert (await second.end(20.0))["code"] == 2, second.text
         assert "must be a free port" in second.text
         first.signal(signal.SIGINT)
         ended = await first.end(10.0)
     finally:
-        await asyncio.gather(*(program.kill() for program in (first, second) if program))
-    assert (ended["code"], ended["success"], ended["missed"] < ended["steps"]) == (0, True, True)
+        await asyncio.gather(
+            *(program.kill() for program in (first, second) if program)
+        )
+    assert (ended["code"], ended["success"], ended["missed"] < ended["steps"]) == (
+        0,
+        True,
+        True,
+    )
     assert ended["commands"] == 0

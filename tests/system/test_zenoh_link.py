@@ -92,21 +92,48 @@ class Ground:
         self.tokens: list[tuple[list[int], bool, float]] = []
         self.refused: list[Refused] = []
 
-    async def link(self, drones: list[int], process: str = "a-1", **options: Any) -> ZenohLink:
-        options.setdefault("on_token", lambda ids, there: self.tokens.append((ids, there, time.perf_counter())))
+    async def link(
+        self, drones: list[int], process: str = "a-1", **options: Any
+    ) -> ZenohLink:
+        options.setdefault(
+            "on_token",
+            lambda ids, there: self.tokens.append((ids, there, time.perf_counter())),
+        )
         options.setdefault("listen", [endpoint(self.ports[0])])
         connect = [endpoint(self.ports[1])]
         made = linked(
-            self.clock, process, self.swarm, drones, connect=connect, on_refused=self.refused.append, **options
+            self.clock,
+            process,
+            self.swarm,
+            drones,
+            connect=connect,
+            on_refused=self.refused.append,
+            **options,
         )
         return await self.stack.enter_async_context(made)
 
-    async def child(self, drones: list[int], process: str = "b-1", **more: Any) -> Child:
-        options = {"process": process, "swarm": self.swarm, "drones": drones, "lease": 10.0}
-        options |= {"listen": [endpoint(self.ports[1])], "connect": [endpoint(self.ports[0])], **more}
+    async def child(
+        self, drones: list[int], process: str = "b-1", **more: Any
+    ) -> Child:
+        options = {
+            "process": process,
+            "swarm": self.swarm,
+            "drones": drones,
+            "lease": 10.0,
+        }
+        options |= {
+            "listen": [endpoint(self.ports[1])],
+            "connect": [endpoint(self.ports[0])],
+            **more,
+        }
         pipe = asyncio.subprocess.PIPE
         started = await asyncio.create_subprocess_exec(
-            sys.executable, CHILD, json.dumps(options), stdin=pipe, stdout=pipe, stderr=pipe
+            sys.executable,
+            CHILD,
+            json.dumps(options),
+            stdin=pipe,
+            stdout=pipe,
+            stderr=pipe,
         )
         self.stack.push_async_callback(reap, started)
         child = Child(started)
@@ -118,7 +145,11 @@ class Ground:
 
         def known() -> bool:
             peer = link.peers.get(process)
-            return peer is not None and peer.hello is not None and link.bus.process in peer.hello.heard
+            return (
+                peer is not None
+                and peer.hello is not None
+                and link.bus.process in peer.hello.heard
+            )
 
         return known
 
@@ -159,11 +190,15 @@ async def test_two_processes_reach_the_answer_of_one(ground: Ground) -> None:
     assert (await child.end()) == ""
     assert link.counters.frames_received > 90
     assert link.counters.malformed == link.counters.failed == 0
-    assert link.counters.strangers < 10, "HELLOs may overtake their token, rounds do not"
+    assert link.counters.strangers < 10, (
+        "HELLOs may overtake their token, rounds do not"
+    )
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
-async def test_where_an_agent_fails_those_of_other_processes_end_with_its_reason(ground: Ground, loss: float) -> None:
+async def test_where_an_agent_fails_those_of_other_processes_end_with_its_reason(
+    ground: Ground, loss: float
+) -> None:
     link = await ground.link([0, 3, 4])
     child = await ground.child([1, 2, 5])
     await until(ground.knows(link))
@@ -173,7 +208,9 @@ async def test_where_an_agent_fails_those_of_other_processes_end_with_its_reason
     assert time.perf_counter() - began < 10.0
     reason = "SolverError: agent 1: local problem, row 2: the solver ended with status infeasible, b = -3"
     assert ends.pop("1") == reason
-    assert set(ends.values()) == {f"AgentFailed: agent 1 has failed, and with it the team: {reason}"}
+    assert set(ends.values()) == {
+        f"AgentFailed: agent 1 has failed, and with it the team: {reason}"
+    }
 
 
 async def test_hello_goes_both_ways(ground: Ground) -> None:
@@ -186,7 +223,9 @@ async def test_hello_goes_both_ways(ground: Ground) -> None:
     assert (ground.tokens[0][0], ground.tokens[0][1]) == ([1], True)
 
 
-async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(ground: Ground) -> None:
+async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(
+    ground: Ground,
+) -> None:
     link = await ground.link([0])
     child = await ground.child([OBSERVER])
     await until(ground.knows(link))
@@ -202,7 +241,9 @@ async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(ground: 
     assert 8 <= received <= 30
 
 
-async def test_an_observer_gets_the_last_value_of_a_latched_topic(ground: Ground) -> None:
+async def test_an_observer_gets_the_last_value_of_a_latched_topic(
+    ground: Ground,
+) -> None:
     link = await ground.link([0])
     link.bus.ports[0].publish(STATUS, Status("landed", note="long ago"))
     child = await ground.child([OBSERVER])
@@ -221,7 +262,9 @@ async def test_a_port_opened_later_serves_earlier_interests(ground: Ground) -> N
     assert "here I am" in (await child.ask("get", topic="log"))["value"]
 
 
-async def test_a_killed_process_is_noticed_at_once_and_its_messages_are_dropped(ground: Ground) -> None:
+async def test_a_killed_process_is_noticed_at_once_and_its_messages_are_dropped(
+    ground: Ground,
+) -> None:
     link = await ground.link([0])
     child = await ground.child([1])
     await until(ground.knows(link))
@@ -236,7 +279,9 @@ async def test_a_killed_process_is_noticed_at_once_and_its_messages_are_dropped(
     assert link.peers == {}
 
 
-async def test_a_process_that_comes_back_under_another_name_goes_on(ground: Ground) -> None:
+async def test_a_process_that_comes_back_under_another_name_goes_on(
+    ground: Ground,
+) -> None:
     link = await ground.link([0])
     child = await ground.child([1], "b-1")
     await until(ground.knows(link))
@@ -248,7 +293,9 @@ async def test_a_process_that_comes_back_under_another_name_goes_on(ground: Grou
     ours = await consensus_here(link, 2, 50)
     assert (await theirs)["1"] == ours["0"] == [0.5] * 6
     assert list(link.peers) == ["b-2"]
-    assert link.counters.strangers < 10, "HELLOs may overtake their token, rounds do not"
+    assert link.counters.strangers < 10, (
+        "HELLOs may overtake their token, rounds do not"
+    )
 
 
 async def test_of_two_agents_with_one_id_the_later_is_refused(ground: Ground) -> None:
@@ -257,13 +304,17 @@ async def test_of_two_agents_with_one_id_the_later_is_refused(ground: Ground) ->
     child = await ground.child([3, 4])
 
     (text,) = (await child.when("refused"))["refused"]
-    assert text.startswith(f"swarm {ground.swarm}: refused: process a-1 on host here flies drone(s) 3 too and has done")
+    assert text.startswith(
+        f"swarm {ground.swarm}: refused: process a-1 on host here flies drone(s) 3 too and has done"
+    )
     assert text.endswith("Give this agent another --id, or stop that one.")
     assert ground.refused == []
     assert 4 not in link.directory
 
 
-async def test_another_version_is_not_talked_to(ground: Ground, caplog: pytest.LogCaptureFixture) -> None:
+async def test_another_version_is_not_talked_to(
+    ground: Ground, caplog: pytest.LogCaptureFixture
+) -> None:
     link = await ground.link([0])
     await ground.child([1], version="2")
     await until(lambda: "runs version 2, this one runs 1: it is refused" in caplog.text)
@@ -273,7 +324,10 @@ async def test_another_version_is_not_talked_to(ground: Ground, caplog: pytest.L
 
 async def test_a_busy_port_is_named(ground: Ground) -> None:
     where = endpoint(ground.ports[0])
-    with socket.create_server(("127.0.0.1", ground.ports[0])), pytest.raises(ConfigError) as caught:
+    with (
+        socket.create_server(("127.0.0.1", ground.ports[0])),
+        pytest.raises(ConfigError) as caught,
+    ):
         await ground.link([0])
     assert str(caught.value) == (
         f"listen endpoint = {where}: Address already in use; it must be a free port of an address of this host. "
@@ -281,7 +335,9 @@ async def test_a_busy_port_is_named(ground: Ground) -> None:
     )
 
 
-async def test_a_stop_of_more_drones_than_one_message_names_reaches_them_all(ground: Ground) -> None:
+async def test_a_stop_of_more_drones_than_one_message_names_reaches_them_all(
+    ground: Ground,
+) -> None:
     link, there = await ground.link([0]), range(1, MAX_DESTINATIONS + 100)
     child = await ground.child(list(there))
     await until(ground.knows(link))
@@ -298,22 +354,41 @@ async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> 
     prefix = f"choir/{ground.swarm}/f/a-1"
     message = Envelope(ROUND.number, 1, (0,), 0, 0, 0.0, "main", encode(1.0))
     forged = encode_frame(Frame("b-1", 7, 2, [message]))
-    await until(lambda: outsider.declare_publisher(f"{prefix}/x").matching_status.matching)
-    put: list[tuple[str, bytes]] = [(f"{prefix}/here/z-1/rounds", os.urandom(n)) for n in range(200)]
+    await until(
+        lambda: outsider.declare_publisher(f"{prefix}/x").matching_status.matching
+    )
+    put: list[tuple[str, bytes]] = [
+        (f"{prefix}/here/z-1/rounds", os.urandom(n)) for n in range(200)
+    ]
     put += [(f"{prefix}/here/b-1/rounds", b"\x01" + os.urandom(n)) for n in range(200)]
     put += [(f"{prefix}/here/b-1/rounds", b"\x02" + forged[1:])]  # another version
-    put += [(f"{prefix}/here/z-1/rounds", forged), (f"{prefix}/there/b-1/rounds", forged)]  # not its key
+    put += [
+        (f"{prefix}/here/z-1/rounds", forged),
+        (f"{prefix}/there/b-1/rounds", forged),
+    ]  # not its key
     put += [(prefix, forged), (f"{prefix}/x", forged), (f"{prefix}/**", forged)]
     names = ["**", "*", "a-1"]  # who answers these answers itself, for ever
-    put += [(f"{prefix}/here/{name}/rounds", encode_frame(Frame(name, 7, 2, [message]))) for name in names]
+    put += [
+        (f"{prefix}/here/{name}/rounds", encode_frame(Frame(name, 7, 2, [message])))
+        for name in names
+    ]
     hello = Hello("z-1", "here", 7, "1", 0.0, [1], [], [], [], True).payload()
     put += [
-        (f"{prefix}/here/z-1/rounds", encode_frame(Frame("z-1", 7, 2, [Envelope(32, 0, (), 0, 0, 0.0, "", hello)])))
+        (
+            f"{prefix}/here/z-1/rounds",
+            encode_frame(
+                Frame("z-1", 7, 2, [Envelope(32, 0, (), 0, 0, 0.0, "", hello)])
+            ),
+        )
     ]
     for key, data in put:
         outsider.put(key, data, congestion_control=zenoh.CongestionControl.BLOCK)
     counters = link.counters
-    await until(lambda: counters.malformed + counters.strangers + counters.other_version >= len(put))
+    await until(
+        lambda: (
+            counters.malformed + counters.strangers + counters.other_version >= len(put)
+        )
+    )
     assert counters.malformed >= 200
     assert counters.other_version >= 190
     assert counters.strangers >= 9
@@ -333,11 +408,15 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
     hello = Hello("z-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
     others = Hello("b-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
     for payload in (b"", os.urandom(40), encode({"process": "z-1"}), others, hello):
-        frame = encode_frame(Frame("z-1", 7, 2, [Envelope(HELLO.number, 0, (), 0, 0, 0.0, "", payload)]))
+        frame = encode_frame(
+            Frame("z-1", 7, 2, [Envelope(HELLO.number, 0, (), 0, 0, 0.0, "", payload)])
+        )
         outsider.put(f"choir/{ground.swarm}/f/a-1/there/z-1/rounds", frame)
     await until(lambda: 1 in link.directory)
     assert link.counters.malformed == 4
-    messages = [Envelope(n % 65, 1, (0,), n, n, 1e8, "c" * n, os.urandom(n)) for n in range(256)]
+    messages = [
+        Envelope(n % 65, 1, (0,), n, n, 1e8, "c" * n, os.urandom(n)) for n in range(256)
+    ]
     frame = encode_frame(Frame("z-1", 7, 2, messages))
     Communicator(link.bus.ports[0], Graph.from_edges([0, 1], [[0, 1]]))
     outsider.put(f"choir/{ground.swarm}/f/a-1/there/z-1/rounds", frame)
@@ -347,7 +426,9 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
     token.undeclare()
 
 
-async def test_the_clock_of_another_host_is_asked_for_and_no_other(ground: Ground) -> None:
+async def test_the_clock_of_another_host_is_asked_for_and_no_other(
+    ground: Ground,
+) -> None:
     """It is this machine's own."""
     link = await ground.link([0])
     await ground.child([1], host="there")
@@ -369,7 +450,9 @@ def lose(link: ZenohLink, process: str) -> None:
 
 
 @pytest.mark.parametrize("both", [False, True])
-async def test_a_token_that_is_lost_while_the_link_holds_is_made_up_for(ground: Ground, both: bool) -> None:
+async def test_a_token_that_is_lost_while_the_link_holds_is_made_up_for(
+    ground: Ground, both: bool
+) -> None:
     link = await ground.link([0])
     other = await ground.link([1], "c-1", listen=[endpoint(ground.ports[1])])
     await until(ground.knows(link, "c-1"))
@@ -377,14 +460,20 @@ async def test_a_token_that_is_lost_while_the_link_holds_is_made_up_for(ground: 
     lose(link, "c-1")
     if both:
         lose(other, "a-1")
-    await until(lambda: ground.knows(link, "c-1")() and ground.knows(other, "a-1")(), 5.0)
+    await until(
+        lambda: ground.knows(link, "c-1")() and ground.knows(other, "a-1")(), 5.0
+    )
     assert (link.counters.tokens, other.counters.tokens) == (int(both), 1)
     await asyncio.sleep(0.5)
     seen = link.counters.strangers, other.counters.strangers
     await asyncio.sleep(0.5)
-    assert seen == (link.counters.strangers, other.counters.strangers), "they answer each other for ever"
+    assert seen == (link.counters.strangers, other.counters.strangers), (
+        "they answer each other for ever"
+    )
     arrived: list[bytes] = []
-    link.bus.ports[0].handlers[ROUND.number] = lambda *message: arrived.append(message[1])
+    link.bus.ports[0].handlers[ROUND.number] = lambda *message: arrived.append(
+        message[1]
+    )
     other.bus.ports[1].send(ROUND, (0,), b"y")
     await until(lambda: arrived == [b"y"], 1.0)
 
@@ -410,7 +499,9 @@ async def test_large_messages_arrive(ground: Ground, size: int) -> None:
     await until(ground.knows(link, "c-1"))
     await until(ground.knows(other, "a-1"))
     arrived: list[int] = []
-    other.bus.ports[1].handlers[ROUND.number] = lambda *message: arrived.append(len(message[1]))
+    other.bus.ports[1].handlers[ROUND.number] = lambda *message: arrived.append(
+        len(message[1])
+    )
     for k in range(5):
         link.forward(ROUND, 0, [1], bytes(size), k, "", 0, 0.0)
         await asyncio.sleep(0.1)
@@ -436,7 +527,8 @@ async def test_an_alarm_is_heard_while_the_loop_hangs(ground: Ground) -> None:
     await child.ask("subscribe", topic="log", source=-1, reader=OBSERVER)
     public: list[str] = []
     subscriber = ground.outsider().declare_subscriber(
-        f"choir/{ground.swarm}/drone/0/alarm", lambda sample: public.append(sample.payload.to_string())
+        f"choir/{ground.swarm}/drone/0/alarm",
+        lambda sample: public.append(sample.payload.to_string()),
     )
     await until(lambda: link.bus.ports[0]._readers.get(LOG.number))
     await asyncio.sleep(0.1)

@@ -34,7 +34,9 @@ ELSEWHERE = {"mpich", "psutil"}
 
 
 def name_of(requirement):
-    return re.split(r"[<>=!~;\[ ]", requirement, maxsplit=1)[0].lower().replace("_", "-")
+    return (
+        re.split(r"[<>=!~;\[ ]", requirement, maxsplit=1)[0].lower().replace("_", "-")
+    )
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +44,10 @@ def declared(repository):
     """The names of the distributions: "" for those that every installation has, then by extra."""
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     groups = {"": project["dependencies"], **project["optional-dependencies"]}
-    return {extra: {name_of(requirement) for requirement in those} for extra, those in groups.items()}
+    return {
+        extra: {name_of(requirement) for requirement in those}
+        for extra, those in groups.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +58,10 @@ def imports(repository):
         for file in (repository / folder).rglob("*.py"):
             path = file.relative_to(repository).as_posix()
             if not path.startswith("crazychoir/agents"):
-                found |= {(path, name.split(".")[0]) for name in imported(file.read_text(encoding="utf-8"))}
+                found |= {
+                    (path, name.split(".")[0])
+                    for name in imported(file.read_text(encoding="utf-8"))
+                }
     ours = {"crazychoir", *sys.stdlib_module_names, *BY_HAND}
     return sorted((path, name) for path, name in found if name not in ours)
 
@@ -65,7 +73,11 @@ def imported(text):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             yield node.module
-        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
+        elif (
+            isinstance(node, ast.Call)
+            and node.args
+            and isinstance(node.args[0], ast.Constant)
+        ):
             called = getattr(node.func, "attr", getattr(node.func, "id", ""))
             if called in IMPORTERS and isinstance(node.args[0].value, str):
                 yield node.args[0].value
@@ -79,7 +91,10 @@ def installed():
 
 def distributions(module):
     """What could be declared for a module: the distributions here that bring it, or one of its own name."""
-    names = {name.lower().replace("_", "-") for name in installed().get(module, [NAMED_OTHERWISE.get(module, module)])}
+    names = {
+        name.lower().replace("_", "-")
+        for name in installed().get(module, [NAMED_OTHERWISE.get(module, module)])
+    }
     return names | {TWINS[name] for name in names & TWINS.keys()}
 
 
@@ -89,7 +104,9 @@ def test_what_is_imported_is_declared(declared, imports):
         extras = [extra for extra, begins in ROOMS.items() if path.startswith(begins)]
         allowed = set().union(declared[""], *(declared[extra] for extra in extras))
         if not distributions(module) & allowed:
-            missing.append(f"{path} imports {module}: not in dependencies, nor in the extras {extras}")
+            missing.append(
+                f"{path} imports {module}: not in dependencies, nor in the extras {extras}"
+            )
     assert missing == []
 
 

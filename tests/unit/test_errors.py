@@ -8,7 +8,10 @@ import pytest
 from crazychoir.errors import raised_at
 
 
-@pytest.mark.parametrize("law", [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: json.loads("{"), lambda: 1 / 0])
+@pytest.mark.parametrize(
+    "law",
+    [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: json.loads("{"), lambda: 1 / 0],
+)
 def test_libraries_are_not_to_blame(law):
     with pytest.raises(Exception, match=r".") as caught:
         law()

@@ -14,7 +14,9 @@ from crazychoir.guidance.guidance import CFGuidance
 
 
 def python(program):
-    return subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    return subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True
+    ).stdout
 
 
 @pytest.mark.parametrize("name", crazychoir.__all__)
@@ -41,7 +43,9 @@ def test_type_checkers_see_the_same_names():
     imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     ours = [node for node in imports if node.module.startswith("crazychoir.")]
     seen = {alias.name: node.module for node in ours for alias in node.names}
-    assert seen == {name: getattr(crazychoir, name).__module__ for name in crazychoir.__all__}
+    assert seen == {
+        name: getattr(crazychoir, name).__module__ for name in crazychoir.__all__
+    }
 
 
 def test_the_version_is_that_of_the_distribution():
@@ -49,18 +53,27 @@ def test_the_version_is_that_of_the_distribution():
 
 
 def test_the_package_runs_as_a_module():
-    done = subprocess.run([sys.executable, "-m", "crazychoir", "--version"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "crazychoir", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout == f"crazychoir {crazychoir.__version__}\n"
 
 
 def test_the_package_alone_imports_no_numerics():
-    found = python("import crazychoir, sys; print(sorted({name.split('.')[0] for name in sys.modules}))")
+    found = python(
+        "import crazychoir, sys; print(sorted({name.split('.')[0] for name in sys.modules}))"
+    )
     assert "numpy" not in found
     assert "crazychoir" in found
 
 
 def test_a_light_name_imports_no_kernels():
-    found = python("from crazychoir import State; import sys; print(sorted(sys.modules))")
+    found = python(
+        "from crazychoir import State; import sys; print(sorted(sys.modules))"
+    )
     assert "'numpy'" in found
     assert "'numba'" not in found
 

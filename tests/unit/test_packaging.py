@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-NOT_IN_THE_HOUSE = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "dist", "out")
+NOT_IN_THE_HOUSE = shutil.ignore_patterns(
+    ".*", "__pycache__", "*.egg-info", "build", "dist", "out"
+)
 PROBE = """
 import importlib.resources, importlib.util, json, pkgutil, sys
 import crazychoir, crazychoir.agents
@@ -26,7 +28,9 @@ print(json.dumps({
 
 
 def run(*command: str | Path, cwd: Path) -> str:
-    done = subprocess.run(list(map(str, command)), cwd=cwd, capture_output=True, text=True)
+    done = subprocess.run(
+        list(map(str, command)), cwd=cwd, capture_output=True, text=True
+    )
     assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
     return done.stdout
 
@@ -47,7 +51,16 @@ def clone(repository, tmp_path_factory) -> Path:
 def wheel(clone, tmp_path_factory) -> Path:
     """The wheel built from the source distribution, as for a release."""
     folder = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, ".", cwd=clone)
+    run(
+        sys.executable,
+        "-m",
+        "build",
+        "--no-isolation",
+        "--outdir",
+        folder,
+        ".",
+        cwd=clone,
+    )
     (built,) = folder.glob("*.whl")
     return built
 
@@ -61,20 +74,42 @@ def environment(folder: Path) -> Path:
 
 
 def install(target: Path, *what: str | Path) -> None:
-    pip = (sys.executable, "-m", "pip", "--python", target, "install", "--quiet", "--ignore-installed")
-    run(*pip, "--no-index", "--no-deps", "--no-build-isolation", *what, cwd=target.parent)
+    pip = (
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        target,
+        "install",
+        "--quiet",
+        "--ignore-installed",
+    )
+    run(
+        *pip,
+        "--no-index",
+        "--no-deps",
+        "--no-build-isolation",
+        *what,
+        cwd=target.parent,
+    )
 
 
 def probe(target: Path) -> dict[str, object]:
-    answer: dict[str, object] = json.loads(run(target, "-I", "-c", PROBE, cwd=target.parent))
+    answer: dict[str, object] = json.loads(
+        run(target, "-I", "-c", PROBE, cwd=target.parent)
+    )
     return answer
 
 
 def check(found: dict[str, object], clone: Path) -> None:
-    missions = sorted(path.stem for path in (clone / "agents").glob("*.py") if path.stem != "__init__")
+    missions = sorted(
+        path.stem for path in (clone / "agents").glob("*.py") if path.stem != "__init__"
+    )
     assert "probe" in missions
     assert found["missions"] == missions
-    assert found["data"] == sorted(path.name for path in (clone / "agents" / "data").iterdir())
+    assert found["data"] == sorted(
+        path.name for path in (clone / "agents" / "data").iterdir()
+    )
     assert found["top"] == []
 
 
@@ -96,10 +131,15 @@ def test_an_editable_install_brings_the_missions_and_their_data(clone, tmp_path)
 
 def test_a_wheel_has_one_package_its_types_and_its_licence(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names} == {"crazychoir", "crazychoir-0.1.0.dist-info"}
-    assert {"crazychoir/py.typed", "crazychoir/radio/virtual/names.txt", "crazychoir/dashboard/static/page.js"} <= set(
-        names
-    )
+    assert {name.split("/")[0] for name in names} == {
+        "crazychoir",
+        "crazychoir-0.1.0.dist-info",
+    }
+    assert {
+        "crazychoir/py.typed",
+        "crazychoir/radio/virtual/names.txt",
+        "crazychoir/dashboard/static/page.js",
+    } <= set(names)
     assert "crazychoir-0.1.0.dist-info/licenses/LICENSE" in names
 
 

@@ -32,7 +32,13 @@ def test_the_battery_can_give_full_thrust_by_the_firmwares_curve(row):
 
 @pytest.mark.parametrize("row", PLATFORMS.values(), ids=lambda row: row.name)
 def test_a_battery_is_enough_to_begin_before_it_is_low_and_low_before_it_is_empty(row):
-    assert row.battery.empty <= row.firmware.critical < row.firmware.low < row.battery.begin < row.battery.full
+    assert (
+        row.battery.empty
+        <= row.firmware.critical
+        < row.firmware.low
+        < row.battery.begin
+        < row.battery.full
+    )
 
 
 def test_an_unknown_platform_is_refused_by_name():

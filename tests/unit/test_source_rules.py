@@ -36,7 +36,9 @@ def test_other_clocks_pass(source):
 
 
 def test_a_stopwatch_is_found():
-    assert forbidden_clocks("import time\ntime.perf_counter_ns()", STOPWATCHES) == ["2: time.perf_counter_ns"]
+    assert forbidden_clocks("import time\ntime.perf_counter_ns()", STOPWATCHES) == [
+        "2: time.perf_counter_ns"
+    ]
 
 
 @pytest.mark.parametrize(

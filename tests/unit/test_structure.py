@@ -14,7 +14,9 @@ import pytest
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-CONTRACTS = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+CONTRACTS = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"][
+    "importlinter"
+]["contracts"]
 LAYERS = [contract for contract in CONTRACTS if contract["type"] == "layers"]
 REPORTS_DURATIONS = ("bench", "cli", "launch", "solve")
 ORDERED_ROOMS = ("runtime", "bus", "team")
@@ -29,29 +31,55 @@ def python_files(folder: Path) -> Iterator[Path]:
 
 
 def module_name(file: Path, root: Path) -> str:
-    return ".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
-
-
-def python(*arguments: str, cwd: Path, stdin: str | None = None) -> subprocess.CompletedProcess[str]:
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"COLUMNS": "200", "NO_COLOR": "1"}
-    return subprocess.run(
-        [sys.executable, *arguments], cwd=cwd, env=environment, input=stdin, capture_output=True, text=True
+    return ".".join(file.relative_to(root).with_suffix("").parts).removesuffix(
+        ".__init__"
     )
 
 
-def ruff(*arguments: str, cwd: Path, stdin: str | None = None) -> subprocess.CompletedProcess[str]:
-    return python("-m", "ruff", "check", "--output-format=concise", *arguments, cwd=cwd, stdin=stdin)
+def python(
+    *arguments: str, cwd: Path, stdin: str | None = None
+) -> subprocess.CompletedProcess[str]:
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {
+        "COLUMNS": "200",
+        "NO_COLOR": "1",
+    }
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=environment,
+        input=stdin,
+        capture_output=True,
+        text=True,
+    )
+
+
+def ruff(
+    *arguments: str, cwd: Path, stdin: str | None = None
+) -> subprocess.CompletedProcess[str]:
+    return python(
+        "-m",
+        "ruff",
+        "check",
+        "--output-format=concise",
+        *arguments,
+        cwd=cwd,
+        stdin=stdin,
+    )
 
 
 def lint_imports(folder: Path) -> str:
-    program = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    program = (
+        "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    )
     done = python("-c", program, "--no-cache", "--no-logo", cwd=folder)
     return f"exit {done.returncode}\n{done.stdout}{done.stderr}"
 
 
 @pytest.fixture(scope="module")
 def imports() -> grimp.ImportGraph:
-    return grimp.build_graph("crazychoir", include_external_packages=True, cache_dir=None)
+    return grimp.build_graph(
+        "crazychoir", include_external_packages=True, cache_dir=None
+    )
 
 
 def bottom_imports_top(package: Path, contract: dict) -> None:
@@ -60,7 +88,11 @@ def bottom_imports_top(package: Path, contract: dict) -> None:
     top = contract["layers"][0].split(" | ")[0]
     bottom = contract["layers"][-1].split(" | ")[0]
     folder = package.parent.joinpath(*container.split("."))
-    file = folder / bottom / "__init__.py" if (folder / bottom).is_dir() else folder / f"{bottom}.py"
+    file = (
+        folder / bottom / "__init__.py"
+        if (folder / bottom).is_dir()
+        else folder / f"{bottom}.py"
+    )
     file.write_text(f"{file.read_text()}\nimport {container}.{top}\n")
 
 
@@ -69,7 +101,11 @@ def spoilt(repository, tmp_path_factory) -> Path:
     """Return a copy of the package with one fault for each contract and a room without a line."""
     folder = tmp_path_factory.mktemp("spoilt")
     shutil.copy(repository / "pyproject.toml", folder)
-    shutil.copytree(repository / "crazychoir", folder / "crazychoir", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        repository / "crazychoir",
+        folder / "crazychoir",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     for contract in LAYERS:
         bottom_imports_top(folder / "crazychoir", contract)
     faults = {
@@ -119,8 +155,13 @@ def test_each_import_that_goes_up_is_named(verdict_on_spoilt, contract):
 
 def test_every_room_with_sub_packages_has_a_contract(repository):
     package = repository / "crazychoir"
-    parents = {file.parent.parent for file in package.rglob("*/__init__.py")} - {package.parent}
-    with_contract = {repository.joinpath(*contract["containers"][0].split(".")) for contract in LAYERS}
+    parents = {file.parent.parent for file in package.rglob("*/__init__.py")} - {
+        package.parent
+    }
+    with_contract = {
+        repository.joinpath(*contract["containers"][0].split("."))
+        for contract in LAYERS
+    }
     assert parents == with_contract
 
 
@@ -130,7 +171,11 @@ def crowded_folders(package: Path) -> list[str]:
     for file in python_files(package):
         if file.name != "__init__.py":
             counts[file.parent] = counts.get(file.parent, 0) + 1
-    return [f"{folder.relative_to(package)}: {count}" for folder, count in counts.items() if count > MOST_MODULES]
+    return [
+        f"{folder.relative_to(package)}: {count}"
+        for folder, count in counts.items()
+        if count > MOST_MODULES
+    ]
 
 
 def test_no_folder_is_crowded(repository):
@@ -151,7 +196,9 @@ def test_a_room_without_a_line_is_refused(verdict_on_spoilt):
 def import_cycle(graph: grimp.ImportGraph) -> list[str]:
     """The modules of one import cycle, or none."""
     try:
-        TopologicalSorter({m: graph.find_modules_directly_imported_by(m) for m in graph.modules}).prepare()
+        TopologicalSorter(
+            {m: graph.find_modules_directly_imported_by(m) for m in graph.modules}
+        ).prepare()
     except CycleError as error:
         return list(error.args[1])
     return []
@@ -187,7 +234,11 @@ def clock_uses(package: Path) -> list[str]:
 def hash_orders(package: Path) -> list[str]:
     """Where a room that the order of events goes through iterates over a set."""
     files = (file for room in ORDERED_ROOMS for file in python_files(package / room))
-    return [place for file in files for place in places(package, file, set_iterations(file.read_text()))]
+    return [
+        place
+        for file in files
+        for place in places(package, file, set_iterations(file.read_text()))
+    ]
 
 
 def test_time_is_read_in_one_place(repository):
@@ -201,7 +252,9 @@ def test_nothing_iterates_over_a_set(repository):
 def test_clocks_and_sets_are_found_in_their_rooms(tmp_path):
     for room in ("runtime", "bus", "cli", "radio"):
         (tmp_path / room).mkdir()
-        (tmp_path / room / "clock.py").write_text("import time\nt = time.time(), time.perf_counter()\nlist({1})\n")
+        (tmp_path / room / "clock.py").write_text(
+            "import time\nt = time.time(), time.perf_counter()\nlist({1})\n"
+        )
     assert [p.split("/", 1)[1] for p in clock_uses(tmp_path)] == [
         "bus/clock.py:2: time.time",
         "bus/clock.py:2: time.perf_counter",
@@ -209,7 +262,10 @@ def test_clocks_and_sets_are_found_in_their_rooms(tmp_path):
         "radio/clock.py:2: time.time",
         "radio/clock.py:2: time.perf_counter",
     ]
-    assert [p.split("/", 1)[1] for p in hash_orders(tmp_path)] == ["runtime/clock.py:3: {1}", "bus/clock.py:3: {1}"]
+    assert [p.split("/", 1)[1] for p in hash_orders(tmp_path)] == [
+        "runtime/clock.py:3: {1}",
+        "bus/clock.py:3: {1}",
+    ]
 
 
 def test_ruff_is_content(repository):
@@ -226,14 +282,19 @@ def test_ruff_is_content(repository):
         ("D103", "def f() -> None: ..."),
         ("BLE001", "try:\n    x = 1\nexcept Exception:\n    x = 2"),
         ("S301", "import pickle\n\nx = pickle.loads(b'')"),
-        ("ASYNC251", 'import time\n\n\nasync def f() -> None:\n    """F."""\n    time.sleep(1)'),
+        (
+            "ASYNC251",
+            'import time\n\n\nasync def f() -> None:\n    """F."""\n    time.sleep(1)',
+        ),
         ("B006", 'def f(a: list[int] = []) -> None:\n    """F."""'),
         ("E501", "# " + 60 * "x "),
     ],
 )
 def test_ruff_can_complain(repository, rule, line):
     source = f'"""A fault."""\n\n{line}\n'
-    done = ruff("--stdin-filename=crazychoir/fault.py", "-", cwd=repository, stdin=source)
+    done = ruff(
+        "--stdin-filename=crazychoir/fault.py", "-", cwd=repository, stdin=source
+    )
     assert done.returncode == 1
     assert rule in done.stdout, done.stdout
 
@@ -241,7 +302,9 @@ def test_ruff_can_complain(repository, rule, line):
 def test_mypy_is_content_with_every_file(repository):
     done = python("-m", "mypy", cwd=repository)
     count = len(list(python_files(repository / "crazychoir")))
-    assert done.stdout == f"Success: no issues found in {count} source files\n", done.stdout + done.stderr
+    assert done.stdout == f"Success: no issues found in {count} source files\n", (
+        done.stdout + done.stderr
+    )
 
 
 def test_mypy_can_complain(spoilt, repository):

@@ -23,7 +23,9 @@ GRAPHS: dict[str, Callable[[int], str]] = {
     "ring": lambda n: "ring",
     "4-regular": lambda n: "k-regular:4",
     "Erdos-Renyi": lambda n: f"erdos-renyi:{min(1.0, 2.0 * math.log(n) / n):.2f}",
-    "geometric": lambda n: f"geometric:{min(1.4, math.sqrt(3.0 * math.log(n) / (math.pi * n))):.2f}",
+    "geometric": lambda n: (
+        f"geometric:{min(1.4, math.sqrt(3.0 * math.log(n) / (math.pi * n))):.2f}"
+    ),
     "complete": lambda n: "complete",
 }
 """By name, for n robots; the random ones twice and three times as dense as they must be to be connected at all."""
@@ -36,7 +38,15 @@ DELAY = 0.002
 LIMIT = 25.0
 LARGE = 30
 """Robots above which one seed must do, and nobody hears everybody: each round would be 2450 messages and more."""
-FIGURES = ("cost", "rounds", "communication_s", "bytes_a_robot", "resent_a_robot", "cpu_s_a_robot", "critical_path_s")
+FIGURES = (
+    "cost",
+    "rounds",
+    "communication_s",
+    "bytes_a_robot",
+    "resent_a_robot",
+    "cpu_s_a_robot",
+    "critical_path_s",
+)
 
 
 @dataclass(frozen=True)
@@ -55,24 +65,42 @@ class Case:
 def cases(quick: bool = False, seeds: int = 3) -> list[Case]:
     """Of three studies: loss by graph and pattern, size by graph, and method by size."""
     if quick:
-        return [*_loss(6, ("ring", "complete"), (0.0, 0.3), 1), *_size((6, 8), ("ring",), 1), *_method((6,), 1)]
-    return [*_loss(10, GRAPHS, LOSSES, seeds), *_size(SIZES, GRAPHS, seeds), *_method(SIZES[:3], seeds)]
+        return [
+            *_loss(6, ("ring", "complete"), (0.0, 0.3), 1),
+            *_size((6, 8), ("ring",), 1),
+            *_method((6,), 1),
+        ]
+    return [
+        *_loss(10, GRAPHS, LOSSES, seeds),
+        *_size(SIZES, GRAPHS, seeds),
+        *_method(SIZES[:3], seeds),
+    ]
 
 
-def _loss(robots: int, graphs: Iterable[str], losses: Iterable[float], seeds: int) -> list[Case]:
+def _loss(
+    robots: int, graphs: Iterable[str], losses: Iterable[float], seeds: int
+) -> list[Case]:
     combinations = product(graphs, BURSTS, losses, _seeds(seeds))
-    return [Case("loss", robots, graph, METHODS[0], loss, burst if loss else None, seed)
-            for graph, burst, loss, seed in combinations if loss or burst is None]  # fmt: skip
+    return [
+        Case("loss", robots, graph, METHODS[0], loss, burst if loss else None, seed)
+        for graph, burst, loss, seed in combinations
+        if loss or burst is None
+    ]
 
 
 def _size(sizes: Iterable[int], graphs: Iterable[str], seeds: int) -> list[Case]:
-    return [Case("size", n, graph, METHODS[0], 0.1, None, s)
-            for n, graph, s in product(sizes, graphs, _seeds(seeds))
-            if n <= LARGE or (s == 1 and graph != "complete")]  # fmt: skip
+    return [
+        Case("size", n, graph, METHODS[0], 0.1, None, s)
+        for n, graph, s in product(sizes, graphs, _seeds(seeds))
+        if n <= LARGE or (s == 1 and graph != "complete")
+    ]
 
 
 def _method(sizes: Iterable[int], seeds: int) -> list[Case]:
-    return [Case("method", n, "ring", method, 0.1, None, s) for n, method, s in product(sizes, METHODS, _seeds(seeds))]
+    return [
+        Case("method", n, "ring", method, 0.1, None, s)
+        for n, method, s in product(sizes, METHODS, _seeds(seeds))
+    ]
 
 
 def _seeds(count: int) -> range:
@@ -81,39 +109,68 @@ def _seeds(count: int) -> range:
 
 def instance_of(case: Case) -> Instance:
     """Its instance: a function of the size and the seed alone."""
-    return random_instance(case.robots, case.robots, case.seed, route_length_limit=LIMIT)
+    return random_instance(
+        case.robots, case.robots, case.seed, route_length_limit=LIMIT
+    )
 
 
 def measured(case: Case) -> dict[str, Any]:
     """The row of a case: what it was, and its figures."""
     links = named(GRAPHS[case.graph](case.robots), case.robots, case.seed)
-    instance, n = instance_of(case), case.robots
+    instance = instance_of(case)
+    n = case.robots
     warm(instance.local(0), case.method)
-    agents = team(instance, {i: list(links.neighbors(i)) for i in links.ids}, case.method)
+    agents = team(
+        instance, {i: list(links.neighbors(i)) for i in links.ids}, case.method
+    )
     losses = changes({"loss": case.loss, "burst": case.burst}) if case.loss else {}
-    network = {"delay": DELAY, **{name: value for name, value in losses.items() if value is not None}}
-    history = simulate(agents, links, network=network, seed=case.seed, record=(), channel="pickup_delivery")
+    network = {
+        "delay": DELAY,
+        **{name: value for name, value in losses.items() if value is not None},
+    }
+    history = simulate(
+        agents,
+        links,
+        network=network,
+        seed=case.seed,
+        record=(),
+        channel="pickup_delivery",
+    )
     solution = joined(instance, [agent.solution for agent in agents.values()])
     return asdict(case) | {
-        "diameter": links.diameter(), "edges": len(links.edges()), "cost": solution.cost, "feasible": solution.feasible,
-        "lower_bound": solution.lower_bound, "rounds": history.rounds, "communication_s": history.simulated_s,
-        "bytes_a_robot": history.bytes / n, "messages_a_robot": history.messages / n,
-        "lost_a_robot": history.lost / n, "resent_a_robot": history.resent / n,
+        "diameter": links.diameter(),
+        "edges": len(links.edges()),
+        "cost": solution.cost,
+        "feasible": solution.feasible,
+        "lower_bound": solution.lower_bound,
+        "rounds": history.rounds,
+        "communication_s": history.simulated_s,
+        "bytes_a_robot": history.bytes / n,
+        "messages_a_robot": history.messages / n,
+        "lost_a_robot": history.lost / n,
+        "resent_a_robot": history.resent / n,
         "cpu_s_a_robot": sum(float(sum(cpu)) for cpu in history.cpu.values()) / n,
-        "critical_path_s": history.critical_path_s, "plan_digest": solution.plan_digest,
-    }  # fmt: skip
+        "critical_path_s": history.critical_path_s,
+        "plan_digest": solution.plan_digest,
+    }
 
 
-def run(of: list[Case], say: Callable[[str], None] = lambda text: None) -> list[dict[str, Any]]:
+def run(
+    of: list[Case], say: Callable[[str], None] = lambda text: None
+) -> list[dict[str, Any]]:
     """All rows; what is lost must not change a plan, and the rows say whether it has."""
     rows = []
     for number, case in enumerate(of):
-        say(f"{number + 1}/{len(of)}: {case.study}: {case.robots} robots, {case.graph}, {case.loss:.0%} lost")
+        say(
+            f"{number + 1}/{len(of)}: {case.study}: {case.robots} robots, {case.graph}, {case.loss:.0%} lost"
+        )
         rows.append(measured(case))
     plans: dict[tuple[Any, ...], str] = {}
     for row in rows:
         key = (row["robots"], row["graph"], row["method"], row["seed"])
-        row["same_plan"] = plans.setdefault(key, row["plan_digest"]) == row["plan_digest"]
+        row["same_plan"] = (
+            plans.setdefault(key, row["plan_digest"]) == row["plan_digest"]
+        )
     return rows
 
 
@@ -125,8 +182,14 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         cells.setdefault(tuple(row[key] for key in keys), []).append(row)
     found = []
     for cell, mine in cells.items():
-        row = dict(zip(keys, cell, strict=True)) | {"seeds": len(mine), "same_plans": all(r["same_plan"] for r in mine)}
+        row = dict(zip(keys, cell, strict=True)) | {
+            "seeds": len(mine),
+            "same_plans": all(r["same_plan"] for r in mine),
+        }
         for figure in FIGURES:
-            row |= {f"{figure}_{name}": value for name, value in spread([r[figure] for r in mine]).items()}
+            row |= {
+                f"{figure}_{name}": value
+                for name, value in spread([r[figure] for r in mine]).items()
+            }
         found.append(row)
     return found

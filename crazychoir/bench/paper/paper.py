@@ -17,34 +17,53 @@ Rows = list[dict[str, Any]]
 
 
 def run(
-    folder: Path, quick: bool = False, peers: bool = True, say: Callable[[str], None] = lambda text: None
+    folder: Path,
+    quick: bool = False,
+    peers: bool = True,
+    say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Measure and write all; peers: the other solvers too, in real time, which takes most of the time."""
     require_writable_folder(folder, "--out")
     rows = bench_ablation.run(bench_ablation.cases(quick), say)
     cells = bench_ablation.summary(rows)
-    files = [write_csv(folder / "ablation_runs.csv", rows), write_csv(folder / "ablation.csv", cells)]
+    files = [
+        write_csv(folder / "ablation_runs.csv", rows),
+        write_csv(folder / "ablation.csv", cells),
+    ]
     files += bench_pictures.draw_ablation(cells, folder)
     if peers:
         files += _solvers(folder, quick, say)
     same = all(row["same_plan"] for row in rows)
-    return {"folder": str(folder), "files": [file.name for file in files], "runs": len(rows), "same_plans": same}
+    return {
+        "folder": str(folder),
+        "files": [file.name for file in files],
+        "runs": len(rows),
+        "same_plans": same,
+    }
 
 
 def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
     found = bench_routing.run(prove=True, quick=quick, say=say)
     with written_file(folder / "routing.json", "--out") as place:
         place.write_text(json.dumps(found), encoding="utf-8")
-    runs = [{key: value for key, value in row.items() if key != "curve"} for row in found["rows"]]
+    runs = [
+        {key: value for key, value in row.items() if key != "curve"}
+        for row in found["rows"]
+    ]
     files = [folder / "routing.json", write_csv(folder / "routing_runs.csv", runs)]
-    files.append(write_csv(folder / "routing.csv", [flat(row) for row in found["summary"]]))
+    files.append(
+        write_csv(folder / "routing.csv", [flat(row) for row in found["summary"]])
+    )
     return files + bench_pictures.draw_routing(found["rows"], folder)
 
 
 def write_csv(path: Path, rows: Rows) -> Path:
     """A table with a head; all rows have the keys of any."""
     names = list(dict.fromkeys(name for row in rows for name in row))
-    with written_file(path, "--out") as place, place.open("w", newline="", encoding="utf-8") as file:
+    with (
+        written_file(path, "--out") as place,
+        place.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(rows)
@@ -58,12 +77,22 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict):
             plain |= {f"{name}_{inner}": figure for inner, figure in value.items()}
         else:
-            plain[name] = "; ".join(map(str, value)) if isinstance(value, list) else value
+            plain[name] = (
+                "; ".join(map(str, value)) if isinstance(value, list) else value
+            )
     return plain
 
 
 def table(result: dict[str, Any]) -> Text:
     """What was written."""
-    end = "Loss changed no plan." if result["same_plans"] else "LOSS CHANGED A PLAN: see same_plan."
-    lines = [f"{result['runs']} runs in virtual time; files in {result['folder']}:", *result["files"], end]
+    end = (
+        "Loss changed no plan."
+        if result["same_plans"]
+        else "LOSS CHANGED A PLAN: see same_plan."
+    )
+    lines = [
+        f"{result['runs']} runs in virtual time; files in {result['folder']}:",
+        *result["files"],
+        end,
+    ]
     return Text("\n".join(lines))

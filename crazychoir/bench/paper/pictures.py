@@ -23,7 +23,9 @@ TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 Rows = list[dict[str, Any]]
 
 
-def draw(name: str, height: float, folder: Path, picture: Callable[["Figure"], None]) -> Path:
+def draw(
+    name: str, height: float, folder: Path, picture: Callable[["Figure"], None]
+) -> Path:
     """One picture of a column's width, as PNG."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -40,7 +42,10 @@ def draw(name: str, height: float, folder: Path, picture: Callable[["Figure"], N
 
 def draw_ablation(rows: Rows, folder: Path) -> list[Path]:
     """Loss, size and method, from the rows of `bench_ablation.summary`."""
-    of = {study: [row for row in rows if row["study"] == study] for study in ("loss", "size", "method")}
+    of = {
+        study: [row for row in rows if row["study"] == study]
+        for study in ("loss", "size", "method")
+    }
     return [
         draw("loss", 3.4, folder, lambda figure: _draw_loss(figure, of["loss"])),
         draw("size", 4.6, folder, lambda figure: _draw_size(figure, of["size"])),
@@ -51,15 +56,29 @@ def draw_ablation(rows: Rows, folder: Path) -> list[Path]:
 def _draw_loss(figure: "Figure", rows: Rows) -> None:
     """Time of communication and kB a robot over the loss, for independent losses and for bursts."""
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
-    patterns = [("independent", None), ("bursts", next((r["burst"] for r in rows if r["burst"]), None))]
-    figures = [("communication_s", 1.0, "communication [s]"), ("bytes_a_robot", 1e-3, "kB a robot")]
+    patterns = [
+        ("independent", None),
+        ("bursts", next((r["burst"] for r in rows if r["burst"]), None)),
+    ]
+    figures = [
+        ("communication_s", 1.0, "communication [s]"),
+        ("bytes_a_robot", 1e-3, "kB a robot"),
+    ]
     for column, (title, burst) in enumerate(patterns):
         here = [row for row in rows if row["burst"] == burst or row["loss"] == 0.0]
         axes[0, column].set_title(title, fontsize=8)
         axes[1, column].set_xlabel("loss [%]")
         for line, (figure_of, scale, label) in enumerate(figures):
             for graph in _present(GRAPHS, here, "graph"):
-                _line(axes[line, column], here, ("graph", graph), "loss", 100.0, figure_of, scale)
+                _line(
+                    axes[line, column],
+                    here,
+                    ("graph", graph),
+                    "loss",
+                    100.0,
+                    figure_of,
+                    scale,
+                )
             _logarithmic(axes[line, column])
             if column == 0:
                 axes[line, column].set_ylabel(label)
@@ -69,8 +88,11 @@ def _draw_loss(figure: "Figure", rows: Rows) -> None:
 def _draw_size(figure: "Figure", rows: Rows) -> None:
     """Rounds, kB and CPU a robot over the size of the team."""
     axes = figure.subplots(3, 1, sharex=True)
-    figures = [("rounds", 1.0, "rounds"), ("bytes_a_robot", 1e-3, "kB a robot"),
-               ("cpu_s_a_robot", 1.0, "CPU s a robot")]  # fmt: skip
+    figures = [
+        ("rounds", 1.0, "rounds"),
+        ("bytes_a_robot", 1e-3, "kB a robot"),
+        ("cpu_s_a_robot", 1.0, "CPU s a robot"),
+    ]
     for panel, (figure_of, scale, label) in zip(axes, figures, strict=True):
         for graph in _present(GRAPHS, rows, "graph"):
             _line(panel, rows, ("graph", graph), "robots", 1.0, figure_of, scale)
@@ -86,10 +108,25 @@ def _draw_size(figure: "Figure", rows: Rows) -> None:
 def _draw_method(figure: "Figure", rows: Rows) -> None:
     """How much more than the best method's plan a method's costs, and what it sends, by the size of the team."""
     axes = figure.subplots(2, 1, sharex=True)
-    best = {n: min(r["cost_median"] for r in rows if r["robots"] == n) for n in {row["robots"] for row in rows}}
-    extra = [row | {"over_median": 100.0 * (row["cost_median"] / best[row["robots"]] - 1.0)} for row in rows]
+    best = {
+        n: min(r["cost_median"] for r in rows if r["robots"] == n)
+        for n in {row["robots"] for row in rows}
+    }
+    extra = [
+        row | {"over_median": 100.0 * (row["cost_median"] / best[row["robots"]] - 1.0)}
+        for row in rows
+    ]
     for method in _present(METHODS, rows, "method"):
-        _line(axes[0], extra, ("method", method), "robots", 1.0, "over", 1.0, quartiles=False)
+        _line(
+            axes[0],
+            extra,
+            ("method", method),
+            "robots",
+            1.0,
+            "over",
+            1.0,
+            quartiles=False,
+        )
         _line(axes[1], rows, ("method", method), "robots", 1.0, "bytes_a_robot", 1e-3)
     axes[0].set_ylabel("median cost over\nthe best [%]")
     axes[1].set(ylabel="kB a robot", xlabel="robots")
@@ -102,7 +139,11 @@ def draw_routing(rows: Rows, folder: Path) -> list[Path]:
     """Anytime curves of the largest instances, and gaps by size, from the rows of `bench_routing`."""
     largest = max((row["tasks"] for row in rows), default=0)
     at = min(row["seed"] for row in rows)
-    one = [row for row in rows if row["tasks"] == largest and row["seed"] == at and row["curve"]]
+    one = [
+        row
+        for row in rows
+        if row["tasks"] == largest and row["seed"] == at and row["curve"]
+    ]
     return [
         draw("anytime", 2.4, folder, lambda figure: _draw_anytime(figure, one)),
         draw("solvers", 2.6, folder, lambda figure: _draw_solvers(figure, rows)),
@@ -115,10 +156,19 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
     for number, row in enumerate(rows):
         times, costs = zip(*row["curve"], strict=True)
         ends = max(row["wall_s"] or 0.0, times[-1])
-        axes.step([*times, ends], [*costs, costs[-1]], where="post", label=row["name"], markersize=2.5,
-                  markevery=1 + len(times) // 10, **_look(number))  # fmt: skip
+        axes.step(
+            [*times, ends],
+            [*costs, costs[-1]],
+            where="post",
+            label=row["name"],
+            markersize=2.5,
+            markevery=1 + len(times) // 10,
+            **_look(number),
+        )
     if rows:
-        axes.set_title(f"{rows[0]['robots']} robots, {rows[0]['tasks']} tasks", fontsize=8)
+        axes.set_title(
+            f"{rows[0]['robots']} robots, {rows[0]['tasks']} tasks", fontsize=8
+        )
         _logarithmic(axes, "x")
     axes.set(xlabel="time [s]", ylabel="cost [m]")
     _legend(figure, axes)
@@ -128,21 +178,35 @@ def _draw_solvers(figure: "Figure", rows: Rows) -> None:
     """How much more than the best plan of the run each solver's plan costs: a point an instance, a bar the median."""
     axes = figure.add_subplot()
     over = _over_best([row for row in rows if row["feasible"]])
-    names, sizes = list(dict.fromkeys(name for name, _ in over)), sorted({tasks for _, tasks in over})
+    names = list(dict.fromkeys(name for name, _ in over))
+    sizes = sorted({tasks for _, tasks in over})
     width = 0.8 / max(len(names), 1)
     for number, name in enumerate(names):
-        colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
-        of = {place: over[name, tasks] for place, tasks in enumerate(sizes) if (name, tasks) in over}
+        colour = COLOURS[number % len(COLOURS)]
+        mark = MARKS[number % len(MARKS)]
+        of = {
+            place: over[name, tasks]
+            for place, tasks in enumerate(sizes)
+            if (name, tasks) in over
+        }
         offset = (number - (len(names) - 1) / 2) * width
         xs = [place + offset for place, values in of.items() for _ in values]
         ys = [value for values in of.values() for value in values]
         axes.plot(xs, ys, mark, markersize=2.5, color=colour, label=name)
         for place, values in of.items():
             at = place + offset
-            axes.hlines(median(values), at - 0.4 * width, at + 0.4 * width, color=colour, linewidth=1.2)
+            axes.hlines(
+                median(values),
+                at - 0.4 * width,
+                at + 0.4 * width,
+                color=colour,
+                linewidth=1.2,
+            )
     axes.set_yscale("symlog", linthresh=1.0)
     axes.set_yticks(TICKS, [str(tick) for tick in TICKS])
-    axes.set_ylim(-0.1, 2.0 * max((max(values) for values in over.values()), default=1.0) + 0.1)
+    axes.set_ylim(
+        -0.1, 2.0 * max((max(values) for values in over.values()), default=1.0) + 0.1
+    )
     axes.set_xticks(range(len(sizes)), [f"{tasks} tasks" for tasks in sizes])
     axes.set_ylabel("cost over the best [%]")
     _legend(figure, axes, columns=2)
@@ -155,7 +219,9 @@ def _over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
         best[_key(row)] = min(row["cost"], best.get(_key(row), math.inf))
     found: dict[tuple[str, int], list[float]] = {}
     for row in rows:
-        found.setdefault((row["name"], row["tasks"]), []).append(relative(row["cost"], best[_key(row)]))
+        found.setdefault((row["name"], row["tasks"]), []).append(
+            relative(row["cost"], best[_key(row)])
+        )
     return found
 
 
@@ -164,17 +230,26 @@ def _key(row: dict[str, Any]) -> tuple[int, int]:
 
 
 def _line(
-    axes: "Axes", rows: Rows, of: tuple[str, str], x: str, x_scale: float, y: str, y_scale: float,
+    axes: "Axes",
+    rows: Rows,
+    of: tuple[str, str],
+    x: str,
+    x_scale: float,
+    y: str,
+    y_scale: float,
     quartiles: bool = True,
-) -> None:  # fmt: skip
+) -> None:
     """Medians of the rows with key = value, with a bar from quartile to quartile."""
     key, value = of
     mine = sorted((row for row in rows if row[key] == value), key=lambda row: row[x])
     number = [*GRAPHS, *METHODS].index(value) % len(GRAPHS)
-    places, middle = [row[x] * x_scale for row in mine], [row[f"{y}_median"] * y_scale for row in mine]
+    places = [row[x] * x_scale for row in mine]
+    middle = [row[f"{y}_median"] * y_scale for row in mine]
     axes.plot(places, middle, label=value, markersize=2.5, **_look(number))
     if quartiles:
-        low, high = ([row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper"))
+        low, high = (
+            [row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper")
+        )
         axes.vlines(places, low, high, color=COLOURS[number], linewidth=0.8)
 
 
@@ -191,7 +266,11 @@ def _logarithmic(axes: "Axes", which: str = "y") -> None:
 
 def _look(number: int) -> dict[str, Any]:
     at = number % len(COLOURS)
-    return {"color": COLOURS[at], "linestyle": DASHES[at % len(DASHES)], "marker": MARKS[at]}
+    return {
+        "color": COLOURS[at],
+        "linestyle": DASHES[at % len(DASHES)],
+        "marker": MARKS[at],
+    }
 
 
 def _present(names: Iterable[str], rows: Rows, key: str) -> list[str]:

@@ -17,15 +17,26 @@ def main() -> None:
     end_with_parent()
     spec = json.loads(sys.argv[1])
     instance = Instance.load(spec["instance"])
-    began, cpu = time.perf_counter(), time.process_time()
-    plan, note = Plan(()), f"no proof within {spec['nodes']} nodes"
+    began = time.perf_counter()
+    cpu = time.process_time()
+    plan = Plan(())
+    note = f"no proof within {spec['nodes']} nodes"
     with contextlib.suppress(SolverError):
-        plan, note = solve_compact(instance, spec["nodes"]), "proven optimal"
+        plan = solve_compact(instance, spec["nodes"])
+        note = "proven optimal"
     m = len(instance.tasks)
-    stops = {route.robot: [s.task + m * (s.kind == "delivery") for s in route.stops] for route in plan.routes}
+    stops = {
+        route.robot: [s.task + m * (s.kind == "delivery") for s in route.stops]
+        for route in plan.routes
+    }
     routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()] or None
-    elapsed = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
-    sys.stdout.write(json.dumps({"routes": routes, "curve": [], "note": note, **elapsed}) + "\n")
+    elapsed = {
+        "wall_s": time.perf_counter() - began,
+        "cpu_s": time.process_time() - cpu,
+    }
+    sys.stdout.write(
+        json.dumps({"routes": routes, "curve": [], "note": note, **elapsed}) + "\n"
+    )
 
 
 if __name__ == "__main__":

@@ -16,17 +16,26 @@ from crazychoir.team.graph import Graph
 
 async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
     """Exchange for ever."""
-    x, i = np.zeros(6), communicator.id
+    x = np.zeros(6)
+    i = communicator.id
     while True:
         await communicator.neighbors_exchange(x, deadline=30.0)
         rounds[i] += 1
 
 
-async def start(group: asyncio.TaskGroup, bus: Bus, team: Graph, spec: dict[str, Any], rounds: dict[int, int]) -> None:
+async def start(
+    group: asyncio.TaskGroup,
+    bus: Bus,
+    team: Graph,
+    spec: dict[str, Any],
+    rounds: dict[int, int],
+) -> None:
     """Find the other processes, say so, wait for the word; from then on `rounds` are counted."""
     if spec["connect"]:
         endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
-        link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
+        link = ZenohLink(
+            bus, spec["swarm"], incarnation=1, version="bench", **endpoints
+        )
         link.open()
         group.create_task(link.run())
         await joined(link, team)

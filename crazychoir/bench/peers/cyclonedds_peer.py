@@ -22,8 +22,13 @@ SETTINGS = """<CycloneDDS><Domain>
 
 def state_type() -> type[Any]:
     """The IDL struct of a message: source, round, six numbers."""
-    idl, kinds = importlib.import_module("cyclonedds.idl"), importlib.import_module("cyclonedds.idl.types")
-    fields = {"source": kinds.uint32, "k": kinds.uint32, "x": kinds.array[kinds.float64, 6]}
+    idl = importlib.import_module("cyclonedds.idl")
+    kinds = importlib.import_module("cyclonedds.idl.types")
+    fields = {
+        "source": kinds.uint32,
+        "k": kinds.uint32,
+        "x": kinds.array[kinds.float64, 6],
+    }
     made = types.new_class(
         "State",
         (idl.IdlStruct,),
@@ -37,7 +42,9 @@ class Inbox:
     """The rounds of one agent: who waits for round k gets all of it."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, size: int) -> None:
-        self.loop, self.size, self.k = loop, size, -1
+        self.loop = loop
+        self.size = size
+        self.k = -1
         self.rounds: dict[int, dict[int, Any]] = {}
         self.waiter: asyncio.Future[None] | None = None
 
@@ -45,7 +52,12 @@ class Inbox:
         """A message has come."""
         box = self.rounds.setdefault(message.k, {})
         box[message.source] = message
-        if message.k == self.k and len(box) == self.size and self.waiter is not None and not self.waiter.done():
+        if (
+            message.k == self.k
+            and len(box) == self.size
+            and self.waiter is not None
+            and not self.waiter.done()
+        ):
             self.waiter.set_result(None)
 
     async def get(self, k: int) -> dict[int, Any]:
@@ -61,7 +73,8 @@ class Participant:
     """The agents of one process in one domain."""
 
     def __init__(self, spec: dict[str, Any], loop: asyncio.AbstractEventLoop) -> None:
-        self.spec, self.loop = spec, loop
+        self.spec = spec
+        self.loop = loop
         self.type = state_type()
         self.queue: deque[tuple[Inbox, Any]] = deque()
         self.armed = False
@@ -69,14 +82,26 @@ class Participant:
         self._join()
 
     def _join(self) -> None:
-        domain, sub = importlib.import_module("cyclonedds.domain"), importlib.import_module("cyclonedds.sub")
-        pub, core = importlib.import_module("cyclonedds.pub"), importlib.import_module("cyclonedds.core")
-        reliable = core.Policy.Reliability.Reliable(importlib.import_module("cyclonedds.util").duration(seconds=5))
+        domain = importlib.import_module("cyclonedds.domain")
+        sub = importlib.import_module("cyclonedds.sub")
+        pub = importlib.import_module("cyclonedds.pub")
+        core = importlib.import_module("cyclonedds.core")
+        reliable = core.Policy.Reliability.Reliable(
+            importlib.import_module("cyclonedds.util").duration(seconds=5)
+        )
         qos = core.Qos(reliable, core.Policy.History.KeepLast(16))
         self.participant = domain.DomainParticipant(self.spec["domain"])
-        self.writers = {i: pub.DataWriter(self.participant, self._topic(i), qos=qos) for i in self.spec["mine"]}
+        self.writers = {
+            i: pub.DataWriter(self.participant, self._topic(i), qos=qos)
+            for i in self.spec["mine"]
+        }
         self.readers = [
-            sub.DataReader(self.participant, self._topic(j), qos=qos, listener=self._listener(core, inbox))
+            sub.DataReader(
+                self.participant,
+                self._topic(j),
+                qos=qos,
+                listener=self._listener(core, inbox),
+            )
             for i, inbox in self.inboxes.items()
             for j in self.spec["neighbors"][i]
         ]
@@ -92,7 +117,9 @@ class Participant:
                 self.armed = True
                 self.loop.call_soon_threadsafe(self._drain)
 
-        return type("Listener", (core.Listener,), {"on_data_available": on_data_available})()
+        return type(
+            "Listener", (core.Listener,), {"on_data_available": on_data_available}
+        )()
 
     def _drain(self) -> None:
         self.armed = False
@@ -103,12 +130,18 @@ class Participant:
     def matched(self) -> bool:
         """Whether all our readers and writers have found each other's ends."""
         needs = {i: len(js) for i, js in self.spec["neighbors"].items()}
-        heard = all(len(writer.get_matched_subscriptions()) >= needs[i] for i, writer in self.writers.items())
-        return heard and all(len(reader.get_matched_publications()) > 0 for reader in self.readers)
+        heard = all(
+            len(writer.get_matched_subscriptions()) >= needs[i]
+            for i, writer in self.writers.items()
+        )
+        return heard and all(
+            len(reader.get_matched_publications()) > 0 for reader in self.readers
+        )
 
     async def agent(self, i: int, rounds: dict[int, int]) -> None:
         """Exchange for ever."""
-        writer, inbox = self.writers[i], self.inboxes[i]
+        writer = self.writers[i]
+        inbox = self.inboxes[i]
         x = [0.0] * 6
         while True:
             writer.write(self.type(source=i, k=rounds[i], x=x))

@@ -34,14 +34,22 @@ class ShareRule(Program[tuple[int, ...]]):
         """Prices, then the robot's own choice."""
         prices = PriceRounds(self._member)
         yield from prices.run()
-        return served(prices.y, [self._member.table.column(c) for c in range(len(self._member.table))])
+        return served(
+            prices.y,
+            [self._member.table.column(c) for c in range(len(self._member.table))],
+        )
 
 
 def served(y: Vec, columns: list[Column]) -> tuple[int, ...]:
     """The tasks of the cheapest column that serves every task with a share above the least possible rho."""
-    missing = [max((float(y[j]) for j in range(len(y)) if j not in column.tasks), default=0.0) for column in columns]
+    missing = [
+        max((float(y[j]) for j in range(len(y)) if j not in column.tasks), default=0.0)
+        for column in columns
+    ]
     rho = max(0.0, min(missing))
-    return min(column for column, most in zip(columns, missing, strict=True) if most <= rho).tasks
+    return min(
+        column for column, most in zip(columns, missing, strict=True) if most <= rho
+    ).tasks
 
 
 def main() -> None:
@@ -50,10 +58,16 @@ def main() -> None:
     spec = json.loads(sys.argv[1])
     instance = Instance.load(spec["instance"])
     graph = {int(i): list(js) for i, js in spec["neighbors"].items()}
-    span, settings = diameter(graph), Settings(price_rounds=spec["rounds"], still=0.0)
-    began, cpu = time.perf_counter(), time.process_time()
+    span = diameter(graph)
+    settings = Settings(price_rounds=spec["rounds"], still=0.0)
+    began = time.perf_counter()
+    cpu = time.process_time()
     members = {
-        i: Member(instance.local(i), Place(i, len(graph), tuple(js), span, {j: len(graph[j]) for j in js}), settings)
+        i: Member(
+            instance.local(i),
+            Place(i, len(graph), tuple(js), span, {j: len(graph[j]) for j in js}),
+            settings,
+        )
         for i, js in graph.items()
     }
     rules = {i: ShareRule(member) for i, member in members.items()}
@@ -61,10 +75,26 @@ def main() -> None:
         messages = {i: rule.message() for i, rule in rules.items()}
         for i, rule in rules.items():
             rule.step({j: messages[j] for j in graph[i]})
-    stops = {i: shortest_route(members[i].local.vehicle, rule.result)[0] for i, rule in rules.items()}
+    stops = {
+        i: shortest_route(members[i].local.vehicle, rule.result)[0]
+        for i, rule in rules.items()
+    }
     routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()]
-    elapsed = {"wall_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu}
-    sys.stdout.write(json.dumps({"routes": routes, "curve": [], "note": f"{spec['rounds']} rounds", **elapsed}) + "\n")
+    elapsed = {
+        "wall_s": time.perf_counter() - began,
+        "cpu_s": time.process_time() - cpu,
+    }
+    sys.stdout.write(
+        json.dumps(
+            {
+                "routes": routes,
+                "curve": [],
+                "note": f"{spec['rounds']} rounds",
+                **elapsed,
+            }
+        )
+        + "\n"
+    )
 
 
 if __name__ == "__main__":

@@ -14,7 +14,9 @@ def main() -> None:
     wait_all = importlib.import_module("mpi4py.MPI").Request.waitall
     spec = specification()
     i = world.rank
-    neighbors, x, rounds = spec["neighbors"][i], np.zeros(6), {i: 0}
+    neighbors = spec["neighbors"][i]
+    x = np.zeros(6)
+    rounds = {i: 0}
     world.Barrier()
     say({"ready": True})
     report(rounds, spec)

@@ -26,7 +26,11 @@ def communicator(neighbors: Neighbors) -> Exchange:
     world = mpi.COMM_WORLD
 
     def exchange(data: Any, each: bool = False) -> dict[int, Any]:
-        dumped = {j: dill.dumps(data[j]) for j in neighbors} if each else dict.fromkeys(neighbors, dill.dumps(data))
+        dumped = (
+            {j: dill.dumps(data[j]) for j in neighbors}
+            if each
+            else dict.fromkeys(neighbors, dill.dumps(data))
+        )
         sent = [world.Isend([dumped[j], mpi.BYTE], dest=j) for j in neighbors]
         heard: dict[int, Any] = {}
         status = mpi.Status()
@@ -43,9 +47,12 @@ def communicator(neighbors: Neighbors) -> Exchange:
     return exchange
 
 
-def consensus(i: int, neighbors: dict[int, Neighbors], exchange: Exchange) -> Callable[[], None]:
+def consensus(
+    i: int, neighbors: dict[int, Neighbors], exchange: Exchange
+) -> Callable[[], None]:
     """x_i <- sum_j w_ij x_j."""
-    row, x = weights(neighbors, i), start(i)
+    row = weights(neighbors, i)
+    x = start(i)
 
     def step() -> None:
         nonlocal x
@@ -55,14 +62,18 @@ def consensus(i: int, neighbors: dict[int, Neighbors], exchange: Exchange) -> Ca
     return step
 
 
-def dual_decomposition(i: int, neighbors: dict[int, Neighbors], exchange: Exchange) -> Callable[[], None]:
+def dual_decomposition(
+    i: int, neighbors: dict[int, Neighbors], exchange: Exchange
+) -> Callable[[], None]:
     """Multipliers on edges: x_i = argmin f_i + x'sum_j (l_ij - l_ji),  l_ij += a (x_i - x_j);  in two exchanges."""
     local = problem(i)
     multipliers: dict[int, Vec] = {j: np.zeros(local.n) for j in neighbors[i]}
 
     def step() -> None:
         theirs = exchange(multipliers, each=True)
-        x = local.argmin(sum((multipliers[j] - theirs[j] for j in neighbors[i]), np.zeros(local.n)))
+        x = local.argmin(
+            sum((multipliers[j] - theirs[j] for j in neighbors[i]), np.zeros(local.n))
+        )
         heard = exchange(x)
         for j in neighbors[i]:
             multipliers[j] = multipliers[j] + STEP * (x - heard[j])
@@ -75,7 +86,9 @@ def main() -> None:
     importlib.import_module("mpi4py").rc.thread_level = "funneled"
     world = importlib.import_module("mpi4py.MPI").COMM_WORLD
     spec = specification()
-    i, neighbors, rounds = world.rank, spec["neighbors"], {world.rank: 0}
+    i = world.rank
+    neighbors = spec["neighbors"]
+    rounds = {world.rank: 0}
     make = consensus if spec["algorithm"] == "consensus" else dual_decomposition
     step = make(i, neighbors, communicator(neighbors[i]))
     world.Barrier()

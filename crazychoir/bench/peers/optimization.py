@@ -31,11 +31,15 @@ def problem(i: int) -> "CostCoupled":
     """f_i(x) = x'Q_i x / 2 + c_i'x over a box, Q_i positive definite."""
     from crazychoir.optimization.problems.problems import CostCoupled
 
-    cp = importlib.import_module("cvxpy")  # as a user models it; 1 s, which consensus need not wait for
+    cp = importlib.import_module(
+        "cvxpy"
+    )  # as a user models it; 1 s, which consensus need not wait for
     draw = np.random.default_rng(i)
     half: Mat = draw.normal(size=(SIZE, SIZE))
     x = cp.Variable(SIZE)
-    cost = 0.5 * cp.quad_form(x, half @ half.T + np.eye(SIZE)) + draw.normal(size=SIZE) @ x
+    cost = (
+        0.5 * cp.quad_form(x, half @ half.T + np.eye(SIZE)) + draw.normal(size=SIZE) @ x
+    )
     return CostCoupled(i, x, cost, [x >= -10.0, x <= 10.0])
 
 

@@ -17,7 +17,10 @@ FIRST = ("PARALLEL_CHEAPEST_INSERTION", "LOCAL_CHEAPEST_INSERTION")
 
 def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
     """`seconds` of CPU from each first plan: it computes in one thread."""
-    found = [f"{first.lower()}: {_cost(search(problem, first, spec['seconds'], best))}" for first in FIRST]
+    found = [
+        f"{first.lower()}: {_cost(search(problem, first, spec['seconds'], best))}"
+        for first in FIRST
+    ]
     return "; ".join(found)
 
 
@@ -26,12 +29,16 @@ def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
     c = importlib.import_module("ortools.constraint_solver.pywrapcp")
     enums = importlib.import_module("ortools.constraint_solver.routing_enums_pb2")
     n = problem.robots
-    manager = c.RoutingIndexManager(len(problem.distance), n, list(range(n)), list(range(n)))
+    manager = c.RoutingIndexManager(
+        len(problem.distance), n, list(range(n)), list(range(n))
+    )
     model = c.RoutingModel(manager)
     _add_rules(model, manager, problem)
     parameters = c.DefaultRoutingSearchParameters()
     parameters.first_solution_strategy = getattr(enums.FirstSolutionStrategy, first)
-    parameters.local_search_metaheuristic = enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
+    parameters.local_search_metaheuristic = (
+        enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
+    )
     parameters.time_limit.FromMilliseconds(round(1000 * PATIENCE * seconds))
 
     def seen() -> None:
@@ -39,7 +46,9 @@ def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
 
     ends = time.process_time() + seconds
     model.AddAtSolutionCallback(seen)
-    model.AddSearchMonitor(model.solver().CustomLimit(lambda: time.process_time() > ends))
+    model.AddSearchMonitor(
+        model.solver().CustomLimit(lambda: time.process_time() > ends)
+    )
     solution = model.SolveWithParameters(parameters)
     if solution is None:
         return float(np.inf)
@@ -49,16 +58,21 @@ def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
 
 
 def _add_rules(model: Any, manager: Any, problem: Problem) -> None:
-    n, m = problem.robots, problem.tasks
+    n = problem.robots
+    m = problem.tasks
     transit = model.RegisterTransitMatrix(problem.whole(SCALE).tolist())
     model.SetArcCostEvaluatorOfAllVehicles(transit)
     model.AddDimension(transit, 0, problem.longest(SCALE), True, "length")
     load = [0] * n + problem.load.tolist() + (-problem.load).tolist()
     carried = model.RegisterUnaryTransitVector(load)
-    model.AddDimensionWithVehicleCapacity(carried, 0, problem.capacity.tolist(), True, "load")
-    length, solver = model.GetDimensionOrDie("length"), model.solver()
+    model.AddDimensionWithVehicleCapacity(
+        carried, 0, problem.capacity.tolist(), True, "load"
+    )
+    length = model.GetDimensionOrDie("length")
+    solver = model.solver()
     for j in range(m):
-        pickup, delivery = manager.NodeToIndex(n + j), manager.NodeToIndex(n + m + j)
+        pickup = manager.NodeToIndex(n + j)
+        delivery = manager.NodeToIndex(n + m + j)
         model.AddPickupAndDelivery(pickup, delivery)
         solver.Add(model.VehicleVar(pickup) == model.VehicleVar(delivery))
         solver.Add(length.CumulVar(pickup) <= length.CumulVar(delivery))
@@ -71,7 +85,8 @@ def _add_rules(model: Any, manager: Any, problem: Problem) -> None:
 def _routes(model: Any, manager: Any, solution: Any, robots: int) -> Routes:
     routes: Routes = {}
     for i in range(robots):
-        at, routes[i] = solution.Value(model.NextVar(model.Start(i))), []
+        at = solution.Value(model.NextVar(model.Start(i)))
+        routes[i] = []
         while not model.IsEnd(at):
             routes[i].append(manager.IndexToNode(at) - robots)
             at = solution.Value(model.NextVar(at))

@@ -39,7 +39,9 @@ def wait_for_go() -> None:
     """Block until the bench says go; from then on, its end ends us."""
     if not sys.stdin.readline():
         os._exit(1)
-    threading.Thread(target=lambda: os._exit(len(sys.stdin.read())), daemon=True).start()
+    threading.Thread(
+        target=lambda: os._exit(len(sys.stdin.read())), daemon=True
+    ).start()
 
 
 def report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
@@ -50,9 +52,19 @@ def report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
 
 def _report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
     time.sleep(spec["warm"])
-    before, cpu, began = dict(rounds), time.process_time(), time.perf_counter()
+    before = dict(rounds)
+    cpu = time.process_time()
+    began = time.perf_counter()
     time.sleep(spec["seconds"])
-    after, used, elapsed = dict(rounds), time.process_time() - cpu, time.perf_counter() - began
+    after = dict(rounds)
+    used = time.process_time() - cpu
+    elapsed = time.perf_counter() - began
     done = {i: after[i] - before[i] for i in rounds}
     messages = sum(done[i] * len(spec["neighbors"][i]) for i in rounds)
-    say({"rounds_per_s": min(done.values()) / elapsed, "messages_per_s": messages / elapsed, "cores": used / elapsed})
+    say(
+        {
+            "rounds_per_s": min(done.values()) / elapsed,
+            "messages_per_s": messages / elapsed,
+            "cores": used / elapsed,
+        }
+    )

@@ -20,8 +20,11 @@ class Counted:
     done = False
 
     def __init__(self, agent: Any, i: int, rounds: dict[int, int]) -> None:
-        self.agent, self.i, self.rounds = agent, i, rounds
-        self.heavy, self.message = getattr(agent, "heavy", False), agent.message
+        self.agent = agent
+        self.i = i
+        self.rounds = rounds
+        self.heavy = getattr(agent, "heavy", False)
+        self.message = agent.message
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """One round more."""
@@ -36,7 +39,10 @@ async def main(clock: Clock) -> None:
     bus = Bus(clock, process=spec["process"], host="bench")
     team = Graph.from_neighbors(neighbors)
     rounds = dict.fromkeys(spec["mine"], 0)
-    agents = {i: Counted(algorithm(spec["algorithm"], neighbors, i), i, rounds) for i in spec["mine"]}
+    agents = {
+        i: Counted(algorithm(spec["algorithm"], neighbors, i), i, rounds)
+        for i in spec["mine"]
+    }
     members = {i: Communicator(bus.port(i), team) for i in spec["mine"]}
     async with asyncio.TaskGroup() as group:
         await start(group, bus, team, spec, rounds)

@@ -96,13 +96,16 @@ class Best:
         """Keep it if it serves all tasks and costs less."""
         cost = self.problem.cost(routes)
         if self.problem.serves_all(routes) and cost < self.cost:
-            self.routes, self.cost = routes, cost
+            self.routes = routes
+            self.cost = cost
             self.curve.append([self.elapsed(), cost])
 
 
 def end_with_parent() -> None:
     """From here on the end of standard input is ours."""
-    threading.Thread(target=lambda: os._exit(len(sys.stdin.read())), daemon=True).start()
+    threading.Thread(
+        target=lambda: os._exit(len(sys.stdin.read())), daemon=True
+    ).start()
 
 
 def answer(solve: Callable[[dict[str, Any], Problem, Best], str]) -> None:
@@ -114,8 +117,14 @@ def answer(solve: Callable[[dict[str, Any], Problem, Best], str]) -> None:
     best = Best(problem)
     note = solve(spec, problem, best)
     routes = [{"robot": i, "nodes": stops} for i, stops in (best.routes or {}).items()]
-    found = {"routes": routes if best.routes is not None else None, "wall_s": best.elapsed(), "curve": best.curve}
-    sys.stdout.write(json.dumps(found | {"cpu_s": time.process_time() - cpu, "note": note}) + "\n")
+    found = {
+        "routes": routes if best.routes is not None else None,
+        "wall_s": best.elapsed(),
+        "curve": best.curve,
+    }
+    sys.stdout.write(
+        json.dumps(found | {"cpu_s": time.process_time() - cpu, "note": note}) + "\n"
+    )
 
 
 def _whole(values: list[float], what: str) -> Ints:

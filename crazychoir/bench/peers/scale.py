@@ -20,7 +20,8 @@ from crazychoir.team.graph import Graph
 
 async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
     """Exchange for ever."""
-    x, i = np.zeros(6), communicator.id
+    x = np.zeros(6)
+    i = communicator.id
     while True:
         await communicator.neighbors_exchange(x, deadline=60.0)
         rounds[i] += 1
@@ -29,24 +30,41 @@ async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
 def private() -> int:
     """Bytes that are this process's alone."""
     lines = Path("/proc/self/smaps_rollup").read_text(encoding="utf-8").splitlines()
-    return 1024 * sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
+    return 1024 * sum(
+        int(line.split()[1]) for line in lines if line.startswith("Private_")
+    )
 
 
-def looked_at(bus: Bus, link: ZenohLink | None, rounds: dict[int, int]) -> dict[str, float]:
+def looked_at(
+    bus: Bus, link: ZenohLink | None, rounds: dict[int, int]
+) -> dict[str, float]:
     """What has been counted until now."""
     used = resource.getrusage(resource.RUSAGE_SELF)
-    found = {"t": time.perf_counter(), "cpu": used.ru_utime + used.ru_stime, "steps": float(sum(rounds.values()))}
-    found |= {"messages": float(sum(port.counters.sent for port in bus.ports.values())), "frames": 0.0, "bytes": 0.0}
+    found = {
+        "t": time.perf_counter(),
+        "cpu": used.ru_utime + used.ru_stime,
+        "steps": float(sum(rounds.values())),
+    }
+    found |= {
+        "messages": float(sum(port.counters.sent for port in bus.ports.values())),
+        "frames": 0.0,
+        "bytes": 0.0,
+    }
     if link is not None:
-        found |= {"frames": float(link.counters.frames_sent), "bytes": float(link.counters.bytes_sent)}
+        found |= {
+            "frames": float(link.counters.frames_sent),
+            "bytes": float(link.counters.bytes_sent),
+        }
     return found
 
 
 async def main(clock: Clock) -> None:
     """Join, wait for the word, exchange, and say what a window of it has cost."""
     spec: dict[str, Any] = specification()
-    bus, link = Bus(clock, process=spec["process"], host=spec["host"]), None
-    team, mine = Graph.from_neighbors(spec["neighbors"]), spec["mine"]
+    bus = Bus(clock, process=spec["process"], host=spec["host"])
+    link = None
+    team = Graph.from_neighbors(spec["neighbors"])
+    mine = spec["mine"]
     members = [Communicator(bus.port(i), team) for i in mine]
     rounds = dict.fromkeys(mine, 0)
     async with asyncio.TaskGroup() as group:
@@ -64,10 +82,19 @@ async def main(clock: Clock) -> None:
         await clock.sleep(spec["seconds"])
         last = looked_at(bus, link, rounds)
         seconds = last["t"] - first["t"]
-        figures = {key: (last[key] - first[key]) / seconds for key in last if key != "t"}
+        figures = {
+            key: (last[key] - first[key]) / seconds for key in last if key != "t"
+        }
         others = [j for i in mine for j in spec["neighbors"][i]]
         far = sum(j not in rounds for j in others) / len(others)
-        say({**figures, "far": far, "memory": private(), "threads": len(os.listdir("/proc/self/task"))})
+        say(
+            {
+                **figures,
+                "far": far,
+                "memory": private(),
+                "threads": len(os.listdir("/proc/self/task")),
+            }
+        )
         await asyncio.to_thread(wait_for_go)
         for task in running:
             task.cancel()

@@ -24,9 +24,16 @@ def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
     return f"{runs} runs" + (f", {unserved} left tasks unserved" if unserved else "")
 
 
-def once(vroom: Any, problem: Problem, draw: np.random.Generator, exploration: int, threads: int) -> Routes:
+def once(
+    vroom: Any,
+    problem: Problem,
+    draw: np.random.Generator,
+    exploration: int,
+    threads: int,
+) -> Routes:
     """One run."""
-    n, m = problem.robots, problem.tasks
+    n = problem.robots
+    m = problem.tasks
     low, high = np.log(SCALES)
     scale = float(np.exp(draw.uniform(low, high)))
     data = vroom.Input()
@@ -35,11 +42,20 @@ def once(vroom: Any, problem: Problem, draw: np.random.Generator, exploration: i
     for i in draw.permutation(n).tolist():
         able = {int(j) for j in np.flatnonzero(problem.capability[i])}
         load = [int(problem.capacity[i])]
-        data.add_vehicle(vroom.Vehicle(i, start=i, end=i, capacity=load, skills=able, max_travel_time=longest))
+        data.add_vehicle(
+            vroom.Vehicle(
+                i, start=i, end=i, capacity=load, skills=able, max_travel_time=longest
+            )
+        )
     for j in draw.permutation(m).tolist():
-        pickup, delivery = vroom.ShipmentStep(j, n + j), vroom.ShipmentStep(j, n + m + j)
-        data.add_job(vroom.Shipment(pickup, delivery, amount=[int(problem.load[j])], skills={j}))
-    steps = data.solve(exploration_level=exploration, nb_threads=threads).to_dict()["routes"]
+        pickup = vroom.ShipmentStep(j, n + j)
+        delivery = vroom.ShipmentStep(j, n + m + j)
+        data.add_job(
+            vroom.Shipment(pickup, delivery, amount=[int(problem.load[j])], skills={j})
+        )
+    steps = data.solve(exploration_level=exploration, nb_threads=threads).to_dict()[
+        "routes"
+    ]
     return {route["vehicle"]: _stops(route["steps"], m) for route in steps}
 
 

@@ -43,15 +43,23 @@ class Impairment:
     mission began, by the clock of `now`: partitions count from there, and cut nobody before.
     """
 
-    def __init__(self, seed: int, rules: Iterable[Rule] = (), partitions: Iterable[Partition] = ()) -> None:
+    def __init__(
+        self,
+        seed: int,
+        rules: Iterable[Rule] = (),
+        partitions: Iterable[Partition] = (),
+    ) -> None:
         self.seed = seed
         self.began = inf
         self.counters: dict[tuple[int, int], EdgeCounters] = {}
         self.replace(rules, partitions)
 
-    def replace(self, rules: Iterable[Rule], partitions: Iterable[Partition] = ()) -> None:
+    def replace(
+        self, rules: Iterable[Rule], partitions: Iterable[Partition] = ()
+    ) -> None:
         """From now on these rules and partitions, and no other; queues are empty."""
-        self.rules, self.partitions = tuple(rules), tuple(partitions)
+        self.rules = tuple(rules)
+        self.partitions = tuple(partitions)
         self.active = bool(self.rules or self.partitions)
         self._edges: dict[tuple[int, int], _Edge] = {}
 
@@ -74,7 +82,14 @@ class Impairment:
         return max(0.0, now - self.began)
 
     def verdict(
-        self, source: int, destination: int, channel: int | str, number: int, attempt: int, size: int, now: float
+        self,
+        source: int,
+        destination: int,
+        channel: int | str,
+        number: int,
+        attempt: int,
+        size: int,
+        now: float,
     ) -> Verdict:
         """What happens to a message of `size` bytes; now: s by the sender's clock."""
         edge = self._edges.get((source, destination)) or self._edge(source, destination)
@@ -82,7 +97,9 @@ class Impairment:
         counters = edge.counters
         counters.sent += 1
         wait = edge.wait(size, now, now - self.began) if edge.stateful else 0.0
-        threshold = edge.loss_bad if edge.bursty and lane.bad(number + attempt) else edge.loss
+        threshold = (
+            edge.loss_bad if edge.bursty and lane.bad(number + attempt) else edge.loss
+        )
         if wait < 0.0 or draw(lane.key, number, attempt) < threshold:
             counters.lost += 1
             return LOST
@@ -99,11 +116,18 @@ class Impairment:
     def _edge(self, source: int, destination: int) -> "_Edge":
         pair = (source, destination)
         if pair not in self._edges:
-            cuts = tuple((cut.since, cut.until) for cut in self.partitions if cut.cuts(source, destination))
+            cuts = tuple(
+                (cut.since, cut.until)
+                for cut in self.partitions
+                if cut.cuts(source, destination)
+            )
             counters = self.counters.setdefault(pair, EdgeCounters())
             link = resolve(self.rules, source, destination)
             self._edges[pair] = _Edge(
-                link, cuts, counters, lambda channel: key(self.seed, source, destination, channel)
+                link,
+                cuts,
+                counters,
+                lambda channel: key(self.seed, source, destination, channel),
             )
         return self._edges[pair]
 
@@ -120,7 +144,9 @@ class _Lane:
     def bad(self, index: int) -> bool:
         block, place = divmod(index, BLOCK)
         if block != self.block:
-            self.states = bad_states(self.key, block, self.link.p_good_bad, self.link.p_bad_good)
+            self.states = bad_states(
+                self.key, block, self.link.p_good_bad, self.link.p_bad_good
+            )
             self.block = block
         return self.states[place] == 1
 
@@ -144,10 +170,14 @@ class _Edge:
 
     def __post_init__(self) -> None:
         link = self.link
-        self.loss, self.loss_bad = round(link.loss * ONE), round(link.loss_bad * ONE)
+        self.loss = round(link.loss * ONE)
+        self.loss_bad = round(link.loss_bad * ONE)
         self.bursty = link.p_good_bad > 0.0
         self.stateful = bool(self.cuts) or link.bandwidth > 0.0
-        self.slow = max(link.delay, link.jitter, link.duplicate, link.reorder, link.bandwidth) > 0.0
+        self.slow = (
+            max(link.delay, link.jitter, link.duplicate, link.reorder, link.bandwidth)
+            > 0.0
+        )
         self.affected = self.slow or self.stateful or self.bursty or self.loss > 0
 
     def lane(self, channel: int | str) -> _Lane:

@@ -24,7 +24,9 @@ _BURST, _START = 0x6A09E667F3BCC909, 0xBB67AE8584CAA73B
 
 def key(*parts: object) -> int:
     """64-bit key of a tuple of numbers and strings; the same in every process."""
-    return int.from_bytes(blake2b(repr(parts).encode(), digest_size=8).digest(), "little")
+    return int.from_bytes(
+        blake2b(repr(parts).encode(), digest_size=8).digest(), "little"
+    )
 
 
 def draw(key: int, number: int, attempt: int) -> int:
@@ -47,7 +49,9 @@ def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> by
     decided, bad = _decisions(key, block, p_good_bad, p_bad_good)
     cause = np.maximum.accumulate(np.where(decided, np.arange(BLOCK), -1))
     states = np.where(
-        cause >= 0, bad[cause], _state_before(key, block, p_good_bad, p_bad_good) if cause[0] < 0 else False
+        cause >= 0,
+        bad[cause],
+        _state_before(key, block, p_good_bad, p_bad_good) if cause[0] < 0 else False,
     )
     return states.astype(np.uint8).tobytes()
 
@@ -61,7 +65,9 @@ def _state_before(key: int, block: int, p_good_bad: float, p_bad_good: float) ->
     return draw(key ^ _START, first, 0) * (p_good_bad + p_bad_good) < p_good_bad * ONE
 
 
-def _decisions(key: int, block: int, p_good_bad: float, p_bad_good: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+def _decisions(
+    key: int, block: int, p_good_bad: float, p_bad_good: float
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Which indices of a block decide the state, and which of them for bad."""
     u = _uniforms(key ^ _BURST, block * BLOCK)
     bad = u < p_good_bad

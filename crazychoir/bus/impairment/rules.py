@@ -71,12 +71,22 @@ class Rule:
     @property
     def rank(self) -> int:
         """0 for all, 1 for a drone, 2 for an edge, 3 for a directed edge."""
-        return 1 if self.drone is not None else 0 if self.edge is None else 2 + self.directed
+        return (
+            1
+            if self.drone is not None
+            else 0
+            if self.edge is None
+            else 2 + self.directed
+        )
 
     @property
     def scope(self) -> tuple[object, ...]:
         """Equal for rules on the same edges."""
-        edge = self.edge if self.edge is None or self.directed else tuple(sorted(self.edge))
+        edge = (
+            self.edge
+            if self.edge is None or self.directed
+            else tuple(sorted(self.edge))
+        )
         return (self.drone, edge, self.directed)
 
     def covers(self, source: int, destination: int) -> bool:
@@ -89,8 +99,14 @@ class Rule:
 
     def describe(self) -> dict[str, Any]:
         """The rule in the words of `Impairment.update`."""
-        scope = {"drone": self.drone, "edge": self.edge, "directed": self.directed or None}
-        return {name: value for name, value in scope.items() if value is not None} | dict(self.effects)
+        scope = {
+            "drone": self.drone,
+            "edge": self.edge,
+            "directed": self.directed or None,
+        }
+        return {
+            name: value for name, value in scope.items() if value is not None
+        } | dict(self.effects)
 
 
 @dataclass(frozen=True)
@@ -106,12 +122,26 @@ class Partition:
     b: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if not (_is_number(self.since) and _is_number(self.until) and 0.0 <= self.since < self.until):
-            raise ConfigError("partition", f"since {self.since!r} until {self.until!r}", "0 <= since < until, in s")
+        if not (
+            _is_number(self.since)
+            and _is_number(self.until)
+            and 0.0 <= self.since < self.until
+        ):
+            raise ConfigError(
+                "partition",
+                f"since {self.since!r} until {self.until!r}",
+                "0 <= since < until, in s",
+            )
         if not self.a or not all(_is_id(j) for j in (*self.a, *self.b)):
-            raise ConfigError("partition", f"a = {self.a}, b = {self.b}", "lists of drone ids, a not empty")
+            raise ConfigError(
+                "partition",
+                f"a = {self.a}, b = {self.b}",
+                "lists of drone ids, a not empty",
+            )
         if any(j in self.a for j in self.b):
-            raise ConfigError("partition", f"a = {self.a}, b = {self.b}", "no drone on both sides")
+            raise ConfigError(
+                "partition", f"a = {self.a}, b = {self.b}", "no drone on both sides"
+            )
 
     def cuts(self, source: int, destination: int) -> bool:
         """Whether it separates these two."""
@@ -135,12 +165,15 @@ def resolve(rules: Iterable[Rule], source: int, destination: int) -> Link:
 
 
 def changed(
-    rules: tuple[Rule, ...], partitions: tuple[Partition, ...], changes: Mapping[str, Any]
+    rules: tuple[Rule, ...],
+    partitions: tuple[Partition, ...],
+    changes: Mapping[str, Any],
 ) -> tuple[tuple[Rule, ...], tuple[Partition, ...]]:
     """Rules and partitions after the changes that `Impairment.update` describes; raises ConfigError."""
     _check_names("impairment", changes, (*LIMITS, *SCOPE, "clear", "partitions", "cut"))
     if changes.get("clear"):
-        rules, partitions = (), ()
+        rules = ()
+        partitions = ()
     if "partitions" in changes:
         partitions = _partitions(changes["partitions"])
     if "cut" in changes:
@@ -152,31 +185,58 @@ def changed(
         directed=changes.get("directed", False),
     )
     effects = {name: changes[name] for name in LIMITS if name in changes}
-    if not effects and not any(name in changes for name in ("partitions", "cut")) and not changes.get("clear"):
-        raise ConfigError("impairment", dict(changes), "at least one of " + ", ".join(LIMITS), "Say what to change.")
+    if (
+        not effects
+        and not any(name in changes for name in ("partitions", "cut"))
+        and not changes.get("clear")
+    ):
+        raise ConfigError(
+            "impairment",
+            dict(changes),
+            "at least one of " + ", ".join(LIMITS),
+            "Say what to change.",
+        )
     return _merged(rules, scope, effects) if effects else rules, partitions
 
 
-def _merged(rules: tuple[Rule, ...], scope: Rule, effects: Mapping[str, Any]) -> tuple[Rule, ...]:
-    before = next((dict(rule.effects) for rule in rules if rule.scope == scope.scope), {})
-    after = {name: value for name, value in {**before, **effects}.items() if value is not None}
+def _merged(
+    rules: tuple[Rule, ...], scope: Rule, effects: Mapping[str, Any]
+) -> tuple[Rule, ...]:
+    before = next(
+        (dict(rule.effects) for rule in rules if rule.scope == scope.scope), {}
+    )
+    after = {
+        name: value
+        for name, value in {**before, **effects}.items()
+        if value is not None
+    }
     others = tuple(rule for rule in rules if rule.scope != scope.scope)
     rule = replace(scope, effects=after)
     return (*others, rule) if after else others
 
 
 def _partitions(entries: Any) -> tuple[Partition, ...]:
-    if not isinstance(entries, list | tuple) or not all(isinstance(entry, Mapping) for entry in entries):
-        raise ConfigError("impairment: partitions", entries, "a list of tables with since, until, a, b")
+    if not isinstance(entries, list | tuple) or not all(
+        isinstance(entry, Mapping) for entry in entries
+    ):
+        raise ConfigError(
+            "impairment: partitions",
+            entries,
+            "a list of tables with since, until, a, b",
+        )
     return tuple(map(_partition, entries))
 
 
 def _partition(entry: Mapping[str, Any]) -> Partition:
     _check_names("partition", entry, [item.name for item in fields(Partition)])
-    a, b, until = entry.get("a", ()), entry.get("b", ()), entry.get("until")
+    a = entry.get("a", ())
+    b = entry.get("b", ())
+    until = entry.get("until")
     if not isinstance(a, list | tuple) or not isinstance(b, list | tuple):
         raise ConfigError("partition", f"a = {a!r}, b = {b!r}", "lists of drone ids")
-    return Partition(entry.get("since", 0.0), inf if until is None else until, tuple(a), tuple(b))
+    return Partition(
+        entry.get("since", 0.0), inf if until is None else until, tuple(a), tuple(b)
+    )
 
 
 def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -> None:
@@ -188,12 +248,21 @@ def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -
 def _check_scope(rule: Rule) -> None:
     if rule.drone is not None and (not _is_id(rule.drone) or rule.edge is not None):
         found = f"drone = {rule.drone!r}, edge = {rule.edge!r}"
-        raise ConfigError("impairment", found, "a drone's id, or an edge, not both", "Make two rules.")
+        raise ConfigError(
+            "impairment", found, "a drone's id, or an edge, not both", "Make two rules."
+        )
     edge = rule.edge
     if edge is None and rule.directed:
-        raise ConfigError("impairment: directed", "no edge", "with an edge only", "Add edge = [source, destination].")
+        raise ConfigError(
+            "impairment: directed",
+            "no edge",
+            "with an edge only",
+            "Add edge = [source, destination].",
+        )
     if edge is not None and not _is_pair(edge):
-        raise ConfigError("impairment: edge", edge, "two drone ids, [source, destination]")
+        raise ConfigError(
+            "impairment: edge", edge, "two drone ids, [source, destination]"
+        )
     if edge is not None and edge[0] == edge[1]:
         raise ConfigError("impairment: edge", edge, "two different drones")
 
@@ -208,13 +277,29 @@ def _check_effect(name: str, value: Any) -> None:
 
 def _check_burst(effects: Mapping[str, float]) -> None:
     if ("p_good_bad" in effects) != ("p_bad_good" in effects):
-        raise ConfigError("impairment: burst", dict(effects), "p_good_bad and p_bad_good together", "Set both.")
-    worse, better = effects.get("p_good_bad", 0.0), effects.get("p_bad_good", 0.0)
+        raise ConfigError(
+            "impairment: burst",
+            dict(effects),
+            "p_good_bad and p_bad_good together",
+            "Set both.",
+        )
+    worse = effects.get("p_good_bad", 0.0)
+    better = effects.get("p_bad_good", 0.0)
     if worse > 0.0 and better <= 0.0:
-        raise ConfigError("impairment: p_bad_good", better, "more than 0, or a burst never ends", "Use loss = 1.")
+        raise ConfigError(
+            "impairment: p_bad_good",
+            better,
+            "more than 0, or a burst never ends",
+            "Use loss = 1.",
+        )
     if worse + better > 1.0:
         found = f"p_good_bad + p_bad_good = {worse + better:g}"
-        raise ConfigError("impairment: burst", found, "at most 1", "Above it there are no bursts; use loss.")
+        raise ConfigError(
+            "impairment: burst",
+            found,
+            "at most 1",
+            "Above it there are no bursts; use loss.",
+        )
 
 
 def _is_number(value: Any) -> bool:

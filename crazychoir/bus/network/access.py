@@ -55,17 +55,29 @@ class Access:
 
     def _begins(self, host: str) -> tuple[str, ...]:
         """How the names of its processes begin. No name of a host has a dot."""
-        return (*(f"{start}-" for start in self.processes.get(host, ())), f"{OBSERVERS}-{host}.")
+        return (
+            *(f"{start}-" for start in self.processes.get(host, ())),
+            f"{OBSERVERS}-{host}.",
+        )
 
     def may_say(self, host: str, message: Envelope) -> bool:
         """Whether a message counts from this host. A drone asks its own body what it needs, wherever that is."""
-        own_body = message.topic == REQUEST.number and message.to == (BODIES + message.source,)
+        own_body = message.topic == REQUEST.number and message.to == (
+            BODIES + message.source,
+        )
         return message.topic not in COMMANDS or host in self.operators or own_body
 
     def settings(self) -> dict[str, Any]:
         """Zenoh's, by path."""
-        own = {"private_key": str(self.folder / "key.pem"), "certificate": str(self.folder / "certificate.pem")}
-        tls = {f"{side}_{key}": path for side in ("listen", "connect") for key, path in own.items()}
+        own = {
+            "private_key": str(self.folder / "key.pem"),
+            "certificate": str(self.folder / "certificate.pem"),
+        }
+        tls = {
+            f"{side}_{key}": path
+            for side in ("listen", "connect")
+            for key, path in own.items()
+        }
         return {
             # A certificate names a host, no address, and its host is held to the keys of that name.
             "transport/link/tls": tls
@@ -85,25 +97,58 @@ class Access:
         policies: list[dict[str, Any]] = []
         for host in self.processes:
             here = [f"{top}/f/{begin}$*/**" for begin in self._begins(host)]
-            drones = [f"{top}/drone/{i}/**" for i, of in self.holders.items() if of == host and i < OBSERVER]
+            drones = [
+                f"{top}/drone/{i}/**"
+                for i, of in self.holders.items()
+                if of == host and i < OBSERVER
+            ]
             own = [
-                _rule(f"{host} says", "ingress", ["put", "delete"], [f"{top}/f/*/{host}/*/*", *drones]),
-                _rule(f"{host} hears", "ingress", ["declare_subscriber"], [*here, f"{top}/drone/**"]),
-                _rule(f"{host} is there", "ingress", ["liveliness_token"], [f"{top}/live/{host}/**"]),
+                _rule(
+                    f"{host} says",
+                    "ingress",
+                    ["put", "delete"],
+                    [f"{top}/f/*/{host}/*/*", *drones],
+                ),
+                _rule(
+                    f"{host} hears",
+                    "ingress",
+                    ["declare_subscriber"],
+                    [*here, f"{top}/drone/**"],
+                ),
+                _rule(
+                    f"{host} is there",
+                    "ingress",
+                    ["liveliness_token"],
+                    [f"{top}/live/{host}/**"],
+                ),
                 _rule(f"{host} looks", "ingress", _TOKENS[1:], [f"{top}/live/**"]),
             ]
             if host == self.router:
-                own = [_rule(f"{host} passes on", "ingress", _TALK + _TOKENS, [f"{top}/**"])]
+                own = [
+                    _rule(
+                        f"{host} passes on", "ingress", _TALK + _TOKENS, [f"{top}/**"]
+                    )
+                ]
             rules += own
-            policies.append({"subjects": [host], "rules": ["out", *(rule["id"] for rule in own)]})
+            policies.append(
+                {"subjects": [host], "rules": ["out", *(rule["id"] for rule in own)]}
+            )
         return {
             "enabled": True,
             "default_permission": "deny",
             "rules": rules,
-            "subjects": [{"id": host, "cert_common_names": [host]} for host in self.processes],
+            "subjects": [
+                {"id": host, "cert_common_names": [host]} for host in self.processes
+            ],
             "policies": policies,
         }
 
 
 def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
-    return {"id": name, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys}
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": messages,
+        "key_exprs": keys,
+    }

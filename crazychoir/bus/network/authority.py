@@ -50,14 +50,18 @@ def init(folder: Path, days: int = DAYS) -> Path:
     own = folder / AUTHORITY
     if own.exists():
         do = f"Add hosts to it (crazychoir keys add HOST), or remove {folder} and begin anew."
-        raise ConfigError(str(own), "an authority", "none yet", do, "it is not replaced")
+        raise ConfigError(
+            str(own), "an authority", "none yet", do, "it is not replaced"
+        )
     return _issue(own, f"crazychoir {os.urandom(4).hex()}", None, days)
 
 
 def add(folder: Path, host: str, days: int = DAYS) -> Path:
     """Give a host a certificate; returns the folder that belongs on it. Raises ConfigError."""
     if not NAME.fullmatch(host) or host == AUTHORITY:
-        raise ConfigError("host", host, f"1 to 40 of a-z, 0-9, _ and -, but not {AUTHORITY}")
+        raise ConfigError(
+            "host", host, f"1 to 40 of a-z, 0-9, _ and -, but not {AUTHORITY}"
+        )
     if (folder / host).exists():
         do = f"Use that, or take it out first: crazychoir keys revoke {host}"
         raise ConfigError(str(folder / host), "a certificate", "none yet", do)
@@ -72,10 +76,15 @@ def revoke(folder: Path, host: str, days: int = DAYS) -> list[str]:
     """
     names = [holder.name for holder in holders(folder)]
     if host not in names:
-        raise ConfigError("host", host, f"one that has a certificate: {', '.join(names) or 'none has'}")
+        raise ConfigError(
+            "host",
+            host,
+            f"one that has a certificate: {', '.join(names) or 'none has'}",
+        )
     names.remove(host)
     folder = folder.resolve()
-    new, old = folder.with_name(f".{folder.name}.new"), folder.with_name(f".{folder.name}.old")
+    new = folder.with_name(f".{folder.name}.new")
+    old = folder.with_name(f".{folder.name}.old")
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
     init(new, days)
@@ -90,8 +99,15 @@ def revoke(folder: Path, host: str, days: int = DAYS) -> list[str]:
 def holders(folder: Path) -> list[Holder]:
     """The hosts that have a certificate, by name. Raises ConfigError where there is no authority."""
     _authority(folder)
-    found = sorted(path.parent for path in folder.glob(f"*/{CERTIFICATE}") if path.parent.name != AUTHORITY)
-    return [Holder(path.name, _read(path / CERTIFICATE).not_valid_after_utc) for path in found]
+    found = sorted(
+        path.parent
+        for path in folder.glob(f"*/{CERTIFICATE}")
+        if path.parent.name != AUTHORITY
+    )
+    return [
+        Holder(path.name, _read(path / CERTIFICATE).not_valid_after_utc)
+        for path in found
+    ]
 
 
 def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Path:
@@ -99,27 +115,58 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
 
     Raises ConfigError. What others hold against its certificate, they say.
     """
-    own, now = folder / host, now or today()
-    certificate, root = _read(own / CERTIFICATE), _read(own / ROOT)
+    own = folder / host
+    now = now or today()
+    certificate = _read(own / CERTIFICATE)
+    root = _read(own / ROOT)
     key = own / KEY
     try:
-        mode, secret = key.stat().st_mode, key.read_bytes()
-        matches = serialization.load_pem_private_key(secret, None).public_key() == certificate.public_key()
+        mode = key.stat().st_mode
+        secret = key.read_bytes()
+        matches = (
+            serialization.load_pem_private_key(secret, None).public_key()
+            == certificate.public_key()
+        )
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(str(key), str(error), "the private key of its certificate", _AGAIN) from error
+        raise ConfigError(
+            str(key), str(error), "the private key of its certificate", _AGAIN
+        ) from error
     if stat.S_IMODE(mode) & 0o077:
-        raise ConfigError(str(key), f"{stat.S_IMODE(mode):o}", "600: nobody else may read it", f"chmod 600 {key}")
+        raise ConfigError(
+            str(key),
+            f"{stat.S_IMODE(mode):o}",
+            "600: nobody else may read it",
+            f"chmod 600 {key}",
+        )
     if not matches:
-        raise ConfigError(str(key), "a key of another certificate", "the private key of its certificate", _AGAIN)
+        raise ConfigError(
+            str(key),
+            "a key of another certificate",
+            "the private key of its certificate",
+            _AGAIN,
+        )
     if _named(certificate) != host:
-        raise ConfigError(str(own / CERTIFICATE), f"that of {_named(certificate)}", f"that of {host}", _AGAIN)
+        raise ConfigError(
+            str(own / CERTIFICATE),
+            f"that of {_named(certificate)}",
+            f"that of {host}",
+            _AGAIN,
+        )
     try:
         certificate.verify_directly_issued_by(root)
     except (ValueError, TypeError, InvalidSignature) as error:
-        raise ConfigError(str(own / CERTIFICATE), "signed by another authority", f"that of {ROOT}", _AGAIN) from error
+        raise ConfigError(
+            str(own / CERTIFICATE),
+            "signed by another authority",
+            f"that of {ROOT}",
+            _AGAIN,
+        ) from error
     for path, one in ((own / CERTIFICATE, certificate), (own / ROOT, root)):
         if not one.not_valid_before_utc <= now <= one.not_valid_after_utc:
-            first, last = (f"{day:%Y-%m-%d %H:%M}" for day in (one.not_valid_before_utc, one.not_valid_after_utc))
+            first, last = (
+                f"{day:%Y-%m-%d %H:%M}"
+                for day in (one.not_valid_before_utc, one.not_valid_after_utc)
+            )
             found = f"good from {first} to {last} UTC; now is {now:%Y-%m-%d %H:%M}"
             its = f"remove {folder.name}/{host}, then crazychoir keys add {host}"
             anew = f"remove {folder.name}, then {_ANEW}" if one is root else its
@@ -137,13 +184,23 @@ def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateK
     own = folder / AUTHORITY
     if not own.exists():
         do = "Make one, once for a lab: crazychoir keys init"
-        raise ConfigError(str(own), "nothing", "the authority of the swarm", do, "there is no authority here")
+        raise ConfigError(
+            str(own),
+            "nothing",
+            "the authority of the swarm",
+            do,
+            "there is no authority here",
+        )
     try:
         key = serialization.load_pem_private_key((own / KEY).read_bytes(), None)
     except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(str(own / KEY), str(error), "a private key in PEM", _AGAIN) from error
+        raise ConfigError(
+            str(own / KEY), str(error), "a private key in PEM", _AGAIN
+        ) from error
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise ConfigError(str(own / KEY), "a key of another kind", "one on the curve P-256", _AGAIN)
+        raise ConfigError(
+            str(own / KEY), "a key of another kind", "one on the curve P-256", _AGAIN
+        )
     return _read(own / CERTIFICATE), key
 
 
@@ -151,36 +208,66 @@ def _give(folder: Path, host: str, days: int) -> None:
     issuer = _authority(folder)
     until = issuer[0].not_valid_after_utc
     if until <= today():
-        found, do = f"good until {until:%Y-%m-%d %H:%M} UTC", f"Remove {folder}, then make all anew: {_ANEW}"
-        raise ConfigError(str(folder / AUTHORITY / CERTIFICATE), found, "one that is good now", do, "it has expired")
+        found = f"good until {until:%Y-%m-%d %H:%M} UTC"
+        do = f"Remove {folder}, then make all anew: {_ANEW}"
+        raise ConfigError(
+            str(folder / AUTHORITY / CERTIFICATE),
+            found,
+            "one that is good now",
+            do,
+            "it has expired",
+        )
     _issue(folder / host, host, issuer, days)
-    (folder / host / ROOT).write_bytes(issuer[0].public_bytes(serialization.Encoding.PEM))
+    (folder / host / ROOT).write_bytes(
+        issuer[0].public_bytes(serialization.Encoding.PEM)
+    )
 
 
 def _issue(
-    folder: Path, name: str, issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None, days: int
+    folder: Path,
+    name: str,
+    issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None,
+    days: int,
 ) -> Path:
     """A new key and its certificate, signed by an issuer, else by itself: then it is that of an authority."""
-    key, now = ec.generate_private_key(ec.SECP256R1()), today()
+    key = ec.generate_private_key(ec.SECP256R1())
+    now = today()
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    signer, secret = (subject, key) if issuer is None else (issuer[0].subject, issuer[1])
+    signer, secret = (
+        (subject, key) if issuer is None else (issuer[0].subject, issuer[1])
+    )
     last = now + datetime.timedelta(days=days)
     built = (
-        x509.CertificateBuilder(signer, subject, key.public_key(), x509.random_serial_number())
+        x509.CertificateBuilder(
+            signer, subject, key.public_key(), x509.random_serial_number()
+        )
         .not_valid_before(now - SLACK)
-        .not_valid_after(last if issuer is None else min(last, issuer[0].not_valid_after_utc))
-        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(secret.public_key()), critical=False)
+        .not_valid_after(
+            last if issuer is None else min(last, issuer[0].not_valid_after_utc)
+        )
+        .add_extension(
+            x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False
+        )
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(secret.public_key()),
+            critical=False,
+        )
     )
     for extension, critical in _OF_AUTHORITY if issuer is None else _of_host(name):
         built = built.add_extension(extension, critical)
     folder.mkdir(parents=True, mode=0o700)
-    certificate = built.sign(secret, hashes.SHA256()).public_bytes(serialization.Encoding.PEM)
+    certificate = built.sign(secret, hashes.SHA256()).public_bytes(
+        serialization.Encoding.PEM
+    )
     (folder / CERTIFICATE).write_bytes(certificate)
     text = key.private_bytes(
-        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
     )
-    with open(os.open(folder / KEY, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+    with open(
+        os.open(folder / KEY, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb"
+    ) as file:
         file.write(text)
     return folder / CERTIFICATE
 
@@ -189,19 +276,32 @@ _OF_AUTHORITY: list[tuple[x509.ExtensionType, bool]] = [
     (x509.BasicConstraints(ca=True, path_length=0), True),
     (
         x509.KeyUsage(
-            digital_signature=False, content_commitment=False, key_encipherment=False, data_encipherment=False,
-            key_agreement=False, key_cert_sign=True, crl_sign=False, encipher_only=False, decipher_only=False,
+            digital_signature=False,
+            content_commitment=False,
+            key_encipherment=False,
+            data_encipherment=False,
+            key_agreement=False,
+            key_cert_sign=True,
+            crl_sign=False,
+            encipher_only=False,
+            decipher_only=False,
         ),
         True,
     ),
-]  # fmt: skip
+]
 
 
 def _of_host(name: str) -> list[tuple[x509.ExtensionType, bool]]:
     """Both ends of a connection show one; TLS wants an alternative name, though nobody looks at it."""
-    both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
+    both = x509.ExtendedKeyUsage(
+        [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+    )
     alternative = x509.SubjectAlternativeName([x509.DNSName(name.replace("_", "-"))])
-    return [(x509.BasicConstraints(ca=False, path_length=None), True), (both, False), (alternative, False)]
+    return [
+        (x509.BasicConstraints(ca=False, path_length=None), True),
+        (both, False),
+        (alternative, False),
+    ]
 
 
 def _read(path: Path) -> x509.Certificate:
@@ -209,12 +309,24 @@ def _read(path: Path) -> x509.Certificate:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as error:
         do = f"On the machine of the authority: crazychoir keys add {path.parent.name}; then copy {path.parent} here."
-        if others := sorted(at.parent.name for at in path.parent.parent.glob(f"*/{CERTIFICATE}")):
+        if others := sorted(
+            at.parent.name for at in path.parent.parent.glob(f"*/{CERTIFICATE}")
+        ):
             do = f"Here are keys of {', '.join(others)}. Start it on the host that the swarm file names. {do}"
-        raise ConfigError(str(path), str(error.strerror), "a certificate in PEM", do) from error
+        raise ConfigError(
+            str(path), str(error.strerror), "a certificate in PEM", do
+        ) from error
     except ValueError as error:
-        raise ConfigError(str(path), str(error), "a certificate in PEM", _AGAIN) from error
+        raise ConfigError(
+            str(path), str(error), "a certificate in PEM", _AGAIN
+        ) from error
 
 
 def _named(certificate: x509.Certificate) -> str:
-    return next((str(name.value) for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)), "nobody")
+    return next(
+        (
+            str(name.value)
+            for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        ),
+        "nobody",
+    )

@@ -33,7 +33,9 @@ _REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
 _DROP = "transport/link/tx/queue/congestion_control/drop"
 
 
-def settings(listen: list[str], connect: list[str], lease: float, mode: str = "peer") -> dict[str, Any]:
+def settings(
+    listen: list[str], connect: list[str], lease: float, mode: str = "peer"
+) -> dict[str, Any]:
     """Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait; raises ConfigError.
 
     lease: s without a sign of another host before its tokens go; a process that dies here closes its connections,
@@ -48,7 +50,11 @@ def settings(listen: list[str], connect: list[str], lease: float, mode: str = "p
         "mode": mode,
         "listen/endpoints": listen,
         "connect/endpoints": connect,
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 500,
+            "period_increase_factor": 2,
+        },
         "open/return_conditions": {"connect_scouted": False, "declares": False},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
@@ -75,7 +81,9 @@ def _is_local(endpoint: str) -> bool:
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None:
         return False
-    return endpoint.startswith("unixsock-stream/") or is_loopback(found["ipv6"] or found["host"])
+    return endpoint.startswith("unixsock-stream/") or is_loopback(
+        found["ipv6"] or found["host"]
+    )
 
 
 def is_loopback(address: str) -> bool:
@@ -148,7 +156,9 @@ def is_name(text: str) -> bool:
 def check_name(where: str, name: str) -> None:
     """Raises ConfigError for a name that cannot be part of a key."""
     if not is_name(name):
-        raise ConfigError(f"name of the {where}", name, "1 to 100 of A-Z, a-z, 0-9, _, . and -")
+        raise ConfigError(
+            f"name of the {where}", name, "1 to 100 of A-Z, a-z, 0-9, _, . and -"
+        )
 
 
 _NOT_OURS = "Cannot assign requested address"
@@ -158,10 +168,20 @@ def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigErro
     """What to tell the user of Zenoh's error."""
     at_fault = next((endpoint for endpoint in listen if endpoint in error), "")
     reason = _REASON.search(error)
-    said = next((text for text in reason.groups() if text), "") if reason else error.split(" at /", 1)[0]
+    said = (
+        next((text for text in reason.groups() if text), "")
+        if reason
+        else error.split(" at /", 1)[0]
+    )
     if not listen:
         do = "Is the router, or what else listens there, running? Start it first: crazychoir router --swarm FILE"
-        return ConfigError("endpoints", ", ".join(connect), "somebody must listen there", do, problem=said)
+        return ConfigError(
+            "endpoints",
+            ", ".join(connect),
+            "somebody must listen there",
+            do,
+            problem=said,
+        )
     return ConfigError(
         "listen endpoint" if at_fault else "endpoints",
         at_fault or ", ".join(listen + connect),

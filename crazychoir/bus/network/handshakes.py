@@ -18,10 +18,16 @@ STDOUT = 1
 MOST = 64
 """Different things that are said; an intruder may not fill the log."""
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_ZENOH = re.compile(r"^\S+Z +(?:WARN|INFO|DEBUG|ERROR) .*?(?P<module>zenoh\w*(?:::\w+)*): (?P<text>.*)$")
+_ZENOH = re.compile(
+    r"^\S+Z +(?:WARN|INFO|DEBUG|ERROR) .*?(?P<module>zenoh\w*(?:::\w+)*): (?P<text>.*)$"
+)
 _TO_US = re.compile(r"^(?P<why>.*?)\.? Hint: ")
-_BY_US = re.compile(r"^Unable to connect to configured \w+ (?P<where>\S+)! (?P<why>.*?) at /")
-_CERTIFICATE = re.compile(r"certificate|alert|handshake|InvalidContentType", re.IGNORECASE)
+_BY_US = re.compile(
+    r"^Unable to connect to configured \w+ (?P<where>\S+)! (?P<why>.*?) at /"
+)
+_CERTIFICATE = re.compile(
+    r"certificate|alert|handshake|InvalidContentType", re.IGNORECASE
+)
 
 
 class Overheard:
@@ -36,7 +42,11 @@ class Overheard:
         if found is None:
             return False
         if "_link_" in found["module"] and (why := _TO_US.match(found["text"])):
-            self._say("somebody connected and was turned away", why["why"], "Nothing of it was read")
+            self._say(
+                "somebody connected and was turned away",
+                why["why"],
+                "Nothing of it was read",
+            )
         elif (to := _BY_US.match(found["text"])) and _CERTIFICATE.search(to["why"]):
             who = f"{to['where']} and we do not accept each other's certificate"
             self._say(who, to["why"].rpartition("): ")[2], "See `crazychoir doctor`")
@@ -71,8 +81,12 @@ def overhear() -> None:
     read, write = os.pipe()
     os.dup2(write, STDOUT)
     os.close(write)
-    sys.stdout = os.fdopen(copy, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
-    threading.Thread(target=_listen, args=(read,), name="zenoh log", daemon=True).start()
+    sys.stdout = os.fdopen(
+        copy, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors
+    )
+    threading.Thread(
+        target=_listen, args=(read,), name="zenoh log", daemon=True
+    ).start()
 
 
 def overhears() -> bool:

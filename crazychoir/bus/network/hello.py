@@ -23,8 +23,12 @@ TIE = 0.05
 """s: more than a HELLO is on its way, so that two processes agree on who was there first."""
 
 _Name = Annotated[str, Meta(max_length=MAX_NAME)]
-_Drones = Annotated[list[Annotated[int, Meta(ge=0, lt=OBSERVER)]], Meta(max_length=MAX_ADDRESSES)]
-_Observers = Annotated[list[Annotated[int, Meta(ge=OBSERVER, lt=1 << 32)]], Meta(max_length=MAX_ADDRESSES)]
+_Drones = Annotated[
+    list[Annotated[int, Meta(ge=0, lt=OBSERVER)]], Meta(max_length=MAX_ADDRESSES)
+]
+_Observers = Annotated[
+    list[Annotated[int, Meta(ge=OBSERVER, lt=1 << 32)]], Meta(max_length=MAX_ADDRESSES)
+]
 
 
 class Hello(msgspec.Struct, frozen=True):
@@ -57,7 +61,9 @@ class Hello(msgspec.Struct, frozen=True):
             raise CodecError(f"HELLO: {type(error).__name__}: {error}") from error
         looking = sum(j < BODIES for j in hello.observers)
         if looking > MAX_OBSERVERS:
-            raise CodecError(f"HELLO: {looking} observers; allowed: {MAX_OBSERVERS} of a process.")
+            raise CodecError(
+                f"HELLO: {looking} observers; allowed: {MAX_OBSERVERS} of a process."
+            )
         return hello
 
     def payload(self) -> bytes:
@@ -72,7 +78,11 @@ class Hello(msgspec.Struct, frozen=True):
     def wants(self) -> list[Interest]:
         """Its interests, without those for readers of others and those with senseless rates."""
         own = frozenset(self.addresses)
-        sensible = [one for one in self.interests if one.rate == 0.0 or MIN_RATE <= one.rate <= MAX_RATE]
+        sensible = [
+            one
+            for one in self.interests
+            if one.rate == 0.0 or MIN_RATE <= one.rate <= MAX_RATE
+        ]
         return [one for one in sensible if one.reader in own]
 
     def precedes(self, process: str, lead: float) -> bool:

@@ -58,4 +58,6 @@ class Estranged:
         some = list(islice(self._strangers, ANSWERS))
         for process in some:
             del self._strangers[process]
-        return some + [process for process in self._gone if gone_too and process not in some]
+        return some + [
+            process for process in self._gone if gone_too and process not in some
+        ]

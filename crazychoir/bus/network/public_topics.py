@@ -27,12 +27,15 @@ class PublicCopies(Actor):
     name = "public"
 
     def __init__(self, link: Announcer, drone: int) -> None:
-        self.link, self.drone = link, drone
+        self.link = link
+        self.drone = drone
         self._clock = link.bus.clock
         self._boxes: dict[Topic, Latest[Any]] = {}
         for topic in TOPICS:
             if topic.public > 0:
-                box = self._boxes[topic] = Latest(self._clock, topic.name, topic.max_age)
+                box = self._boxes[topic] = Latest(
+                    self._clock, topic.name, topic.max_age
+                )
                 link.bus.subscribe(topic, drone, drone, box)
 
     async def run(self) -> None:
@@ -43,7 +46,11 @@ class PublicCopies(Actor):
         async for _ in self._clock.ticks(fastest, drone=self.drone):
             for topic, box in self._boxes.items():
                 value = box.peek()
-                if value is not None and tick % round(fastest / topic.public) == 0 and box.version > sent[topic]:
+                if (
+                    value is not None
+                    and tick % round(fastest / topic.public) == 0
+                    and box.version > sent[topic]
+                ):
                     sent[topic] = box.version
                     self.link.announce(self.drone, topic.name, as_json(value))
             tick += 1
@@ -54,7 +61,11 @@ def by_name(value: msgspec.Struct) -> dict[str, Any]:
     fields = msgspec.structs.asdict(value)
     if "flat" not in fields:
         return fields
-    parts = {name: getattr(value, name) for name, what in vars(type(value)).items() if isinstance(what, property)}
+    parts = {
+        name: getattr(value, name)
+        for name, what in vars(type(value)).items()
+        if isinstance(what, property)
+    }
     if sum(np.size(part) for part in parts.values()) == fields["flat"].size:
         del fields["flat"]
     return parts | fields

@@ -148,14 +148,23 @@ class ZenohLink(Actor):
         on_token: OnToken = lambda drones, there: None,
         on_refused: OnRefused = lambda refused: None,
     ) -> None:
-        for where, name in (("swarm", swarm), ("host", bus.host), ("process", bus.process)):
+        for where, name in (
+            ("swarm", swarm),
+            ("host", bus.host),
+            ("process", bus.process),
+        ):
             endpoints.check_name(where, name)
-        self.bus, self.swarm, self.access = bus, swarm, access
+        self.bus = bus
+        self.swarm = swarm
+        self.access = access
         self.listen, self.connect = ([], routers) if routers else (listen, connect)
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
-        self.table = Peers(bus, swarm, incarnation, version, access, on_token, on_refused, agreed)
-        self.peers, self.directory = self.table.by_name, self.table.directory
+        self.table = Peers(
+            bus, swarm, incarnation, version, access, on_token, on_refused, agreed
+        )
+        self.peers = self.table.by_name
+        self.directory = self.table.directory
         secured = access.settings() if access is not None else {}
         mode = "client" if routers else "peer"
         own = endpoints.settings(self.listen, self.connect, lease, mode)
@@ -163,8 +172,10 @@ class ZenohLink(Actor):
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
-        self._budgets, self._token_budgets = Budgets(), Budgets()
-        self._armed, self._behind_ns = False, 0
+        self._budgets = Budgets()
+        self._token_budgets = Budgets()
+        self._armed = False
+        self._behind_ns = 0
         self._flushing = False
         self._full: list[Lane] = []
         self._after: deque[Callable[[], None]] = deque()
@@ -186,14 +197,22 @@ class ZenohLink(Actor):
         try:
             session = zenoh.open(self._config)
         except zenoh.ZError as error:
-            raise endpoints.cannot_open(self.listen, self.connect, str(error)) from error
+            raise endpoints.cannot_open(
+                self.listen, self.connect, str(error)
+            ) from error
         self._session = session
         received = zenoh.handlers.Callback(self._received, indirect=True)
         tokens = zenoh.handlers.Callback(self._token, indirect=True)
         self._declared = [
-            session.declare_subscriber(f"choir/{self.swarm}/f/{self.bus.process}/**", received),
-            session.liveliness().declare_subscriber(f"{self._live}/*/*/**", tokens, history=True),
-            session.liveliness().declare_token(f"{self._live}/{self.bus.host}/{self.bus.process}"),
+            session.declare_subscriber(
+                f"choir/{self.swarm}/f/{self.bus.process}/**", received
+            ),
+            session.liveliness().declare_subscriber(
+                f"{self._live}/*/*/**", tokens, history=True
+            ),
+            session.liveliness().declare_token(
+                f"{self._live}/{self.bus.host}/{self.bus.process}"
+            ),
         ]
         self.bus.forwarder = self
 
@@ -221,16 +240,22 @@ class ZenohLink(Actor):
     async def on_stop(self) -> None:
         """Send what is waiting and close the session, in a thread: it may take its time."""
         self._flush()
-        session, self._session = self._session, None
+        session = self._session
+        self._session = None
         if session is None:
             return
         closed = asyncio.Event()
-        threading.Thread(target=self._close, args=(session, closed), name=CLOSING, daemon=True).start()
+        threading.Thread(
+            target=self._close, args=(session, closed), name=CLOSING, daemon=True
+        ).start()
         try:
             async with asyncio.timeout(CLOSE_DEADLINE):
                 await closed.wait()
         except TimeoutError:
-            log.warning("the Zenoh session does not close within %g s; left behind", CLOSE_DEADLINE)
+            log.warning(
+                "the Zenoh session does not close within %g s; left behind",
+                CLOSE_DEADLINE,
+            )
 
     def _close(self, session: zenoh.Session, closed: asyncio.Event) -> None:
         try:
@@ -276,7 +301,16 @@ class ZenohLink(Actor):
                 continue
             for k in range(0, len(there), MAX_DESTINATIONS):
                 some = tuple(there[k : k + MAX_DESTINATIONS])
-                message = Envelope(topic.number, source, some, number, flags, max(0.0, age), channel, payload)
+                message = Envelope(
+                    topic.number,
+                    source,
+                    some,
+                    number,
+                    flags,
+                    max(0.0, age),
+                    channel,
+                    payload,
+                )
                 self._add(peer, topic.klass, message)
 
     def then(self, work: Callable[[], None]) -> None:
@@ -307,26 +341,38 @@ class ZenohLink(Actor):
         if session is None or self.access is None or self.access.router is not None:
             return  # through a router come connections of all hosts
         links = [(link.auth_identifier, str(link.zid)) for link in session.info.links()]
-        for host in self._connections.look(links, (peer.host for peer in self.peers.values())):
+        for host in self._connections.look(
+            links, (peer.host for peer in self.peers.values())
+        ):
             log.warning(
                 "a program with the certificate of host %s is connected and is no process of this swarm: nothing of "
-                "it is believed but what that host may say", host,
-            )  # fmt: skip
+                "it is believed but what that host may say",
+                host,
+            )
 
     def _say_time(self, peer: Peer, payload: bytes) -> None:
-        self._add(peer, CLOCK.klass, Envelope(CLOCK.number, 0, (), 0, 0, 0.0, "", payload))
+        self._add(
+            peer, CLOCK.klass, Envelope(CLOCK.number, 0, (), 0, 0, 0.0, "", payload)
+        )
 
     def _greet_estranged(self, gone_too: bool) -> None:
-        session, processes = self._session, self._estranged.due(gone_too)
+        session = self._session
+        processes = self._estranged.due(gone_too)
         if session is None or not processes:
             return
         payload, age = self.table.hello()
         hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
-        frame = encode_frame(Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello]))
-        drop, priority = zenoh.CongestionControl.DROP, _PRIORITY[HELLO.klass]
+        frame = encode_frame(
+            Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello])
+        )
+        drop = zenoh.CongestionControl.DROP
+        priority = _PRIORITY[HELLO.klass]
         for process in processes:
             key = self._key(process, HELLO.klass)
-            self._put(partial(session.put, key, congestion_control=drop, priority=priority), frame)
+            self._put(
+                partial(session.put, key, congestion_control=drop, priority=priority),
+                frame,
+            )
 
     def _declare_another_token(self, process: str) -> None:
         session = self._session
@@ -365,7 +411,9 @@ class ZenohLink(Actor):
             priority=_PRIORITY[klass],
             reliability=zenoh.Reliability.RELIABLE,
         )
-        name, number, conflate = self.bus.process, self.table.incarnation, klass is Class.CONTROL
+        name = self.bus.process
+        number = self.table.incarnation
+        conflate = klass is Class.CONTROL
         buffer = FrameBuffer(name, number, klass, conflate)
         lane = peer.lanes[klass] = Lane(buffer, publisher)
         return lane
@@ -382,7 +430,8 @@ class ZenohLink(Actor):
         if self._to_greet:
             self._say_hello()
         self._flushing = False
-        full, self._full = self._full, []
+        full = self._full
+        self._full = []
         for lane in full:
             try:
                 frames = lane.buffer.take()
@@ -396,7 +445,8 @@ class ZenohLink(Actor):
             self._after.popleft()()
 
     def _say_hello(self) -> None:
-        names, self._to_greet = self._to_greet, {}
+        names = self._to_greet
+        self._to_greet = {}
         payload, age = self.table.hello()
         hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
         for name in names:
@@ -411,7 +461,9 @@ class ZenohLink(Actor):
         except zenoh.ZError:
             counters.put_errors += 1
             return
-        counters.worst_put_s = max(counters.worst_put_s, (self._now_ns() - began_ns) / SECOND)
+        counters.worst_put_s = max(
+            counters.worst_put_s, (self._now_ns() - began_ns) / SECOND
+        )
         counters.frames_sent += 1
         counters.bytes_sent += len(frame)
 
@@ -431,7 +483,9 @@ class ZenohLink(Actor):
             readers = _readers(peer, LOG, drone)
             if readers:
                 line = Envelope(LOG.number, drone, readers, 0, 0, 0.0, "", encode(text))
-                frame = encode_frame(Frame(self.bus.process, self.table.incarnation, LOG.klass, [line]))
+                frame = encode_frame(
+                    Frame(self.bus.process, self.table.incarnation, LOG.klass, [line])
+                )
                 session.put(self._key(peer.process, LOG.klass), frame)
 
     # Receiving ------------------------------------------------------------------------------------------------
@@ -448,7 +502,8 @@ class ZenohLink(Actor):
 
     def _token(self, sample: zenoh.Sample) -> None:
         """In Zenoh's other thread."""
-        there, key = sample.kind == zenoh.SampleKind.PUT, str(sample.key_expr)
+        there = sample.kind == zenoh.SampleKind.PUT
+        key = str(sample.key_expr)
         host = key.split("/")[3]
         budget = self._token_budgets.of(host, now := self._now_ns())
         if budget.take(now):
@@ -461,7 +516,13 @@ class ZenohLink(Actor):
         self.counters.flooded += 1
         if not budget.said:
             budget.said = True
-            self._on_loop(partial(log.warning, "host %s floods us: of what it says beyond that nothing is read", host))
+            self._on_loop(
+                partial(
+                    log.warning,
+                    "host %s floods us: of what it says beyond that nothing is read",
+                    host,
+                )
+            )
 
     def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
         queue = self._queue
@@ -475,7 +536,8 @@ class ZenohLink(Actor):
 
     def _drain(self) -> None:
         self._armed = False  # before the queue is read, else a wake-up is lost
-        queue, now = self._queue, self._now_ns()
+        queue = self._queue
+        now = self._now_ns()
         busy = now - self._behind_ns if self._behind_ns else 0
         ends_ns = now + max(SLICE_NS, min(busy, SLICE_MOST_NS))
         for _ in range(min(len(queue), SLICE)):
@@ -483,9 +545,15 @@ class ZenohLink(Actor):
             try:
                 handler(key, data, arrived_ns)
             except Exception as error:
-                self.counters.failed += 1  # whatever one frame breaks, the next one is read
-                if self.counters.failed.bit_count() == 1:  # the first, the second, the fourth, ...
-                    log.error("a frame at %s was not taken: %s", key, error, exc_info=error)
+                self.counters.failed += (
+                    1  # whatever one frame breaks, the next one is read
+                )
+                if (
+                    self.counters.failed.bit_count() == 1
+                ):  # the first, the second, the fourth, ...
+                    log.error(
+                        "a frame at %s was not taken: %s", key, error, exc_info=error
+                    )
             if self._now_ns() > ends_ns:
                 break
         self._behind_ns = self._now_ns() if queue else 0
@@ -533,7 +601,11 @@ class ZenohLink(Actor):
         """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
         host, process = _speaker(key)
         peer = self.peers.get(process)
-        return peer if peer is not None and peer.host == host and frame.process == process else None
+        return (
+            peer
+            if peer is not None and peer.host == host and frame.process == process
+            else None
+        )
 
     def _stranger(self, key: str, frame: Frame) -> None:
         """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
@@ -559,8 +631,12 @@ class ZenohLink(Actor):
         if self._estranged.greeted(process, knows_us):
             self._declare_another_token(process)
 
-    def _distribute(self, peer: Peer, messages: list[Envelope], arrived_ns: int) -> None:
-        directory, ports, waited = self.directory, self.bus.ports, (self._now_ns() - arrived_ns) / SECOND
+    def _distribute(
+        self, peer: Peer, messages: list[Envelope], arrived_ns: int
+    ) -> None:
+        directory = self.directory
+        ports = self.bus.ports
+        waited = (self._now_ns() - arrived_ns) / SECOND
         for message in messages:
             if message.topic == HELLO.number:
                 self._greeted(peer, message.payload, message.age + waited)
@@ -568,24 +644,37 @@ class ZenohLink(Actor):
                 self._asked(peer, message.payload, arrived_ns)
             elif directory.get(message.source) is not peer:
                 self.counters.strangers += 1
-            elif self.access is not None and not self.access.may_say(peer.host, message):
+            elif self.access is not None and not self.access.may_say(
+                peer.host, message
+            ):
                 self._forbid(peer)
             else:
                 age = message.age + waited
-                for j in message.to if len(message.to) == 1 else dict.fromkeys(message.to):
+                for j in (
+                    message.to if len(message.to) == 1 else dict.fromkeys(message.to)
+                ):
                     port = ports.get(j)
                     if port is not None:
                         port.deliver(
-                            message.topic, message.source, message.payload, message.number,
-                            message.channel, message.flags, age,
-                        )  # fmt: skip
+                            message.topic,
+                            message.source,
+                            message.payload,
+                            message.number,
+                            message.channel,
+                            message.flags,
+                            age,
+                        )
 
     def _forbid(self, peer: Peer) -> None:
         """A command that is not obeyed; it is said once."""
         self.counters.forbidden += 1
         if not peer.forbidden:
             peer.forbidden = True
-            log.warning("host %s (process %s) commands and is no operator: not obeyed", peer.host, peer.process)
+            log.warning(
+                "host %s (process %s) commands and is no operator: not obeyed",
+                peer.host,
+                peer.process,
+            )
 
     def _asked(self, peer: Peer, payload: bytes, arrived_ns: int) -> None:
         """A question for our clock, or the answer to ours; of those that are talked to."""
@@ -679,7 +768,9 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
         try:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
-            raise ConfigError(f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]) from error
+            raise ConfigError(
+                f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]
+            ) from error
     return config
 
 
@@ -691,4 +782,8 @@ def _speaker(key: str) -> tuple[str, str]:
 
 def _readers(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:
     wants = peer.hello.wants() if peer.hello is not None else []
-    return tuple(one.reader for one in wants if one.topic == topic.name and one.source in (ANY, drone))
+    return tuple(
+        one.reader
+        for one in wants
+        if one.topic == topic.name and one.source in (ANY, drone)
+    )

@@ -19,8 +19,12 @@ from crazychoir.launch.console import STDERR, STDOUT, fail, set_up_logging
 app = typer.Typer(no_args_is_help=True, help="Measure, against peers of the same run.")
 app.command()(latency)
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
-QuickOption = Annotated[bool, typer.Option(help="Fewer cases, shorter: a look, not a figure to quote.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+]
+QuickOption = Annotated[
+    bool, typer.Option(help="Fewer cases, shorter: a look, not a figure to quote.")
+]
 Say = Callable[[str], None]
 
 
@@ -29,20 +33,31 @@ def exchange(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     """Rounds a second of the neighbours' exchange, beside CycloneDDS and MPI."""
     from crazychoir.bench import exchange as bench_exchange
 
-    _show(lambda say: bench_exchange.run(quick=quick, say=say), bench_exchange.table, as_json)
+    _show(
+        lambda say: bench_exchange.run(quick=quick, say=say),
+        bench_exchange.table,
+        as_json,
+    )
 
 
 @app.command()
 def scale(
     as_json: JsonOption = False,
     quick: QuickOption = False,
-    namespaces: Annotated[bool, typer.Option(help="A network of its own for each process; root, iproute2.")] = False,
+    namespaces: Annotated[
+        bool,
+        typer.Option(help="A network of its own for each process; root, iproute2."),
+    ] = False,
     repeats: Annotated[int, options.whole("Medians of so many.")] = 3,
 ) -> None:
     """What 10 to 1000 agents in 1 to 8 processes cost, and a model of it: what 10 000 on 100 hosts need."""
     from crazychoir.bench import scale as bench_scale
 
-    _show(lambda say: bench_scale.run(quick, namespaces, repeats, say), bench_scale.table, as_json)
+    _show(
+        lambda say: bench_scale.run(quick, namespaces, repeats, say),
+        bench_scale.table,
+        as_json,
+    )
 
 
 @app.command()
@@ -67,7 +82,11 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     from crazychoir.bench import filters as bench_filters
 
     seeds = bench_filters.SEEDS[:1] if quick else bench_filters.SEEDS
-    _show(lambda say: bench_filters.run(seeds=seeds, say=say), bench_filters.table, as_json)
+    _show(
+        lambda say: bench_filters.run(seeds=seeds, say=say),
+        bench_filters.table,
+        as_json,
+    )
 
 
 @app.command()
@@ -88,9 +107,15 @@ def formation(
     """How fast four and thirty drones with motors form up by bearings: the worst of many starts."""
     from crazychoir.bench import formation as bench_formation
 
-    cases = tuple(case for case in bench_formation.CASES if drones in (None, case.drones))
+    cases = tuple(
+        case for case in bench_formation.CASES if drones in (None, case.drones)
+    )
     found = range(3 if quick else seeds)
-    _show(lambda say: bench_formation.run(found, cases, say), bench_formation.table, as_json)
+    _show(
+        lambda say: bench_formation.run(found, cases, say),
+        bench_formation.table,
+        as_json,
+    )
 
 
 @app.command()
@@ -98,16 +123,28 @@ def routing(
     as_json: JsonOption = False,
     quick: QuickOption = False,
     sizes: Annotated[
-        str, typer.Option(help="Of tiny, small, middle, large, with commas; how many instances after a colon.")
+        str,
+        typer.Option(
+            help="Of tiny, small, middle, large, with commas; how many instances after a colon."
+        ),
     ] = "small:20,middle:5,large:5",
-    graph: Annotated[str, typer.Option(help="Communication graph of the team.")] = "k-regular:4",
-    method: Annotated[str | None, typer.Option(help="Method of the team, instead of the default.")] = None,
-    prove: Annotated[bool, typer.Option(help="A further run of the team that tries to prove an optimum.")] = False,
+    graph: Annotated[
+        str, typer.Option(help="Communication graph of the team.")
+    ] = "k-regular:4",
+    method: Annotated[
+        str | None, typer.Option(help="Method of the team, instead of the default.")
+    ] = None,
+    prove: Annotated[
+        bool,
+        typer.Option(help="A further run of the team that tries to prove an optimum."),
+    ] = False,
 ) -> None:
     """Plans of pickups and deliveries: the team beside VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
     from crazychoir.bench import routing as bench_routing
 
-    measure = partial(bench_routing.run, sizes, graph=graph, method=method, prove=prove, quick=quick)
+    measure = partial(
+        bench_routing.run, sizes, graph=graph, method=method, prove=prove, quick=quick
+    )
     _show(lambda say: measure(say=say), bench_routing.table, as_json)
 
 
@@ -116,20 +153,30 @@ def optimization(as_json: JsonOption = False, quick: QuickOption = False) -> Non
     """Rounds a second of consensus and dual decomposition, beside DISROPT's pattern of MPI ranks."""
     from crazychoir.bench import optimization as bench_optimization
 
-    _show(lambda say: bench_optimization.run(quick=quick, say=say), bench_optimization.table, as_json)
+    _show(
+        lambda say: bench_optimization.run(quick=quick, say=say),
+        bench_optimization.table,
+        as_json,
+    )
 
 
 @app.command()
 def paper(
-    out: Annotated[Path, typer.Option(help="Where the tables and pictures go.")] = Path("out/paper"),
-    peers: Annotated[bool, typer.Option(help="The other solvers too: real time, an hour.")] = True,
+    out: Annotated[Path, typer.Option(help="Where the tables and pictures go.")] = Path(
+        "out/paper"
+    ),
+    peers: Annotated[
+        bool, typer.Option(help="The other solvers too: real time, an hour.")
+    ] = True,
     as_json: JsonOption = False,
     quick: QuickOption = False,
 ) -> None:
     """Tables (CSV) and pictures (PNG): what loss, graph, size and method cost a team, and the other solvers."""
     from crazychoir.bench.paper import paper as bench_paper
 
-    _show(lambda say: bench_paper.run(out, quick, peers, say), bench_paper.table, as_json)
+    _show(
+        lambda say: bench_paper.run(out, quick, peers, say), bench_paper.table, as_json
+    )
 
 
 @app.command(name="all")
@@ -144,7 +191,9 @@ def everything(quick: QuickOption = False) -> None:
 
 
 def _show(
-    measure: Callable[[Say], dict[str, Any]], table: Callable[[dict[str, Any]], RenderableType], as_json: bool
+    measure: Callable[[Say], dict[str, Any]],
+    table: Callable[[dict[str, Any]], RenderableType],
+    as_json: bool,
 ) -> None:
     """Measure under a line that says what is measured, or one line each where nobody looks on, then print."""
     set_up_logging()
@@ -153,7 +202,11 @@ def _show(
             with STDERR.status("starting") as status:
                 result = measure(lambda text: status.update(Text(text)))
         else:
-            result = measure(lambda text: STDERR.print(text, markup=False, highlight=False, soft_wrap=True))
+            result = measure(
+                lambda text: STDERR.print(
+                    text, markup=False, highlight=False, soft_wrap=True
+                )
+            )
     except CrazyChoirError as error:
         fail(error, as_json)
     if as_json:

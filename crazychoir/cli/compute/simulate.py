@@ -46,23 +46,53 @@ SMALL = 1e-6
 
 
 def simulate(
-    file: Annotated[Path, typer.Argument(help="Python file that defines agent(i, graph).")],
-    agents: Annotated[int, options.whole("So many agents.", most=options.LARGEST_TEAM)] = 10,
+    file: Annotated[
+        Path, typer.Argument(help="Python file that defines agent(i, graph).")
+    ],
+    agents: Annotated[
+        int, options.whole("So many agents.", most=options.LARGEST_TEAM)
+    ] = 10,
     graph: Annotated[
-        str, typer.Option(help="Who talks to whom: ring, path, complete, star, k-regular:4, erdos-renyi:0.3, ...")
+        str,
+        typer.Option(
+            help="Who talks to whom: ring, path, complete, star, k-regular:4, erdos-renyi:0.3, ..."
+        ),
     ] = "ring",
-    directed: Annotated[bool, typer.Option("--directed", help="One way only: of ring and erdos-renyi.")] = False,
-    loss: Annotated[float, options.share("Share of messages between agents that is lost.")] = 0.0,
-    rounds: Annotated[int | None, options.whole("Stop after so many, if they are not done before.", most=10**9)] = None,
-    seed: Annotated[int, options.seed("Seed of the graph, the network and the agents' waking.")] = 0,
-    sleep: Annotated[float, options.seconds("Asynchronous agents: longest s between two steps.")] = 0.02,
-    compute: Annotated[float, options.seconds("Asynchronous agents: longest s that a step takes.")] = 0.0,
-    record: Annotated[
-        str | None, typer.Option(help="Attributes of the agents to keep, as x,average; else x, if they have one.")
+    directed: Annotated[
+        bool, typer.Option("--directed", help="One way only: of ring and erdos-renyi.")
+    ] = False,
+    loss: Annotated[
+        float, options.share("Share of messages between agents that is lost.")
+    ] = 0.0,
+    rounds: Annotated[
+        int | None,
+        options.whole("Stop after so many, if they are not done before.", most=10**9),
     ] = None,
-    save: Annotated[Path | None, typer.Option(help="Where to write the histories (.csv, .json, .npz).")] = None,
-    picture: Annotated[Path | None, typer.Option(help="Where to draw the convergence (PNG).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    seed: Annotated[
+        int, options.seed("Seed of the graph, the network and the agents' waking.")
+    ] = 0,
+    sleep: Annotated[
+        float, options.seconds("Asynchronous agents: longest s between two steps.")
+    ] = 0.02,
+    compute: Annotated[
+        float, options.seconds("Asynchronous agents: longest s that a step takes.")
+    ] = 0.0,
+    record: Annotated[
+        str | None,
+        typer.Option(
+            help="Attributes of the agents to keep, as x,average; else x, if they have one."
+        ),
+    ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(help="Where to write the histories (.csv, .json, .npz)."),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Where to draw the convergence (PNG).")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Run a distributed algorithm on simulated agents, over a network that loses messages.
 
@@ -73,10 +103,16 @@ def simulate(
     set_up_logging()
     with LATER.checks_first():
         from crazychoir.optimization.history import require_suffix
-        from crazychoir.solve import simulate as simulation  # numerics: 1 s that --help does not need
+        from crazychoir.solve import (
+            simulate as simulation,
+        )  # numerics: 1 s that --help does not need
 
     outputs = Outputs()
-    asked = None if record is None else [name.strip() for name in record.split(",") if name.strip()]
+    asked = (
+        None
+        if record is None
+        else [name.strip() for name in record.split(",") if name.strip()]
+    )
     try:
         require_drawable(picture)
         if save is not None:
@@ -87,27 +123,53 @@ def simulate(
                 links, team = _team(file, agents, graph, seed, directed)
                 names = simulation.recorded(team, asked)
                 if picture is not None and not names:
-                    raise ConfigError("--picture", "nothing recorded", "what --record names, to draw it")
+                    raise ConfigError(
+                        "--picture",
+                        "nothing recorded",
+                        "what --record names, to draw it",
+                    )
             LATER.compile()
             ended = False
             try:
-                with Progress(_progress_table, enabled=STDERR.is_terminal and not as_json) as progress:
+                with Progress(
+                    _progress_table, enabled=STDERR.is_terminal and not as_json
+                ) as progress:
                     history = simulation.simulate(
-                        team, links, loss=loss, seed=seed, rounds=rounds, record=names, watch=_Watch(progress, rounds),
-                        sleep=(0.0, sleep), compute=(0.0, compute),
-                    )  # fmt: skip
+                        team,
+                        links,
+                        loss=loss,
+                        seed=seed,
+                        rounds=rounds,
+                        record=names,
+                        watch=_Watch(progress, rounds),
+                        sleep=(0.0, sleep),
+                        compute=(0.0, compute),
+                    )
             except simulation.Interrupted as end:
-                history, ended = end.history, True
+                history = end.history
+                ended = True
             if save is not None:
                 with outputs.writing("--save"):
                     history.save(save)
             if picture is not None:
                 with outputs.writing("--picture"):
-                    awake = any(getattr(agent, "asynchronous", False) for agent in team.values())
-                    _draw(history, names, awake, picture, f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost")
+                    awake = any(
+                        getattr(agent, "asynchronous", False) for agent in team.values()
+                    )
+                    _draw(
+                        history,
+                        names,
+                        awake,
+                        picture,
+                        f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost",
+                    )
     except CrazyChoirError as error:
         fail(error, as_json)
-    said = {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"} if ended else {}
+    said = (
+        {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"}
+        if ended
+        else {}
+    )
     if as_json:
         write_json(history.to_json() | outputs.told | said)
     else:
@@ -124,9 +186,15 @@ class _Watch:
     """Shows a simulation that is on its way: a live table on a terminal, else a line now and then, ever more rarely."""
 
     def __init__(self, progress: "Progress[Seen]", rounds: int | None) -> None:
-        self.progress, self.steps = progress, 0
-        self.end = "--rounds limits them, Ctrl-C ends them here" if rounds is None else f"of at most {rounds}"
-        self.began, self.due = time.perf_counter(), QUIET
+        self.progress = progress
+        self.steps = 0
+        self.end = (
+            "--rounds limits them, Ctrl-C ends them here"
+            if rounds is None
+            else f"of at most {rounds}"
+        )
+        self.began = time.perf_counter()
+        self.due = QUIET
 
     def __call__(self, team: "Mapping[int, Any]") -> None:
         self.steps += 1
@@ -141,7 +209,9 @@ class _Watch:
         return f"round {self.steps // len(team)}, {self.end}"
 
 
-def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tuple[Graph, dict[int, Round]]":
+def _team(
+    file: Path, agents: int, graph: str, seed: int, directed: bool
+) -> "tuple[Graph, dict[int, Round]]":
     """The graph, and the agents that the file makes for it."""
     from crazychoir.guidance.mission import from_file
     from crazychoir.guidance.user_hook import Hook
@@ -154,22 +224,30 @@ def _team(file: Path, agents: int, graph: str, seed: int, directed: bool) -> "tu
         allowed = "a file that defines agent(i, graph)"
         raise ConfigError(f"algorithm {file}", "no function agent(i, graph)", allowed)
     returns = "an agent: message(), step(heard), done"
-    hook = Hook(str(module.__file__), "agent", make, ("i", "graph"), returns, "algorithm")
+    hook = Hook(
+        str(module.__file__), "agent", make, ("i", "graph"), returns, "algorithm"
+    )
     hook.check()
     team = {i: hook(i, links) for i in links.ids}
     for i, one in team.items():
         if not isinstance(one, Round):
-            missing = ", ".join(name for name in ("message", "step", "done") if not hasattr(one, name))
+            missing = ", ".join(
+                name for name in ("message", "step", "done") if not hasattr(one, name)
+            )
             raise hook.wrong(f"{type(one).__name__} for agent {i}, without {missing}")
     return links, team
 
 
-def _draw(history: "History", names: tuple[str, ...], awake: bool, path: Path, title: str) -> None:
+def _draw(
+    history: "History", names: tuple[str, ...], awake: bool, path: Path, title: str
+) -> None:
     from crazychoir.optimization.picture import draw_convergence
 
     series = {i: values[names[0]] for i, values in history.values.items()}
     common = history.common or names[0] != "x"
-    draw_convergence(series, path, names[0], title, history.times if awake else None, common)
+    draw_convergence(
+        series, path, names[0], title, history.times if awake else None, common
+    )
 
 
 def _progress_table(seen: "Seen") -> Group:
@@ -193,17 +271,40 @@ def _tables(history: "History", name: str) -> Group:
 
     figures = Table("figure", "value", title=name)
     result = history.to_json()
-    for key in ("rounds", "disagreement", "violation", "messages", "lost", "resent", "bytes", "simulated_s", "wall_s"):
+    for key in (
+        "rounds",
+        "disagreement",
+        "violation",
+        "messages",
+        "lost",
+        "resent",
+        "bytes",
+        "simulated_s",
+        "wall_s",
+    ):
         value = result[key]
         if isinstance(value, dict):
-            value = ", ".join(f"{name}: {v:.3g}" for name, v in value.items() if v is not None)
+            value = ", ".join(
+                f"{name}: {v:.3g}" for name, v in value.items() if v is not None
+            )
         if key == "violation":
             value = _violation(history)
         if value not in ("", None):
-            figures.add_row(key, f"{value:.4g}" if isinstance(value, float) else str(value))
-    last = {i: {name: series[-1] for name, series in values.items()} for i, values in history.values.items()}
-    results = {i: {name or "result": v for name, v in parts_of(part).items()} for i, part in history.results.items()}
-    tables = [_agents_table(rows, title) for title, rows in (("at the end", last), ("result", results))]
+            figures.add_row(
+                key, f"{value:.4g}" if isinstance(value, float) else str(value)
+            )
+    last = {
+        i: {name: series[-1] for name, series in values.items()}
+        for i, values in history.values.items()
+    }
+    results = {
+        i: {name or "result": v for name, v in parts_of(part).items()}
+        for i, part in history.results.items()
+    }
+    tables = [
+        _agents_table(rows, title)
+        for title, rows in (("at the end", last), ("result", results))
+    ]
     return Group(figures, *(table for table in tables if table is not None))
 
 
@@ -212,7 +313,9 @@ def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table 
     names = dict.fromkeys(name for row in rows.values() for name in row)
     table = Table("agent", *names, title=title)
     for i, row in list(rows.items())[:SHOWN_AGENTS]:
-        table.add_row(str(i), *(Text(_short(row[name]) if name in row else "") for name in names))
+        table.add_row(
+            str(i), *(Text(_short(row[name]) if name in row else "") for name in names)
+        )
     return _with_the_rest(table, len(rows)) if names else None
 
 
@@ -223,7 +326,9 @@ def _violation(history: "History") -> str | Text:
     over = [i for i, violation in history.violations.items() if not violation <= SMALL]
     if not over:
         return f"{history.violation:.3g}"
-    whose = f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
+    whose = (
+        f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
+    )
     return Text(f"{history.violation:.3g}, of {whose}: their x is not feasible", "red")
 
 
@@ -233,5 +338,8 @@ def _short(x: Any) -> str:
     if not isinstance(x, float | int | list | tuple | np.ndarray | np.generic):
         return str(x) if len(str(x)) <= WIDEST else f"{str(x)[: WIDEST - 3]}..."
     entries = list(x) if isinstance(x, list | tuple) else np.ravel(x).tolist()
-    text = ", ".join(f"{entry:.6g}" if isinstance(entry, float) else str(entry) for entry in entries[:ENTRIES])
+    text = ", ".join(
+        f"{entry:.6g}" if isinstance(entry, float) else str(entry)
+        for entry in entries[:ENTRIES]
+    )
     return text + (", ..." if len(entries) > ENTRIES else "")

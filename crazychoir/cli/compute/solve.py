@@ -31,24 +31,44 @@ SHOWN_ROBOTS = 20
 
 
 def solve(
-    instance: Annotated[Path, typer.Argument(help="Instance file (JSON, or of Li and Lim).")],
+    instance: Annotated[
+        Path, typer.Argument(help="Instance file (JSON, or of Li and Lim).")
+    ],
     method: Annotated[
         str,
-        typer.Option(help="Recovery of the plan: columns, resource-columns, resource, resource-argmax, cbba, auction."),
+        typer.Option(
+            help="Recovery of the plan: columns, resource-columns, resource, resource-argmax, cbba, auction."
+        ),
     ] = "columns",
-    loss: Annotated[float, options.share("Share of messages between robots that is lost.")] = 0.0,
+    loss: Annotated[
+        float, options.share("Share of messages between robots that is lost.")
+    ] = 0.0,
     graph: Annotated[
-        str, typer.Option(help="Communication graph: ring, path, complete, star, k-regular:4, ...")
+        str,
+        typer.Option(
+            help="Communication graph: ring, path, complete, star, k-regular:4, ..."
+        ),
     ] = "ring",
     seed: Annotated[int, options.seed("Seed of the simulated network.")] = 0,
     processes: Annotated[
-        int | None, options.whole("Real time, over Zenoh: the robots in so many processes; else virtual time.")
+        int | None,
+        options.whole(
+            "Real time, over Zenoh: the robots in so many processes; else virtual time."
+        ),
     ] = None,
-    prove: Annotated[bool, typer.Option(
-        "--prove", help="Prove the plan optimal, or a bound for large teams, whatever it costs."
-    )] = False,
-    picture: Annotated[Path | None, typer.Option(help="Where to draw the routes (PNG).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    prove: Annotated[
+        bool,
+        typer.Option(
+            "--prove",
+            help="Prove the plan optimal, or a bound for large teams, whatever it costs.",
+        ),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="Where to draw the routes (PNG).")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Solve an instance: every robot with its own part of it.
 
@@ -68,23 +88,36 @@ def solve(
     from crazychoir.routing.distributed.member import Settings
     from crazychoir.routing.instance.instance import Instance
     from crazychoir.solve.solving import solve_here
-    from crazychoir.solve.team import solve_in_processes  # kernels and solvers: 1 s that --help does not need
+    from crazychoir.solve.team import (
+        solve_in_processes,
+    )  # kernels and solvers: 1 s that --help does not need
 
     outputs = Outputs()
     try:
         require_drawable(picture)
         if loss >= 1.0:
-            raise ConfigError("--loss", loss, "less than 1: robots that hear nothing of each other agree on nothing")
+            raise ConfigError(
+                "--loss",
+                loss,
+                "less than 1: robots that hear nothing of each other agree on nothing",
+            )
         problem = Instance.load(instance)
         options.graph_of(graph, problem.robots, seed)
-        how: dict[str, Any] = {"method": method, "loss": loss, "graph": graph, "seed": seed,
-                               "settings": Settings(prove=prove)}  # fmt: skip
+        how: dict[str, Any] = {
+            "method": method,
+            "loss": loss,
+            "graph": graph,
+            "seed": seed,
+            "settings": Settings(prove=prove),
+        }
         if processes is None:
             with Progress(_team_table, enabled=not as_json) as shown:
                 result = solve_here(problem, watch=shown, **how)
         else:
             with Progress(_progress_table, enabled=not as_json) as progress:
-                result = solve_in_processes(problem, processes, watch=None if as_json else progress, **how)
+                result = solve_in_processes(
+                    problem, processes, watch=None if as_json else progress, **how
+                )
         if picture is not None:
             with outputs.writing("--picture"):
                 _draw(problem, result, picture)
@@ -104,7 +137,9 @@ def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
     from crazychoir.routing.instance.picture import draw_routes
     from crazychoir.routing.instance.plan import Plan, Route
 
-    draw_routes(problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path)
+    draw_routes(
+        problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path
+    )
 
 
 def _team_table(team: "Team") -> Table:
@@ -124,7 +159,11 @@ def _progress_table(progress: "TeamProgress") -> Table:
 
 def _tables(result: dict[str, Any]) -> Group:
     """What came of it, and a row a trip."""
-    figures = Table("figure", "value", title="plan" if result["feasible"] else Text("not feasible", "red"))
+    figures = Table(
+        "figure",
+        "value",
+        title="plan" if result["feasible"] else Text("not feasible", "red"),
+    )
     for name, text in _figures(result).items():
         figures.add_row(name, Text(text))
     for wrong in result["violations"]:
@@ -132,7 +171,11 @@ def _tables(result: dict[str, Any]) -> Group:
     if not result["trips"]:
         return Group(figures, Text("No robot leaves home."))
     times = "; @: s, when service begins" if result["timed"] else ""
-    return Group(figures, Text(f"+3: picks task 3 up, -3: delivers it{times}"), _trip_table(result))
+    return Group(
+        figures,
+        Text(f"+3: picks task 3 up, -3: delivers it{times}"),
+        _trip_table(result),
+    )
 
 
 def _figures(result: dict[str, Any]) -> dict[str, str]:
@@ -140,20 +183,36 @@ def _figures(result: dict[str, Any]) -> dict[str, str]:
     rows = {"cost": f"{result['cost']:.6g}{_unit(result)}"}
     if result["objective"][0] == "vehicles":
         bound = result["vehicles_bound"]
-        rows = {"vehicles": str(result["vehicles"]), "vehicles_bound": "none" if bound is None else str(bound)} | rows
-    if result["penalties"] or result["objective"] not in (["total"], ["vehicles", "total"]):
+        rows = {
+            "vehicles": str(result["vehicles"]),
+            "vehicles_bound": "none" if bound is None else str(bound),
+        } | rows
+    if result["penalties"] or result["objective"] not in (
+        ["total"],
+        ["vehicles", "total"],
+    ):
         rows["total_m"] = f"{result['total_m']:.6g} m"
     if result["timed"]:
         rows["makespan_s"] = f"{result['makespan_s']:.6g} s"
     if result["refused"]:
-        rows["refused"] = ", ".join(f"task {one['task']} (penalty {one['penalty']:g})" for one in result["refused"])
-    rows["lower_bound"] = "none" if result["lower_bound"] is None else f"{result['lower_bound']:.6g}{_unit(result)}"
+        rows["refused"] = ", ".join(
+            f"task {one['task']} (penalty {one['penalty']:g})"
+            for one in result["refused"]
+        )
+    rows["lower_bound"] = (
+        "none"
+        if result["lower_bound"] is None
+        else f"{result['lower_bound']:.6g}{_unit(result)}"
+    )
     rows["bound_exact"] = str(result["bound_exact"])
     if result["bound_relaxation"] is not None:
         rows["bound_relaxation"] = result["bound_relaxation"]
     rows["method"] = result["method"]
     rows["disclosed"] = f"{len(result['disclosed'])} kinds of facts; --json lists them"
-    rows |= {name: str(result[name]) for name in ("rounds", "messages", "lost", "resent", "bytes")}
+    rows |= {
+        name: str(result[name])
+        for name in ("rounds", "messages", "lost", "resent", "bytes")
+    }
     times = ("startup_s", "wall_s", "cpu_s", "critical_path_s")
     rows |= {name: f"{result[name]:.3g} s" for name in times if name in result}
     return rows | {"plan_digest": result["plan_digest"][:16]}
@@ -168,7 +227,8 @@ def _unit(result: dict[str, Any]) -> str:
 
 def _trip_table(result: dict[str, Any]) -> Table:
     """Trips are numbered where there are several, and times shown where they matter."""
-    several, timed = any(trip["trip"] > 1 for trip in result["trips"]), result["timed"]
+    several = any(trip["trip"] > 1 for trip in result["trips"])
+    timed = result["timed"]
     made = Table()
     made.add_column("robot", justify="right")
     if several:
@@ -178,8 +238,14 @@ def _trip_table(result: dict[str, Any]) -> Table:
         made.add_column("done at s", justify="right")
     made.add_column("stops")
     for trip in result["trips"]:
-        row = [str(trip["robot"]), *([str(trip["trip"])] if several else []), f"{trip['length_m']:.3f}"]
+        row = [
+            str(trip["robot"]),
+            *([str(trip["trip"])] if several else []),
+            f"{trip['length_m']:.3f}",
+        ]
         times = [f"@{begin:.2f}" if timed else "" for begin in trip["begin_s"]]
-        stops = " ".join(stop + time for stop, time in zip(trip["stops"], times, strict=True))
+        stops = " ".join(
+            stop + time for stop, time in zip(trip["stops"], times, strict=True)
+        )
         made.add_row(*row, *([f"{trip['end_s']:.2f}"] if timed else []), Text(stops))
     return made

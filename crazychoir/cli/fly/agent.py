@@ -8,7 +8,15 @@ import typer
 
 from crazychoir.errors import CrazyChoirError, without_exit
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, prints_aside, result_table, set_up_logging, write_json
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    fail,
+    prints_aside,
+    result_table,
+    set_up_logging,
+    write_json,
+)
 from crazychoir.launch.process import ending
 from crazychoir.numerics.compiling import LATER
 
@@ -18,23 +26,49 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def agent(
-    ids: Annotated[list[int], options.drone("Drone to fly; several times for several drones.", "--id")],
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo swarm.")] = None,
-    mission: Annotated[str | None, typer.Option(help="Mission, instead of the swarm file's.")] = None,
-    loss: Annotated[float | None, options.share("Share of messages between drones that is lost.")] = None,
-    seed: Annotated[int | None, options.seed("Seed, instead of the swarm file's.")] = None,
-    force: Annotated[bool, typer.Option(help="Fly a formation that is very slow.")] = False,
-    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
-    connect: Annotated[list[str] | None, typer.Option(help="Zenoh endpoint to connect to; several times.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    child: Annotated[Path | None, typer.Option(hidden=True, help="Results go there; it lands without parent.")] = None,
+    ids: Annotated[
+        list[int],
+        options.drone("Drone to fly; several times for several drones.", "--id"),
+    ],
+    swarm: Annotated[
+        str | None,
+        typer.Option(help="Swarm file; else ./swarm.toml, else the demo swarm."),
+    ] = None,
+    mission: Annotated[
+        str | None, typer.Option(help="Mission, instead of the swarm file's.")
+    ] = None,
+    loss: Annotated[
+        float | None, options.share("Share of messages between drones that is lost.")
+    ] = None,
+    seed: Annotated[
+        int | None, options.seed("Seed, instead of the swarm file's.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option(help="Fly a formation that is very slow.")
+    ] = False,
+    listen: Annotated[
+        str | None, typer.Option(help="Zenoh endpoint to listen on.")
+    ] = None,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(help="Zenoh endpoint to connect to; several times."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object.")
+    ] = False,
+    child: Annotated[
+        Path | None,
+        typer.Option(hidden=True, help="Results go there; it lands without parent."),
+    ] = None,
 ) -> None:
     """Fly drones of a swarm; Ctrl-C lands them."""
     if child is not None:
         ending.with_parent()
     set_up_logging()
     with LATER.checks_first():
-        from crazychoir.cli.shared.chosen_swarm import configured  # kernels and network: 1 s that --help does not need
+        from crazychoir.cli.shared.chosen_swarm import (
+            configured,
+        )  # kernels and network: 1 s that --help does not need
         from crazychoir.guidance.mission import load, look_before
         from crazychoir.launch.process.process import run_agent
         from crazychoir.launch.processes import write_results
@@ -48,7 +82,9 @@ def agent(
                 warned = look_before(flown, config, force)
             LATER.compile()
             if not as_json and child is None:
-                STDERR.print(f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}")
+                STDERR.print(
+                    f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}"
+                )
             for text in warned:
                 log.warning("%s", text)
             flight = run_agent(config, flown, members, listen, connect)
@@ -64,7 +100,9 @@ def agent(
         write_json(flight)
     else:
         STDOUT.print(result_table(results))
-    raise typer.Exit(0 if all(result.get("success") for result in results.values()) else 1)
+    raise typer.Exit(
+        0 if all(result.get("success") for result in results.values()) else 1
+    )
 
 
 def main() -> None:

@@ -16,31 +16,51 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False)
 SourceOption = Annotated[
     str | None,
-    typer.Option("--source", help="Instead of the swarm file's, as vicon or vicon@10.0.0.5; a .csv is replayed."),
+    typer.Option(
+        "--source",
+        help="Instead of the swarm file's, as vicon or vicon@10.0.0.5; a .csv is replayed.",
+    ),
 ]
 
 
 @app.command()
 def mocap(
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
+    swarm: Annotated[
+        str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
+    ] = None,
     source: SourceOption = None,
-    record: Annotated[Path | None, typer.Option(help="New CSV file to record the poses into.")] = None,
-    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object at the end.")] = False,
-    child: Annotated[bool, typer.Option(hidden=True, help="It ends without parent, when nobody flies.")] = False,
+    record: Annotated[
+        Path | None, typer.Option(help="New CSV file to record the poses into.")
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(help="Zenoh endpoint to listen on.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object at the end.")
+    ] = False,
+    child: Annotated[
+        bool,
+        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+    ] = False,
 ) -> None:
     """Tell the drones of a swarm where they are; Ctrl-C ends it as soon as none of them has an agent."""
     if child:
         ending.with_parent()
     set_up_logging()
     from crazychoir.config.swarm_config import find_swarm
-    from crazychoir.launch.process.mocap_process import mocap_table, run_mocap  # kernels and network: 1 s
+    from crazychoir.launch.process.mocap_process import (
+        mocap_table,
+        run_mocap,
+    )  # kernels and network: 1 s
 
     try:
         config, which = find_swarm(swarm)
         config = with_source(config, source)
         if not as_json and not child:
-            STDERR.print(f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.seen)}", highlight=False)
+            STDERR.print(
+                f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.seen)}",
+                highlight=False,
+            )
         shown = not as_json and not child and sys.stderr.isatty()
         with Progress(mocap_table, enabled=shown) as progress:
             report = run_mocap(config, listen, record, progress if shown else None)
@@ -64,7 +84,12 @@ def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
         changes["source"], _, place = source.partition("@")
         name, port = host_and_port(place)
         changes |= {"hostname": name} if name else {}
-        if port and not (port.isascii() and port.isdecimal() and len(port) < 6 and 1 <= int(port) <= 65535):
+        if port and not (
+            port.isascii()
+            and port.isdecimal()
+            and len(port) < 6
+            and 1 <= int(port) <= 65535
+        ):
             allowed = "SYSTEM, SYSTEM@HOST or virtual@HOST:PORT, with a port of 1 to 65535, or a .csv file"
             raise ConfigError("--source", source, allowed)
         changes |= {"port": int(port)} if port else {}

@@ -15,27 +15,50 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def radios(
     dongle: Annotated[
-        int, options.whole("Number of the dongle, as in the uris or keys of its drones.", least=0, most=15)
+        int,
+        options.whole(
+            "Number of the dongle, as in the uris or keys of its drones.",
+            least=0,
+            most=15,
+        ),
     ] = 0,
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
-    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    child: Annotated[bool, typer.Option(hidden=True, help="It ends without parent, when nobody flies.")] = False,
+    swarm: Annotated[
+        str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(help="Zenoh endpoint to listen on.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object.")
+    ] = False,
+    child: Annotated[
+        bool,
+        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+    ] = False,
 ) -> None:
     """Own a dongle: the links to all its drones; Ctrl-C ends it as soon as nobody flies."""
     if child:
         ending.with_parent()
     set_up_logging()
-    from crazychoir.cli.shared.chosen_swarm import chosen_swarm  # kernels and network: 1 s that --help does not need
+    from crazychoir.cli.shared.chosen_swarm import (
+        chosen_swarm,
+    )  # kernels and network: 1 s that --help does not need
     from crazychoir.launch.process.process import run_radios
 
     try:
         config, which = chosen_swarm(swarm)
         if dongle not in config.dongles:
-            names = ", ".join(map(str, config.dongles)) or "none: no drone has a uri udp:// or radio://"
-            raise ConfigError(f"{which}: dongle", dongle, names, "Name one of them, or mend the uris.")
+            names = (
+                ", ".join(map(str, config.dongles))
+                or "none: no drone has a uri udp:// or radio://"
+            )
+            raise ConfigError(
+                f"{which}: dongle", dongle, names, "Name one of them, or mend the uris."
+            )
         if not as_json and not child:
-            STDERR.print(f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {list(config.dongles[dongle])}")
+            STDERR.print(
+                f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {list(config.dongles[dongle])}"
+            )
         report = run_radios(config, dongle, listen)
     except CrazyChoirError as error:
         fail(error, as_json)

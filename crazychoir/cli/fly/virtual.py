@@ -8,15 +8,32 @@ from rich.table import Table
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, Progress, fail, set_up_logging, write_json
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    Progress,
+    fail,
+    set_up_logging,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.radio.virtual.setup import Hall
 
 FIRST_PORT = 19850
-app = typer.Typer(help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them.")
-PortOption = Annotated[int, options.whole("UDP port of the first drone; poses: one below.", least=1025, most=65000)]
-OfSwarm = Annotated[str | None, typer.Option("--swarm", help="Swarm file that they serve, instead of --port.")]
+app = typer.Typer(
+    help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them."
+)
+PortOption = Annotated[
+    int,
+    options.whole(
+        "UDP port of the first drone; poses: one below.", least=1025, most=65000
+    ),
+]
+OfSwarm = Annotated[
+    str | None,
+    typer.Option("--swarm", help="Swarm file that they serve, instead of --port."),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -26,17 +43,37 @@ def virtual(
     drones: Annotated[int, options.whole("So many, on a grid.", most=200)] = 1,
     port: PortOption = FIRST_PORT,
     swarm: Annotated[
-        str | None, typer.Option(help="Swarm file: its drones whose uri is udp:// on this machine, at their homes.")
+        str | None,
+        typer.Option(
+            help="Swarm file: its drones whose uri is udp:// on this machine, at their homes."
+        ),
     ] = None,
-    dongles: Annotated[str | None, typer.Option(help="Drones that share a radio, as 0,1|2,3.")] = None,
-    per_dongle: Annotated[int | None, options.size("So many drones share a radio.")] = None,
+    dongles: Annotated[
+        str | None, typer.Option(help="Drones that share a radio, as 0,1|2,3.")
+    ] = None,
+    per_dongle: Annotated[
+        int | None, options.size("So many drones share a radio.")
+    ] = None,
     capacity: Annotated[
-        float | None, options.real("Packets a second of a radio (else 250; 1000 with one drone).", least=1.0, most=1e6)
+        float | None,
+        options.real(
+            "Packets a second of a radio (else 250; 1000 with one drone).",
+            least=1.0,
+            most=1e6,
+        ),
     ] = None,
     deck: Annotated[
-        str | None, typer.Option(help="Decks on board, as bcFlow2,bcLighthouse4 (which knows where it is), or none.")
+        str | None,
+        typer.Option(
+            help="Decks on board, as bcFlow2,bcLighthouse4 (which knows where it is), or none."
+        ),
     ] = None,
-    firmware: Annotated[str, typer.Option(help="Release, as 2025.12; before 2025.10 the thrust map is another.")] = "",
+    firmware: Annotated[
+        str,
+        typer.Option(
+            help="Release, as 2025.12; before 2025.10 the thrust map is another."
+        ),
+    ] = "",
     seed: Annotated[int, options.seed("Of all that is drawn.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -46,21 +83,32 @@ def virtual(
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.process.serving import serve
-    from crazychoir.radio.virtual.drone import RELEASE  # kernels: 1 s that --help does not need
+    from crazychoir.radio.virtual.drone import (
+        RELEASE,
+    )  # kernels: 1 s that --help does not need
     from crazychoir.radio.virtual.setup import known_decks, of_swarm, on_a_grid
     from crazychoir.runtime.clock import run_wall
 
     try:
-        decks, release = None if deck is None else known_decks(deck), firmware or RELEASE
+        decks = None if deck is None else known_decks(deck)
+        release = firmware or RELEASE
         if not release.isascii() or len(release) > 29:
-            raise ConfigError("--firmware", release, "at most 29 plain characters, as 2025.12")
+            raise ConfigError(
+                "--firmware", release, "at most 29 plain characters, as 2025.12"
+            )
         if swarm is None:
             hall = on_a_grid(drones, port, decks, release)
         else:
             hall = of_swarm(SwarmConfig.load(swarm), decks, release)
-        shared = _shared(hall, dongles, per_dongle, capacity) if swarm or dongles or per_dongle else []
+        shared = (
+            _shared(hall, dongles, per_dongle, capacity)
+            if swarm or dongles or per_dongle
+            else []
+        )
         with Progress(_table, enabled=not as_json and STDERR.is_terminal) as progress:
-            report = run_wall(lambda clock: serve(clock, hall, shared, seed, release, progress))
+            report = run_wall(
+                lambda clock: serve(clock, hall, shared, seed, release, progress)
+            )
     except CrazyChoirError as error:
         fail(error, as_json)
     if as_json:
@@ -73,7 +121,9 @@ def virtual(
 Shared = list[tuple[tuple[int, ...], float | None]]
 
 
-def _shared(hall: "Hall", text: str | None, each: int | None, capacity: float | None) -> Shared:
+def _shared(
+    hall: "Hall", text: str | None, each: int | None, capacity: float | None
+) -> Shared:
     from crazychoir.radio.virtual.setup import groups
 
     if text is not None and each is not None:
@@ -83,20 +133,36 @@ def _shared(hall: "Hall", text: str | None, each: int | None, capacity: float | 
 
 def _table(states: dict[int, Any]) -> Table:
     """A line a drone; what it has hit and whether its LEDs are lit only if that is so, for 80 columns."""
-    columns = ["drone", "port", "client", "supervisor", "x, y, z in m", "V", "packets", "lost"]
-    hit, lit = (any(state[name] for state in states.values()) for name in ("crashed", "led"))
+    columns = [
+        "drone",
+        "port",
+        "client",
+        "supervisor",
+        "x, y, z in m",
+        "V",
+        "packets",
+        "lost",
+    ]
+    hit, lit = (
+        any(state[name] for state in states.values()) for name in ("crashed", "led")
+    )
     columns += ["hit"] * hit + ["LEDs"] * lit
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     table.columns[4].no_wrap = True
     for i, state in states.items():
         client = (state["client"] or "").removeprefix("127.0.0.1:")
         table.add_row(
-            str(i), str(state["at"][1]), client, state["supervisor"].removeprefix("pre-flight "),
-            " ".join(f"{x:.2f}" for x in state["p"]), f"{state['vbat']:.2f}",
-            str(state["up"] + state["down"]), str(state["lost"]),
+            str(i),
+            str(state["at"][1]),
+            client,
+            state["supervisor"].removeprefix("pre-flight "),
+            " ".join(f"{x:.2f}" for x in state["p"]),
+            f"{state['vbat']:.2f}",
+            str(state["up"] + state["down"]),
+            str(state["lost"]),
             *[f"{state['impact']:.1f} m/s" if state["crashed"] else ""] * hit,
             *["lit" if state["led"] else ""] * lit,
-        )  # fmt: skip
+        )
     return table
 
 
@@ -109,7 +175,12 @@ def _summary(report: dict[str, Any]) -> Table:
 @app.command()
 def fault(
     drone: Annotated[str, typer.Argument(help="Its id, several as 3,4, or all.")],
-    changes: Annotated[list[str], typer.Argument(help="As loss=0.3 delay=0.02 offset=0.2,0,0; `faults` lists them.")],
+    changes: Annotated[
+        list[str],
+        typer.Argument(
+            help="As loss=0.3 delay=0.02 offset=0.2,0,0; `faults` lists them."
+        ),
+    ],
     port: PortOption = FIRST_PORT,
     swarm: OfSwarm = None,
     as_json: JsonOption = False,
@@ -122,7 +193,9 @@ def fault(
 
 
 @app.command()
-def faults(port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False) -> None:
+def faults(
+    port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False
+) -> None:
     """List what can go wrong, and what does."""
     from crazychoir.radio.virtual.faults import KNOBS
 
@@ -132,13 +205,24 @@ def faults(port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOp
         return
     table = Table("fault", "allowed", "what it does", "now", box=box.SIMPLE_HEAD)
     for name, knob in KNOBS.items():
-        now = {i: row[name] for i, row in answer["drones"].items() if row.get(name) not in (None, 0.0, -1.0, [0.0] * 3)}
-        table.add_row(name, knob.allowed, knob.means, ", ".join(f"{i}: {value}" for i, value in now.items()))
+        now = {
+            i: row[name]
+            for i, row in answer["drones"].items()
+            if row.get(name) not in (None, 0.0, -1.0, [0.0] * 3)
+        }
+        table.add_row(
+            name,
+            knob.allowed,
+            knob.means,
+            ", ".join(f"{i}: {value}" for i, value in now.items()),
+        )
     STDOUT.print(table)
 
 
 @app.command()
-def state(port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False) -> None:
+def state(
+    port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False
+) -> None:
     """Tell the truth about each drone."""
     answer = _ask({"ask": "state"}, port, swarm, as_json)
     if as_json:
@@ -152,18 +236,25 @@ def _wanted(changes: list[str], as_json: bool) -> dict[str, Any]:
     for change in changes:
         name, _, text = change.partition("=")
         try:
-            numbers = options.finite_numbers(text, f"fault {name}", "name=number, as loss=0.3, or offset=0.2,0,0")
+            numbers = options.finite_numbers(
+                text, f"fault {name}", "name=number, as loss=0.3, or offset=0.2,0,0"
+            )
         except ConfigError as error:
             fail(error, as_json)
         found[name] = numbers if len(numbers) > 1 else numbers[0]
     return found
 
 
-def _ask(question: dict[str, Any], port: int, swarm: str | None, as_json: bool) -> dict[str, Any]:
+def _ask(
+    question: dict[str, Any], port: int, swarm: str | None, as_json: bool
+) -> dict[str, Any]:
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.radio.virtual.control import ask
 
     try:
-        return ask(question, port=port - 1 if swarm is None else SwarmConfig.load(swarm).mocap.port)
+        return ask(
+            question,
+            port=port - 1 if swarm is None else SwarmConfig.load(swarm).mocap.port,
+        )
     except CrazyChoirError as error:
         fail(error, as_json)

@@ -13,16 +13,27 @@ app = typer.Typer(add_completion=False)
 
 @app.command()
 def world(
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
-    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint to listen on.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-    child: Annotated[bool, typer.Option(hidden=True, help="It ends without parent, when nobody flies.")] = False,
+    swarm: Annotated[
+        str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(help="Zenoh endpoint to listen on.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object.")
+    ] = False,
+    child: Annotated[
+        bool,
+        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+    ] = False,
 ) -> None:
     """Own the simulated world of a swarm; Ctrl-C ends it as soon as nobody flies."""
     if child:
         ending.with_parent()
     set_up_logging()
-    from crazychoir.cli.shared.chosen_swarm import chosen_swarm  # kernels and network: 1 s that --help does not need
+    from crazychoir.cli.shared.chosen_swarm import (
+        chosen_swarm,
+    )  # kernels and network: 1 s that --help does not need
     from crazychoir.launch.process.process import run_world
 
     try:
@@ -32,7 +43,9 @@ def world(
             do = 'Write owned = true into [world], or uri = "sim://motors" into its [[drones]].'
             raise ConfigError(which, "drones that fly in their agents", allowed, do)
         if not as_json and not child:
-            STDERR.print(f"swarm {config.name} ({which}), the world of drone(s) {list(config.owned)}")
+            STDERR.print(
+                f"swarm {config.name} ({which}), the world of drone(s) {list(config.owned)}"
+            )
         report = run_world(config, listen)
     except CrazyChoirError as error:
         fail(error, as_json)

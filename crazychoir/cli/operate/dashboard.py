@@ -23,30 +23,52 @@ INSTALL = "the dashboard's packages: pip install 'crazychoir[dashboard]'"
 def dashboard(
     swarm: SwarmOption = None,
     host: Annotated[
-        str, typer.Option(help="Address to be served at; others than loopback: with a password or an authority.")
+        str,
+        typer.Option(
+            help="Address to be served at; others than loopback: with a password or an authority."
+        ),
     ] = LOCAL,
-    port: Annotated[int | None, options.whole("Else the first free one from 8765 on.", most=65535)] = None,
-    password_file: Annotated[
-        Path | None, typer.Option(help=f"File with the password of the page; or in ${PASSWORD}.")
+    port: Annotated[
+        int | None, options.whole("Else the first free one from 8765 on.", most=65535)
     ] = None,
-    certificate: Annotated[Path | None, typer.Option(help="PEM file, for https; with --key.")] = None,
+    password_file: Annotated[
+        Path | None,
+        typer.Option(help=f"File with the password of the page; or in ${PASSWORD}."),
+    ] = None,
+    certificate: Annotated[
+        Path | None, typer.Option(help="PEM file, for https; with --key.")
+    ] = None,
     key: Annotated[Path | None, typer.Option(help="PEM file of its key.")] = None,
     authority: Annotated[
-        Path | None, typer.Option(help="PEM file: only browsers with a certificate that it has signed come in.")
+        Path | None,
+        typer.Option(
+            help="PEM file: only browsers with a certificate that it has signed come in."
+        ),
     ] = None,
 ) -> None:
     """Serve the operator's web page: view, commands, drawing, network, log. The swarm flies on without it."""
     try:
         from crazychoir.dashboard.server import Served, serve
     except ImportError as error:
-        fail(ConfigError("crazychoir dashboard", f"no module {error.name}", INSTALL), as_json=False)
+        fail(
+            ConfigError("crazychoir dashboard", f"no module {error.name}", INSTALL),
+            as_json=False,
+        )
     try:
-        served = Served(host, port, _password(password_file), certificate, key, authority)
+        served = Served(
+            host, port, _password(password_file), certificate, key, authority
+        )
     except ConfigError as error:
         fail(error, as_json=False)
 
     async def work(window: "Window") -> None:
-        await serve(window, served, lambda text: STDERR.print(text, markup=False, highlight=False, soft_wrap=True))
+        await serve(
+            window,
+            served,
+            lambda text: STDERR.print(
+                text, markup=False, highlight=False, soft_wrap=True
+            ),
+        )
 
     try:
         looking(swarm, work)

@@ -11,7 +11,13 @@ from rich.table import Table
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail, set_up_logging, status_table, write_json
+from crazychoir.launch.console import (
+    STDOUT,
+    fail,
+    set_up_logging,
+    status_table,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
@@ -19,18 +25,27 @@ if TYPE_CHECKING:
     from crazychoir.launch.flight_observer import Score
 
 SwarmOption = Annotated[
-    str | None, typer.Option(help="Swarm file, or its run here; else ./swarm.toml, else your only run, else the demo.")
+    str | None,
+    typer.Option(
+        help="Swarm file, or its run here; else ./swarm.toml, else your only run, else the demo."
+    ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")
+]
 LONGEST = 1.0
 """s that drones get to say how they are: they do so four times a second."""
-SecondsOption = Annotated[float, options.seconds("How long to look, in s.", open_below=True)]
+SecondsOption = Annotated[
+    float, options.seconds("How long to look, in s.", open_below=True)
+]
 
 
 def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
     """Join the swarm as an observer, do the work, leave; ends with a clear error if there is no swarm."""
     set_up_logging()
-    from crazychoir.cli.shared import observer as window  # kernels and network: 1 s that --help does not need
+    from crazychoir.cli.shared import (
+        observer as window,
+    )  # kernels and network: 1 s that --help does not need
 
     try:
         return window.look(swarm, work)
@@ -44,12 +59,17 @@ def topics(as_json: JsonOption = False) -> None:
 
     rows = [
         {
-            "topic": topic.name, "type": topic.allowed, "rate_hz": topic.rate,
-            "max_age_s": topic.max_age, "class": topic.klass.name.lower(), "latched": topic.latched,
-            "impaired": topic.impaired, "public_hz": topic.public,
+            "topic": topic.name,
+            "type": topic.allowed,
+            "rate_hz": topic.rate,
+            "max_age_s": topic.max_age,
+            "class": topic.klass.name.lower(),
+            "latched": topic.latched,
+            "impaired": topic.impaired,
+            "public_hz": topic.public,
         }
         for topic in TOPICS
-    ]  # fmt: skip
+    ]
     if as_json:
         write_json(rows)
         return
@@ -65,12 +85,20 @@ def echo(
     swarm: SwarmOption = None,
     seconds: SecondsOption = 3600.0,
     rate: Annotated[
-        float, options.real("At most so many values a second and drone.", least=0.0, most=1000.0, open_below=True)
+        float,
+        options.real(
+            "At most so many values a second and drone.",
+            least=0.0,
+            most=1000.0,
+            open_below=True,
+        ),
     ] = 10.0,
 ) -> None:
     """Print the values of a topic, one JSON object a line."""
     chosen = _topic(topic)
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # end, as other programs do, when nobody reads on
+    signal.signal(
+        signal.SIGPIPE, signal.SIG_DFL
+    )  # end, as other programs do, when nobody reads on
 
     async def work(window: "Window") -> None:
         for i in await window.find() if drone is None else [drone]:
@@ -90,7 +118,10 @@ def hz(
     chosen = _topic(topic)
 
     async def work(window: "Window") -> dict[int, float]:
-        boxes = {i: window.read(chosen, i, lambda value, age: None) for i in await window.find()}
+        boxes = {
+            i: window.read(chosen, i, lambda value, age: None)
+            for i in await window.find()
+        }
         await window.clock.sleep(0.5)
         before = {i: box.received for i, box in boxes.items()}
         await window.clock.sleep(seconds)
@@ -107,9 +138,12 @@ def status(
     """How the drones are."""
 
     async def work(window: "Window") -> "Score":
-        if watch and window.patience:  # its agents may be starting just now, on other hosts
+        if (
+            watch and window.patience
+        ):  # its agents may be starting just now, on other hosts
             window.patience = max(window.patience, window.config.start_deadline)
-        there, score = await window.find(), window.score()
+        there = await window.find()
+        score = window.score()
         ends = window.clock.now() + LONGEST
         while any(i not in score.statuses for i in there) and window.clock.now() < ends:
             await window.clock.sleep(0.02)
@@ -130,16 +164,29 @@ def status(
 
 def impair(
     swarm: SwarmOption = None,
-    loss: Annotated[float | None, options.share("Probability that a message is lost.")] = None,
+    loss: Annotated[
+        float | None, options.share("Probability that a message is lost.")
+    ] = None,
     burst: Annotated[
-        float | None, options.real("Messages that a burst loses in a row, on average.", least=1.0, most=1e9)
+        float | None,
+        options.real(
+            "Messages that a burst loses in a row, on average.", least=1.0, most=1e9
+        ),
     ] = None,
     delay: Annotated[float | None, options.seconds("Delay in s.")] = None,
     jitter: Annotated[float | None, options.seconds("Jitter in s.")] = None,
-    duplicate: Annotated[float | None, options.share("Probability of a second delivery.")] = None,
-    reorder: Annotated[float | None, options.share("Probability of being late.")] = None,
-    bandwidth: Annotated[float | None, options.real("Bytes a second.", least=0.0, open_below=True)] = None,
-    edge: Annotated[str | None, typer.Option(help="Only between these two drones, e.g. 1,2.")] = None,
+    duplicate: Annotated[
+        float | None, options.share("Probability of a second delivery.")
+    ] = None,
+    reorder: Annotated[
+        float | None, options.share("Probability of being late.")
+    ] = None,
+    bandwidth: Annotated[
+        float | None, options.real("Bytes a second.", least=0.0, open_below=True)
+    ] = None,
+    edge: Annotated[
+        str | None, typer.Option(help="Only between these two drones, e.g. 1,2.")
+    ] = None,
     drone: Annotated[int | None, options.drone("Only at this drone.")] = None,
     clear: Annotated[bool, typer.Option(help="Take everything back first.")] = False,
     as_json: JsonOption = False,
@@ -149,13 +196,21 @@ def impair(
     It acts between drones from now on; what is not named stays as it is. --loss 0 takes loss back.
     """
     effects: dict[str, Any] = {
-        "loss": loss, "burst": burst, "delay": delay, "jitter": jitter, "duplicate": duplicate, "reorder": reorder,
+        "loss": loss,
+        "burst": burst,
+        "delay": delay,
+        "jitter": jitter,
+        "duplicate": duplicate,
+        "reorder": reorder,
         "bandwidth": bandwidth,
-    }  # fmt: skip
+    }
     pair = _edge(edge)
     if burst is not None and not (loss is not None and 0.0 < loss < 1.0):
         found = f"{burst:g} with {'no --loss' if loss is None else f'--loss {loss:g}'}"
-        fail(ConfigError("--burst", found, "1 or more, with a --loss between 0 and 1"), as_json)
+        fail(
+            ConfigError("--burst", found, "1 or more, with a --loss between 0 and 1"),
+            as_json,
+        )
     scope = {"edge": pair, "drone": drone, "clear": clear or None}
     given = {key: value for key, value in scope.items() if value is not None}
 
@@ -169,7 +224,11 @@ def impair(
         return await window.request("impair", None, **arguments)
 
     answers = looking(swarm, work, as_json)
-    shown = answers if as_json else {i: (done, _in_words(said)) for i, (done, said) in answers.items()}
+    shown = (
+        answers
+        if as_json
+        else {i: (done, _in_words(said)) for i, (done, said) in answers.items()}
+    )
     _conclude(shown, ("drone", "simulated network"), as_json)
 
 
@@ -183,7 +242,9 @@ def _in_words(network: Any) -> str:
     """What is set at a drone, in a line a rule."""
     from crazychoir.config.network import in_words
 
-    return "\n".join(in_words(network)) if isinstance(network, dict) else str(network)  # why it has not done it
+    return (
+        "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
+    )  # why it has not done it
 
 
 def _edge(text: str | None) -> list[int] | None:
@@ -220,5 +281,7 @@ def _print_pairs(pairs: dict[int, Any], heads: tuple[str, str], as_json: bool) -
         return
     table = Table(*heads)
     for i, value in pairs.items():
-        table.add_row(str(i), f"{value:.1f}" if isinstance(value, float) else str(value))
+        table.add_row(
+            str(i), f"{value:.1f}" if isinstance(value, float) else str(value)
+        )
     STDOUT.print(table)

@@ -15,9 +15,19 @@ from crazychoir.launch.console import STDOUT, fail, write_json
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
-DronesOption = Annotated[str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")]
+DronesOption = Annotated[
+    str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")
+]
 DONE, ABSENT, SILENT = "done", "absent", "silent"
-LONGEST = {"arm": 5.0, "take-off": 30.0, "start": 5.0, "hold": 5.0, "go": 5.0, "land": 60.0, "home": 120.0}
+LONGEST = {
+    "arm": 5.0,
+    "take-off": 30.0,
+    "start": 5.0,
+    "hold": 5.0,
+    "go": 5.0,
+    "land": 60.0,
+    "home": 120.0,
+}
 """s to wait until each is done."""
 Rows = dict[int, dict[str, str]]
 TEXTS = {
@@ -37,7 +47,9 @@ def order(verb: str, seconds: float) -> Callable[..., None]:
     def command(
         drones: DronesOption = None,
         swarm: SwarmOption = None,
-        wait: Annotated[float, options.seconds("s to wait until it is done.")] = seconds,
+        wait: Annotated[
+            float, options.seconds("s to wait until it is done.")
+        ] = seconds,
         as_json: JsonOption = False,
     ) -> None:
         chosen = numbers(drones)
@@ -67,7 +79,10 @@ def stop(
 
     answers: Answers = looking(swarm, work, as_json)
     words = "cleared" if clear else "motors off"
-    rows = {i: {"answer": DONE, "says": words} if obeyed else _row(said) for i, (obeyed, said) in answers.items()}
+    rows = {
+        i: {"answer": DONE, "says": words} if obeyed else _row(said)
+        for i, (obeyed, said) in answers.items()
+    }
     _conclude(rows, as_json)
 
 
@@ -80,7 +95,10 @@ def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:
     if not isinstance(said, str):
         return {"answer": said[0], "says": said[1]}
     absent = said.startswith(ABSENT)
-    return {"answer": ABSENT if absent else SILENT, "says": said.removeprefix(ABSENT).lstrip("; ")}
+    return {
+        "answer": ABSENT if absent else SILENT,
+        "says": said.removeprefix(ABSENT).lstrip("; "),
+    }
 
 
 def _conclude(rows: Rows, as_json: bool) -> None:
@@ -92,7 +110,9 @@ def _conclude(rows: Rows, as_json: bool) -> None:
         for i, row in rows.items():
             table.add_row(str(i), row["answer"], row["says"])
         STDOUT.print(table)
-    raise typer.Exit(0 if rows and all(row["answer"] == DONE for row in rows.values()) else 1)
+    raise typer.Exit(
+        0 if rows and all(row["answer"] == DONE for row in rows.values()) else 1
+    )
 
 
 def numbers(text: str | None) -> list[int] | None:

@@ -15,19 +15,32 @@ from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
-app = typer.Typer(no_args_is_help=True, help="Read and change the parameters of drones that fly.")
+app = typer.Typer(
+    no_args_is_help=True, help="Read and change the parameters of drones that fly."
+)
 DroneOption = Annotated[int | None, options.drone("Only this drone.")]
 
 
 @app.command(name="get")
 def read(
-    name: Annotated[str | None, typer.Argument(help="Parameter, as control.kp; without: all.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="Parameter, as control.kp; without: all.")
+    ] = None,
     drone: DroneOption = None,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Print parameters, drone by drone."""
-    _conclude(_asked(swarm, drone, "param_get", as_json, **({} if name is None else {"name": name})), as_json)
+    _conclude(
+        _asked(
+            swarm,
+            drone,
+            "param_get",
+            as_json,
+            **({} if name is None else {"name": name}),
+        ),
+        as_json,
+    )
 
 
 @app.command(name="set")
@@ -39,13 +52,20 @@ def change(
     as_json: JsonOption = False,
 ) -> None:
     """Change a parameter while the drones fly, within its stable range; exit code 0 only if all have done so."""
-    _conclude(_asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)), as_json)
+    _conclude(
+        _asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
+        as_json,
+    )
 
 
-def _asked(swarm: str | None, drone: int | None, verb: str, as_json: bool, **arguments: Any) -> "Answers":
+def _asked(
+    swarm: str | None, drone: int | None, verb: str, as_json: bool, **arguments: Any
+) -> "Answers":
     async def work(window: "Window") -> "Answers":
         window.check("--drone", () if drone is None else (drone,))
-        return await window.request(verb, None if drone is None else (drone,), **arguments)
+        return await window.request(
+            verb, None if drone is None else (drone,), **arguments
+        )
 
     answers: Answers = looking(swarm, work, as_json)
     return answers
@@ -74,10 +94,20 @@ def _table(answers: "Answers") -> Table:
 
     A drone that refuses says why, below.
     """
-    good = {i: said if isinstance(said, dict) else {"value": said} for i, (done, said) in answers.items() if done}
+    good = {
+        i: said if isinstance(said, dict) else {"value": said}
+        for i, (done, said) in answers.items()
+        if done
+    }
     table = Table("parameter", *(f"drone {i}" for i in good))
     for name in _names(good.values()):
-        table.add_row(Text(name), *(Text(_shown(said[name]) if name in said else "") for said in good.values()))
+        table.add_row(
+            Text(name),
+            *(
+                Text(_shown(said[name]) if name in said else "")
+                for said in good.values()
+            ),
+        )
     for i, (done, said) in answers.items():
         if not done:
             STDERR.print(f"drone {i}: {said}", markup=False)

@@ -16,18 +16,30 @@ if TYPE_CHECKING:
 REFUSED = "refused"
 UNSURE = "It may have done it all the same: look at the report of the mission before you ask another with --drone."
 START = "crazychoir run online_delivery"
-app = typer.Typer(no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight.")
-DroneOption = Annotated[int | None, options.drone("Tell this drone; else the first that answers. All hear of it.")]
+app = typer.Typer(
+    no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight."
+)
+DroneOption = Annotated[
+    int | None,
+    options.drone("Tell this drone; else the first that answers. All hear of it."),
+]
 
 
 @app.command()
 def add(
     pickup: Annotated[str, typer.Option(help="Where the goods are, as 1.5,2 (m).")],
     delivery: Annotated[
-        str | None, typer.Option(help="Where they are to be, as 3,0.5 (m); of a task that is done at a place: nothing.")
+        str | None,
+        typer.Option(
+            help="Where they are to be, as 3,0.5 (m); of a task that is done at a place: nothing."
+        ),
     ] = None,
-    load: Annotated[float, options.real("In the unit of the capacities.", least=0.0)] = 1.0,
-    robots: Annotated[str | None, typer.Option(help="Who alone may serve it, as 0,3; else all.")] = None,
+    load: Annotated[
+        float, options.real("In the unit of the capacities.", least=0.0)
+    ] = 1.0,
+    robots: Annotated[
+        str | None, typer.Option(help="Who alone may serve it, as 0,3; else all.")
+    ] = None,
     drone: DroneOption = None,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
@@ -53,7 +65,13 @@ def cancel(
     _ask(swarm, drone, "task_cancel", as_json, {"id": task})
 
 
-def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, arguments: dict[str, Any]) -> None:
+def _ask(
+    swarm: str | None,
+    drone: int | None,
+    verb: str,
+    as_json: bool,
+    arguments: dict[str, Any],
+) -> None:
     """Ask one drone, or one after the other until one has done it; exit code 1 if none has.
 
     Who does not answer may have done it all the same: nobody else is asked then, or a task might be there twice.
@@ -63,7 +81,9 @@ def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, argumen
         window.check("--drone", () if drone is None else (drone,))
         there = await _found(window)
         if drone is not None and drone not in there:
-            raise Refused(f"drone {drone}", f"absent; there are {', '.join(map(str, there))}")
+            raise Refused(
+                f"drone {drone}", f"absent; there are {', '.join(map(str, there))}"
+            )
         answers: Answers = {}
         for i in there if drone is None else [drone]:
             answers |= await window.request(verb, (i,), **arguments)
@@ -75,10 +95,14 @@ def _ask(swarm: str | None, drone: int | None, verb: str, as_json: bool, argumen
     answers: Answers = looking(swarm, work, as_json)
     done = [said for good, said in answers.values() if good]
     if as_json:
-        write_json(done[0] if done else {str(i): said for i, (_, said) in answers.items()})
+        write_json(
+            done[0] if done else {str(i): said for i, (_, said) in answers.items()}
+        )
     else:
         for line in _lines(answers):
-            (STDOUT if done else STDERR).print(line, markup=False, highlight=False, soft_wrap=True)
+            (STDOUT if done else STDERR).print(
+                line, markup=False, highlight=False, soft_wrap=True
+            )
     raise typer.Exit(0 if done else 1)
 
 
@@ -93,12 +117,16 @@ async def _found(window: "Window") -> list[int]:
 
 def _lines(answers: "Answers") -> list[str]:
     """What each has answered, and once what several have."""
-    if done := [f"drone {i}: {_in_words(said)}" for i, (good, said) in answers.items() if good]:
+    if done := [
+        f"drone {i}: {_in_words(said)}" for i, (good, said) in answers.items() if good
+    ]:
         return done
     by_word: dict[str, list[str]] = {}
     for i, (_, said) in answers.items():
         text = str(said).removeprefix(f"drone {i}: ")
-        by_word.setdefault(text if text.startswith(REFUSED) else f"{text} {UNSURE}", []).append(str(i))
+        by_word.setdefault(
+            text if text.startswith(REFUSED) else f"{text} {UNSURE}", []
+        ).append(str(i))
     return [f"drone {', '.join(who)}: {said}" for said, who in by_word.items()]
 
 
@@ -115,6 +143,8 @@ def _place(option: str, text: str) -> list[float]:
 
 def _robots(text: str) -> list[int]:
     try:
-        return parse_spans(text.strip().strip("[]()"), "--robots", "whole numbers, as 0,3")
+        return parse_spans(
+            text.strip().strip("[]()"), "--robots", "whole numbers, as 0,3"
+        )
     except ConfigError as error:
         fail(error, as_json=False)

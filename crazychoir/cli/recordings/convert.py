@@ -10,10 +10,19 @@ from crazychoir.launch.console import STDOUT, fail, set_up_logging, warn_of, wri
 
 
 def convert(
-    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record` or `crazychoir record`.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording of `crazychoir run --record` or `crazychoir record`."
+        ),
+    ],
     rosbag2: Annotated[Path, typer.Option(help="New folder for the bag.")],
-    partial: Annotated[bool, typer.Option("--partial", help="To have a part of it is no failure.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="To have a part of it is no failure.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Make a bag of ROS 2 of standard messages, which needs none of our packages to be played.
 
@@ -21,7 +30,9 @@ def convert(
     """
     set_up_logging()
     from crazychoir.recording.mcap.reading import header
-    from crazychoir.recording.ros import rosbag2 as bags  # numerics: 1 s that --help does not need
+    from crazychoir.recording.ros import (
+        rosbag2 as bags,
+    )  # numerics: 1 s that --help does not need
 
     try:
         recording = header(file)
@@ -31,7 +42,10 @@ def convert(
         fail(error, as_json)
     success = recording.complete or partial
     if as_json:
-        topics = {topic: {"type": channel.type, "messages": channel.count} for topic, channel in bag.channels.items()}
+        topics = {
+            topic: {"type": channel.type, "messages": channel.count}
+            for topic, channel in bag.channels.items()
+        }
         told = {**recording.lacks, "folder": rosbag2, "messages": bag.count}
         write_json({"success": success, **told, "topics": topics})
     else:

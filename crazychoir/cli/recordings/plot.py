@@ -9,7 +9,14 @@ from rich.table import Table
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import require_writable_folder, written_file
-from crazychoir.launch.console import STDOUT, Outputs, fail, set_up_logging, warn_of, write_json
+from crazychoir.launch.console import (
+    STDOUT,
+    Outputs,
+    fail,
+    set_up_logging,
+    warn_of,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.recording.analysis.activity import Work
@@ -20,9 +27,14 @@ if TYPE_CHECKING:
 
 HEADS = {
     "source": "place by",
-    "flown_m": "flown m", "highest_m": "highest m", "fastest_m_s": "fastest m/s", "compared_s": "compared s",
-    "tracking_rmse_m": "RMSE m", "tracking_max_m": "worst m", "estimation_rmse_m": "state RMSE m",
-}  # fmt: skip
+    "flown_m": "flown m",
+    "highest_m": "highest m",
+    "fastest_m_s": "fastest m/s",
+    "compared_s": "compared s",
+    "tracking_rmse_m": "RMSE m",
+    "tracking_max_m": "worst m",
+    "estimation_rmse_m": "state RMSE m",
+}
 COMPARED = (
     "RMSE, worst: its place against the reference position, for so many seconds as there was one (a law that commands "
     "accelerations has none). State RMSE: truth against what the drone took for its position."
@@ -31,13 +43,22 @@ BY_STATE = "By state: where the drone took itself to be, as its truth was not re
 
 
 def plot(
-    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for the files; else FILE without .mcap.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    file: Annotated[
+        Path, typer.Argument(help="Recording of `crazychoir run --record`.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the files; else FILE without .mcap.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Draw a recorded flight: paths, heights, errors, distances, tasks, messages, convergence; with tables (CSV)."""
     set_up_logging()
-    from crazychoir.bus.topics import RESULT, STATUS  # numerics: 1 s that --help does not need
+    from crazychoir.bus.topics import (
+        RESULT,
+        STATUS,
+    )  # numerics: 1 s that --help does not need
     from crazychoir.recording.analysis.activity import work_of
     from crazychoir.recording.analysis.communication import talk_of
     from crazychoir.recording.analysis.figures import TOPICS, flight_of
@@ -63,12 +84,23 @@ def plot(
     if as_json:
         told = {"file": file, **recording.lacks, "about": recording.about}
         success = not outputs.failed
-        write_json({"success": success, **told, "files": files, "not_drawn": missing, **outputs.told, **figures})
+        write_json(
+            {
+                "success": success,
+                **told,
+                "files": files,
+                "not_drawn": missing,
+                **outputs.told,
+                **figures,
+            }
+        )
     else:
         _show(recording, figures)
         if missing:
             text = "; ".join(f"{name}: {why}" for name, why in missing.items())
-            STDOUT.print(f"Not drawn: {text}", markup=False, highlight=False, soft_wrap=True)
+            STDOUT.print(
+                f"Not drawn: {text}", markup=False, highlight=False, soft_wrap=True
+            )
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
         text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -77,29 +109,46 @@ def plot(
         raise typer.Exit(1)
 
 
-def _pictures(file: Path, flight: "Flight", work: "Work", talk: "Talk") -> "tuple[Pictures, Reasons]":
+def _pictures(
+    file: Path, flight: "Flight", work: "Work", talk: "Talk"
+) -> "tuple[Pictures, Reasons]":
     """What can be drawn, and why the rest cannot; raises ConfigError where nothing can."""
     from crazychoir.recording.analysis.plots import of_flight
     from crazychoir.recording.analysis.team_plots import of_team
     from crazychoir.recording.mcap.reading import FLIGHT
     from crazychoir.recording.mcap.records import DO
 
-    (pictures, missing), (more, without) = of_flight(flight), of_team(flight, work, talk)
-    pictures, missing = pictures | more, missing | without
+    (pictures, missing), (more, without) = (
+        of_flight(flight),
+        of_team(flight, work, talk),
+    )
+    pictures = pictures | more
+    missing = missing | without
     if not pictures:
-        raise ConfigError(str(file), "; ".join(dict.fromkeys(missing.values())), FLIGHT, DO)
+        raise ConfigError(
+            str(file), "; ".join(dict.fromkeys(missing.values())), FLIGHT, DO
+        )
     return pictures, missing
 
 
 def _write(
-    flight: "Flight", work: "Work", talk: "Talk", pictures: "Pictures", folder: Path, files: list[Path]
-) -> None:  # fmt: skip
+    flight: "Flight",
+    work: "Work",
+    talk: "Talk",
+    pictures: "Pictures",
+    folder: Path,
+    files: list[Path],
+) -> None:
     """Draw and write into the folder; `files` grows with each that is there."""
     from crazychoir.recording.analysis.plots import draw
 
     tables = {f"drone{track.drone}": track.write for track in flight.tracks}
-    tables |= {"tasks": work.write, "messages": talk.write, "rounds": talk.write_rounds,
-               "convergence": talk.write_history}  # fmt: skip
+    tables |= {
+        "tasks": work.write,
+        "messages": talk.write,
+        "rounds": talk.write_rounds,
+        "convergence": talk.write_history,
+    }
     for name, picture in pictures.items():
         files += draw({name: picture}, folder)
     for name, write in tables.items():
@@ -110,9 +159,17 @@ def _write(
 
 
 def _show(recording: "Recording", figures: dict[str, Any]) -> None:
-    about, least = recording.about, figures["min_separation_m"]
+    about = recording.about
+    least = figures["min_separation_m"]
     title = f"{about['mission']}, seed {about['seed']}, {figures['seconds']:.2f} s of {about['time']} time"
-    table = Table("drone", *HEADS.values(), title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table = Table(
+        "drone",
+        *HEADS.values(),
+        title=title,
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
     for i, own in figures["drones"].items():
         table.add_row(str(i), *(_cell(own[key]) for key in HEADS))
     if not figures["drones"]:
@@ -127,4 +184,6 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
 
 
 def _cell(figure: float | str | None) -> str:
-    return "" if figure is None else figure if isinstance(figure, str) else f"{figure:.3f}"
+    return (
+        "" if figure is None else figure if isinstance(figure, str) else f"{figure:.3f}"
+    )

@@ -22,10 +22,16 @@ LOOK = 0.25
 
 def record(
     file: Annotated[Path, typer.Argument(help="New file (.mcap).")],
-    topics: Annotated[str | None, typer.Option(help="Only these, as state,status; else all.")] = None,
+    topics: Annotated[
+        str | None, typer.Option(help="Only these, as state,status; else all.")
+    ] = None,
     swarm: SwarmOption = None,
-    seconds: Annotated[float | None, options.seconds("s; else until its drones have gone.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    seconds: Annotated[
+        float | None, options.seconds("s; else until its drones have gone.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Record a running swarm, until its drones have gone, or Ctrl-C."""
     recorders: list[Recorder] = []
@@ -41,16 +47,30 @@ def record(
         from crazychoir.recording.recorder import Recorder
         from crazychoir.runtime.supervisor import Supervisor
 
-        with contextlib.closing(new_recording(file, window.config, None, virtual=False)) as opened:
+        with contextlib.closing(
+            new_recording(file, window.config, None, virtual=False)
+        ) as opened:
             await window.find()
-            config, bus = window.config, window.link.bus
-            recorder = Recorder(bus, config.ids, opened, window.address, config.source, topics=chosen)
+            config = window.config
+            bus = window.link.bus
+            recorder = Recorder(
+                bus, config.ids, opened, window.address, config.source, topics=chosen
+            )
             recorder.ended = "Ctrl-C"
             recorders.append(recorder)
-            STDERR.print(f"recording {file}; Ctrl-C ends it", markup=False, highlight=False, soft_wrap=True)
-            running = asyncio.create_task(Supervisor(window.clock, "record").run([recorder]))
+            STDERR.print(
+                f"recording {file}; Ctrl-C ends it",
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
+            running = asyncio.create_task(
+                Supervisor(window.clock, "record").run([recorder])
+            )
             try:
-                recorder.ended = await _until_gone(window, recorder, math.inf if seconds is None else seconds)
+                recorder.ended = await _until_gone(
+                    window, recorder, math.inf if seconds is None else seconds
+                )
             finally:
                 running.cancel()
                 await asyncio.wait([running])
@@ -60,18 +80,26 @@ def record(
     except KeyboardInterrupt:
         if not recorders:
             raise
-    told, ended = recorders[0].result(), recorders[0].ended
+    told = recorders[0].result()
+    ended = recorders[0].ended
     if not (told["messages"] or told["error"]):
         told["error"] = _nothing(topics)
     success = not (told["error"] or told["lost"])
     if as_json:
         write_json({"success": success, **told, "ended": ended})
     else:
-        figures = ", ".join(f"{told[name]} {name}" for name in ("messages", "lost", "missed"))
+        figures = ", ".join(
+            f"{told[name]} {name}" for name in ("messages", "lost", "missed")
+        )
         text = f"{told['file']}: {figures}; it ended: {ended}"
         STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
         if not told["messages"]:
-            STDERR.print(f"There is no file: {told['error']}", markup=False, highlight=False, soft_wrap=True)
+            STDERR.print(
+                f"There is no file: {told['error']}",
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
     raise typer.Exit(0 if success else 1)
 
 
@@ -87,17 +115,26 @@ async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) ->
 
     Returns which it was.
     """
-    from crazychoir.cli.shared.running_swarm import DISCOVERY  # the network: 1 s that --help does not need
+    from crazychoir.cli.shared.running_swarm import (
+        DISCOVERY,
+    )  # the network: 1 s that --help does not need
 
-    clock, patience = window.clock, window.config.lost_after + DISCOVERY
-    ends, seen, waiting = clock.now() + seconds, clock.now(), False
+    clock = window.clock
+    patience = window.config.lost_after + DISCOVERY
+    ends = clock.now() + seconds
+    seen = clock.now()
+    waiting = False
     while clock.now() < ends and not recorder.file.error:
         if window.drones:
-            seen, waiting = clock.now(), False
+            seen = clock.now()
+            waiting = False
         elif clock.now() - seen >= patience:
             return f"no drone was there for {patience:g} s"
         elif not waiting:
-            STDERR.print(f"no drone is there: it ends in {patience:g} s, unless one comes back", soft_wrap=True)
+            STDERR.print(
+                f"no drone is there: it ends in {patience:g} s, unless one comes back",
+                soft_wrap=True,
+            )
             waiting = True
         await clock.sleep(min(LOOK, ends - clock.now()))
     return recorder.file.error or f"after {seconds:g} s"
@@ -111,5 +148,10 @@ def _topics(named: str | None) -> tuple[str, ...]:
     chosen = tuple(named.split(","))
     for name in chosen:
         if name not in OBSERVABLE:
-            raise ConfigError("--topics", name, ", ".join(OBSERVABLE), "Name some of them, with commas between.")
+            raise ConfigError(
+                "--topics",
+                name,
+                ", ".join(OBSERVABLE),
+                "Name some of them, with commas between.",
+            )
     return chosen

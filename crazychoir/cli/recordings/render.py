@@ -9,25 +9,55 @@ import typer
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import require_writable_file, written_file
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, Outputs, fail, set_up_logging, warn_of, write_json
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    Outputs,
+    fail,
+    set_up_logging,
+    warn_of,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.recording.video import Image
 
 
 def render(
-    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record`, of any world.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="Recording of `crazychoir run --record`, of any world."),
+    ],
     picture: Annotated[Path | None, typer.Option(help="PNG to draw into.")] = None,
-    video: Annotated[Path | None, typer.Option(help="MP4, GIF or WebP to film into.")] = None,
-    at: Annotated[float | None, options.seconds("s of the flight that the picture shows; else its middle.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="MP4, GIF or WebP to film into.")
+    ] = None,
+    at: Annotated[
+        float | None,
+        options.seconds("s of the flight that the picture shows; else its middle."),
+    ] = None,
     size: Annotated[str, typer.Option(help="Pixels, width x height.")] = "960x540",
-    fps: Annotated[int, options.whole("Pictures a second of the video.", most=100)] = 25,
-    speed: Annotated[float, options.real("How many times faster than it was.", least=0.01, most=1000.0)] = 1.0,
-    camera: Annotated[str, typer.Option(help="Camera of the scene, by name; else one that sees all.")] = "",
-    scene: Annotated[Path | None, typer.Option(help="MJCF of the room, instead of the swarm file's.")] = None,
-    enlarge: Annotated[float, options.real("Draw the drones so many times larger.", least=0.1, most=100.0)] = 1.0,
+    fps: Annotated[
+        int, options.whole("Pictures a second of the video.", most=100)
+    ] = 25,
+    speed: Annotated[
+        float,
+        options.real("How many times faster than it was.", least=0.01, most=1000.0),
+    ] = 1.0,
+    camera: Annotated[
+        str, typer.Option(help="Camera of the scene, by name; else one that sees all.")
+    ] = "",
+    scene: Annotated[
+        Path | None, typer.Option(help="MJCF of the room, instead of the swarm file's.")
+    ] = None,
+    enlarge: Annotated[
+        float,
+        options.real("Draw the drones so many times larger.", least=0.1, most=100.0),
+    ] = 1.0,
     trail: Annotated[float, options.seconds("s of its way behind each drone.")] = 2.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Draw a recorded flight as it looked; needs the extra `mujoco`."""
     set_up_logging()
@@ -50,10 +80,13 @@ def render(
             require_writable_file(video, "--video", parents=True)
         recording = read(file, (TRUTH.name, STATE.name))
         warn_of(recording, "what lies before is drawn")
-        flight, config = flight_of(recording), SwarmConfig.loads(recording.swarm, str(file))
+        flight = flight_of(recording)
+        config = SwarmConfig.loads(recording.swarm, str(file))
         if not flight.tracks:
             raise ConfigError(str(file), "no two places of any drone", FLIGHT, DO)
-        from crazychoir.recording.reenactment import Reenactment  # says what to do where there is no MuJoCo
+        from crazychoir.recording.reenactment import (
+            Reenactment,
+        )  # says what to do where there is no MuJoCo
 
         shown = Reenactment(flight, config, scene, enlarge, trail)
         times = np.arange(flight.times[0], flight.times[-1], speed / fps)
@@ -75,7 +108,12 @@ def render(
         told = {"file": file, **recording.lacks, "files": files, **outputs.told}
         write_json({"success": success, **told, "seconds": float(times[-1] - times[0])})
     elif files:
-        STDOUT.print(f"In {', '.join(map(str, files))}", markup=False, highlight=False, soft_wrap=True)
+        STDOUT.print(
+            f"In {', '.join(map(str, files))}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
     outputs.say()
     if not success:
         raise typer.Exit(1)
@@ -90,7 +128,11 @@ def _size(text: str) -> tuple[int, int]:
 
 def _check(picture: Path | None, video: Path | None) -> None:
     if picture is None and video is None:
-        raise ConfigError("crazychoir render", "nothing to draw", "--picture FILE.png, --video FILE.mp4, or both")
+        raise ConfigError(
+            "crazychoir render",
+            "nothing to draw",
+            "--picture FILE.png, --video FILE.mp4, or both",
+        )
     if picture is not None:
         if picture.suffix.lower() != ".png":
             raise ConfigError("--picture", picture.name, "a file that ends in .png")
@@ -99,11 +141,14 @@ def _check(picture: Path | None, video: Path | None) -> None:
 
 def _moment(at: float | None, times: Any) -> float:
     """The time of the picture, s of the recording."""
-    first, last = float(times[0]), float(times[-1])
+    first = float(times[0])
+    last = float(times[-1])
     if at is None:
         return 0.5 * (first + last)
     if not first <= at <= last:
-        raise ConfigError("--at", at, f"{first:.2f} to {last:.2f} s, while it was recorded")
+        raise ConfigError(
+            "--at", at, f"{first:.2f} to {last:.2f} s, while it was recorded"
+        )
     return at
 
 

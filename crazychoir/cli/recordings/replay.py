@@ -10,7 +10,14 @@ import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, set_up_logging, warn_of, write_json
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    fail,
+    set_up_logging,
+    warn_of,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
@@ -24,18 +31,37 @@ LINGER = 1.0
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --record` or `crazychoir record`.")],
-    speed: Annotated[float, options.real("How many times faster than it was.", least=0.01, most=1000.0)] = 1.0,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording of `crazychoir run --record` or `crazychoir record`."
+        ),
+    ],
+    speed: Annotated[
+        float,
+        options.real("How many times faster than it was.", least=0.01, most=1000.0),
+    ] = 1.0,
     step: Annotated[
-        float | None, options.seconds("Go on by so many s at each Enter; a number and Enter: by that.", least=0.001)
+        float | None,
+        options.seconds(
+            "Go on by so many s at each Enter; a number and Enter: by that.",
+            least=0.001,
+        ),
     ] = None,
-    wait: Annotated[float, options.seconds("Begins when somebody looks, or after so many s.")] = 2.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    wait: Annotated[
+        float, options.seconds("Begins when somebody looks, or after so many s.")
+    ] = 2.0,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.launch.network import set_apart, swarm_file  # kernels and network: 1 s that --help does not need
+    from crazychoir.launch.network import (
+        set_apart,
+        swarm_file,
+    )  # kernels and network: 1 s that --help does not need
     from crazychoir.launch.run_registry import Run, recorded
     from crazychoir.recording.mcap.reading import header
     from crazychoir.runtime.clock import run_wall
@@ -43,14 +69,21 @@ def replay(
     try:
         recording = header(file)
         warn_of(recording, "what lies before is said")
-        recorded_swarm = _here(SwarmConfig.loads(recording.swarm, f"{file}: swarm.json"))
+        recorded_swarm = _here(
+            SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
+        )
         with (
             set_apart(recorded_swarm, 1) as config,
             swarm_file(config) as path,
             recorded(Run(config.name, str(file), None, str(path))),
         ):
-            STDERR.print(f"Look at it (or echo, hz, record): crazychoir status --swarm {path}", soft_wrap=True)
-            told = run_wall(lambda clock: _replay(clock, config, file, speed, step, wait))
+            STDERR.print(
+                f"Look at it (or echo, hz, record): crazychoir status --swarm {path}",
+                soft_wrap=True,
+            )
+            told = run_wall(
+                lambda clock: _replay(clock, config, file, speed, step, wait)
+            )
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
@@ -59,7 +92,10 @@ def replay(
         of_file = {"file": file, **recording.lacks}
         write_json({"success": told["messages"] > 0, **of_file, **told})
     else:
-        STDOUT.print(f"{told['messages']} messages, {told['seconds']:.2f} s of flight", highlight=False)
+        STDOUT.print(
+            f"{told['messages']} messages, {told['seconds']:.2f} s of flight",
+            highlight=False,
+        )
     raise typer.Exit(0 if told["messages"] else 1)
 
 
@@ -72,11 +108,18 @@ def _here(config: "SwarmConfig") -> "SwarmConfig":
     raw = msgspec.to_builtins(config)
     drones = [{**drone, "host": None} for drone in raw["drones"]]
     world, mocap = ({**raw[name], "host": None} for name in ("world", "mocap"))
-    return config.replace(hosts={}, security={}, drones=drones, world=world, mocap=mocap)
+    return config.replace(
+        hosts={}, security={}, drones=drones, world=world, mocap=mocap
+    )
 
 
 async def _replay(
-    clock: "Clock", config: "SwarmConfig", file: Path, speed: float, step: float | None, wait: float
+    clock: "Clock",
+    config: "SwarmConfig",
+    file: Path,
+    speed: float,
+    step: float | None,
+    wait: float,
 ) -> dict[str, Any]:
     """As one process that has all drones."""
     import random
@@ -91,13 +134,22 @@ async def _replay(
     incarnation = random.SystemRandom().getrandbits(62)
     bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY)
     for i in config.ids:
-        for address in sorted({i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}):
+        for address in sorted(
+            {i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}
+        ):
             bus.port(address, incarnation)
     link = ZenohLink(
-        bus, config.name, listen=list(config.endpoints().values()), connect=[], incarnation=incarnation,
-        version=VERSION, lease=config.lease,
-    )  # fmt: skip
-    replayer = Replayer(bus, file, speed, None if step is None else _asked(step), config.source)
+        bus,
+        config.name,
+        listen=list(config.endpoints().values()),
+        connect=[],
+        incarnation=incarnation,
+        version=VERSION,
+        lease=config.lease,
+    )
+    replayer = Replayer(
+        bus, file, speed, None if step is None else _asked(step), config.source
+    )
     async with attached(link):
         latest = clock.now() + wait
         while not link.peers and clock.now() < latest:
@@ -119,8 +171,11 @@ def _asked(step: float) -> "Step":
         return seconds
 
     async def asked() -> float:
-        STDERR.print(f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
-                     highlight=False, soft_wrap=True)  # fmt: skip
+        STDERR.print(
+            f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
+            highlight=False,
+            soft_wrap=True,
+        )
         while line := await _line():
             if not line.strip():
                 return step
@@ -128,7 +183,9 @@ def _asked(step: float) -> "Step":
                 if (seconds := float(line)) > 0.0:
                     return seconds
             found = line.decode(errors="replace").strip()
-            error = ConfigError("--step", found, "Enter, or a number of seconds above 0 and Enter")
+            error = ConfigError(
+                "--step", found, "Enter, or a number of seconds above 0 and Enter"
+            )
             STDERR.print(error, markup=False, highlight=False, soft_wrap=True)
         return math.inf
 
@@ -149,7 +206,9 @@ async def _line() -> bytes:
 
     def read() -> None:
         found = sys.stdin.buffer.readline()
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with contextlib.suppress(
+            RuntimeError
+        ):  # the loop is closed: nobody waits any more
             loop.call_soon_threadsafe(hand_over, found)
 
     threading.Thread(target=read, name="standard input", daemon=True).start()

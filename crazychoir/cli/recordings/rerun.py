@@ -30,14 +30,23 @@ UNSEEN = "in no recorded message: in truth between two of them, or in messages t
 
 
 def rerun(
-    file: Annotated[Path, typer.Argument(help="Recording of `crazychoir run --fast --record`.")],
-    record: Annotated[Path | None, typer.Option(help="New file to record the repetition into (.mcap).")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    file: Annotated[
+        Path, typer.Argument(help="Recording of `crazychoir run --fast --record`.")
+    ],
+    record: Annotated[
+        Path | None,
+        typer.Option(help="New file to record the repetition into (.mcap)."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Fly a recorded flight in virtual time again, and say whether it is the same, or where it first differs."""
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.guidance.mission import load  # kernels: 1 s that --help does not need
+    from crazychoir.guidance.mission import (
+        load,
+    )  # kernels: 1 s that --help does not need
     from crazychoir.launch.flight import fly_fast
     from crazychoir.launch.recording import FILES, other_files, recording_file, text_of
     from crazychoir.recording.analysis.comparison import first_difference
@@ -52,7 +61,9 @@ def rerun(
             others = _other_versions(recording)
             if text_of(mission) != recording.mission:
                 others["mission"] = f"the text of {config.mission} is another now"
-            others |= other_files(json.loads(recording.about.get(FILES, "{}")), config, mission)
+            others |= other_files(
+                json.loads(recording.about.get(FILES, "{}")), config, mission
+            )
             with Progress(status_table, enabled=not as_json) as progress:
                 for what, text in others.items():
                     progress.say(f"{what}: {text}")
@@ -67,18 +78,27 @@ def rerun(
     where = UNSEEN if difference is None else str(difference)
     whole = recording.lacks["complete"]
     told = {
-        "success": same and whole and not broken, "same": same, "mission": config.mission, "seed": config.seed,
+        "success": same and whole and not broken,
+        "same": same,
+        "mission": config.mission,
+        "seed": config.seed,
         **recording.lacks,
-        "recorded_digest": digest, "digest": result["digest"], "first_difference": None if same else where,
-        "others": others, "simulated_s": result["simulated_s"], "wall_s": result["wall_s"],
+        "recorded_digest": digest,
+        "digest": result["digest"],
+        "first_difference": None if same else where,
+        "others": others,
+        "simulated_s": result["simulated_s"],
+        "wall_s": result["wall_s"],
         "recording": record,
-    } | ({"not_written": {"--record": broken}} if broken else {})  # fmt: skip
+    } | ({"not_written": {"--record": broken}} if broken else {})
     if as_json:
         write_json(told)
     else:
         _show(told)
     if broken:
-        text = f"Not written as a whole: --record: {broken}; only the digests are compared"
+        text = (
+            f"Not written as a whole: --record: {broken}; only the digests are compared"
+        )
         STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if told["success"] else 1)
 
@@ -87,7 +107,12 @@ def _check(recording: "Recording") -> None:
     """Raise ConfigError for a flight that cannot be repeated."""
     if recording.about.get("time") != "virtual":
         do = "Record one with `crazychoir run ... --fast --record FILE`; `crazychoir replay` shows this one again."
-        raise ConfigError(str(recording.path), "a flight in real time", "one in virtual time, which repeats itself", do)
+        raise ConfigError(
+            str(recording.path),
+            "a flight in real time",
+            "one in virtual time, which repeats itself",
+            do,
+        )
     warn_of(recording, "it is compared as far as it goes")
 
 
@@ -104,15 +129,30 @@ def _other_versions(recording: "Recording") -> dict[str, str]:
     """What is another than when it was recorded, and may round otherwise."""
     from crazychoir.launch.recording import versions
 
-    pairs = {name: (recording.about.get(name, "unknown"), now) for name, now in versions().items()}
-    return {name: f"{then} then, {now} now" for name, (then, now) in pairs.items() if then != now}
+    pairs = {
+        name: (recording.about.get(name, "unknown"), now)
+        for name, now in versions().items()
+    }
+    return {
+        name: f"{then} then, {now} now"
+        for name, (then, now) in pairs.items()
+        if then != now
+    }
 
 
 def _show(told: dict[str, Any]) -> None:
-    verdict = "the same" if told["success"] else "the same, so far" if told["same"] else "not the same"
+    verdict = (
+        "the same"
+        if told["success"]
+        else "the same, so far"
+        if told["same"]
+        else "not the same"
+    )
     title = f"{Path(told['mission']).name}, seed {told['seed']}: {verdict}"
     table = Table("figure", "value", title=title)
-    table.add_row("recorded digest", told["recorded_digest"] or "none: the recording was cut off")
+    table.add_row(
+        "recorded digest", told["recorded_digest"] or "none: the recording was cut off"
+    )
     table.add_row("digest", told["digest"])
     table.add_row("simulated_s", f"{told['simulated_s']:.2f} s")
     table.add_row("wall_s", f"{told['wall_s']:.2f} s")

@@ -25,9 +25,13 @@ READ = 2.0
 
 def ros(
     swarm: SwarmOption = None,
-    connect: Annotated[str, typer.Option(help="Endpoint of `rmw_zenohd`, or of another Zenoh router.")] = ROUTER,
+    connect: Annotated[
+        str, typer.Option(help="Endpoint of `rmw_zenohd`, or of another Zenoh router.")
+    ] = ROUTER,
     domain: Annotated[int, options.whole("ROS_DOMAIN_ID.", least=0, most=232)] = 0,
-    rate: Annotated[float, options.real("Messages of each topic a second.", least=0.1, most=100.0)] = 10.0,
+    rate: Annotated[
+        float, options.real("Messages of each topic a second.", least=0.1, most=100.0)
+    ] = 10.0,
     seconds: Annotated[float, options.seconds("How long, in s.")] = 3600.0,
 ) -> None:
     """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
@@ -42,12 +46,15 @@ def ros(
     looking(swarm, work)
 
 
-async def serve(window: "Window", bridge: "Bridge", ids: list[int], rate: float, seconds: float) -> None:
+async def serve(
+    window: "Window", bridge: "Bridge", ids: list[int], rate: float, seconds: float
+) -> None:
     """Say where these drones are, until all have gone, or so many s are over."""
     from crazychoir.bus.topics import STATE
     from crazychoir.runtime.clock import SECOND
 
-    clock, places = window.clock, dict[int, tuple["State", int]]()
+    clock = window.clock
+    places = dict[int, tuple["State", int]]()
 
     def hear(i: int, state: "State", age: float) -> None:
         places[i] = state, clock.now_ns() + clock.epoch_ns - round(age * SECOND)
@@ -69,12 +76,18 @@ class Bridge:
 
         topics = {f"/drone{i}/pose": "geometry_msgs/PoseStamped" for i in ids}
         topics |= {f"/drone{i}/path": "nav_msgs/Path" for i in ids}
-        topics |= {"/tf": "tf2_msgs/TFMessage", "/drones": "visualization_msgs/MarkerArray"}
-        self._outside, session = outside, outside.id
+        topics |= {
+            "/tf": "tf2_msgs/TFMessage",
+            "/drones": "visualization_msgs/MarkerArray",
+        }
+        self._outside = outside
+        session = outside.id
         outside.token(node_token(domain, session, NODE))
         self._publishers: dict[str, Publisher] = {}
         for number, (topic, kind) in enumerate(topics.items(), 1):
-            self._publishers[topic] = Publisher(domain, session, NODE, number, topic, kind)
+            self._publishers[topic] = Publisher(
+                domain, session, NODE, number, topic, kind
+            )
             outside.token(self._publishers[topic].token)
         self._said = dict.fromkeys(topics, 0)
         self._ways: dict[int, deque[Vec]] = {i: deque(maxlen=PATH_POINTS) for i in ids}
@@ -88,7 +101,11 @@ class Bridge:
         from crazychoir.runtime.clock import SECOND
 
         since_ns = now_ns - STATE.max_age * SECOND
-        fresh = {i: (state, born_ns) for i, (state, born_ns) in places.items() if born_ns >= since_ns}
+        fresh = {
+            i: (state, born_ns)
+            for i, (state, born_ns) in places.items()
+            if born_ns >= since_ns
+        }
         gone = sorted(self._shown - fresh.keys())
         self._shown = set(fresh)
         for i, (state, born_ns) in fresh.items():
@@ -105,4 +122,6 @@ class Bridge:
     def _put(self, topic: str, data: bytes, now_ns: int) -> None:
         self._said[topic] += 1
         publisher = self._publishers[topic]
-        self._outside.put(publisher.key, data, publisher.attachment(self._said[topic], now_ns))
+        self._outside.put(
+            publisher.key, data, publisher.attachment(self._said[topic], now_ns)
+        )

@@ -20,14 +20,23 @@ COLOURS = {"ok": "green", "warning": "yellow", "wrong": "bold red", "not here": 
 
 
 def doctor(
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo.")] = None,
-    host: Annotated[str | None, typer.Option(help="Its name in the table hosts; else by its addresses.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")] = False,
+    swarm: Annotated[
+        str | None, typer.Option(help="Swarm file; else ./swarm.toml, else the demo.")
+    ] = None,
+    host: Annotated[
+        str | None,
+        typer.Option(help="Its name in the table hosts; else by its addresses."),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
 ) -> None:
     """Is this host ready to fly? Says what is wrong, and the command that mends it; exit code 1 if something is."""
     rows = machine() + of_swarm(swarm, host)
     if as_json:
-        write_json({"success": not is_wrong(rows), "rows": [asdict(row) for row in rows]})
+        write_json(
+            {"success": not is_wrong(rows), "rows": [asdict(row) for row in rows]}
+        )
     else:
         _show(rows)
     raise typer.Exit(1 if is_wrong(rows) else 0)
@@ -59,8 +68,18 @@ def of_swarm(swarm: str | None, host: str | None) -> list[Row]:
     try:
         config, which = find_swarm(swarm)
     except ConfigError as error:
-        return [Row("swarm file", "wrong", str(error), "Mend it as it says, or copy it here: crazychoir push")]
-    rows = [Row("swarm file", "ok", f"{which}: {len(config.ids)} drone(s)"), mission(config)]
+        return [
+            Row(
+                "swarm file",
+                "wrong",
+                str(error),
+                "Mend it as it says, or copy it here: crazychoir push",
+            )
+        ]
+    rows = [
+        Row("swarm file", "ok", f"{which}: {len(config.ids)} drone(s)"),
+        mission(config),
+    ]
     return rows + files(config) + network(config, host)
 
 
@@ -70,12 +89,22 @@ def mission(config: "SwarmConfig") -> Row:
     from crazychoir.guidance.mission import load
 
     if config.mission is None:
-        return Row("mission", "warning", "none", 'Write mission = "..." into the swarm file, or give --mission.')
+        return Row(
+            "mission",
+            "warning",
+            "none",
+            'Write mission = "..." into the swarm file, or give --mission.',
+        )
     try:
         with prints_aside():
             load(config.mission)
     except CrazyChoirError as error:
-        return Row("mission", "wrong", str(error), "Copy it here beside the swarm file: crazychoir push")
+        return Row(
+            "mission",
+            "wrong",
+            str(error),
+            "Copy it here beside the swarm file: crazychoir push",
+        )
     return Row("mission", "ok", config.mission)
 
 
@@ -83,7 +112,10 @@ def files(config: "SwarmConfig") -> list[Row]:
     """What else the swarm file names."""
     lost = {key: path for key, path in config.files.items() if not path.is_file()}
     do = "Copy it here: crazychoir push"
-    return [Row(f"file of {key}", "wrong", f"{path}: it is not there", do) for key, path in lost.items()]
+    return [
+        Row(f"file of {key}", "wrong", f"{path}: it is not there", do)
+        for key, path in lost.items()
+    ]
 
 
 def network(config: "SwarmConfig", host: str | None) -> list[Row]:
@@ -92,26 +124,43 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
 
     own = [name for name, address in config.hosts.items() if host_facts.is_own(address)]
     here = [name for name in own if host in (None, name)]
-    inward = {name: at for name in here if (at := host_facts.loopback(config.hosts[name]))}
+    inward = {
+        name: at for name in here if (at := host_facts.loopback(config.hosts[name]))
+    }
     rows = [host_checks.own_host(config.hosts, own, host, inward)]
     names = listeners(config, here)
-    held = {port: host_facts.holder(port) for port, (address, _) in names.items()
-            if not host_facts.is_free(address, port)}  # fmt: skip
+    held = {
+        port: host_facts.holder(port)
+        for port, (address, _) in names.items()
+        if not host_facts.is_free(address, port)
+    }
     rows += host_checks.ports({port: name for port, (_, name) in names.items()}, held)
-    others = config.hosts if config.router is None else [config.router]  # it passes on what the rest say
+    others = (
+        config.hosts if config.router is None else [config.router]
+    )  # it passes on what the rest say
     for name in (name for name in others if name not in own):
         port = min(listeners(config, [name]), default=config.base_port)
         address = config.hosts[name]
-        answer, stranger = host_facts.answer(address, port), ""
+        answer = host_facts.answer(address, port)
+        stranger = ""
         if answer == "connected" and config.secured and here:
-            stranger = host_facts.handshake(address, port, Path(config.security.keys) / here[0])
+            stranger = host_facts.handshake(
+                address, port, Path(config.security.keys) / here[0]
+            )
         rows.append(host_checks.reachable(name, address, answer, stranger))
     rows += certificates(config, here)
-    ids = [i for k, ids in config.dongles.items() if _is_here(config.dongle_host(k), here) for i in ids]
+    ids = [
+        i
+        for k, ids in config.dongles.items()
+        if _is_here(config.dongle_host(k), here)
+        for i in ids
+    ]
     uris = [config.drone(i).uri for i in ids]
     numbers = [int(uri.split("/")[2]) for uri in uris if uri.startswith("radio://")]
     rows += host_checks.radios(host_facts.crazyradios(), numbers)
-    processes = sum(_is_here(config.host_of(process), here) for process in config.endpoints())
+    processes = sum(
+        _is_here(config.host_of(process), here) for process in config.endpoints()
+    )
     return [*rows, host_checks.memory(host_facts.memory_mb(), processes)]
 
 
@@ -138,16 +187,26 @@ def certificates(config: "SwarmConfig", hosts: list[str]) -> list[Row]:
     if not config.secured:
         if config.security.insecure:
             do = "Leave security.insecure out, and make keys: crazychoir keys init"
-            return [Row("keys", "warning", "the network is open (security.insecure): whoever is on it commands", do)]
+            return [
+                Row(
+                    "keys",
+                    "warning",
+                    "the network is open (security.insecure): whoever is on it commands",
+                    do,
+                )
+            ]
         return [Row("keys", "not here", "a network of this machine alone needs none")]
     rows = []
     for name in hosts:
-        fault, do, days = "", "", 0.0
+        fault = ""
+        do = ""
+        days = 0.0
         try:
             own = authority.checked(Path(config.security.keys), name)
             days = (authority.good_until(own) - today()).total_seconds() / 86400
         except ConfigError as error:
-            fault, do = str(error).removesuffix(error.do).rstrip(), error.do
+            fault = str(error).removesuffix(error.do).rstrip()
+            do = error.do
         rows.append(host_checks.keys(name, fault, do, days))
     return rows
 
@@ -157,7 +216,9 @@ def _is_here(host: str | None, here: list[str]) -> bool:
 
 
 def _show(rows: list[Row]) -> None:
-    table = Table("", "what", "found", "how to mend it", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table = Table(
+        "", "what", "found", "how to mend it", box=box.SIMPLE_HEAD, padding=(0, 1)
+    )
     for row in rows:
         colour = COLOURS[row.state]
         table.add_row(Text(row.state, colour), row.what, row.found, row.mend)

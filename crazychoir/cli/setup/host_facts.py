@@ -25,9 +25,14 @@ class _Timex(ctypes.Structure):
     """The kernel's struct timex, see adjtimex(2); only its beginning is read."""
 
     _fields_ = (
-        ("modes", ctypes.c_uint), ("offset", ctypes.c_long), ("freq", ctypes.c_long), ("maxerror", ctypes.c_long),
-        ("esterror", ctypes.c_long), ("status", ctypes.c_int), ("rest", ctypes.c_byte * 256),
-    )  # fmt: skip
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("freq", ctypes.c_long),
+        ("maxerror", ctypes.c_long),
+        ("esterror", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_byte * 256),
+    )
 
 
 def needed() -> list[str]:
@@ -47,7 +52,9 @@ def installed(names: Iterable[str]) -> dict[str, str]:
 def is_own(address: str) -> bool:
     """Whether an interface of this machine has the address."""
     with contextlib.suppress(OSError):
-        family, kind, protocol, _, where = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)[0]
+        family, kind, protocol, _, where = socket.getaddrinfo(
+            address, 0, type=socket.SOCK_STREAM
+        )[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.bind(where)
             return True
@@ -67,7 +74,9 @@ def loopback(name: str) -> str:
 
 def is_free(address: str, port: int) -> bool:
     """Whether a process could listen there now."""
-    family, kind, protocol, _, where = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+    family, kind, protocol, _, where = socket.getaddrinfo(
+        address, port, type=socket.SOCK_STREAM
+    )[0]
     with socket.socket(family, kind, protocol) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -89,7 +98,13 @@ def holder(port: int, proc: Path = PROC) -> str:
     for process in proc.glob("[0-9]*"):
         with contextlib.suppress(OSError):
             if any(os.readlink(file) in inodes for file in (process / "fd").iterdir()):
-                command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace").strip()
+                command = (
+                    (process / "cmdline")
+                    .read_bytes()
+                    .replace(b"\0", b" ")
+                    .decode(errors="replace")
+                    .strip()
+                )
                 return f"process {process.name}: {command}"
     return ""
 
@@ -134,7 +149,8 @@ def handshake(address: str, port: int, keys: Path, deadline: float = DEADLINE) -
 
 def clock() -> tuple[bool | None, float]:
     """Whether the kernel's clock is synchronised, None where it does not say; and s, how wrong it may be."""
-    libc, timex = ctypes.CDLL(None), _Timex()
+    libc = ctypes.CDLL(None)
+    timex = _Timex()
     state = libc.adjtimex(ctypes.byref(timex))
     if state < 0:
         return None, 0.0
@@ -146,8 +162,13 @@ def crazyradios(sys: Path = SYS, dev: Path = DEV) -> list[Usb]:
     found = []
     for device in sorted((sys / "bus/usb/devices").glob("*")):
         with contextlib.suppress(OSError, ValueError):
-            kind = ":".join((device / name).read_text().strip() for name in ("idVendor", "idProduct"))
-            bus, number = (int((device / name).read_text()) for name in ("busnum", "devnum"))
+            kind = ":".join(
+                (device / name).read_text().strip()
+                for name in ("idVendor", "idProduct")
+            )
+            bus, number = (
+                int((device / name).read_text()) for name in ("busnum", "devnum")
+            )
             path = dev / f"{bus:03}" / f"{number:03}"
             if kind in CRAZYRADIOS:
                 found.append(Usb(kind, str(path), os.access(path, os.R_OK | os.W_OK)))
@@ -163,7 +184,9 @@ def governors(sys: Path = SYS) -> dict[str, str]:
 def memory_mb(proc: Path = PROC) -> float:
     """MB that processes may take without swapping."""
     lines = (proc / "meminfo").read_text().splitlines()
-    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable"))
+    return next(
+        int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable")
+    )
 
 
 def disk_mb(folder: Path) -> float:

@@ -21,8 +21,12 @@ from crazychoir.launch.console import (
 
 def identify(
     drone: Annotated[int, typer.Argument(help="Its id.")],
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
-    seconds: Annotated[float, options.seconds("How long, in s.", least=0.1, most=600.0)] = 5.0,
+    swarm: Annotated[
+        str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
+    ] = None,
+    seconds: Annotated[
+        float, options.seconds("How long, in s.", least=0.1, most=600.0)
+    ] = 5.0,
     as_json: JsonOption = False,
 ) -> None:
     """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio has its dongle."""
@@ -43,7 +47,8 @@ def identify(
             STDERR.print(f"drone {drone} ({uri}): {text}", highlight=False)
 
         async def light(clock: Clock) -> dict[str, float]:
-            contents, deadline = TableOfContents(folder()), config.radio.connect_deadline
+            contents = TableOfContents(folder())
+            deadline = config.radio.connect_deadline
             lit_now = partial(say, f"its LEDs are lit for {seconds:g} s")
             return await leds.identify(clock, uri, contents, seconds, deadline, lit_now)
 
@@ -56,4 +61,12 @@ def identify(
     except KeyboardInterrupt:
         interrupted(as_json)
     if as_json:
-        write_json({"success": True, "drone": drone, "uri": uri, "seconds": seconds, "parameters": lit})
+        write_json(
+            {
+                "success": True,
+                "drone": drone,
+                "uri": uri,
+                "seconds": seconds,
+                "parameters": lit,
+            }
+        )

@@ -11,10 +11,18 @@ from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import STDOUT, fail, write_json
 
-app = typer.Typer(help="Certificates: who may take part in a swarm of several hosts.", no_args_is_help=True)
-Folder = Annotated[Path, typer.Option("--folder", help="Where they are; in swarm files: security.keys.")]
+app = typer.Typer(
+    help="Certificates: who may take part in a swarm of several hosts.",
+    no_args_is_help=True,
+)
+Folder = Annotated[
+    Path,
+    typer.Option("--folder", help="Where they are; in swarm files: security.keys."),
+]
 Days = Annotated[int, options.whole("For which they are good.", most=36_500)]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, nothing else.")]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+]
 HERE = Path("keys")
 NEXT = "It counts for a process from its next start: copy each folder to its host, then start all anew."
 
@@ -28,14 +36,23 @@ def init(folder: Folder = HERE, days: Days = DAYS, as_json: Json = False) -> Non
         certificate = authority.init(folder, days)
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
-    _say({"success": True, "authority": certificate}, f"{certificate}: keep {certificate.parent} to yourself", as_json)
+    _say(
+        {"success": True, "authority": certificate},
+        f"{certificate}: keep {certificate.parent} to yourself",
+        as_json,
+    )
 
 
 @app.command()
 def add(
-    host: Annotated[str, typer.Argument(help="Its name, as in the table hosts or security.operators.")],
-    folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
-) -> None:  # fmt: skip
+    host: Annotated[
+        str,
+        typer.Argument(help="Its name, as in the table hosts or security.operators."),
+    ],
+    folder: Folder = HERE,
+    days: Days = DAYS,
+    as_json: Json = False,
+) -> None:
     """Give a host, or an operator, a certificate."""
     from crazychoir.bus.network import authority
 
@@ -50,8 +67,10 @@ def add(
 @app.command()
 def revoke(
     host: Annotated[str, typer.Argument(help="Who is to be kept out.")],
-    folder: Folder = HERE, days: Days = DAYS, as_json: Json = False,
-) -> None:  # fmt: skip
+    folder: Folder = HERE,
+    days: Days = DAYS,
+    as_json: Json = False,
+) -> None:
     """Take a host out: all others get a new authority and new certificates, which count from their next start."""
     from crazychoir.bus.network import authority
 
@@ -60,7 +79,11 @@ def revoke(
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
     text = f"{host} is out; new: {', '.join(others) or 'nobody is left'}. {NEXT}"
-    _say({"success": True, "revoked": host, "new": others, "effective": "next start"}, text, as_json)
+    _say(
+        {"success": True, "revoked": host, "new": others, "effective": "next start"},
+        text,
+        as_json,
+    )
 
 
 @app.command(name="list")
@@ -74,9 +97,15 @@ def held(folder: Folder = HERE, as_json: Json = False) -> None:
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
     if as_json:
-        write_json({"success": True, "holders": {one.name: one.until.isoformat() for one in found}})
+        write_json(
+            {
+                "success": True,
+                "holders": {one.name: one.until.isoformat() for one in found},
+            }
+        )
         return
-    table, now = Table("host", "good until", "days left"), today()
+    table = Table("host", "good until", "days left")
+    now = today()
     for one in found:
         table.add_row(one.name, f"{one.until:%Y-%m-%d}", str((one.until - now).days))
     STDOUT.print(table)
@@ -84,7 +113,9 @@ def held(folder: Folder = HERE, as_json: Json = False) -> None:
 
 def _fail(error: Exception, folder: Path, as_json: bool) -> NoReturn:
     if not isinstance(error, ConfigError):
-        error = ConfigError("--folder", str(folder), "a folder to write to", problem=str(error))
+        error = ConfigError(
+            "--folder", str(folder), "a folder to write to", problem=str(error)
+        )
     fail(error, as_json)
 
 

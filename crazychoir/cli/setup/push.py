@@ -36,23 +36,48 @@ class Step:
 
 def push(
     swarm: Annotated[Path, typer.Option(help="Swarm file.")],
-    host: Annotated[list[str] | None, typer.Option(help="Only this host; several times.")] = None,
-    user: Annotated[str | None, typer.Option(help="User there, instead of that of ssh.")] = None,
-    package: Annotated[Path | None, typer.Option(help="Wheel or folder to install, else the release.")] = None,
-    units: Annotated[Path | None, typer.Option(help="Folder of systemd units, as deploy/systemd; else none.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the commands, do nothing.")] = False,
+    host: Annotated[
+        list[str] | None, typer.Option(help="Only this host; several times.")
+    ] = None,
+    user: Annotated[
+        str | None, typer.Option(help="User there, instead of that of ssh.")
+    ] = None,
+    package: Annotated[
+        Path | None, typer.Option(help="Wheel or folder to install, else the release.")
+    ] = None,
+    units: Annotated[
+        Path | None,
+        typer.Option(help="Folder of systemd units, as deploy/systemd; else none."),
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the commands, do nothing.")
+    ] = False,
 ) -> None:
     """Put a swarm onto its hosts, into ~/choir: by ssh and scp, with your ssh keys."""
     from crazychoir.config.swarm_config import SwarmConfig
 
     try:
         if swarm.suffix != ".toml":
-            raise ConfigError("--swarm", str(swarm), "a TOML file", f"The units there read ~/{FOLDER}/swarm.toml.")
+            raise ConfigError(
+                "--swarm",
+                str(swarm),
+                "a TOML file",
+                f"The units there read ~/{FOLDER}/swarm.toml.",
+            )
         config = SwarmConfig.load(swarm)
-        plans = {name: list(steps(config, swarm, name, user, package, units)) for name in chosen(config, swarm, host)}
-        for name, step in [(name, step) for name, plan in plans.items() for step in plan]:
-            STDOUT.print(shlex.join(step.command) if dry_run else f"{name}: {step.what}", markup=False,
-                         highlight=False, soft_wrap=True)  # fmt: skip
+        plans = {
+            name: list(steps(config, swarm, name, user, package, units))
+            for name in chosen(config, swarm, host)
+        }
+        for name, step in [
+            (name, step) for name, plan in plans.items() for step in plan
+        ]:
+            STDOUT.print(
+                shlex.join(step.command) if dry_run else f"{name}: {step.what}",
+                markup=False,
+                highlight=False,
+                soft_wrap=True,
+            )
             if not dry_run:
                 run(name, step)
     except CrazyChoirError as error:
@@ -63,7 +88,12 @@ def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[s
     """The hosts to push to; raises ConfigError for one that there is not."""
     names = ", ".join(config.hosts) or "none"
     if not config.hosts:
-        raise ConfigError(f"{swarm}: hosts", "nothing", "[hosts] with names and addresses", "Add them.")
+        raise ConfigError(
+            f"{swarm}: hosts",
+            "nothing",
+            "[hosts] with names and addresses",
+            "Add them.",
+        )
     for name in only or ():
         if name not in config.hosts:
             raise ConfigError("--host", name, f"[hosts] has {names}")
@@ -71,7 +101,12 @@ def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[s
 
 
 def steps(
-    config: "SwarmConfig", swarm: Path, host: str, user: str | None, package: Path | None, units: Path | None
+    config: "SwarmConfig",
+    swarm: Path,
+    host: str,
+    user: str | None,
+    package: Path | None,
+    units: Path | None,
 ) -> Iterator[Step]:
     """What is done for one host, in order. Raises ConfigError for files that are not here, or would lie elsewhere.
 
@@ -81,15 +116,25 @@ def steps(
 
     at, into = reached(config.hosts[host], user)
     files = {path: within(swarm, path) for path in named(config)}
-    folders = sorted({FOLDER: None} | {str(Path(FOLDER, path).parent): None for path in files.values()})
+    folders = sorted(
+        {FOLDER: None}
+        | {str(Path(FOLDER, path).parent): None for path in files.values()}
+    )
     own = Path(config.security.keys) / host
     if config.secured:
         keys = str(Path(FOLDER, within(swarm, own)).parent)
         if not own.is_dir():
-            raise ConfigError("security.keys", str(own), "the keys of this host", f"crazychoir keys add {host}")
+            raise ConfigError(
+                "security.keys",
+                str(own),
+                "the keys of this host",
+                f"crazychoir keys add {host}",
+            )
         folders.append(keys)
     yield Step("folders", (*SSH, at, f"mkdir -p -m 700 {shlex.join(folders)} {UNITS}"))
-    yield Step("swarm file", (*SCP, str(swarm.resolve()), f"{into}:{FOLDER}/swarm.toml"))
+    yield Step(
+        "swarm file", (*SCP, str(swarm.resolve()), f"{into}:{FOLDER}/swarm.toml")
+    )
     for path, place in files.items():
         yield Step(f"{place}", (*SCP, str(path), f"{into}:{FOLDER}/{place}"))
     if config.secured:
@@ -98,11 +143,20 @@ def steps(
         yield Step(f"unit {unit.name}", (*SCP, str(unit), f"{into}:{UNITS}/"))
     if units is not None:
         yield Step("units known", (*SSH, at, "systemctl --user daemon-reload"))
-    yield Step("environment", (*SSH, at, f"test -x {FOLDER}/venv/bin/pip || python3 -m venv {FOLDER}/venv"), INSTALL)
+    yield Step(
+        "environment",
+        (*SSH, at, f"test -x {FOLDER}/venv/bin/pip || python3 -m venv {FOLDER}/venv"),
+        INSTALL,
+    )
     what = f"crazychoir=={version('crazychoir')}"
     if package is not None:
         if not package.exists():
-            raise ConfigError("--package", str(package), "a wheel or a folder", "python -m build --wheel")
+            raise ConfigError(
+                "--package",
+                str(package),
+                "a wheel or a folder",
+                "python -m build --wheel",
+            )
         package = package.resolve()
         yield Step("package", (*SCP, str(package), f"{into}:{FOLDER}/"), INSTALL)
         what = f"{FOLDER}/{package.name}"
@@ -119,14 +173,22 @@ def steps(
 def reached(address: str, user: str | None) -> tuple[str, str]:
     """A host as ssh wants it, and as scp does, which takes what is before the first colon for it, but for brackets."""
     before = f"{user}@" if user else ""
-    return f"{before}{address}", f"{before}[{address}]" if ":" in address else f"{before}{address}"
+    return (
+        f"{before}{address}",
+        f"{before}[{address}]" if ":" in address else f"{before}{address}",
+    )
 
 
 def services(folder: Path) -> list[Path]:
     """The systemd units of a folder; raises ConfigError where there is none."""
     found = sorted(folder.resolve().glob("*.service"))
     if not found:
-        raise ConfigError("--units", str(folder), "a folder of *.service, as deploy/systemd", "Is it that?")
+        raise ConfigError(
+            "--units",
+            str(folder),
+            "a folder of *.service, as deploy/systemd",
+            "Is it that?",
+        )
     return found
 
 
@@ -142,10 +204,13 @@ def named(config: "SwarmConfig") -> list[Path]:
 
 def within(swarm: Path, path: Path) -> Path:
     """Where it lies, from the folder of the swarm file; raises ConfigError if that is outside of it."""
-    folder, place = swarm.resolve().parent, path.resolve()
+    folder = swarm.resolve().parent
+    place = path.resolve()
     if not place.is_relative_to(folder):
         do = f"Move it below {folder}, and name it so in the swarm file."
-        raise ConfigError(str(swarm), str(path), "files below the folder of the swarm file", do)
+        raise ConfigError(
+            str(swarm), str(path), "files below the folder of the swarm file", do
+        )
     return place.relative_to(folder)
 
 
@@ -153,14 +218,28 @@ def run(host: str, step: Step) -> None:
     """Do it; raises ProcessFailed with what it says."""
     try:
         done = subprocess.run(
-            step.command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
-            timeout=step.deadline, check=False,
+            step.command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=step.deadline,
+            check=False,
         )
     except FileNotFoundError as error:
-        raise ProcessFailed(step.command[0], "it is not on this machine. Install openssh-client.") from error
+        raise ProcessFailed(
+            step.command[0], "it is not on this machine. Install openssh-client."
+        ) from error
     except subprocess.TimeoutExpired as error:
-        raise ProcessFailed(f"{host}: {step.what}", f"not done within {step.deadline:g} s. Is the host on?") from error
+        raise ProcessFailed(
+            f"{host}: {step.what}",
+            f"not done within {step.deadline:g} s. Is the host on?",
+        ) from error
     if done.returncode:
-        said = (done.stderr.strip() or done.stdout.strip() or "it says nothing").splitlines()[-1]
+        said = (
+            done.stderr.strip() or done.stdout.strip() or "it says nothing"
+        ).splitlines()[-1]
         do = "Try it by hand: " + shlex.join(step.command)
-        raise ProcessFailed(f"{host}: {step.what}", f"exit code {done.returncode}: {said}. {do}")
+        raise ProcessFailed(
+            f"{host}: {step.what}", f"exit code {done.returncode}: {said}. {do}"
+        )

@@ -35,7 +35,10 @@ if TYPE_CHECKING:
     from crazychoir.radio.survey.simulated_radio import Room
     from crazychoir.radio.survey.survey import Probe, Survey
 
-app = typer.Typer(no_args_is_help=True, help="Which channels are quiet, and how long the way to a drone takes.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Which channels are quiet, and how long the way to a drone takes.",
+)
 DRONE = "radio://0/80/2M/E7E7E7E7E7"
 """A Crazyflie as it comes from the shop."""
 
@@ -55,20 +58,44 @@ class Wanted:
 @app.command()
 def survey(
     dongles: Annotated[
-        int | None, options.whole("Pick so many channels; else as many as the swarm file has dongles, or 1.", most=126)
+        int | None,
+        options.whole(
+            "Pick so many channels; else as many as the swarm file has dongles, or 1.",
+            most=126,
+        ),
     ] = None,
-    spacing: Annotated[int, options.whole("MHz between two of them; 2M links need 2 at least.", most=126)] = 5,
-    passes: Annotated[int, options.whole("Visits of each channel, each time in another order.")] = 20,
-    packets: Annotated[int, options.whole("Packets a visit, without retries, and with them.")] = 50,
-    channels: Annotated[str, typer.Option(help="Candidates, as 2-82:2 (each second) or 4,20-30,76.")] = "2-82:2",
+    spacing: Annotated[
+        int,
+        options.whole("MHz between two of them; 2M links need 2 at least.", most=126),
+    ] = 5,
+    passes: Annotated[
+        int, options.whole("Visits of each channel, each time in another order.")
+    ] = 20,
+    packets: Annotated[
+        int, options.whole("Packets a visit, without retries, and with them.")
+    ] = 50,
+    channels: Annotated[
+        str, typer.Option(help="Candidates, as 2-82:2 (each second) or 4,20-30,76.")
+    ] = "2-82:2",
     drone: Annotated[
-        str | None, typer.Option(help=f"Who answers: its uri; else the first of the swarm file, or {DRONE}.")
+        str | None,
+        typer.Option(
+            help=f"Who answers: its uri; else the first of the swarm file, or {DRONE}."
+        ),
     ] = None,
-    swarm: Annotated[Path | None, typer.Option(help="Swarm file whose radio:// drones the channels are for.")] = None,
-    write: Annotated[bool, typer.Option("--write", help="Write the channels into that file.")] = False,
-    picture: Annotated[Path | None, typer.Option(help="Where to draw the survey (PNG).")] = None,
+    swarm: Annotated[
+        Path | None,
+        typer.Option(help="Swarm file whose radio:// drones the channels are for."),
+    ] = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write the channels into that file.")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="Where to draw the survey (PNG).")
+    ] = None,
     simulated: Annotated[
-        int | None, options.seed("No hardware: a simulated radio among interference of this seed.")
+        int | None,
+        options.seed("No hardware: a simulated radio among interference of this seed."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -90,7 +117,9 @@ def survey(
             raise ConfigError("--write", "no --swarm", "a swarm file to write into")
         if write and simulated is not None:
             do = "Leave --write out to look at an invented room; measure with a dongle what drones are to fly on."
-            raise ConfigError("--write", "--simulated beside it", "what a dongle has measured", do)
+            raise ConfigError(
+                "--write", "--simulated beside it", "what a dongle has measured", do
+            )
         wanted = _wanted(dongles, spacing, channels, drone, swarm, write, simulated)
         with prints_aside():
             found, expected = _surveyed(wanted, passes, packets, as_json)
@@ -120,25 +149,49 @@ def survey(
 
 
 def _wanted(
-    count: int | None, spacing: int, channels: str, drone: str | None, swarm: Path | None, write: bool,
+    count: int | None,
+    spacing: int,
+    channels: str,
+    drone: str | None,
+    swarm: Path | None,
+    write: bool,
     simulated: int | None,
-) -> Wanted:  # fmt: skip
+) -> Wanted:
     """The options, checked against each other before anything is measured."""
-    from crazychoir.radio.protocol.channels import LEAST_SPACING, LICENSED, parse_channels, pick
+    from crazychoir.radio.protocol.channels import (
+        LEAST_SPACING,
+        LICENSED,
+        parse_channels,
+        pick,
+    )
 
     those = {} if swarm is None else _dongles(swarm, write)
     count = count or len(those) or 1
     if write and count != len(those):
         found = f"{count} for the dongles {', '.join(those)} of {swarm}"
-        raise ConfigError("--dongles", found, f"{len(those)}, or leave it out: that is how many the file has")
+        raise ConfigError(
+            "--dongles",
+            found,
+            f"{len(those)}, or leave it out: that is how many the file has",
+        )
     candidates = parse_channels(channels)
-    pick(dict.fromkeys(candidates, (0.0, 0.0)), count, spacing)  # whether there is room for so many
+    pick(
+        dict.fromkeys(candidates, (0.0, 0.0)), count, spacing
+    )  # whether there is room for so many
     if simulated is not None and drone is not None:
-        raise ConfigError("--drone", "--simulated beside it", "one of them: no real drone hears a simulated radio")
+        raise ConfigError(
+            "--drone",
+            "--simulated beside it",
+            "one of them: no real drone hears a simulated radio",
+        )
     if candidates[-1] > LICENSED:
-        STDERR.print(f"Channels above {LICENSED} lie outside the licence-free band of many countries.")
+        STDERR.print(
+            f"Channels above {LICENSED} lie outside the licence-free band of many countries."
+        )
     if count > 1 and spacing < LEAST_SPACING:
-        STDERR.print(f"Links of 2 Mbit/s disturb each other with less than {LEAST_SPACING} MHz between them.")
+        STDERR.print(
+            f"Links of 2 Mbit/s disturb each other with less than {LEAST_SPACING} MHz between them."
+        )
     first = next((uris[0] for uris in those.values()), DRONE)
     return Wanted(candidates, count, spacing, those, drone or first, simulated)
 
@@ -154,7 +207,9 @@ def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
     return dongles(read_text(swarm), str(swarm))
 
 
-def _surveyed(wanted: Wanted, passes: int, packets: int, as_json: bool) -> "tuple[Survey, dict[int, float]]":
+def _surveyed(
+    wanted: Wanted, passes: int, packets: int, as_json: bool
+) -> "tuple[Survey, dict[int, float]]":
     """Measure, and show how it gets on; with the true share of each channel, if the radio is a simulated one."""
     from crazychoir.radio.survey.survey import Survey
     from crazychoir.radio.survey.survey import survey as measure
@@ -163,20 +218,29 @@ def _surveyed(wanted: Wanted, passes: int, packets: int, as_json: bool) -> "tupl
     shown = Progress(progress_table, enabled=STDERR.is_terminal and not as_json)
     with _probe(wanted) as (probe, room), shown as progress:
         measure(found, probe, lambda found, visit: progress((found, visit)))
-    return found, {} if room is None else {channel: room.expected(channel) for channel in wanted.channels}
+    return found, {} if room is None else {
+        channel: room.expected(channel) for channel in wanted.channels
+    }
 
 
-def _result(wanted: Wanted, found: "Survey", expected: dict[int, float]) -> dict[str, Any]:
+def _result(
+    wanted: Wanted, found: "Survey", expected: dict[int, float]
+) -> dict[str, Any]:
     """The JSON object; a success if something came through in each pass on each channel that is picked."""
     chosen = found.pick(wanted.count, wanted.spacing)
     rows = found.measured()
     worst = min(row.worst for row in rows if row.channel in chosen)
     return {
-        "success": worst > 0.0, "chosen": list(chosen), "worst_ack_rate": worst, "spacing_mhz": wanted.spacing,
+        "success": worst > 0.0,
+        "chosen": list(chosen),
+        "worst_ack_rate": worst,
+        "spacing_mhz": wanted.spacing,
         "dongles": dict(zip(wanted.dongles, chosen, strict=False)),
         "channels": [row_of(row, chosen, expected) for row in rows],
-        "simulated": wanted.simulated, "picture": None, "written": None,
-    }  # fmt: skip
+        "simulated": wanted.simulated,
+        "picture": None,
+        "written": None,
+    }
 
 
 @contextlib.contextmanager
@@ -195,9 +259,16 @@ def _probe(wanted: Wanted) -> "Iterator[tuple[Probe, Room | None]]":
 
 @app.command()
 def ping(
-    uris: Annotated[list[str], typer.Argument(help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701.")],
+    uris: Annotated[
+        list[str],
+        typer.Argument(
+            help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701."
+        ),
+    ],
     count: Annotated[int, options.whole("Echoes to each.")] = 100,
-    deadline: Annotated[float, options.seconds("s after which it ends.", least=0.1)] = 20.0,
+    deadline: Annotated[
+        float, options.seconds("s after which it ends.", least=0.1)
+    ] = 20.0,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how long the way to drones and back takes, all at once, by echoes; exit code 0 only if none is lost.
@@ -210,7 +281,9 @@ def ping(
     try:
         wanted = [echo.require_uri(uri) for uri in uris]
         with prints_aside():
-            found = echo.ping(list(dict.fromkeys(wanted)), time.perf_counter, count, deadline)
+            found = echo.ping(
+                list(dict.fromkeys(wanted)), time.perf_counter, count, deadline
+            )
     except CrazyChoirError as error:
         fail(error, as_json)
     except KeyboardInterrupt:
@@ -225,7 +298,13 @@ def ping(
 
 def _link(one: "Echoes") -> dict[str, Any]:
     times = {f"p{share}_s": one.percentile(share) for share in (50, 95, 99)}
-    return {"uri": one.uri, "sent": one.sent, "lost": one.lost, **times, "error": one.error}
+    return {
+        "uri": one.uri,
+        "sent": one.sent,
+        "lost": one.lost,
+        **times,
+        "error": one.error,
+    }
 
 
 def _ping_table(found: "Sequence[Echoes]") -> Group:
@@ -236,5 +315,12 @@ def _ping_table(found: "Sequence[Echoes]") -> Group:
         table.add_column(name, justify="right")
     for one in found:
         times = [one.percentile(share) for share in (50, 95, 99)]
-        table.add_row(one.uri, str(one.sent), str(one.lost), *("" if s is None else f"{1e3 * s:.2f} ms" for s in times))
-    return Group(table, *(Text(f"{one.uri}: {one.error}", "red") for one in found if one.error))
+        table.add_row(
+            one.uri,
+            str(one.sent),
+            str(one.lost),
+            *("" if s is None else f"{1e3 * s:.2f} ms" for s in times),
+        )
+    return Group(
+        table, *(Text(f"{one.uri}: {one.error}", "red") for one in found if one.error)
+    )

@@ -36,52 +36,95 @@ def _colour(share: float) -> str:
     return "green" if share >= GOOD else "yellow" if share >= FAIR else "red"
 
 
-def row_of(row: "Measured", chosen: Sequence[int], expected: Mapping[int, float]) -> dict[str, Any]:
+def row_of(
+    row: "Measured", chosen: Sequence[int], expected: Mapping[int, float]
+) -> dict[str, Any]:
     """A channel in the JSON object; expected: {channel: true share}, of a simulated radio."""
     p50, p95 = row.round_trip or (None, None)
     mean, std = row.rssi or (None, None)
-    known = {"expected_ack_rate": expected[row.channel]} if row.channel in expected else {}
+    known = (
+        {"expected_ack_rate": expected[row.channel]} if row.channel in expected else {}
+    )
     return {
-        "channel": row.channel, "frequency_mhz": frequency(row.channel), "chosen": row.channel in chosen,
-        "worst_pass": row.worst, "ack_rate": row.mean, "passes": list(row.passes), "retries": list(row.retries[:-1]),
-        "lost_with_retries": row.retries[-1], "round_trip_p50_s": p50, "round_trip_p95_s": p95, "rssi_dbm": mean,
-        "rssi_std_db": std, **known,
-    }  # fmt: skip
+        "channel": row.channel,
+        "frequency_mhz": frequency(row.channel),
+        "chosen": row.channel in chosen,
+        "worst_pass": row.worst,
+        "ack_rate": row.mean,
+        "passes": list(row.passes),
+        "retries": list(row.retries[:-1]),
+        "lost_with_retries": row.retries[-1],
+        "round_trip_p50_s": p50,
+        "round_trip_p95_s": p95,
+        "rssi_dbm": mean,
+        "rssi_std_db": std,
+        **known,
+    }
 
 
 def survey_table(rows: "Sequence[Measured]", result: Mapping[str, Any]) -> Group:
     """A row a channel, and what came of it."""
     chosen = result["chosen"]
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    heads = ("\nchannel", "", "worst\npass %", "\nmean %", "0/1/2/3 retries,\nlost %", "50/95 %\nms", "\nrssi dBm")
+    heads = (
+        "\nchannel",
+        "",
+        "worst\npass %",
+        "\nmean %",
+        "0/1/2/3 retries,\nlost %",
+        "50/95 %\nms",
+        "\nrssi dBm",
+    )
     for name in heads:
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        table.add_row(*_cells(row, row.channel in chosen), style="bold" if row.channel in chosen else "")
+        table.add_row(
+            *_cells(row, row.channel in chosen),
+            style="bold" if row.channel in chosen else "",
+        )
     return Group(table, *(Text(line) for line in _lines(result)))
 
 
 def _cells(row: "Measured", chosen: bool) -> tuple[str | Text, ...]:
     packets = sum(row.retries)
     *counts, lost = (f"{100 * n / packets:.0f}" for n in row.retries)
-    trip = "" if row.round_trip is None else "/".join(f"{1000 * s:.1f}" for s in row.round_trip)
+    trip = (
+        ""
+        if row.round_trip is None
+        else "/".join(f"{1000 * s:.1f}" for s in row.round_trip)
+    )
     rssi = "" if row.rssi is None else f"{row.rssi[0]:.0f} ± {row.rssi[1]:.1f}"
     return (
-        str(row.channel), "◀" if chosen else "", Text(f"{100 * row.worst:.0f}", _colour(row.worst)),
-        f"{100 * row.mean:.1f}", f"{'/'.join(counts)}, {lost}", trip, rssi,
-    )  # fmt: skip
+        str(row.channel),
+        "◀" if chosen else "",
+        Text(f"{100 * row.worst:.0f}", _colour(row.worst)),
+        f"{100 * row.mean:.1f}",
+        f"{'/'.join(counts)}, {lost}",
+        trip,
+        rssi,
+    )
 
 
 def _lines(result: Mapping[str, Any]) -> list[str]:
     """What is picked, for whom, and where it is written."""
     worst = result["worst_ack_rate"]
-    names = ", ".join(f"{channel} ({frequency(channel)} MHz)" for channel in result["chosen"])
+    names = ", ".join(
+        f"{channel} ({frequency(channel)} MHz)" for channel in result["chosen"]
+    )
     of = " of the worst of them" if len(result["chosen"]) > 1 else ""
     lines = [f"Picked: {names}. In the worst pass{of} {worst:.0%} came through."]
     if worst < FAIR:
-        lines.append("That is little: take fewer dongles, a smaller spacing, more --channels, or another room.")
-    pairs = ", ".join(f"dongle {name}: {channel}" for name, channel in result["dongles"].items())
+        lines.append(
+            "That is little: take fewer dongles, a smaller spacing, more --channels, or another room."
+        )
+    pairs = ", ".join(
+        f"dongle {name}: {channel}" for name, channel in result["dongles"].items()
+    )
     if pairs:
-        done = f"Written into {result['written']}" if result["written"] else "Not written (see --write)"
+        done = (
+            f"Written into {result['written']}"
+            if result["written"]
+            else "Not written (see --write)"
+        )
         lines.append(f"{done}: {pairs}")
     return lines + ([f"Picture: {result['picture']}"] if result["picture"] else [])

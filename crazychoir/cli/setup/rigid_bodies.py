@@ -12,7 +12,15 @@ from crazychoir.cli.operate.inspect import JsonOption
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, Outputs, fail, require_reached, set_up_logging, write_json
+from crazychoir.launch.console import (
+    STDERR,
+    STDOUT,
+    Outputs,
+    fail,
+    require_reached,
+    set_up_logging,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
@@ -20,10 +28,18 @@ if TYPE_CHECKING:
     from crazychoir.mocap.frames import Frame
     from crazychoir.mocap.naming import Match, Seen
 
-app = typer.Typer(no_args_is_help=True, help="Bodies of motion capture: whose they are, how they sit on their drones.")
-SwarmFile = Annotated[str | None, typer.Option("--swarm", help="Swarm file; else ./swarm.toml.")]
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Bodies of motion capture: whose they are, how they sit on their drones.",
+)
+SwarmFile = Annotated[
+    str | None, typer.Option("--swarm", help="Swarm file; else ./swarm.toml.")
+]
 SecondsOption = Annotated[float, options.seconds("How long to look, in s.", least=0.2)]
-WriteOption = Annotated[bool, typer.Option("--write", help="Write it into the swarm file; all else there stays.")]
+WriteOption = Annotated[
+    bool,
+    typer.Option("--write", help="Write it into the swarm file; all else there stays."),
+]
 Changes = dict[int, dict[str, object]]
 DIGITS = 5
 
@@ -38,7 +54,10 @@ def names(
 ) -> None:
     """List what the cameras see now, and propose whose body is whose: drones stand at their homes."""
     set_up_logging()
-    from crazychoir.mocap.naming import bodies, matched  # numerics: --help does not need them
+    from crazychoir.mocap.naming import (
+        bodies,
+        matched,
+    )  # numerics: --help does not need them
 
     outputs = Outputs()
     try:
@@ -47,15 +66,27 @@ def names(
         seen = bodies(frames, seconds)
         matches = matched(seen, {i: config.drone(i).home for i in config.seen})
         sure = [match for match in matches if match.sure]
-        changes: Changes = {m.drone: {"body": m.name} for m in sure if m.name != config.body_name(m.drone)}
+        changes: Changes = {
+            m.drone: {"body": m.name}
+            for m in sure
+            if m.name != config.body_name(m.drone)
+        }
         _write(file, changes if write else {}, outputs)
     except CrazyChoirError as error:
         fail(error, as_json)
     written = write and not outputs.failed
     if as_json:
-        rows = [{"name": s.name, "p": s.p, "spread_m": s.spread, "rate_hz": s.rate} for s in seen]
-        proposed = {m.drone: {"body": m.name, "distance_m": m.distance, "sure": m.sure} for m in matches}
-        write_json({"bodies": rows, "proposed": proposed, "written": written, **outputs.told})
+        rows = [
+            {"name": s.name, "p": s.p, "spread_m": s.spread, "rate_hz": s.rate}
+            for s in seen
+        ]
+        proposed = {
+            m.drone: {"body": m.name, "distance_m": m.distance, "sure": m.sure}
+            for m in matches
+        }
+        write_json(
+            {"bodies": rows, "proposed": proposed, "written": written, **outputs.told}
+        )
     else:
         STDOUT.print(_table(seen, matches))
         _print_lines(changes, written)
@@ -70,16 +101,24 @@ def calibrate(
     turn: Annotated[
         bool,
         typer.Option(
-            "--turn", help="The offset: it is turned once about its own centre, on the floor, or in hover by its own "
+            "--turn",
+            help="The offset: it is turned once about its own centre, on the floor, or in hover by its own "
             "estimate. One that flies by these poses keeps still what they track: of it nothing is learnt.",
         ),
     ] = False,
     heading: Annotated[
-        bool, typer.Option("--heading", help="It looks along its yaw in the swarm file: find the body's yaw too.")
+        bool,
+        typer.Option(
+            "--heading",
+            help="It looks along its yaw in the swarm file: find the body's yaw too.",
+        ),
     ] = False,
     swarm: SwarmFile = None,
     source: SourceOption = None,
-    seconds: Annotated[float | None, options.seconds("How long to look, in s; else 3, to turn 20.", least=0.2)] = None,
+    seconds: Annotated[
+        float | None,
+        options.seconds("How long to look, in s; else 3, to turn 20.", least=0.2),
+    ] = None,
     write: WriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -88,17 +127,27 @@ def calibrate(
     outputs = Outputs()
     try:
         file = _file(swarm, write)
-        config, frames = _gathered(swarm, source, seconds or (20.0 if turn else 3.0), drone)
-        found = _from_turn(config, drone, frames) if turn else _from_rest(config, drone, frames, heading)
+        config, frames = _gathered(
+            swarm, source, seconds or (20.0 if turn else 3.0), drone
+        )
+        found = (
+            _from_turn(config, drone, frames)
+            if turn
+            else _from_rest(config, drone, frames, heading)
+        )
         keys = _keys(config, drone, found)
         _write(file, {drone: keys} if write else {}, outputs)
     except CrazyChoirError as error:
         fail(error, as_json)
     written = write and not outputs.failed
     if as_json:
-        write_json({"drone": drone, **keys, "found": found, "written": written, **outputs.told})
+        write_json(
+            {"drone": drone, **keys, "found": found, "written": written, **outputs.told}
+        )
     else:
-        STDERR.print(f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True)
+        STDERR.print(
+            f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True
+        )
         _print_lines({drone: keys}, written)
     outputs.say()
     if outputs.failed:
@@ -118,10 +167,20 @@ def _gathered(
     config = with_source(found, source)
     if drone is None and not config.seen:
         do = "Name another swarm file by --swarm."
-        raise ConfigError(which, "no drone that motion capture sees", 'uri = "udp://..." or "radio://..."', do)
+        raise ConfigError(
+            which,
+            "no drone that motion capture sees",
+            'uri = "udp://..." or "radio://..."',
+            do,
+        )
     if drone is not None:
-        require_reached(config, which, drone)  # one that flies by its own estimate has a body too
-    STDERR.print(f"looking for {seconds:g} s ({which}, source {config.mocap.source})", highlight=False)
+        require_reached(
+            config, which, drone
+        )  # one that flies by its own estimate has a body too
+    STDERR.print(
+        f"looking for {seconds:g} s ({which}, source {config.mocap.source})",
+        highlight=False,
+    )
 
     async def main(clock: Clock) -> "list[Frame]":
         return await gather(clock, source_of(clock, config), view_of(config), seconds)
@@ -134,7 +193,12 @@ def _file(swarm: str | None, write: bool) -> Path:
     file = Path(swarm or "swarm.toml")
     if write:
         if not file.is_file():
-            raise ConfigError("--write", "no swarm file", "a swarm file in TOML", "Name it with --swarm.")
+            raise ConfigError(
+                "--write",
+                "no swarm file",
+                "a swarm file in TOML",
+                "Name it with --swarm.",
+            )
         require_writable_file(file, "--write")
     return file
 
@@ -146,24 +210,37 @@ def _poses(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> tuple[An
     name = config.body_name(drone)
     seen = [frame for frame in frames if name in frame.bodies]
     if not seen:
-        there = ", ".join(sorted({name: None for frame in frames for name in frame.bodies})) or "none"
-        raise Refused(f"body {name} of drone {drone}", f"it is not seen; seen are: {there}.")
-    return np.array([frame.time for frame in seen]), np.array([frame.bodies[name] for frame in seen])
+        there = (
+            ", ".join(sorted({name: None for frame in frames for name in frame.bodies}))
+            or "none"
+        )
+        raise Refused(
+            f"body {name} of drone {drone}", f"it is not seen; seen are: {there}."
+        )
+    return np.array([frame.time for frame in seen]), np.array(
+        [frame.bodies[name] for frame in seen]
+    )
 
 
-def _from_rest(config: "SwarmConfig", drone: int, frames: "list[Frame]", heading: bool) -> "Rest":
+def _from_rest(
+    config: "SwarmConfig", drone: int, frames: "list[Frame]", heading: bool
+) -> "Rest":
     from crazychoir.mocap.calibration import from_rest
 
     one = config.drone(drone)
     looks = one.yaw if heading else None
-    return from_rest(_poses(config, drone, frames)[1], one.home[2], looks, one.body_rotation[2])
+    return from_rest(
+        _poses(config, drone, frames)[1], one.home[2], looks, one.body_rotation[2]
+    )
 
 
 def _from_turn(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> "Turn":
     from crazychoir.mocap.calibration import from_turn
 
     one = config.drone(drone)
-    return from_turn(*_poses(config, drone, frames), one.body_rotation, one.body_offset[2])
+    return from_turn(
+        *_poses(config, drone, frames), one.body_rotation, one.body_offset[2]
+    )
 
 
 def _keys(config: "SwarmConfig", drone: int, found: "Rest | Turn") -> dict[str, object]:
@@ -173,7 +250,10 @@ def _keys(config: "SwarmConfig", drone: int, found: "Rest | Turn") -> dict[str, 
     if isinstance(found, Turn):
         return {"body_offset": _rounded(found.offset)}
     x, y, _ = config.drone(drone).body_offset
-    return {"body_rotation": _rounded(found.rotation), "body_offset": _rounded((x, y, found.height))}
+    return {
+        "body_rotation": _rounded(found.rotation),
+        "body_offset": _rounded((x, y, found.height)),
+    }
 
 
 def _in_words(found: "Rest | Turn") -> str:
@@ -194,7 +274,9 @@ def _rounded(values: tuple[float, float, float]) -> list[float]:
     return [round(value, DIGITS) + 0.0 for value in values]
 
 
-def _write(file: Path, changes: Mapping[int, Mapping[str, object]], outputs: Outputs) -> None:
+def _write(
+    file: Path, changes: Mapping[int, Mapping[str, object]], outputs: Outputs
+) -> None:
     from crazychoir.config.editing import write_keys
 
     if changes:
@@ -206,7 +288,9 @@ def _print_lines(changes: Changes, written: bool) -> None:
     from crazychoir.config.editing import lines_of
 
     if changes:
-        STDERR.print("written:" if written else "for the swarm file (--write writes it):")
+        STDERR.print(
+            "written:" if written else "for the swarm file (--write writes it):"
+        )
     for i, keys in changes.items():
         STDOUT.print(lines_of(i, keys), markup=False, highlight=False, soft_wrap=True)
 
@@ -218,7 +302,14 @@ def _table(seen: "list[Seen]", matches: "list[Match]") -> Table:
         match = whose.get(body.name)
         drone = "-" if match is None else f"{match.drone}{'' if match.sure else '?'}"
         far = "" if match is None else f"{match.distance:.3f}"
-        table.add_row(body.name, f"{body.rate:.0f}", *(f"{c:.3f}" for c in body.p), f"{body.spread:.3f}", drone, far)
+        table.add_row(
+            body.name,
+            f"{body.rate:.0f}",
+            *(f"{c:.3f}" for c in body.p),
+            f"{body.spread:.3f}",
+            drone,
+            far,
+        )
     return table
 
 
@@ -232,4 +323,6 @@ def _say_left(config: "SwarmConfig", matches: "list[Match]") -> None:
     left = [i for i in config.seen if i not in sure]
     if left:
         names = ", ".join(map(str, left))
-        STDERR.print(f"no body within {FAR:g} m of the home of drone(s) {names}: put them there, or mend `home`.")
+        STDERR.print(
+            f"no body within {FAR:g} m of the home of drone(s) {names}: put them there, or mend `home`."
+        )

@@ -12,25 +12,37 @@ ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def router(
-    swarm: Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")] = None,
-    listen: Annotated[str | None, typer.Option(help="Zenoh endpoint, as tcp/0.0.0.0:7441, instead of its own.")] = None,
+    swarm: Annotated[
+        str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
+    ] = None,
+    listen: Annotated[
+        str | None,
+        typer.Option(help="Zenoh endpoint, as tcp/0.0.0.0:7441, instead of its own."),
+    ] = None,
 ) -> None:
     """Run a Zenoh router for a swarm whose hosts do not reach each other, until Ctrl-C."""
     set_up_logging()
-    unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)  # for the threads of Zenoh, too: sigwait takes them
+    unmasked = signal.pthread_sigmask(
+        signal.SIG_BLOCK, ENDS
+    )  # for the threads of Zenoh, too: sigwait takes them
     from crazychoir.bus.network.zenoh_link import routing
     from crazychoir.config.swarm_config import find_swarm
 
     try:
         config, which = find_swarm(swarm)
         if config.router is None and (listen is None or config.secured):
-            do = "Write router = \"NAME\", a name of [hosts], above the first table: all processes then connect to it."
-            raise ConfigError(f"{which}: router", "nothing", "the host that it runs on", do)
+            do = 'Write router = "NAME", a name of [hosts], above the first table: all processes then connect to it.'
+            raise ConfigError(
+                f"{which}: router", "nothing", "the host that it runs on", do
+            )
         at = config.routers if listen is None else [listen]
         access = config.access(config.router or "", *at)
         with routing(at, config.lease, access):
             closed = "mutual TLS" if access is not None else "open to everybody"
-            STDERR.print(f"swarm {config.name} ({which}): router at {', '.join(at)}, {closed}", markup=False)
+            STDERR.print(
+                f"swarm {config.name} ({which}): router at {', '.join(at)}, {closed}",
+                markup=False,
+            )
             signal.sigwait(ENDS)
     except CrazyChoirError as error:
         fail(error, as_json=False)

@@ -19,7 +19,11 @@ def name_of(process: int) -> str:
 
 def unit_of(process: int) -> str:
     """The systemd unit of a process."""
-    owners = {WORLD: "crazychoir-world", MOCAP: "crazychoir-mocap", ROUTER: "crazychoir-router"}
+    owners = {
+        WORLD: "crazychoir-world",
+        MOCAP: "crazychoir-mocap",
+        ROUTER: "crazychoir-router",
+    }
     if process >= 0:
         return f"crazychoir-agent@{process}.service"
     return owners.get(process, f"crazychoir-radio@{DONGLES - process}") + ".service"
@@ -27,4 +31,8 @@ def unit_of(process: int) -> str:
 
 def units(config: "SwarmConfig", host: str) -> list[str]:
     """Those of a host; owners first: agents wait for them."""
-    return [unit_of(process) for process in config.endpoints() if config.host_of(process) == host]
+    return [
+        unit_of(process)
+        for process in config.endpoints()
+        if config.host_of(process) == host
+    ]

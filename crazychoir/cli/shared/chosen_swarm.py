@@ -17,15 +17,21 @@ FEW = 4
 SWARM_FILES = (".toml", ".json")
 
 
-def configured(swarm: str | None, mission: str | None, loss: float | None, seed: int | None) -> tuple[SwarmConfig, str]:
+def configured(
+    swarm: str | None, mission: str | None, loss: float | None, seed: int | None
+) -> tuple[SwarmConfig, str]:
     """The swarm file with what the command line says instead; without a file, the mission's own swarm."""
     config, which = chosen_swarm(swarm, mission)
     if mission is None and config.mission is None:
-        raise ConfigError(which, "no mission", 'mission = "name" in the swarm file, or --mission')
+        raise ConfigError(
+            which, "no mission", 'mission = "name" in the swarm file, or --mission'
+        )
     return changed(config, loss, seed, mission), which
 
 
-def chosen_swarm(swarm: str | None, mission: str | None = None) -> tuple[SwarmConfig, str]:
+def chosen_swarm(
+    swarm: str | None, mission: str | None = None
+) -> tuple[SwarmConfig, str]:
     """The swarm file; without one, the swarm of the mission, or of the demo's mission."""
     config, which = find_swarm(swarm)
     if which.startswith("the built-in demo"):
@@ -40,12 +46,16 @@ def named_file(what: str, swarm: str | None) -> str | None:
     return None if file is None else str(Path(file).resolve())
 
 
-def changed(config: SwarmConfig, loss: float | None, seed: int | None, mission: str | None) -> SwarmConfig:
+def changed(
+    config: SwarmConfig, loss: float | None, seed: int | None, mission: str | None
+) -> SwarmConfig:
     """The same swarm with other values where they are given."""
     changes: dict[str, Any] = {}
     if loss is not None:
         network = json.loads(config.dumps())["network"]
-        changes["network"] = {key: value for key, value in network.items() if value is not None} | {"loss": loss}
+        changes["network"] = {
+            key: value for key, value in network.items() if value is not None
+        } | {"loss": loss}
     if seed is not None:
         changes["seed"] = seed
     if mission is not None:
@@ -54,7 +64,11 @@ def changed(config: SwarmConfig, loss: float | None, seed: int | None, mission: 
 
 
 def to_run(
-    what: str, drones: int | None, swarm: str | None, loss: float | None, seed: int | None
+    what: str,
+    drones: int | None,
+    swarm: str | None,
+    loss: float | None,
+    seed: int | None,
 ) -> tuple[SwarmConfig, Mission]:
     """The swarm and the mission of `crazychoir run`."""
     if what.endswith(SWARM_FILES):
@@ -65,15 +79,23 @@ def to_run(
     mission = load(what)
     if swarm is not None:
         return changed(SwarmConfig.load(swarm), loss, seed, what), mission
-    own = mission.swarm(drones) if has(mission, "swarm") else default_swarm(drones or FEW)
+    own = (
+        mission.swarm(drones) if has(mission, "swarm") else default_swarm(drones or FEW)
+    )
     config = changed(own, loss, seed, what)
     if drones not in (None, len(config.ids)):
-        raise ConfigError("--drones", drones, f"{len(config.ids)}: mission {what} flies no other number")
+        raise ConfigError(
+            "--drones",
+            drones,
+            f"{len(config.ids)}: mission {what} flies no other number",
+        )
     scatter = getattr(mission, "scatter", None)
     return (scatter(config) if scatter else config), mission
 
 
-def check_options(what: str, swarm: str | None, only: str | None, given: dict[str, Any]) -> None:
+def check_options(
+    what: str, swarm: str | None, only: str | None, given: dict[str, Any]
+) -> None:
     """Refuse options of `crazychoir run` that would say nothing beside the others.
 
     given: options of a whole swarm on this machine, and their values.
@@ -83,9 +105,16 @@ def check_options(what: str, swarm: str | None, only: str | None, given: dict[st
         raise ConfigError("--swarm", f"{swarm} beside {what}", "one swarm file")
     if own_file and given["--drones"]:
         do = "Change the [[drones]] of the file."
-        raise ConfigError("--drones", f"{given['--drones']} beside a swarm file", "the drones of that file", do)
+        raise ConfigError(
+            "--drones",
+            f"{given['--drones']} beside a swarm file",
+            "the drones of that file",
+            do,
+        )
     if given["--fast"] and given["--processes"]:
-        raise ConfigError("--processes", "--fast beside it", "no --fast: virtual time is one process")
+        raise ConfigError(
+            "--processes", "--fast beside it", "no --fast: virtual time is one process"
+        )
     if only is not None:
         _check_only(only, what, own_file, given)
 
@@ -98,7 +127,11 @@ def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> 
         raise ConfigError("--only", f"{only} without a swarm file", allowed, do)
     for option, value in given.items():
         if value:
-            raise ConfigError("--only", f"{option} beside it", f"no {option}: it is for a whole swarm on this machine")
+            raise ConfigError(
+                "--only",
+                f"{option} beside it",
+                f"no {option}: it is for a whole swarm on this machine",
+            )
 
 
 def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
@@ -106,8 +139,17 @@ def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
     waits = wait or config.flight.operator
     if waits and fast:
         found = "--wait" if wait else "[flight] operator = true"
-        raise ConfigError("--fast", found, "virtual time, which no operator can command", "Leave one of them out.")
-    return config.replace(flight={**msgspec.to_builtins(config.flight), "operator": True}) if waits else config
+        raise ConfigError(
+            "--fast",
+            found,
+            "virtual time, which no operator can command",
+            "Leave one of them out.",
+        )
+    return (
+        config.replace(flight={**msgspec.to_builtins(config.flight), "operator": True})
+        if waits
+        else config
+    )
 
 
 def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
@@ -122,5 +164,10 @@ def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     for group in config.groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
             do = "Name all of them or none, or mend `processes` in the swarm file."
-            raise ConfigError("--only", only, f"drones {', '.join(map(str, group))} share a process", do)
+            raise ConfigError(
+                "--only",
+                only,
+                f"drones {', '.join(map(str, group))} share a process",
+                do,
+            )
     return tuple(here)

@@ -43,17 +43,27 @@ class EmergencyStop:
     alone: see Commander.emergency_stop.
     """
 
-    def __init__(self, place: Place, meant: tuple[int, ...], clear: bool, alone: bool) -> None:
-        self.place, self.meant, self.clear, self.alone = place, meant, clear, alone
+    def __init__(
+        self, place: Place, meant: tuple[int, ...], clear: bool, alone: bool
+    ) -> None:
+        self.place = place
+        self.meant = meant
+        self.clear = clear
+        self.alone = alone
         self.owned = [i for i in place.config.elsewhere if i in meant]
         self.found: dict[int, float] = {}  # s, when the agent of each drone was
         self.obeyed: dict[int, None] = {}
-        self._told, self._tells, self._waited = 0, 0.0, False
+        self._told = 0
+        self._tells = 0.0
+        self._waited = False
 
     async def run(self) -> dict[int, tuple[bool, str]]:
         """By drone: whether it has obeyed, and what is known; raises Refused if there is nobody at all."""
-        place, targets = self.place, [*self.meant, *(BODIES + i for i in self.owned)]
-        order = place.commander.emergency_stop(targets, self.clear, math.inf, self.alone, self.obeyed)
+        place = self.place
+        targets = [*self.meant, *(BODIES + i for i in self.owned)]
+        order = place.commander.emergency_stop(
+            targets, self.clear, math.inf, self.alone, self.obeyed
+        )
         sending = asyncio.ensure_future(order)
         try:
             await self._wait(sending)
@@ -64,16 +74,20 @@ class EmergencyStop:
         return {i: self._said(i) for i in self.meant}
 
     async def _wait(self, sending: asyncio.Future[list[int]]) -> None:
-        place, clock, news = self.place, self.place.clock, 0
+        place = self.place
+        clock = self.place.clock
+        news = 0
         began = clock.now()
         # A world may be there without any agent, and nobody listens at their ports then.
-        ends, self._tells = began + max(place.patience, DISCOVERY if self.owned else 0.0), began + TELL
+        ends = began + max(place.patience, DISCOVERY if self.owned else 0.0)
+        self._tells = began + TELL
         while not sending.done():
             now = clock.now()
             self.found |= {i: now for i in place.drones if i not in self.found}
             count = len(self.found) + len(self._bodies())
             if count > news:
-                news, ends = count, now + DISCOVERY
+                news = count
+                ends = now + DISCOVERY
             if now >= ends and not any(self._may_obey(i, now) for i in self.meant):
                 return
             self._tell(now, began)
@@ -82,7 +96,10 @@ class EmergencyStop:
 
     def _may_obey(self, i: int, now: float) -> bool:
         """Whether its agent is there, and is waited for."""
-        return not {i, BODIES + i} & self.obeyed.keys() and now < self.found.get(i, -math.inf) + OBEYS
+        return (
+            not {i, BODIES + i} & self.obeyed.keys()
+            and now < self.found.get(i, -math.inf) + OBEYS
+        )
 
     def _bodies(self) -> list[int]:
         """The drones whose bodies have obeyed."""
@@ -90,20 +107,38 @@ class EmergencyStop:
 
     def _tell(self, now: float, began: float) -> None:
         """Say who has obeyed so far, or that nobody is there yet."""
-        name, patience = self.place.config.name, self.place.patience
+        name = self.place.config.name
+        patience = self.place.patience
         if len(self.obeyed) > self._told and now >= self._tells:
-            self._told, self._tells = len(self.obeyed), now + TELL
-            ids = {"agents": [i for i in self.meant if i in self.obeyed], "bodies": self._bodies()}
-            who = "; ".join(f"{whose} {span(known)}" for whose, known in ids.items() if known)
+            self._told = len(self.obeyed)
+            self._tells = now + TELL
+            ids = {
+                "agents": [i for i in self.meant if i in self.obeyed],
+                "bodies": self._bodies(),
+            }
+            who = "; ".join(
+                f"{whose} {span(known)}" for whose, known in ids.items() if known
+            )
             verb = "cleared" if self.clear else "stopped"
             log.warning("swarm %s: %s: %s; waiting for the others", name, verb, who)
-        elif not (self.found or self.obeyed or self._waited) and patience > DISCOVERY and now > began + SOON:
+        elif (
+            not (self.found or self.obeyed or self._waited)
+            and patience > DISCOVERY
+            and now > began + SOON
+        ):
             self._waited = True
             log.warning("%s", starting(self.place.config, patience))
 
     def _said(self, i: int) -> tuple[bool, str]:
-        obeys, body = i in self.obeyed, i not in self.owned or BODIES + i in self.obeyed
-        said = "acknowledged" if obeys else "no acknowledgement" if i in self.found else ABSENT
+        obeys = i in self.obeyed
+        body = i not in self.owned or BODIES + i in self.obeyed
+        said = (
+            "acknowledged"
+            if obeys
+            else "no acknowledgement"
+            if i in self.found
+            else ABSENT
+        )
         if i not in self.owned or (obeys and body):
             return obeys, said
         known = "its body has obeyed" if body else "its body's owner does not answer"

@@ -5,7 +5,14 @@ import logging
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Answer, Commander
+from crazychoir.bus.commands import (
+    ACCEPTED,
+    DONE,
+    NOT_READY,
+    REFUSED,
+    Answer,
+    Commander,
+)
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import OBSERVER
 from crazychoir.bus.topics import Topic
@@ -48,10 +55,18 @@ class Window:
     """
 
     def __init__(
-        self, clock: Clock, config: SwarmConfig, link: ZenohLink, option: str | None = None,
+        self,
+        clock: Clock,
+        config: SwarmConfig,
+        link: ZenohLink,
+        option: str | None = None,
         patience: float = DISCOVERY,
-    ) -> None:  # fmt: skip
-        self.clock, self.config, self.link, self.option, self.patience = clock, config, link, option, patience
+    ) -> None:
+        self.clock = clock
+        self.config = config
+        self.link = link
+        self.option = option
+        self.patience = patience
         self.address, port = next(iter(link.bus.ports.items()))
         self.commander = Commander(port)
 
@@ -72,10 +87,12 @@ class Window:
     async def find(self) -> list[int]:
         """Wait until all drones are found, at most DISCOVERY s after the last one; raises Refused if none comes."""
         await self.somebody()
-        seen, ends = 0, 0.0
+        seen = 0
+        ends = 0.0
         while len(self.drones) < len(self.config.ids):
             if len(self.drones) > seen:
-                seen, ends = len(self.drones), self.clock.now() + DISCOVERY
+                seen = len(self.drones)
+                ends = self.clock.now() + DISCOVERY
             if self.clock.now() >= ends:
                 break
             await self.clock.sleep(LOOK)
@@ -83,10 +100,16 @@ class Window:
 
     async def somebody(self) -> None:
         """Wait until the first drone is found; raises Refused if none is, and soon after its run has ended."""
-        began, looked, said = self.clock.now(), self.clock.now(), False
+        began = self.clock.now()
+        looked = self.clock.now()
+        said = False
         while not self.drones:
             now = self.clock.now()
-            ended = self.patience == STARTS and now - looked > DISCOVERY and not runs_here(self.config)
+            ended = (
+                self.patience == STARTS
+                and now - looked > DISCOVERY
+                and not runs_here(self.config)
+            )
             looked = now if now - looked > DISCOVERY else looked
             if ended or now - began >= self.patience:
                 raise nobody(self.config, self.option)
@@ -101,23 +124,42 @@ class Window:
             if i not in self.config.ids:
                 raise ConfigError(option, f"drone {i}", span(self.config.ids))
 
-    def read(self, topic: Topic, i: int, function: Callable[[Any, float], None], rate: float = 0.0) -> Call[Any]:
+    def read(
+        self,
+        topic: Topic,
+        i: int,
+        function: Callable[[Any, float], None],
+        rate: float = 0.0,
+    ) -> Call[Any]:
         """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
         box = Call(self.clock, function)
-        self.link.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
+        self.link.bus.subscribe(
+            topic, self.config.source(topic, i), self.address, box, rate
+        )
         return box
 
     def score(self) -> "Score":
         """The whole swarm, from now on."""
-        from crazychoir.launch.flight_observer import Score  # laws and numerics: 1 s that an order does not wait
+        from crazychoir.launch.flight_observer import (
+            Score,
+        )  # laws and numerics: 1 s that an order does not wait
 
-        return Score(self.link.bus, self.config.ids, address=self.address, source=self.config.source)
+        return Score(
+            self.link.bus,
+            self.config.ids,
+            address=self.address,
+            source=self.config.source,
+        )
 
-    async def request(self, verb: str, drones: Iterable[int] | None = None, **arguments: Any) -> Answers:
+    async def request(
+        self, verb: str, drones: Iterable[int] | None = None, **arguments: Any
+    ) -> Answers:
         """Ask these drones; None: every drone of the swarm."""
         return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
-    async def order(self, verb: str, drones: Iterable[int] | None, seconds: float) -> Answers:
+    async def order(
+        self, verb: str, drones: Iterable[int] | None, seconds: float
+    ) -> Answers:
         """Command these drones in flight, None: all; a command that takes longer than so many s is left ACCEPTED.
 
         Who is not ready yet is asked again, for at most READY s. Says of each its answer and its words, as "refused"
@@ -125,25 +167,39 @@ class Window:
         """
         return await self._ask(lambda i: self._order(i, verb, seconds, {}), drones)
 
-    async def command(self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float) -> Answers:
+    async def command(
+        self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float
+    ) -> Answers:
         """`order` with arguments, by drone."""
         return await self._ask(lambda i: self._order(i, verb, seconds, told[i]), told)
 
-    async def _order(self, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
-        began, asks = self.clock.now(), self.clock.now() + min(seconds, READY)
+    async def _order(
+        self, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]
+    ) -> tuple[bool, Any]:
+        began = self.clock.now()
+        asks = self.clock.now() + min(seconds, READY)
         while True:
             try:
-                answer = await self.commander.request(i, verb, began + seconds - self.clock.now(), **arguments)
+                answer = await self.commander.request(
+                    i, verb, began + seconds - self.clock.now(), **arguments
+                )
             except TimeoutError:
-                return False, (SILENT, f"no answer within {seconds:g} s; is its agent running?")
-            if answer.kind == ACCEPTED:  # what was left for the last time that it was asked says nothing to who waited
+                return False, (
+                    SILENT,
+                    f"no answer within {seconds:g} s; is its agent running?",
+                )
+            if (
+                answer.kind == ACCEPTED
+            ):  # what was left for the last time that it was asked says nothing to who waited
                 return False, (ACCEPTED, f"not done within {seconds:g} s")
             waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
             if not waits or self.clock.now() + RETRY >= asks:
                 return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
             await self.clock.sleep(RETRY)
 
-    async def emergency_stop(self, clear: bool, drones: Iterable[int] | None = None) -> Answers:
+    async def emergency_stop(
+        self, clear: bool, drones: Iterable[int] | None = None
+    ) -> Answers:
         """Stop these drones, None: the swarm; or clear the stop. Every body that a world's owner has is stopped too.
 
         So a drone falls whose agent is gone, or hangs: it has not obeyed, and it is said that its body has.
@@ -152,17 +208,22 @@ class Window:
         """
         self._require_operator()
         meant = tuple(self.config.ids if drones is None else drones)
-        return await EmergencyStop(self, meant, clear, alone=drones is not None and not clear).run()
+        return await EmergencyStop(
+            self, meant, clear, alone=drones is not None and not clear
+        ).run()
 
     def _require_operator(self) -> None:
         """Raise Refused where the keys are not those of an operator, whom alone drones and bodies answer."""
-        host, operators = self.link.bus.host, self.config.security.operators
+        host = self.link.bus.host
+        operators = self.config.security.operators
         if self.config.secured and host not in operators:
             alone = f"drones obey and answer {', '.join(operators)} alone (security.operators of the swarm file)"
             text = f"the keys here, in {self.config.security.keys}, are those of {host}: {alone}. Command from there."
             raise Refused(f"swarm {self.config.name}", text)
 
-    async def _request(self, i: int, verb: str, arguments: Mapping[str, Any]) -> tuple[bool, Any]:
+    async def _request(
+        self, i: int, verb: str, arguments: Mapping[str, Any]
+    ) -> tuple[bool, Any]:
         try:
             answer: Answer = await self.commander.request(i, verb, **arguments)
         except TimeoutError as error:
@@ -174,16 +235,24 @@ class Window:
         return True, "acknowledged" if answer.detail is None else answer.detail
 
     async def _ask(
-        self, ask: Callable[[int], Awaitable[tuple[bool, Any]]], drones: Iterable[int] | None = None
+        self,
+        ask: Callable[[int], Awaitable[tuple[bool, Any]]],
+        drones: Iterable[int] | None = None,
     ) -> Answers:
         """All at once, and each as soon as it is found: who is absent delays nobody."""
         self._require_operator()
         await self.somebody()
-        asked = {i: asyncio.ensure_future(ask(i)) for i in (self.config.ids if drones is None else drones)}
+        asked = {
+            i: asyncio.ensure_future(ask(i))
+            for i in (self.config.ids if drones is None else drones)
+        }
         try:
             there = await self.find()
             await asyncio.gather(*(asked[i] for i in there if i in asked))
-            return {i: task.result() if task.done() else (False, ABSENT) for i, task in asked.items()}
+            return {
+                i: task.result() if task.done() else (False, ABSENT)
+                for i, task in asked.items()
+            }
         finally:
             for task in asked.values():
                 task.cancel()

@@ -19,7 +19,8 @@ SOON = 2.0
 PROBE = 0.5
 """s within which a process of this machine takes a connection."""
 NOT_YET = (
-    "its run has not started them yet (a first run compiles its laws for a minute or two), or is ending; try again."
+    "its run has not started them yet (a first run compiles its laws for a minute or two), "
+    "or is ending; try again."
 )
 
 
@@ -32,12 +33,17 @@ def running_swarm(option: str | None) -> SwarmConfig:
     file = option or (LOCAL_FILE if Path(LOCAL_FILE).is_file() else None)
     found = runs() if file is None else of_file(file)
     if len(found) > 1:
-        raise Refused(file or "crazychoir", f"several of your runs could be meant. {choose(found)}")
+        raise Refused(
+            file or "crazychoir",
+            f"several of your runs could be meant. {choose(found)}",
+        )
     if found or file is not None:
         return SwarmConfig.load(found[0].file if found else str(file))
     if patience(demo := find_swarm()[0]) == 0.0:
         raise nobody(demo, None)
-    from crazychoir.cli.shared.chosen_swarm import chosen_swarm  # missions: 1 s that others need not wait
+    from crazychoir.cli.shared.chosen_swarm import (
+        chosen_swarm,
+    )  # missions: 1 s that others need not wait
 
     return chosen_swarm(None)[0]
 
@@ -59,27 +65,43 @@ def patience(config: SwarmConfig) -> float:
     """
     if runs_here(config):
         return STARTS
-    places = [endpoint.partition("/")[2].rpartition(":") for endpoint in config.endpoints().values()]
+    places = [
+        endpoint.partition("/")[2].rpartition(":")
+        for endpoint in config.endpoints().values()
+    ]
     elsewhere = any(host != LOCAL for host, _, _ in places)
-    return DISCOVERY if elsewhere or any(_listens(int(port)) for _, _, port in places) else 0.0
+    return (
+        DISCOVERY
+        if elsewhere or any(_listens(int(port)) for _, _, port in places)
+        else 0.0
+    )
 
 
 def nobody(config: SwarmConfig, option: str | None) -> Refused:
     """The error of who finds no process of this swarm."""
     others = runs()
     if any(run.swarm == config.name for run in others):
-        return Refused(f"swarm {config.name}", f"no agent found {_at(config)}: {NOT_YET}")
+        return Refused(
+            f"swarm {config.name}", f"no agent found {_at(config)}: {NOT_YET}"
+        )
     if others:
-        return Refused(f"swarm {config.name}", f"no agent found {_at(config)}; is it running? {choose(others)}")
+        return Refused(
+            f"swarm {config.name}",
+            f"no agent found {_at(config)}; is it running? {choose(others)}",
+        )
     if option is None and not Path(LOCAL_FILE).is_file():
         do = "start one with `crazychoir run ...`, or name it with --swarm FILE"
         return Refused("crazychoir", f"no swarm of yours runs here: {do}")
-    return Refused(f"swarm {config.name}", f"no agent found {_at(config)}; is it running?")
+    return Refused(
+        f"swarm {config.name}", f"no agent found {_at(config)}; is it running?"
+    )
 
 
 def starting(config: SwarmConfig, seconds: float) -> str:
     """What is said while nobody is there yet, who gets so many s."""
-    return f"swarm {config.name} is starting: waiting for its drones, up to {seconds:g} s"
+    return (
+        f"swarm {config.name} is starting: waiting for its drones, up to {seconds:g} s"
+    )
 
 
 def _at(config: SwarmConfig) -> str:

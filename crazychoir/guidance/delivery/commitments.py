@@ -39,7 +39,10 @@ class Commitments:
         """
         while self.route and not self.news.record.out:
             stop = self.route[0]
-            if stop.kind == "delivery" or self.news.standings()[stop.task].fate is Fate.OPEN:
+            if (
+                stop.kind == "delivery"
+                or self.news.standings()[stop.task].fate is Fate.OPEN
+            ):
                 return stop
             self._forget(stop.task)
         return None
@@ -59,7 +62,11 @@ class Commitments:
                 aboard[stop.task] = None
             else:
                 aboard.pop(stop.task, None)
-        self.planning, self.bound, self._head = True, dict.fromkeys(stop.task for stop in head), list(head)
+        self.planning, self.bound, self._head = (
+            True,
+            dict.fromkeys(stop.task for stop in head),
+            list(head),
+        )
         return tuple(j for j in self.bound if j not in aboard), tuple(aboard)
 
     def adopt(self, share: Share) -> None:
@@ -68,7 +75,11 @@ class Commitments:
         for i, error in share.dropped.items():
             self.news.drop(i, error)
         done = {(deed.task, deed.kind): None for deed in self.news.record.deeds}
-        self.route = [stop for stop in [*self._head, *share.stops] if (stop.task, stop.kind) not in done]
+        self.route = [
+            stop
+            for stop in [*self._head, *share.stops]
+            if (stop.task, stop.kind) not in done
+        ]
         self.planning = False
         if share.ended:
             self.news.say(ended=True)
@@ -86,11 +97,15 @@ class Commitments:
         self.route.remove(stop)
         standing = self.news.standings()[stop.task]
         deed = Deed(stop.task, stop.kind, standing.generation + (stop.kind == "pickup"))
-        return self.news.say(deeds=(*self.news.record.deeds, deed), place=self.news.here())
+        return self.news.say(
+            deeds=(*self.news.record.deeds, deed), place=self.news.here()
+        )
 
     def take_back(self, task: int) -> None:
         """A pickup that has not happened: the goods stay, and there is nothing to deliver."""
-        self.news.say(deeds=tuple(deed for deed in self.news.record.deeds if deed.task != task))
+        self.news.say(
+            deeds=tuple(deed for deed in self.news.record.deeds if deed.task != task)
+        )
         self._forget(task)
 
     def _forget(self, task: int) -> None:

@@ -23,12 +23,18 @@ def require_used(written: Mapping[str, Any], where: str) -> None:
     """Raise ConfigError for a key that says nothing beside another one."""
     for key, other in IDLE:
         if key in written and other in written:
-            allowed, do = "no tasks are drawn then", "Remove one of the two."
-            raise ConfigError(f"{where}.{key}", written[key], allowed, do, f"beside {other}")
+            allowed = "no tasks are drawn then"
+            do = "Remove one of the two."
+            raise ConfigError(
+                f"{where}.{key}", written[key], allowed, do, f"beside {other}"
+            )
 
 
 def require_flown(
-    problem: Instance, key: str, flown: Collection[str] = (), allowed: str = STRAIGHT_HOME
+    problem: Instance,
+    key: str,
+    flown: Collection[str] = (),
+    allowed: str = STRAIGHT_HOME,
 ) -> None:
     """Raise ConfigError for what no robot minds in flight, and silence would hide.
 
@@ -40,32 +46,52 @@ def require_flown(
         "open_tours": problem.open_tours,
         "distance": problem.distance is not None,
         "service_time": tasks.service.any(),
-        "time_windows or release": tasks.earliest.any() or np.isfinite(tasks.latest).any(),
-        "time_windows of homes": problem.window[:, 0].any() or np.isfinite(problem.window[:, 1]).any(),
+        "time_windows or release": tasks.earliest.any()
+        or np.isfinite(tasks.latest).any(),
+        "time_windows of homes": problem.window[:, 0].any()
+        or np.isfinite(problem.window[:, 1]).any(),
         "penalty": np.isfinite(tasks.penalty).any(),
         "recharge": problem.recharge != 1,
         "objective": problem.objective != (TOTAL,),
     }
-    if found := [name for name, is_there in there.items() if is_there and name not in flown]:
-        times = "" if "service_time" in flown else "; service_time of [mission_options] holds for all stops"
+    if found := [
+        name for name, is_there in there.items() if is_there and name not in flown
+    ]:
+        times = (
+            ""
+            if "service_time" in flown
+            else "; service_time of [mission_options] holds for all stops"
+        )
         do = f"Leave it out of the instance{times}."
         raise ConfigError(key, problem.name, allowed, do, f"it has {', '.join(found)}")
 
 
 def require_servable(
-    site: Site, known: Sequence[Task], appearing: Sequence[Appearance], chosen: DeliveryOptions, where: str
+    site: Site,
+    known: Sequence[Task],
+    appearing: Sequence[Appearance],
+    chosen: DeliveryOptions,
+    where: str,
 ) -> None:
     """Raise ConfigError unless drones can stand where each task lies, and one can carry it; and all who are named are.
 
     known: at the start;  appearing: as the options say, or as they are drawn.
     """
     if len(known) + len(appearing) > ADDED:
-        raise ConfigError(where, f"{len(known) + len(appearing)} tasks", f"at most {ADDED}")
+        raise ConfigError(
+            where, f"{len(known) + len(appearing)} tasks", f"at most {ADDED}"
+        )
     for task in known:
         if found := site.lies_badly(task, task.pickup) or site.never(task):
-            raise _refused(f"{where}.{'tasks' if chosen.instance is None else 'instance'}", task.id, found)
+            raise _refused(
+                f"{where}.{'tasks' if chosen.instance is None else 'instance'}",
+                task.id,
+                found,
+            )
     for n, row in enumerate(appearing):
-        task = Task(len(known) + n, 0, False, row.pickup, row.delivery, row.load, row.robots)
+        task = Task(
+            len(known) + n, 0, False, row.pickup, row.delivery, row.load, row.robots
+        )
         if not chosen.appear:
             if found := site.lies_badly(task, task.pickup):
                 raise _refused(f"{where}.later", task.id, found)
@@ -84,10 +110,23 @@ def require_servable(
 
 def _refused(key: str, found: object, problem: str) -> ConfigError:
     allowed = "places inside the fence, `clearance` away from homes, and loads that somebody can carry"
-    return ConfigError(key, found, allowed, "Move or change the task, widen [fence], or take another seed.", problem)
+    return ConfigError(
+        key,
+        found,
+        allowed,
+        "Move or change the task, widen [fence], or take another seed.",
+        problem,
+    )
 
 
 def _require_there(site: Site, ids: tuple[int, ...], key: str) -> None:
     if strangers := [i for i in ids if i not in site.config.ids]:
-        allowed, problem = f"this swarm has {span(site.config.ids)}", f"there is no drone {span(strangers)}"
-        raise ConfigError(key, list(ids), allowed, "Mend the list; without it, all are meant.", problem)
+        allowed = f"this swarm has {span(site.config.ids)}"
+        problem = f"there is no drone {span(strangers)}"
+        raise ConfigError(
+            key,
+            list(ids),
+            allowed,
+            "Mend the list; without it, all are meant.",
+            problem,
+        )

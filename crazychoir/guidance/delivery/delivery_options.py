@@ -11,15 +11,44 @@ from crazychoir.guidance.tasks.task_book import LARGEST, Place
 from crazychoir.guidance.tasks.task_source import ADDED
 
 Spot = Annotated[Place, Meta(description="a place [x, y] in m", examples=[[1.0, 2.5]])]
-Load = Annotated[float, Meta(ge=0.0, le=LARGEST, description="a load, 0 to 1e6, as the capacities", examples=[1.0])]
-MOST = ADDED // 2
-Number = Annotated[int, Meta(ge=1, le=MOST, description=f"a number of tasks, 1 to {MOST}", examples=[15])]
-Further = Annotated[int, Meta(ge=0, le=MOST, description=f"a number of tasks, 0 to {MOST}", examples=[5])]
-TaskId = Annotated[int, Meta(ge=0, description="the number of a task, not negative", examples=[4])]
-Gap = Annotated[
-    float, Meta(ge=TOUCHING, le=100.0, description=f"m, {TOUCHING:g} (nearer, drones touch) to 100", examples=[0.4])
+Load = Annotated[
+    float,
+    Meta(
+        ge=0.0,
+        le=LARGEST,
+        description="a load, 0 to 1e6, as the capacities",
+        examples=[1.0],
+    ),
 ]
-Method = Annotated[str, Meta(pattern=f"^({'|'.join(KINDS)})$", description=", ".join(KINDS), examples=[AUCTION])]
+MOST = ADDED // 2
+Number = Annotated[
+    int,
+    Meta(ge=1, le=MOST, description=f"a number of tasks, 1 to {MOST}", examples=[15]),
+]
+Further = Annotated[
+    int,
+    Meta(ge=0, le=MOST, description=f"a number of tasks, 0 to {MOST}", examples=[5]),
+]
+TaskId = Annotated[
+    int, Meta(ge=0, description="the number of a task, not negative", examples=[4])
+]
+Gap = Annotated[
+    float,
+    Meta(
+        ge=TOUCHING,
+        le=100.0,
+        description=f"m, {TOUCHING:g} (nearer, drones touch) to 100",
+        examples=[0.4],
+    ),
+]
+Method = Annotated[
+    str,
+    Meta(
+        pattern=f"^({'|'.join(KINDS)})$",
+        description=", ".join(KINDS),
+        examples=[AUCTION],
+    ),
+]
 
 
 class Appearance(Table, frozen=True, kw_only=True):
@@ -46,10 +75,14 @@ class Cancellation(Table, frozen=True, kw_only=True):
 
 Appearances = Annotated[
     tuple[Appearance, ...],
-    Meta(description="tables of t, pickup, delivery", examples=[[{"t": 5.0, "pickup": [1, 1], "delivery": [4, 3]}]]),
+    Meta(
+        description="tables of t, pickup, delivery",
+        examples=[[{"t": 5.0, "pickup": [1, 1], "delivery": [4, 3]}]],
+    ),
 ]
 Cancellations = Annotated[
-    tuple[Cancellation, ...], Meta(description="tables of t and task", examples=[[{"t": 8.0, "task": 4}]])
+    tuple[Cancellation, ...],
+    Meta(description="tables of t and task", examples=[[{"t": 8.0, "task": 4}]]),
 ]
 
 

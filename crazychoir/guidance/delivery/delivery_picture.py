@@ -19,9 +19,15 @@ RED = "#c00000"
 
 
 def draw_flown(
-    path: str | Path, homes: Mapping[int, Place], ways: Mapping[int, Mat], pickups: Mapping[int, Place],
-    deliveries: Mapping[int, Place], undelivered: Collection[int], lost: Collection[int], title: str,
-) -> None:  # fmt: skip
+    path: str | Path,
+    homes: Mapping[int, Place],
+    ways: Mapping[int, Mat],
+    pickups: Mapping[int, Place],
+    deliveries: Mapping[int, Place],
+    undelivered: Collection[int],
+    lost: Collection[int],
+    title: str,
+) -> None:
     """Write a PNG (or what the suffix of `path` says): the room from above, in m.
 
     Squares: homes;  lines with arrows: ways (n, 2) m, flown from home;  triangles up: pickups;  down: deliveries, with
@@ -44,40 +50,101 @@ def draw_flown(
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_title(title, color=INK, fontsize=10)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2)
+    figure.legend(
+        loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2
+    )
     save_figure(figure, path, bbox_inches="tight")
 
 
 def _draw_way(axes: "Axes", i: int, way: Mat) -> None:
-    colour, length = COLOURS[i % len(COLOURS)], float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+    colour = COLOURS[i % len(COLOURS)]
+    length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
     dash = DASHES[i % len(DASHES)]
-    axes.plot(way[:, 0], way[:, 1], color=colour, linestyle=dash, linewidth=1.5, label=f"robot {i}: {length:.2f} m")
-    style = {"arrowstyle": "-|>", "color": colour, "lw": 0.0, "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
+    axes.plot(
+        way[:, 0],
+        way[:, 1],
+        color=colour,
+        linestyle=dash,
+        linewidth=1.5,
+        label=f"robot {i}: {length:.2f} m",
+    )
+    style = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "lw": 0.0,
+        "mutation_scale": 11,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     for a, b in pairwise(way):
-        tip, tail = a + 0.56 * (b - a), a + 0.50 * (b - a)
-        axes.annotate("", xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), arrowprops=style, zorder=3)
+        tip = a + 0.56 * (b - a)
+        tail = a + 0.50 * (b - a)
+        axes.annotate(
+            "",
+            xy=(tip[0], tip[1]),
+            xytext=(tail[0], tail[1]),
+            arrowprops=style,
+            zorder=3,
+        )
 
 
 def _draw_goods(
-    axes: "Axes", places: Mapping[int, Place], marker: str, fill: str, label: str, undelivered: Collection[int]
+    axes: "Axes",
+    places: Mapping[int, Place],
+    marker: str,
+    fill: str,
+    label: str,
+    undelivered: Collection[int],
 ) -> None:
     x, y = np.reshape(list(places.values()), (-1, 2)).T
-    axes.scatter(x, y, s=46, marker=marker, c=fill, edgecolors=INK, label=label, zorder=4)
+    axes.scatter(
+        x, y, s=46, marker=marker, c=fill, edgecolors=INK, label=label, zorder=4
+    )
     for j, place in places.items():
         colour = RED if j in undelivered else INK
         axes.annotate(
-            str(j), place, xytext=(6, 4), textcoords="offset points", fontsize=7.5, color=colour, zorder=6
+            str(j),
+            place,
+            xytext=(6, 4),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=colour,
+            zorder=6,
         )
 
 
 def _draw_robots(
-    axes: "Axes", homes: Mapping[int, Place], ways: Mapping[int, Mat], lost: Collection[int]
+    axes: "Axes",
+    homes: Mapping[int, Place],
+    ways: Mapping[int, Mat],
+    lost: Collection[int],
 ) -> None:
     for i, (x, y) in homes.items():
         colour = COLOURS[i % len(COLOURS)]
-        axes.plot(x, y, "s", color=colour, markersize=11, markeredgecolor="white", zorder=5)
-        axes.text(x, y, str(i), color="white", ha="center", va="center_baseline", size=7.5, weight="bold", zorder=6)
+        axes.plot(
+            x, y, "s", color=colour, markersize=11, markeredgecolor="white", zorder=5
+        )
+        axes.text(
+            x,
+            y,
+            str(i),
+            color="white",
+            ha="center",
+            va="center_baseline",
+            size=7.5,
+            weight="bold",
+            zorder=6,
+        )
     axes.plot([], [], "s", color="#808080", label="home of robot")
     for i in lost:
         x, y = ways[i][-1] if i in ways else homes[i]
-        axes.plot(x, y, "X", color=RED, markersize=13, markeredgecolor="white", zorder=7, label=f"lost: robot {i}")
+        axes.plot(
+            x,
+            y,
+            "X",
+            color=RED,
+            markersize=13,
+            markeredgecolor="white",
+            zorder=7,
+            label=f"lost: robot {i}",
+        )

@@ -23,7 +23,14 @@ import numpy as np
 
 from crazychoir.errors import CrazyChoirError, RosterChanged
 from crazychoir.guidance.delivery.commitments import Commitments
-from crazychoir.guidance.delivery.replanning import AUCTION, Goods, Mark, Replanning, Share, mark
+from crazychoir.guidance.delivery.replanning import (
+    AUCTION,
+    Goods,
+    Mark,
+    Replanning,
+    Share,
+    mark,
+)
 from crazychoir.guidance.delivery.site import Site
 from crazychoir.guidance.guidance import ARRIVED, TOUCHDOWN, CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, touch_down
@@ -73,8 +80,15 @@ class OnlinePDVRPGuidance(CFGuidance):
     say themselves who may serve them.
     """
 
-    def __init__(self, own: LocalProblem, tasks: Sequence[Task], events: Sequence[Event], options: Options) -> None:
-        self.own, self.options = own, options
+    def __init__(
+        self,
+        own: LocalProblem,
+        tasks: Sequence[Task],
+        events: Sequence[Event],
+        options: Options,
+    ) -> None:
+        self.own = own
+        self.options = options
         self.events = tuple(sorted(events, key=lambda event: event.t))
         self.tasks = tuple(tasks)
         self.served: list[dict[str, Any]] = []
@@ -93,9 +107,13 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Meet the drone."""
         super().bind(member)
         self._seen = _flat(self.own.home)
-        self.news = TeamNews(member.communicator, self.tasks, self._here, self.options.recover)
+        self.news = TeamNews(
+            member.communicator, self.tasks, self._here, self.options.recover
+        )
         self.commitments = Commitments(self.news)
-        self.source = TaskSource(self.news, self.options.site, self.events, self._may_end)
+        self.source = TaskSource(
+            self.news, self.options.site, self.events, self._may_end
+        )
         self._redirected = asyncio.Event()
         member.report = lambda: {"task": self._task()}
 
@@ -104,15 +122,26 @@ class OnlinePDVRPGuidance(CFGuidance):
         await self.wait_for_start()
         try:
             async with asyncio.TaskGroup() as group:
-                work = self.news.gossip(), self.source.hear(), self._fly(), self._left_alone()
+                work = (
+                    self.news.gossip(),
+                    self.source.hear(),
+                    self._fly(),
+                    self._left_alone(),
+                )
                 jobs = [group.create_task(job) for job in work]
                 await self._plan()
                 await self.news.farewell()
                 for job in jobs:
                     job.cancel()
         except BaseException as error:
-            cause = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
-            await self._come_down("" if isinstance(cause, asyncio.CancelledError) else f"mission failed: {cause}")
+            cause = (
+                error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            )
+            await self._come_down(
+                ""
+                if isinstance(cause, asyncio.CancelledError)
+                else f"mission failed: {cause}"
+            )
             await self.news.last_words()
             if cause is error:
                 raise
@@ -129,7 +158,10 @@ class OnlinePDVRPGuidance(CFGuidance):
         return {
             "served": self.served,
             "way": self.way,
-            "tasks": {str(j): [s.fate.value, s.robot] for j, s in self.news.standings().items()},
+            "tasks": {
+                str(j): [s.fate.value, s.robot]
+                for j, s in self.news.standings().items()
+            },
             "unserved": {str(j): why for j, why in self.unserved.items()},
             "plannings_s": self.plannings,
             "fallbacks": self.fallbacks,
@@ -139,7 +171,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         }
 
     def _task(self) -> str:
-        aboard, left = len(self.commitments.aboard()), len(self.commitments.route)
+        aboard = len(self.commitments.aboard())
+        left = len(self.commitments.route)
         doing = "planning again, " if self.commitments.planning else ""
         return f"{doing}{len(self.served)} stops done, {left} to do, {aboard} aboard"
 
@@ -161,7 +194,9 @@ class OnlinePDVRPGuidance(CFGuidance):
     def route(self) -> list[Vec]:
         """Over the stops that it is to serve, home."""
         stops = [] if self.news.record.out else self.commitments.route
-        places = [*map(self._place, stops), self.own.home[:2]] if self.up or stops else []
+        places = (
+            [*map(self._place, stops), self.own.home[:2]] if self.up or stops else []
+        )
         return [self._above(p) for p in places]
 
     def _may_end(self) -> bool:
@@ -205,7 +240,12 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Whether somebody plans already, or there is reason to."""
         alive = self.news.book.alive(self.graph.ids).values()
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
-        return begun or mark(self.news.book) != self._mark or self._late() or all(r.idle for r in alive)
+        return (
+            begun
+            or mark(self.news.book) != self._mark
+            or self._late()
+            or all(r.idle for r in alive)
+        )
 
     def _late(self) -> bool:
         route = self.commitments.route
@@ -216,12 +256,26 @@ class OnlinePDVRPGuidance(CFGuidance):
         links = self.news.links(without=key[1])
         head, start, ready = self._head()
         bound, aboard = self.commitments.begin(head)
-        left = max(0.0, self.own.limit - self.flown - float(np.linalg.norm(start - self._here())))
+        left = max(
+            0.0,
+            self.own.limit - self.flown - float(np.linalg.norm(start - self._here())),
+        )
         problem = partial(self._problem, start=start, ready=ready, left=left)
         program = Replanning(
-            self.id, links, self.news.book, bound, aboard, problem, self.options.recover, self.options.method
+            self.id,
+            links,
+            self.news.book,
+            bound,
+            aboard,
+            problem,
+            self.options.recover,
+            self.options.method,
         )
-        return program.result if await run_together(self.news, program, links, key) else None
+        return (
+            program.result
+            if await run_together(self.news, program, links, key)
+            else None
+        )
 
     def _head(self) -> tuple[list[Stop], Vec, float]:
         """The stops to which this robot is bound, where it will be after them, and in how many s.
@@ -230,7 +284,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         may have one: it is bound to nothing new.
         """
         head: list[Stop] = []
-        p, seconds = np.array(self._here()), max(0.0, self._serving_until - self._now)
+        p = np.array(self._here())
+        seconds = max(0.0, self._serving_until - self._now)
         for stop in self.commitments.route:
             if not self.commitments.allow(stop) or (head and seconds > HORIZON):
                 break
@@ -240,21 +295,31 @@ class OnlinePDVRPGuidance(CFGuidance):
             head.append(stop)
         return head, p, seconds
 
-    def _problem(self, goods: Goods, start: Vec, ready: float, left: float) -> LocalProblem:
+    def _problem(
+        self, goods: Goods, start: Vec, ready: float, left: float
+    ) -> LocalProblem:
         """This robot's own problem: from where it will be, with what is aboard then, and m that are left.
 
         No robot is capable of what lies where none can stand: so all leave it alone.
         """
-        own, site = self.own, self.options.site
+        own = self.own
+        site = self.options.site
         lie = zip(goods.tasks, goods.pickup, goods.left_by, strict=True)
         well = np.array([not site.lies_badly(*where) for where in lie], dtype=bool)
         may = np.array([site.may(self.id, task) for task in goods.tasks], dtype=bool)
-        free, mine = np.array(goods.free, dtype=bool), np.array(goods.mine, dtype=bool)
+        free = np.array(goods.free, dtype=bool)
+        mine = np.array(goods.mine, dtype=bool)
         return replace(
-            own, tasks=goods.public(self.options.service_time), capable=may & (free & well | mine),
-            home=own.home[:2], start=start, start_time=ready, aboard=mine, left=left,
+            own,
+            tasks=goods.public(self.options.service_time),
+            capable=may & (free & well | mine),
+            home=own.home[:2],
+            start=start,
+            start_time=ready,
+            aboard=mine,
+            left=left,
             speed=self.member.config.flight.speed_limit,
-        )  # fmt: skip
+        )
 
     def _adopt(self, share: Share) -> None:
         """Fly by this plan from now on."""
@@ -262,13 +327,17 @@ class OnlinePDVRPGuidance(CFGuidance):
         self._mark = mark(share.book)
         self._promised = self._now + self._seconds(self.commitments.route)
         self._say_trouble(share.trouble)
-        unplanned = f"{NO_PLAN}: {share.trouble[AUCTION]}" if AUCTION in share.trouble else ""
+        unplanned = (
+            f"{NO_PLAN}: {share.trouble[AUCTION]}" if AUCTION in share.trouble else ""
+        )
         self._say_unserved({j: unplanned or self._why(j) for j in share.unserved})
         self._redirected.set()
 
     def _why(self, j: int) -> str:
         """Why nobody serves a task that is free."""
-        task, standing, site = self.news.book.tasks[j], self.news.standings()[j], self.options.site
+        task = self.news.book.tasks[j]
+        standing = self.news.standings()[j]
+        site = self.options.site
         flying = self.news.book.alive(self.news.members)
         badly = site.lies_badly(task, standing.pickup, standing.robot)
         return badly or site.never(task) or site.waits(task, flying) or TOO_FAR
@@ -283,9 +352,18 @@ class OnlinePDVRPGuidance(CFGuidance):
         n = len(self.plannings)
         for method, why in trouble.items():
             instead = NO_PLAN if method == AUCTION else f"planned by {AUCTION}"
-            self.fallbacks.append({"planning": n, "method": method, "why": why, "instead": instead})
+            self.fallbacks.append(
+                {"planning": n, "method": method, "why": why, "instead": instead}
+            )
             if self._speaks:
-                log.warning("drone %d: planning %d: %s: %s; %s", self.id, n, method, why, instead)
+                log.warning(
+                    "drone %d: planning %d: %s: %s; %s",
+                    self.id,
+                    n,
+                    method,
+                    why,
+                    instead,
+                )
 
     def _say_unserved(self, unserved: dict[int, str]) -> None:
         """What is new of that, in the log once."""
@@ -308,7 +386,9 @@ class OnlinePDVRPGuidance(CFGuidance):
     async def _left_alone(self) -> None:
         """End the mission of who waits for others that are gone, wherever it waits."""
         why = await self.news.left_alone(REUNION, self._busy)
-        raise Interrupted(f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}")
+        raise Interrupted(
+            f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
+        )
 
     def _busy(self) -> bool:
         return self.member.pilot.remaining() > 0.0 or self._now < self._serving_until
@@ -328,15 +408,20 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     def _leg(self, a: Vec, b: Vec) -> float:
         flight = self.member.config.flight
-        start, goal = FullState.at(np.array([*a, 0.0])), np.array([*b, 0.0])
-        return duration_for(start, goal, 0.0, flight.speed_limit, flight.acceleration_limit)
+        start = FullState.at(np.array([*a, 0.0]))
+        goal = np.array([*b, 0.0])
+        return duration_for(
+            start, goal, 0.0, flight.speed_limit, flight.acceleration_limit
+        )
 
     def _seconds(self, route: Sequence[Stop]) -> float:
         """s that a route takes from here."""
-        p, total = np.array(self._here()), max(0.0, self._serving_until - self._now)
+        p = np.array(self._here())
+        total = max(0.0, self._serving_until - self._now)
         for stop in route:
             goal = self._place(stop)
-            total, p = total + self._leg(p, goal) + self.options.service_time, goal
+            total = total + self._leg(p, goal) + self.options.service_time
+            p = goal
         return total
 
     # Flying ---------------------------------------------------------------------------------------------------
@@ -364,11 +449,16 @@ class OnlinePDVRPGuidance(CFGuidance):
             self.up = True
             self.news.say(landed=False, idle=False)
             await self.take_off()
-        return await self._to(goal := self._place(stop), lambda: self._leads_to(stop, goal))
+        return await self._to(
+            goal := self._place(stop), lambda: self._leads_to(stop, goal)
+        )
 
     def _leads_to(self, stop: Stop, goal: Vec) -> bool:
         """Whether a stop is the next one, and still there: of a robot that is gone something newer may be heard."""
-        return self.commitments.next() == stop and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
+        return (
+            self.commitments.next() == stop
+            and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
+        )
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
         """Fly straight to a place, as long as it is where to fly."""
@@ -403,7 +493,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         number = self.commitments.announce(stop)
         await self.sleep(self.options.service_time)
         if await self._known(number, stop):
-            self.served.append({"task": stop.task, "kind": stop.kind, "place": self._here()})
+            self.served.append(
+                {"task": stop.task, "kind": stop.kind, "place": self._here()}
+            )
 
     async def _permitted(self, stop: Stop) -> bool:
         """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""
@@ -437,12 +529,18 @@ class OnlinePDVRPGuidance(CFGuidance):
     async def _rest(self) -> None:
         """Go home, land, wait for something to do."""
         if self.up:
-            if not await self._to(self.own.home[:2], lambda: self.commitments.next() is None):
+            if not await self._to(
+                self.own.home[:2], lambda: self.commitments.next() is None
+            ):
                 return
             await self.land()
             self.up = False
             self.news.say(landed=True)
-        idle = self.source.age >= self.options.until and self.source.heard_all and not self.commitments.route
+        idle = (
+            self.source.age >= self.options.until
+            and self.source.heard_all
+            and not self.commitments.route
+        )
         if idle != self.news.record.idle:
             self.news.say(idle=idle)
         await self.sleep(POLL)

@@ -21,13 +21,17 @@ LOWEST = 0.1
 """m above the ground of a stop, as nobody touches down there."""
 
 
-def require_ready(config: SwarmConfig, problem: Instance, method: str, where: str) -> None:
+def require_ready(
+    config: SwarmConfig, problem: Instance, method: str, where: str
+) -> None:
     """Raise ConfigError unless the swarm is that of the instance, its method fits, and all of it can be flown."""
     allowed = "in flight robots fly straight, as soon as they can, and come down at home or at their end"
     require_flown(problem, where, FLOWN, allowed)
     _require_homes(config, problem)
     _require_graph(config)
-    PickupDelivery(problem.local(0), [], problem.robots, 1, {}, method)  # which says whether the method fits
+    PickupDelivery(
+        problem.local(0), [], problem.robots, 1, {}, method
+    )  # which says whether the method fits
     _require_places(config, problem, where)
     _require_ends(config, problem, where)
 
@@ -39,43 +43,76 @@ def _require_homes(config: SwarmConfig, problem: Instance) -> None:
     for i, home in enumerate(problem.home):
         stands = config.drone(i).home
         if np.linalg.norm(np.subtract(stands[:2], home[:2])) > 0.05:
-            raise ConfigError(f"swarm {config.name}: drones[{i}].home", stands, f"{home.tolist()}, as the instance")
+            raise ConfigError(
+                f"swarm {config.name}: drones[{i}].home",
+                stands,
+                f"{home.tolist()}, as the instance",
+            )
 
 
 def _require_graph(config: SwarmConfig) -> None:
-    graph, key = config.graph(), f"swarm {config.name}: graph"
+    graph = config.graph()
+    key = f"swarm {config.name}: graph"
     if not graph.is_undirected:
         raise ConfigError(key, "a directed graph", "an undirected one")
     if not graph.is_connected:
-        raise ConfigError(key, "a drone that cannot reach all others", "a connected graph", "Add an edge.")
+        raise ConfigError(
+            key,
+            "a drone that cannot reach all others",
+            "a connected graph",
+            "Add an edge.",
+        )
 
 
 def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
     site = Site(config, 0.0, problem)  # above homes drones wait for each other
-    for name, points in (("pickup", problem.tasks.pickup), ("delivery", problem.tasks.delivery)):
+    for name, points in (
+        ("pickup", problem.tasks.pickup),
+        ("delivery", problem.tasks.delivery),
+    ):
         for j, p in enumerate(points):
             if found := site.objection((p[0], p[1])) or _height(config, p):
-                allowed = f"places inside the fence, {LOWEST:g} m or more above the ground"
-                raise ConfigError(f"{where}: {name}[{j}]", p.tolist(), allowed, "Move it, or widen [fence].", found)
+                allowed = (
+                    f"places inside the fence, {LOWEST:g} m or more above the ground"
+                )
+                raise ConfigError(
+                    f"{where}: {name}[{j}]",
+                    p.tolist(),
+                    allowed,
+                    "Move it, or widen [fence].",
+                    found,
+                )
 
 
 def _height(config: SwarmConfig, p: Vec) -> str:
     """Why no drone may stand at the height of a place of space; empty if it may."""
-    low, high = config.flight.ground + LOWEST, config.fence.max[2]
-    return f"at a height of {p[2]:g} m, not {low:g} to {high:g} m" if len(p) == 3 and not low <= p[2] <= high else ""
+    low = config.flight.ground + LOWEST
+    high = config.fence.max[2]
+    return (
+        f"at a height of {p[2]:g} m, not {low:g} to {high:g} m"
+        if len(p) == 3 and not low <= p[2] <= high
+        else ""
+    )
 
 
 def _require_ends(config: SwarmConfig, problem: Instance, where: str) -> None:
     """Each lands away from others' homes, over which they rise, and from others' ends."""
     if problem.end is None:
         return
-    site, ends = Site(config, CLEARANCE, problem), [(float(p[0]), float(p[1])) for p in problem.end]
+    site = Site(config, CLEARANCE, problem)
+    ends = [(float(p[0]), float(p[1])) for p in problem.end]
     moved = [i for i in config.ids if math.dist(ends[i], problem.home[i][:2]) > 0.0]
-    allowed = f"places inside the fence, {CLEARANCE:g} m away from homes and ends of others"
+    allowed = (
+        f"places inside the fence, {CLEARANCE:g} m away from homes and ends of others"
+    )
     for i in moved:
         if found := site.objection(ends[i], i):
-            raise ConfigError(f"{where}: end[{i}]", list(ends[i]), allowed, "Move it.", found)
+            raise ConfigError(
+                f"{where}: end[{i}]", list(ends[i]), allowed, "Move it.", found
+            )
     for i, j in combinations(moved, 2):
         if (gap := math.dist(ends[i], ends[j])) < CLEARANCE:
             found = f"{gap:.2f} m from the end of drone {j}"
-            raise ConfigError(f"{where}: end[{i}]", list(ends[i]), allowed, "Move one of them.", found)
+            raise ConfigError(
+                f"{where}: end[{i}]", list(ends[i]), allowed, "Move one of them.", found
+            )

@@ -25,8 +25,12 @@ class PDVRPGuidance(CFGuidance):
     It recharges, and ends, where the instance says: above its end, without one above its home; there it lands at last.
     """
 
-    def __init__(self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0) -> None:
-        self.problem, self.method, self.service_time = problem, method, service_time
+    def __init__(
+        self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0
+    ) -> None:
+        self.problem = problem
+        self.method = method
+        self.service_time = service_time
         self.served: list[dict[str, Any]] = []
         self._stops: tuple[Stop, ...] = ()  # of the route that it flies, or will
         self.history: list[tuple[int, float | None, float | None]] = []
@@ -46,7 +50,9 @@ class PDVRPGuidance(CFGuidance):
                 await self.fly_route(route, solution)
         finally:
             self._stops = ()
-        self.member.report = lambda: self.news(f"done: {len(self.served)} stops", solution)
+        self.member.report = lambda: self.news(
+            f"done: {len(self.served)} stops", solution
+        )
         return self.outcome(solution, route)
 
     async def plan(self) -> Solution:
@@ -61,23 +67,29 @@ class PDVRPGuidance(CFGuidance):
             method=self.method,
         )
         self.member.report = lambda: {
-            "task": f"planning: {solver.progress.phase}", "round": solver.progress.round, "cost": solver.progress.cost,
+            "task": f"planning: {solver.progress.phase}",
+            "round": solver.progress.round,
+            "cost": solver.progress.cost,
             "relaxed": solver.progress.relaxed,
-        }  # fmt: skip
+        }
         await self.optimize(solver, channel="pickup_delivery", deadline=DEADLINE)
         self.history = solver.history
         return solver.solution
 
     async def fly_route(self, route: Route, solution: Solution) -> None:
         """Take off, serve stop by stop, go to where it ends, land."""
-        self.member.report = lambda: self.news(f"flying: {len(self.served)}/{len(route.stops)} stops", solution)
+        self.member.report = lambda: self.news(
+            f"flying: {len(self.served)}/{len(route.stops)} stops", solution
+        )
         await self.take_off()
         for stop in route.stops:
             await self.go_to(self.place(stop))
             await self.sleep(self.seconds(stop))
             self.served.append({"task": stop.task, "kind": stop.kind})
         await self.go_to(self.above_end())
-        self.member.report = lambda: self.news(f"landing: {len(self.served)} stops", solution)
+        self.member.report = lambda: self.news(
+            f"landing: {len(self.served)} stops", solution
+        )
         await self.land()
 
     def route(self) -> list[Vec]:
@@ -103,7 +115,11 @@ class PDVRPGuidance(CFGuidance):
             case "recharge":
                 return self.above_end()
             case unknown:
-                raise ConfigError(f"drone {self.id}: kind of a stop", unknown, "pickup, delivery, recharge")
+                raise ConfigError(
+                    f"drone {self.id}: kind of a stop",
+                    unknown,
+                    "pickup, delivery, recharge",
+                )
         return np.array([*p[:2], p[2] if len(p) == 3 else self._height])
 
     def seconds(self, stop: Stop) -> float:
@@ -111,13 +127,21 @@ class PDVRPGuidance(CFGuidance):
         if stop.kind == "recharge":
             return self.service_time
         service = self.problem.tasks.service
-        return max(self.service_time, float(service[stop.task + (stop.kind == "delivery") * (len(service) // 2)]))
+        return max(
+            self.service_time,
+            float(service[stop.task + (stop.kind == "delivery") * (len(service) // 2)]),
+        )
 
     def above_end(self) -> Vec:
         """(3,) m where the flight ends: over the end that the instance gives, else over where it stood."""
-        home, end = self.problem.home, self.problem.end
+        home = self.problem.home
+        end = self.problem.end
         elsewhere = end is not None and not np.array_equal(end, home)
-        x, y = end[:2] if end is not None and elsewhere else self.member.config.drone(self.id).home[:2]
+        x, y = (
+            end[:2]
+            if end is not None and elsewhere
+            else self.member.config.drone(self.id).home[:2]
+        )
         return np.array([x, y, self._height])
 
     @property

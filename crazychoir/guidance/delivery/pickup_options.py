@@ -8,7 +8,12 @@ from crazychoir.config.tables import Seconds, Table, Text
 from crazychoir.routing.distributed.pickup_delivery import METHODS
 
 Method = Annotated[
-    str, Meta(pattern=rf"^({'|'.join(METHODS)})\Z", description=", ".join(METHODS), examples=[METHODS[0]])
+    str,
+    Meta(
+        pattern=rf"^({'|'.join(METHODS)})\Z",
+        description=", ".join(METHODS),
+        examples=[METHODS[0]],
+    ),
 ]
 
 

@@ -60,7 +60,9 @@ class Goods:
         """As the solvers have them."""
         return Tasks(
             np.array(self.pickup, dtype=float).reshape(-1, 2),
-            np.array([task.delivery for task in self.tasks], dtype=float).reshape(-1, 2),
+            np.array([task.delivery for task in self.tasks], dtype=float).reshape(
+                -1, 2
+            ),
             np.array([task.load for task in self.tasks], dtype=float),
             np.full(2 * len(self.tasks), service),
         )
@@ -83,10 +85,21 @@ class Replanning(Program[Share]):
     """
 
     def __init__(
-        self, robot: int, graph: Graph, book: TaskBook, bound: tuple[int, ...], carried: tuple[int, ...],
-        problem: Callable[[Goods], LocalProblem], recover: bool = False, method: str = AUCTION,
-    ) -> None:  # fmt: skip
-        self.robot, self.graph, self.members, self.recover, self.method = robot, graph, graph.ids, recover, method
+        self,
+        robot: int,
+        graph: Graph,
+        book: TaskBook,
+        bound: tuple[int, ...],
+        carried: tuple[int, ...],
+        problem: Callable[[Goods], LocalProblem],
+        recover: bool = False,
+        method: str = AUCTION,
+    ) -> None:
+        self.robot = robot
+        self.graph = graph
+        self.members = graph.ids
+        self.recover = recover
+        self.method = method
         self.diameter = graph.diameter() if len(graph.ids) > 1 else 0
         self._mine = [book.wire(), list(bound), list(carried)]
         self._problem = problem
@@ -108,64 +121,108 @@ class Replanning(Program[Share]):
             trouble=trouble,
         )
 
-    def _shared_out(self, goods: Goods) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
+    def _shared_out(
+        self, goods: Goods
+    ) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
         """This robot's stops, the tasks that are left, as indices, and the methods that have found no plan."""
-        m, trouble = len(goods.tasks), dict[str, str]()
+        m = len(goods.tasks)
+        trouble = dict[str, str]()
         found, why = yield from attempt(self.robot, self._auction(goods), self.diameter)
         if found is None:
-            aboard = [task.id for task, mine in zip(goods.tasks, goods.mine, strict=True) if mine]
+            aboard = [
+                task.id
+                for task, mine in zip(goods.tasks, goods.mine, strict=True)
+                if mine
+            ]
             left = tuple(n for n, free in enumerate(goods.free) if free)
             return tuple(Stop(j, "delivery") for j in aboard), left, {AUCTION: why}
         local, route, left = found
         sold = [n for n in range(m) if n not in left]
         if self.method != AUCTION and sold and self.diameter:
-            better, why = yield from attempt(self.robot, self._better(local, route, sold), self.diameter)
+            better, why = yield from attempt(
+                self.robot, self._better(local, route, sold), self.diameter
+            )
             if better is None:
                 trouble[self.method] = why
             else:
                 route = better
-        return tuple(Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery") for v in route), left, trouble
+        return (
+            tuple(
+                Stop(goods.tasks[v % m].id, "pickup" if v < m else "delivery")
+                for v in route
+            ),
+            left,
+            trouble,
+        )
 
-    def _auction(self, goods: Goods) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
+    def _auction(
+        self, goods: Goods
+    ) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
         """This robot's problem, its route, as nodes, and the tasks that are left, as indices."""
-        local, free = self._problem(goods), [n for n, is_free in enumerate(goods.free) if is_free]
-        route, left = yield from parallel_auction(self.robot, local.vehicle, free, self.diameter)
+        local = self._problem(goods)
+        free = [n for n, is_free in enumerate(goods.free) if is_free]
+        route, left = yield from parallel_auction(
+            self.robot, local.vehicle, free, self.diameter
+        )
         return local, route, left
 
-    def _better(self, local: LocalProblem, route: tuple[int, ...], sold: list[int]) -> Exchange[tuple[int, ...]]:
+    def _better(
+        self, local: LocalProblem, route: tuple[int, ...], sold: list[int]
+    ) -> Exchange[tuple[int, ...]]:
         """This robot's route, as nodes, in a plan of PickupDelivery, for which robots and tasks count from 0.
 
         Goods aboard are delivered whatever the way, so a plan as long as this route must be allowed.
         """
         index = {i: n for n, i in enumerate(self.members)}
-        chosen, m = np.array(sold), len(local.tasks)
+        chosen = np.array(sold)
+        m = len(local.tasks)
         both = np.concatenate([chosen, m + chosen])
         tasks = Tasks(
-            local.tasks.pickup[chosen], local.tasks.delivery[chosen], local.tasks.load[chosen],
+            local.tasks.pickup[chosen],
+            local.tasks.delivery[chosen],
+            local.tasks.load[chosen],
             local.tasks.service[both],
-        )  # fmt: skip
+        )
         aboard = None if local.aboard is None else local.aboard[chosen]
         neighbors = self.graph.neighbors(self.robot)
         solver = PickupDelivery(
             replace(
-                local, robot=index[self.robot], robots=len(index), tasks=tasks, capable=local.capable[chosen],
-                aboard=aboard, left=max(local.vehicle.limit, local.vehicle.length(route)),
+                local,
+                robot=index[self.robot],
+                robots=len(index),
+                tasks=tasks,
+                capable=local.capable[chosen],
+                aboard=aboard,
+                left=max(local.vehicle.limit, local.vehicle.length(route)),
             ),
             neighbors=[index[j] for j in neighbors],
             n=len(index),
             diameter=self.diameter,
             degree_of={index[j]: len(self.graph.neighbors(j)) for j in neighbors},
             method=self.method,
-        )  # fmt: skip
+        )
         while not solver.done:
             heard = yield solver.message()
             solver.step({index[j]: message for j, message in heard.items()})
-        stops = [stop for route in solver.solution.routes for stop in route.stops if route.robot == index[self.robot]]
-        return tuple(sold[stop.task] + (0 if stop.kind == "pickup" else m) for stop in stops)
+        stops = [
+            stop
+            for route in solver.solution.routes
+            for stop in route.stops
+            if route.robot == index[self.robot]
+        ]
+        return tuple(
+            sold[stop.task] + (0 if stop.kind == "pickup" else m) for stop in stops
+        )
 
-    def _goods(self, book: TaskBook, bound: dict[int, None], carried: dict[int, int]) -> Goods:
+    def _goods(
+        self, book: TaskBook, bound: dict[int, None], carried: dict[int, int]
+    ) -> Goods:
         standings = book.standings(self.members, self.recover)
-        free = [j for j, s in standings.items() if s.fate is Fate.OPEN and j not in bound and j not in carried]
+        free = [
+            j
+            for j, s in standings.items()
+            if s.fate is Fate.OPEN and j not in bound and j not in carried
+        ]
         ids = sorted([*free, *carried])
         return Goods(
             tuple(book.tasks[j] for j in ids),
@@ -178,15 +235,23 @@ class Replanning(Program[Share]):
 
 def mark(book: TaskBook) -> Mark:
     """What a plan made with this book was made for."""
-    return tuple((task.id, task.version, task.cancelled) for _, task in sorted(book.tasks.items()))
+    return tuple(
+        (task.id, task.version, task.cancelled)
+        for _, task in sorted(book.tasks.items())
+    )
 
 
-def _merged(said: dict[int, Any]) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
+def _merged(
+    said: dict[int, Any],
+) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
     """What all know together: the book, the bound tasks, who carries which, and what was no book or no bonds.
 
     Bonds hold though the book that came with them is none: else two would serve what one is bound to.
     """
-    book, bound, carried, dropped = TaskBook(), dict[int, None](), dict[int, int](), Dropped()
+    book = TaskBook()
+    bound = dict[int, None]()
+    carried = dict[int, int]()
+    dropped = Dropped()
     for i, value in said.items():
         try:
             wire, bonds, aboard = _read(value)

@@ -37,8 +37,11 @@ class Site:
 
     def objection(self, place: Place, besides: int | None = None) -> str:
         """Why no drone may stand above a place; empty if it may. besides: a robot that lies there, with its goods."""
-        if not all(a <= x <= b for a, x, b in zip(self.low, place, self.high, strict=True)):
-            low, high = self.config.fence.min[:2], self.config.fence.max[:2]
+        if not all(
+            a <= x <= b for a, x, b in zip(self.low, place, self.high, strict=True)
+        ):
+            low = self.config.fence.min[:2]
+            high = self.config.fence.max[:2]
             return f"outside the fence, {_shown(low)} to {_shown(high)} m"
         for drone in self.config.drones:
             gap = math.dist(place, drone.home[:2])
@@ -49,7 +52,10 @@ class Site:
 
     def lies_badly(self, task: Task, pickup: Place, besides: int | None = None) -> str:
         """Why its goods cannot be fetched from `pickup`, or not delivered; empty if they can."""
-        for name, place, whose in (("pickup", pickup, besides), ("delivery", task.delivery, None)):
+        for name, place, whose in (
+            ("pickup", pickup, besides),
+            ("delivery", task.delivery, None),
+        ):
             if found := self.objection(place, whose):
                 return f"its {name} {_shown(place)} is {found}"
         return ""
@@ -64,7 +70,11 @@ class Site:
 
     def able(self, task: Task) -> list[int]:
         """Robots of the swarm that may serve a task and can carry it."""
-        return [i for i in self.config.ids if self.may(i, task) and task.load <= self._room(i)]
+        return [
+            i
+            for i in self.config.ids
+            if self.may(i, task) and task.load <= self._room(i)
+        ]
 
     def never(self, task: Task) -> str:
         """Why no robot of this swarm can serve a task, wherever its goods are; empty if one can."""
@@ -73,7 +83,11 @@ class Site:
         if self.able(task):
             return ""
         chosen = [i for i in self.config.ids if self.may(i, task)]
-        who = "any drone" if len(chosen) == len(self.config.ids) else f"drone {span(chosen)}, who alone may serve it,"
+        who = (
+            "any drone"
+            if len(chosen) == len(self.config.ids)
+            else f"drone {span(chosen)}, who alone may serve it,"
+        )
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
     def waits(self, task: Task, flying: Collection[int]) -> str:

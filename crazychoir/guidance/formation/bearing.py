@@ -9,7 +9,14 @@ import numpy as np
 from crazychoir.control.gains import AGILE, FORMATION
 from crazychoir.control.margin import REQUIRED
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.formation.modes import LEVEL, Chain, age_margin, mode_margin, slowest_mode, slowest_normalised
+from crazychoir.guidance.formation.modes import (
+    LEVEL,
+    Chain,
+    age_margin,
+    mode_margin,
+    slowest_mode,
+    slowest_normalised,
+)
 from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.numerics.math3d import projector
 from crazychoir.types import Mat, Point, Vec
@@ -30,7 +37,9 @@ SLOWEST = 0.02  # 1/s, a formation slower than this needs minutes and is flown o
 FLEXIBLE = 1e-9  # of the largest eigenvalue: below this an eigenvalue is taken for zero
 
 
-def bearing_laplacian(shape: Shape, neighbors: Neighbors, leaders: Collection[int]) -> tuple[Mat, Mat, list[int]]:
+def bearing_laplacian(
+    shape: Shape, neighbors: Neighbors, leaders: Collection[int]
+) -> tuple[Mat, Mat, list[int]]:
     """Rows of the bearing Laplacian that belong to the followers.
 
         [B]_ij = - P_ij,  [B]_ii = sum_j P_ij,  j in N_i,  P_ij = I - g_ij g_ij^T,  g_ij along shape_j - shape_i
@@ -46,13 +55,21 @@ def bearing_laplacian(shape: Shape, neighbors: Neighbors, leaders: Collection[in
     for i in ids:
         for j in sorted(neighbors.get(i, ())):
             if j not in at or np.allclose(at[i], at[j]):
-                raise ConfigError(f"neighbors of drone {i}", j, f"a drone of the shape at another place; it has {ids}")
+                raise ConfigError(
+                    f"neighbors of drone {i}",
+                    j,
+                    f"a drone of the shape at another place; it has {ids}",
+                )
             p = projector(at[j] - at[i])
             b[row[i], row[i]] += p
             b[row[i], row[j]] -= p
     followers = [i for i in ids if i not in leaders]
     f = _indices(row, followers)
-    return b[np.ix_(f, f)], b[np.ix_(f, _indices(row, [i for i in ids if i in leaders]))], followers
+    return (
+        b[np.ix_(f, f)],
+        b[np.ix_(f, _indices(row, [i for i in ids if i in leaders]))],
+        followers,
+    )
 
 
 def _indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
@@ -67,13 +84,21 @@ def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
     Refused, naming drones, where K_i has no inverse: all bearings of i are parallel, and nothing holds it along them.
     """
     blocks = [b_ff[k : k + 3, k : k + 3] for k in range(0, len(b_ff), 3)]
-    alone = [i for i, k in zip(followers, blocks, strict=True) if np.linalg.eigvalsh(k)[0] < FLEXIBLE]
+    alone = [
+        i
+        for i, k in zip(followers, blocks, strict=True)
+        if np.linalg.eigvalsh(k)[0] < FLEXIBLE
+    ]
     if alone:
         raise Refused("bearing formation", _parallel(alone))
-    return np.vstack([np.linalg.solve(k, b_ff[3 * n : 3 * n + 3]) for n, k in enumerate(blocks)])
+    return np.vstack(
+        [np.linalg.solve(k, b_ff[3 * n : 3 * n + 3]) for n, k in enumerate(blocks)]
+    )
 
 
-def equilibrium(shape: Shape, neighbors: Neighbors, leaders: Mapping[int, Point]) -> dict[int, Vec]:
+def equilibrium(
+    shape: Shape, neighbors: Neighbors, leaders: Mapping[int, Point]
+) -> dict[int, Vec]:
     """Where everybody is when the followers are at rest and the leaders at these places.
 
         p_f = - B_ff^-1 B_fl p_l
@@ -123,15 +148,27 @@ def check_formation(
     """
     b_ff, _, followers = bearing_laplacian(shape, neighbors, leaders)
     if not followers:
-        raise Refused("bearing formation", "every drone is a leader. Name only those that are to stand still.")
+        raise Refused(
+            "bearing formation",
+            "every drone is a leader. Name only those that are to stand still.",
+        )
     scaled = normalised(b_ff, followers)
-    matrix = scaled if law == "normalised" else np.tile([1.0, 1.0, in_height], len(followers))[:, None] * b_ff
+    matrix = (
+        scaled
+        if law == "normalised"
+        else np.tile([1.0, 1.0, in_height], len(followers))[:, None] * b_ff
+    )
     values, vectors = np.linalg.eig(matrix)
     size = np.abs(values)
     if size.min() <= FLEXIBLE * max(size.max(), 1.0):
-        raise Refused("bearing formation", _flexible(vectors[:, size.argmin()], followers, sorted(leaders)))
+        raise Refused(
+            "bearing formation",
+            _flexible(vectors[:, size.argmin()], followers, sorted(leaders)),
+        )
     least = float(size.min())
-    slowest = (slowest_normalised if law == "normalised" else slowest_mode)(values.tolist(), kp, kv)
+    slowest = (slowest_normalised if law == "normalised" else slowest_mode)(
+        values.tolist(), kp, kv
+    )
     if slowest < SLOWEST and not force:
         raise Refused("bearing formation", _slow(least, slowest))
     if law == "normalised":
@@ -141,20 +178,30 @@ def check_formation(
         what = f"kp = {kp:g} 1/s2, kv = {kv:g} 1/s with a smallest eigenvalue of {least:.4f}"
     else:
         chain = chain or Chain(FORMATION)
-        horizontal = np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
+        horizontal = (
+            np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
+        )
         margin = mode_margin(size.tolist(), horizontal.tolist(), kp, kv, chain)
         what = f"kv * lambda_max = {kv * float(size.max()):.1f} 1/s"
     if margin <= 0.0:
         raise Refused("bearing formation", _fast(what, "unstable", chain))
     warnings = [_slow(least, slowest)] if slowest < SLOWEST else []
     if margin < REQUIRED:
-        warnings.append(_fast(what, f"left with {1e3 * margin:.0f} ms of delay margin", chain))
+        warnings.append(
+            _fast(what, f"left with {1e3 * margin:.0f} ms of delay margin", chain)
+        )
     return FormationReport(least, float(size.max()), slowest, margin, tuple(warnings))
 
 
 def _flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
     """Why a graph that is not bearing-rigid is refused, naming the drones that nothing holds."""
-    loose = [i for i, part in zip(followers, np.abs(mode).reshape(-1, 3).max(axis=1), strict=True) if part > 1e-3]
+    loose = [
+        i
+        for i, part in zip(
+            followers, np.abs(mode).reshape(-1, 3).max(axis=1), strict=True
+        )
+        if part > 1e-3
+    ]
     return (
         f"the graph is not bearing-rigid with leaders {leaders}: drones {loose} can move without changing a bearing "
         "(the smallest eigenvalue of B_ff is 0). Add a diagonal neighbour, or take other or more leaders."
@@ -169,7 +216,9 @@ def _slow(lambda_min: float, slowest: float) -> str:
 
 
 def _parallel(alone: Sequence[int]) -> str:
-    drones = f"drone {alone[0]}" if len(alone) == 1 else f"each of the drones {list(alone)}"
+    drones = (
+        f"drone {alone[0]}" if len(alone) == 1 else f"each of the drones {list(alone)}"
+    )
     return (
         f"all bearings of {drones} are parallel: nothing holds it along them, and sum_j P_ij has no inverse. "
         "Add a neighbour in another direction, or make it a leader."
@@ -177,7 +226,11 @@ def _parallel(alone: Sequence[int]) -> str:
 
 
 def _fast(what: str, found: str, chain: Chain) -> str:
-    behind = f"{1e3 * chain.lag:.0f} ms of lag" if chain.rates is None else "the rate loop of its motors"
+    behind = (
+        f"{1e3 * chain.lag:.0f} ms of lag"
+        if chain.rates is None
+        else "the rate loop of its motors"
+    )
     return (
         f"{what} is {found} behind an attitude loop of KR = {chain.gains.kr[0]:g} 1/s and {behind}; "
         f"{1e3 * REQUIRED:.0f} ms are required. Lower kv, or remove neighbours."

@@ -10,7 +10,15 @@ from crazychoir.config.tables import Table, Text
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import require_feasible
-from crazychoir.guidance.mission_options import Duration, HeightOption, Laps, Length, Period, Ramp, own
+from crazychoir.guidance.mission_options import (
+    Duration,
+    HeightOption,
+    Laps,
+    Length,
+    Period,
+    Ramp,
+    own,
+)
 from crazychoir.guidance.path_checks import inside
 from crazychoir.planning import feasibility
 from crazychoir.planning.drawing.drawing import Pen, drawing
@@ -24,7 +32,9 @@ SETTLING = 20.0
 """s of the law, to form up where leaders stand."""
 Kind = Annotated[
     Literal["still", "circle", "drawn"],
-    Meta(description='what leaders do: "still", "circle" or "drawn"', examples=["circle"]),
+    Meta(
+        description='what leaders do: "still", "circle" or "drawn"', examples=["circle"]
+    ),
 ]
 
 
@@ -52,8 +62,12 @@ class Leader(CFDistributedFeedback):
     place: (3,) m, where it hovers when the law begins;  path: None to stand;  begin: s of the law before it starts.
     """
 
-    def __init__(self, place: Point, path: Trajectory | None = None, begin: float = 0.0) -> None:
-        self.place, self.path, self.begin = np.asarray(place, dtype=float), path, begin
+    def __init__(
+        self, place: Point, path: Trajectory | None = None, begin: float = 0.0
+    ) -> None:
+        self.place = np.asarray(place, dtype=float)
+        self.path = path
+        self.begin = begin
         self._started: float | None = None
 
     def led(self, path: Trajectory) -> str:
@@ -61,7 +75,9 @@ class Leader(CFDistributedFeedback):
         if self.path is not None and self._started is not None:
             self.place = shifted(self.path, self.place, self._since()).p
         require_feasible(Moved(path, self.place), self.member.pilot)
-        self.path, self.begin, self._started = path, 0.0, None
+        self.path = path
+        self.begin = 0.0
+        self._started = None
         return f"leads along it from {np.round(self.place, 2).tolist()}"
 
     def height(self) -> float:
@@ -86,7 +102,9 @@ class Moved:
     """A path, moved so that it begins at `place`."""
 
     def __init__(self, path: Trajectory, place: Vec) -> None:
-        self.path, self.place, self.duration = path, place, path.duration
+        self.path = path
+        self.place = place
+        self.duration = path.duration
 
     def sample(self, t: float) -> FullState:
         """The reference t seconds after the start."""
@@ -110,19 +128,38 @@ def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
         case "still":
             return None
         case "circle":
-            return circle((0.0, 0.0, 0.0), options.radius, options.period, laps=options.laps, ramp=options.ramp)
+            return circle(
+                (0.0, 0.0, 0.0),
+                options.radius,
+                options.period,
+                laps=options.laps,
+                ramp=options.ramp,
+            )
     if not options.drawing:
         where = f"swarm {config.name}: mission_options.drawing"
-        raise ConfigError(where, "nothing", "a CSV file of rows stroke, t, x, y, or an SVG picture")
-    limits = Limits(v_max=0.5 * config.flight.speed_limit, a_max=0.25 * config.flight.acceleration_limit)
+        raise ConfigError(
+            where, "nothing", "a CSV file of rows stroke, t, x, y, or an SVG picture"
+        )
+    limits = Limits(
+        v_max=0.5 * config.flight.speed_limit,
+        a_max=0.25 * config.flight.acceleration_limit,
+    )
     drawn = read_drawing(options.drawing)
-    return drawing(drawn.strokes, Pen(timing="drawn" if drawn.is_timed else "even"), limits).path
+    return drawing(
+        drawn.strokes, Pen(timing="drawn" if drawn.is_timed else "even"), limits
+    ).path
 
 
 def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
     """Raise ConfigError for drones that hover outside the fence, and leaders whose path leaves it or [flight]."""
-    flight, fence = config.flight, config.fence
-    room = Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit, low=fence.min, high=fence.max)
+    flight = config.flight
+    fence = config.fence
+    room = Limits(
+        v_max=flight.speed_limit,
+        a_max=flight.acceleration_limit,
+        low=fence.min,
+        high=fence.max,
+    )
     for i, place in places(config).items():
         room.check_places(place[None], f"swarm {config.name}: drone {i}: hovers")
     if path := path_of(config, options):
@@ -131,14 +168,18 @@ def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
             moved = x.copy()
             moved[:, 0:3] += place - x[0, 0:3]
             _require_within(config, i, t, moved, room)
-            inside(config).check_places(moved[:, 0:3], f"swarm {config.name}: drone {i}: leads")
+            inside(config).check_places(
+                moved[:, 0:3], f"swarm {config.name}: drone {i}: leads"
+            )
 
 
 def _require_within(config: SwarmConfig, i: int, t: Vec, x: Mat, room: Limits) -> None:
     try:
         feasibility.check_references(t, x, room)
     except ConfigError as error:
-        where = f"swarm {config.name}: mission_options.leaders: drone {i}: {error.where}"
+        where = (
+            f"swarm {config.name}: mission_options.leaders: drone {i}: {error.where}"
+        )
         raise ConfigError(where, error.found, error.allowed, error.do) from error
 
 
@@ -149,9 +190,15 @@ def height_of(config: SwarmConfig, i: int) -> float | None:
 
 def places(config: SwarmConfig) -> dict[int, Vec]:
     """Where every drone hovers when the law begins: over its home, at its own `options.height` if it has one."""
-    ground, rise = config.flight.ground, config.flight.takeoff_height
+    ground = config.flight.ground
+    rise = config.flight.takeoff_height
     return {
-        drone.id: np.array([*drone.home[:2], ground + (own(config, drone, HeightOption).height or rise)])
+        drone.id: np.array(
+            [
+                *drone.home[:2],
+                ground + (own(config, drone, HeightOption).height or rise),
+            ]
+        )
         for drone in config.drones
     }
 
@@ -164,7 +211,8 @@ def leaders_of(config: SwarmConfig) -> dict[int, Vec]:
 
 def leaders_at_last(config: SwarmConfig, options: LeaderOptions) -> dict[int, Vec]:
     """The leaders' places when the law ends."""
-    path, leaders = path_of(config, options), leaders_of(config)
+    path = path_of(config, options)
+    leaders = leaders_of(config)
     if path is None:
         return leaders
     t = duration_of(config, options) - options.begin

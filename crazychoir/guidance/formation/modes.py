@@ -24,7 +24,9 @@ from crazychoir.platforms import Platform
 TICK = 0.01  # s: an acceleration that is heard was commanded one tick before the state beside it
 WORSE = 1.3  # times the lag of the rotors that was identified
 LEVEL = 1e-6  # a mode with a smaller horizontal part moves in height only
-FREQUENCIES = np.concatenate([-np.geomspace(500.0, 1e-3, 3000), np.geomspace(1e-3, 500.0, 3000)])  # rad/s
+FREQUENCIES = np.concatenate(
+    [-np.geomspace(500.0, 1e-3, 3000), np.geomspace(1e-3, 500.0, 3000)]
+)  # rad/s
 OLDEST = 0.15  # s: longer nothing is asked about
 
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
@@ -52,8 +54,12 @@ class Chain:
         """Of roll and pitch."""
         gains = self.gains
         return Inner(
-            min(gains.kr[:2]), self.lag, lead=gains.lead, lead_cutoff=gains.lead_cutoff, rates=self.rates
-        )  # fmt: skip
+            min(gains.kr[:2]),
+            self.lag,
+            lead=gains.lead,
+            lead_cutoff=gains.lead_cutoff,
+            rates=self.rates,
+        )
 
 
 def slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
@@ -64,14 +70,18 @@ def slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
 def slowest_normalised(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
     """Rate in 1/s at which the slowest mode of the normalised law decays.
 
-        s^2 + kv s + kp = 0,   or, as what neighbours command goes from one to the next in a tick h,  e^(s h) = 1 - l
+    s^2 + kv s + kp = 0,   or, as what neighbours command goes from one to the next in a tick h,  e^(s h) = 1 - l
     """
     through = min(-math.log(max(abs(1.0 - e), 1e-12)) / TICK for e in eigenvalues)
     return min(slowest_mode([1.0], kp, kv), through)
 
 
 def mode_margin(
-    eigenvalues: Sequence[float], horizontal: Sequence[bool], kp: float, kv: float, chain: Chain = Chain()
+    eigenvalues: Sequence[float],
+    horizontal: Sequence[bool],
+    kp: float,
+    kv: float,
+    chain: Chain = Chain(),
 ) -> float:
     """Smallest delay margin in s over the modes l, each with the gains kp l, kv l.
 
@@ -82,13 +92,22 @@ def mode_margin(
     loops = []
     for e, tilts in zip(eigenvalues, horizontal, strict=True):
         if tilts:
-            loops += [command_loop(kp * e, kv * e, chain.inner), guidance_loop(kp * e, kv * e, chain.inner)]
+            loops += [
+                command_loop(kp * e, kv * e, chain.inner),
+                guidance_loop(kp * e, kv * e, chain.inner),
+            ]
         else:
             loops.append(vertical_loop(kp * e, kv * e, chain.lag))
     return max(min(map(delay_margin, loops), default=math.inf) - HOLD, 0.0)
 
 
-def age_margin(eigenvalues: Sequence[complex], kp: float, kv: float, chain: Chain, moving: bool = False) -> float:
+def age_margin(
+    eigenvalues: Sequence[complex],
+    kp: float,
+    kv: float,
+    chain: Chain,
+    moving: bool = False,
+) -> float:
     """Largest s by which all that the normalised law hears may be older, in every mode l; 0 if it is unstable already.
 
         s^2 (1 - m e^(-(d + h) s)) + G(s) (kp + kv s F(s)) (1 - m e^(-(d + g) s)) = 0,   m = 1 - l
@@ -103,13 +122,17 @@ def age_margin(eigenvalues: Sequence[complex], kp: float, kv: float, chain: Chai
     responses = [_attitude_response(chain), _thrust_response(chain)]
     borne = 0.0
     for d in lags:
-        if not all(_all_stable(m, kp, kv, g, d, 0.0 if moving else TICK) for g in responses):
+        if not all(
+            _all_stable(m, kp, kv, g, d, 0.0 if moving else TICK) for g in responses
+        ):
             return borne
         borne = d
     return borne
 
 
-def _all_stable(m: Complex, kp: float, kv: float, response: Complex, d: float, older: float) -> bool:
+def _all_stable(
+    m: Complex, kp: float, kv: float, response: Complex, d: float, older: float
+) -> bool:
     s = 1j * FREQUENCIES
     law = response * (kp + kv * s * 50.0 / (s + 50.0))
     share = (1.0 - m * np.exp(-(d + older) * s)) / (1.0 - m * np.exp(-(d + TICK) * s))
@@ -120,7 +143,8 @@ def _all_stable(m: Complex, kp: float, kv: float, response: Complex, d: float, o
 
 def _attitude_response(chain: Chain) -> Complex:
     """G(jw) = A W / (jw + KR W), half a tick late, A: from the desired attitude to the rates."""
-    s, inner = 1j * FREQUENCIES, chain.inner
+    s = 1j * FREQUENCIES
+    inner = chain.inner
     a = np.polyval(inner.attitude[0], s) / np.polyval(inner.attitude[1], s)
     w = np.polyval(inner.response[0], s) / np.polyval(inner.response[1], s)
     found: Complex = np.exp(-HOLD * s) * a * w / (s + inner.kr * w)

@@ -16,7 +16,9 @@ CLOSE = 1e3
 """How much more than its distance it counts that the weights of a hull sum up to one."""
 
 
-def rigidity_matrix(shape: Shape, edges: Edges, leaders: Collection[int]) -> tuple[Mat, list[int]]:
+def rigidity_matrix(
+    shape: Shape, edges: Edges, leaders: Collection[int]
+) -> tuple[Mat, list[int]]:
     """The derivative of all distances squared, halved, by the followers' places; and the followers, ascending.
 
         R has a row an edge (i, j):  (p_i - p_j)^T at i,  (p_j - p_i)^T at j
@@ -45,7 +47,10 @@ def require_rigid(shape: Shape, edges: Edges, leaders: Collection[int]) -> Mat:
     """
     r, followers = rigidity_matrix(shape, edges, leaders)
     if not followers:
-        raise Refused("distance formation", "every drone is a leader. Name only those that are not to be led.")
+        raise Refused(
+            "distance formation",
+            "every drone is a leader. Name only those that are not to be led.",
+        )
     _, sizes, modes = np.linalg.svd(r, full_matrices=True)
     rank = int(np.sum(sizes > FLEXIBLE))
     if rank < r.shape[1]:
@@ -59,29 +64,50 @@ def require_rigid(shape: Shape, edges: Edges, leaders: Collection[int]) -> Mat:
     return r
 
 
-def require_led(neighbors: Mapping[int, Collection[int]], leaders: Collection[int]) -> None:
+def require_led(
+    neighbors: Mapping[int, Collection[int]], leaders: Collection[int]
+) -> None:
     """Refused, with the drones, if somebody hears no leader, not even through others."""
     led = list(leaders)
     for j in led:  # grows while it goes on
         led += [i for i in sorted(neighbors) if i not in led and j in neighbors[i]]
     lost = [i for i in sorted(neighbors) if i not in led]
     if lost or not leaders:
-        raise Refused("containment", f"drones {lost} hear no leader, not even through others. Add edges or leaders.")
+        raise Refused(
+            "containment",
+            f"drones {lost} hear no leader, not even through others. Add edges or leaders.",
+        )
 
 
-def grounded_laplacian(neighbors: Mapping[int, Collection[int]], leaders: Collection[int]) -> tuple[Mat, Mat]:
+def grounded_laplacian(
+    neighbors: Mapping[int, Collection[int]], leaders: Collection[int]
+) -> tuple[Mat, Mat]:
     """Rows of D^-1 L of the followers: (F, F) of the followers' columns, (F, leaders) of the leaders', ascending.
 
     D: how many each hears;  L: the Laplacian.
     """
-    followers, ids = [i for i in sorted(neighbors) if i not in leaders], sorted(leaders)
-    l_ff = np.array([[float(i == j) - (j in neighbors[i]) / len(neighbors[i]) for j in followers] for i in followers])
-    l_fl = np.array([[-float(j in neighbors[i]) / len(neighbors[i]) for j in ids] for i in followers])
+    followers = [i for i in sorted(neighbors) if i not in leaders]
+    ids = sorted(leaders)
+    l_ff = np.array(
+        [
+            [float(i == j) - (j in neighbors[i]) / len(neighbors[i]) for j in followers]
+            for i in followers
+        ]
+    )
+    l_fl = np.array(
+        [
+            [-float(j in neighbors[i]) / len(neighbors[i]) for j in ids]
+            for i in followers
+        ]
+    )
     return l_ff, l_fl
 
 
 def distance_to_hull(corners: Sequence[Vec] | Mat, p: Vec) -> float:
     """m from p (D,) to the convex hull of the corners (n, D): min |sum_k w_k c_k - p|, w_k >= 0, sum_k w_k = 1."""
     c = np.asarray(corners, dtype=float)
-    weights, _ = nnls(np.vstack([(c - p).T, np.full(len(c), CLOSE)]), np.array([*np.zeros(c.shape[1]), CLOSE]))
+    weights, _ = nnls(
+        np.vstack([(c - p).T, np.full(len(c), CLOSE)]),
+        np.array([*np.zeros(c.shape[1]), CLOSE]),
+    )
     return float(np.linalg.norm((c - p).T @ (weights / weights.sum())))

@@ -41,18 +41,30 @@ def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
             taken.append(moved[drone.id])
     drones = []
     for drone in config.drones:
-        row = {key: value for key, value in msgspec.to_builtins(drone).items() if value is not None}
+        row = {
+            key: value
+            for key, value in msgspec.to_builtins(drone).items()
+            if value is not None
+        }
         if drone.id in moved:
             x, y, z = moved[drone.id].tolist()
             height = max(z - config.flight.ground, LOWEST)
-            row |= {"home": [x, y, drone.home[2]], "options": {**drone.options, "height": height}}
+            row |= {
+                "home": [x, y, drone.home[2]],
+                "options": {**drone.options, "height": height},
+            }
         drones.append(row)
     return config.replace(drones=drones)
 
 
-def _clear_place(draw: np.random.Generator, i: int, center: Vec, by: Scatter, taken: list[Vec]) -> Vec:
+def _clear_place(
+    draw: np.random.Generator, i: int, center: Vec, by: Scatter, taken: list[Vec]
+) -> Vec:
     for _ in range(ATTEMPTS):
         place: Vec = center + draw.uniform(-1.0, 1.0, 3) * by
         if all(np.hypot(*(place - other)[:2]) > CLEAR for other in taken):
             return place
-    raise Refused(f"drone {i}", f"no start within {by[0]:g} m that is {CLEAR} m from the others. Scatter less.")
+    raise Refused(
+        f"drone {i}",
+        f"no start within {by[0]:g} m that is {CLEAR} m from the others. Scatter less.",
+    )

@@ -8,19 +8,42 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Point
 
 Shape = Mapping[int, Point]
-SQUARE: Shape = {0: (0.0, 0.0, 1.0), 1: (1.0, 0.0, 1.0), 2: (1.0, 1.0, 1.0), 3: (0.0, 1.0, 1.0)}
+SQUARE: Shape = {
+    0: (0.0, 0.0, 1.0),
+    1: (1.0, 0.0, 1.0),
+    2: (1.0, 1.0, 1.0),
+    3: (0.0, 1.0, 1.0),
+}
 SQUARE_EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
 """The paper's: one diagonal."""
 LETTERS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "S": (
-        (0.5, 0.667), (-0.5, -0.667), (0.0, 0.833), (-0.45, 0.667), (-0.5, 0.3), (-0.25, 0.08), (0.25, -0.08),
-        (0.5, -0.3), (0.45, -0.667), (0.0, -0.833), (0.0, 0.0),
+        (0.5, 0.667),
+        (-0.5, -0.667),
+        (0.0, 0.833),
+        (-0.45, 0.667),
+        (-0.5, 0.3),
+        (-0.25, 0.08),
+        (0.25, -0.08),
+        (0.5, -0.3),
+        (0.45, -0.667),
+        (0.0, -0.833),
+        (0.0, 0.0),
     ),
     "C": (
-        (0.5, 0.667), (0.5, -0.667), (0.25, 0.79), (-0.05, 0.833), (-0.35, 0.7), (-0.5, 0.38), (-0.5, 0.0),
-        (-0.5, -0.38), (-0.35, -0.7), (-0.05, -0.833), (0.25, -0.79),
+        (0.5, 0.667),
+        (0.5, -0.667),
+        (0.25, 0.79),
+        (-0.05, 0.833),
+        (-0.35, 0.7),
+        (-0.5, 0.38),
+        (-0.5, 0.0),
+        (-0.5, -0.38),
+        (-0.35, -0.7),
+        (-0.05, -0.833),
+        (0.25, -0.79),
     ),
-}  # fmt: skip
+}
 """Eleven places of a stroke each; the first two, its leaders', are the ends of the letter."""
 
 
@@ -54,10 +77,16 @@ def letter(name: str, size: float, height: float = 1.0) -> Shape:
         raise ConfigError("letter", name, f"one of {', '.join(LETTERS)}")
     points = LETTERS[name]
     scale = size / (max(y for _, y in points) - min(y for _, y in points))
-    return {i: (round(scale * x, 6), round(scale * y, 6), height) for i, (x, y) in enumerate(points)}
+    return {
+        i: (round(scale * x, 6), round(scale * y, 6), height)
+        for i, (x, y) in enumerate(points)
+    }
 
 
 def nearest_edges(shape: Shape, count: int) -> list[list[int]]:
     """The `count` shortest pairs of a shape: who is near talks."""
-    pairs = sorted(combinations(sorted(shape), 2), key=lambda pair: (math.dist(shape[pair[0]], shape[pair[1]]), pair))
+    pairs = sorted(
+        combinations(sorted(shape), 2),
+        key=lambda pair: (math.dist(shape[pair[0]], shape[pair[1]]), pair),
+    )
     return [list(pair) for pair in sorted(pairs[:count])]

@@ -19,7 +19,9 @@ class Word(NamedTuple):
     why: str
 
 
-def attempt(robot: int, work: Exchange[T], diameter: int) -> Exchange[tuple[T | None, str]]:
+def attempt(
+    robot: int, work: Exchange[T], diameter: int
+) -> Exchange[tuple[T | None, str]]:
     """What the work returns, and no word; if it raises anywhere, None and why, at all robots the same.
 
     All begin it in one round and end it in one: `diameter` rounds after that in which the work was done, or had raised
@@ -35,13 +37,17 @@ def attempt(robot: int, work: Exchange[T], diameter: int) -> Exchange[tuple[T | 
             try:
                 message = [work.send(heard)]  # type: ignore[arg-type]  # None starts it
             except StopIteration as end:
-                found, message, ends = end.value, [None], k + diameter
+                found = end.value
+                message = [None]
+                ends = k + diameter
             except Hung:
                 raise
             except Exception as error:  # noqa: BLE001 - whatever it is, this robot flies, and so do the others
                 word = Word(k, robot, _told(error))
         if word is not None:
-            found, message, ends = None, list(word), word.k + diameter
+            found = None
+            message = list(word)
+            ends = word.k + diameter
         if ends is not None and k >= ends:
             break
         arrived = yield message
@@ -61,7 +67,9 @@ def _is_word(j: int, said: Any, k: int) -> bool:
             return False
         case [int(failed), int(), str()] if 0 <= failed <= k:
             return True
-    raise CodecError(f"from robot {j}, round {k}: neither a message nor a word of a failure")
+    raise CodecError(
+        f"from robot {j}, round {k}: neither a message nor a word of a failure"
+    )
 
 
 def _told(error: Exception) -> str:

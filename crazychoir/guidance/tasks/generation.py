@@ -64,9 +64,21 @@ class NextGeneration(Program[Generation]):
     """
 
     def __init__(
-        self, robot: int, graph: Graph, book: TaskBook, number: int, filled: int, draw: Draw, most: int, cost: Cost
+        self,
+        robot: int,
+        graph: Graph,
+        book: TaskBook,
+        number: int,
+        filled: int,
+        draw: Draw,
+        most: int,
+        cost: Cost,
     ) -> None:
-        self.robot, self.members, self.draw, self.most, self.cost = robot, graph.ids, draw, most, cost
+        self.robot = robot
+        self.members = graph.ids
+        self.draw = draw
+        self.most = most
+        self.cost = cost
         self.diameter = graph.diameter() if len(graph.ids) > 1 else 0
         self._mine = [book.wire(), number, filled]
         super().__init__()
@@ -82,17 +94,26 @@ class NextGeneration(Program[Generation]):
             for task in self.draw(drawn + missing)[drawn:]:
                 book.learn(task)
         tasks = open_tasks(book, self.members)
-        costs = tuple(self.cost(task) if self.robot in task.robots or not task.robots else inf for task in tasks)
-        outcome = yield from self._assigned(number + 1, tasks, dict(zip((t.id for t in tasks), costs, strict=True)))
+        costs = tuple(
+            self.cost(task) if self.robot in task.robots or not task.robots else inf
+            for task in tasks
+        )
+        outcome = yield from self._assigned(
+            number + 1, tasks, dict(zip((t.id for t in tasks), costs, strict=True))
+        )
         return Generation(number + 1, filled, tasks, costs, outcome, book, dropped)
 
-    def _assigned(self, number: int, tasks: tuple[Task, ...], costs: dict[int, float]) -> Exchange[Outcome]:
+    def _assigned(
+        self, number: int, tasks: tuple[Task, ...], costs: dict[int, float]
+    ) -> Exchange[Outcome]:
         """The cheapest assignment, by the distributed simplex; of nothing there is none."""
         if not tasks:
             return Outcome(number, None, 0.0, (), "", 0)
         rows = tuple(assignment.Task(task.id, np.array(task.pickup)) for task in tasks)
         table = Table(number, rows, last=True)
-        solver = TaskAssignment(self.robot, lambda task: costs[task.id], self.members, self.diameter, table)
+        solver = TaskAssignment(
+            self.robot, lambda task: costs[task.id], self.members, self.diameter, table
+        )
         while not solver.done:
             solver.step((yield solver.message()))
         assert solver.outcome is not None  # noqa: S101 - it is done
@@ -102,17 +123,23 @@ class NextGeneration(Program[Generation]):
 def open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
     """The tasks that are neither done nor cancelled, in the order of their ids."""
     standings = book.standings(members, recover=True)
-    return tuple(book.tasks[j] for j, standing in standings.items() if standing.fate is Fate.OPEN)
+    return tuple(
+        book.tasks[j] for j, standing in standings.items() if standing.fate is Fate.OPEN
+    )
 
 
 def _merged(said: dict[int, Any]) -> tuple[TaskBook, int, int, dict[int, CodecError]]:
     """What all know together; the newest generation that anybody has been part of; what was no book."""
-    book, number, filled, dropped = TaskBook(), 0, 0, dict[int, CodecError]()
+    book = TaskBook()
+    number = 0
+    filled = 0
+    dropped = dict[int, CodecError]()
     for i, value in said.items():
         try:
             wire, its_number, its_filled = _read(value)
             book.merge(TaskBook.of(wire))
-            number, filled = max(number, its_number), max(filled, its_filled)
+            number = max(number, its_number)
+            filled = max(filled, its_filled)
         except CodecError as error:
             dropped[i] = error
     return book, number, filled, dropped

@@ -15,7 +15,8 @@ class Room:
 
     def __init__(self, config: SwarmConfig) -> None:
         self.ids = config.ids
-        self.low, self.high = np.array(config.fence.min[:2]) + EDGE, np.array(config.fence.max[:2]) - EDGE
+        self.low = np.array(config.fence.min[:2]) + EDGE
+        self.high = np.array(config.fence.max[:2]) - EDGE
 
     def lies_badly(self, task: Task, pickup: Place) -> str:
         """Why nobody can stand there; empty if somebody can."""
@@ -26,7 +27,11 @@ class Room:
     def never(self, task: Task) -> str:
         """Why no robot of this swarm can serve it; empty if one can."""
         strangers = [i for i in task.robots if i not in self.ids]
-        return f"there is no drone {span(strangers)}; this swarm has {span(self.ids)}" if strangers else ""
+        return (
+            f"there is no drone {span(strangers)}; this swarm has {span(self.ids)}"
+            if strangers
+            else ""
+        )
 
     def waits(self, task: Task, flying: Collection[int]) -> str:
         """Why none of those who fly can serve it; empty if one can."""

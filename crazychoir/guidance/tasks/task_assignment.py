@@ -13,7 +13,12 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError, RosterChanged
 from crazychoir.guidance.guidance import TOUCHDOWN, CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, standing, touch_down
-from crazychoir.guidance.tasks.generation import Draw, Generation, NextGeneration, open_tasks
+from crazychoir.guidance.tasks.generation import (
+    Draw,
+    Generation,
+    NextGeneration,
+    open_tasks,
+)
 from crazychoir.guidance.tasks.room import Room
 from crazychoir.guidance.tasks.task_book import Deed, Place, Task
 from crazychoir.guidance.tasks.task_source import TaskSource
@@ -71,26 +76,37 @@ class TaskAssignmentGuidance(CFGuidance):
         self.work = work
         self.generation: Generation | None = None
         self.tables: list[dict[str, Any]] = []
-        self.way: list[tuple[Any, ...]] = []  # t s since the start, x, y m, m from its task, None without one
+        self.way: list[
+            tuple[Any, ...]
+        ] = []  # t s since the start, x, y m, m from its task, None without one
         self.done: list[tuple[int, int]] = []
         self.reason = ""
         self._shares = True  # a planning runs: nothing is completed
-        self._alone, self._said = False, ""
+        self._alone = False
+        self._said = ""
 
     def bind(self, member: Member) -> None:
         """Meet the drone."""
         super().bind(member)
         self._born = self._now
-        self.news = TeamNews(member.communicator, (), self._here, recover=True, period=POLL)
+        self.news = TeamNews(
+            member.communicator, (), self._here, recover=True, period=POLL
+        )
         self.source = TaskSource(self.news, Room(member.config), may_end=self._may_end)
         self._turns = Turns(member.pilot)
-        member.report = lambda: {"task": self._doing(), "cost": self.tables[-1]["cost"] if self.tables else None}
+        member.report = lambda: {
+            "task": self._doing(),
+            "cost": self.tables[-1]["cost"] if self.tables else None,
+        }
 
     async def mission(self) -> dict[str, Any]:
         """Fly, gossip and plan until nothing is left to do; then home, and down."""
         try:
             async with asyncio.TaskGroup() as group:
-                jobs = [group.create_task(job) for job in (self.news.gossip(), self._fly(), self._left_alone())]
+                jobs = [
+                    group.create_task(job)
+                    for job in (self.news.gossip(), self._fly(), self._left_alone())
+                ]
                 await self._plan()
                 jobs[2].cancel()
                 if not self._alone:
@@ -98,8 +114,14 @@ class TaskAssignmentGuidance(CFGuidance):
                 await asyncio.wait(jobs[1:])
                 jobs[0].cancel()
         except BaseException as error:
-            cause = error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
-            self.member.pilot.land("" if isinstance(cause, asyncio.CancelledError) else f"mission failed: {cause}")
+            cause = (
+                error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
+            )
+            self.member.pilot.land(
+                ""
+                if isinstance(cause, asyncio.CancelledError)
+                else f"mission failed: {cause}"
+            )
             await touch_down(self.member.pilot, TOUCHDOWN)
             await self.news.last_words()
             if cause is error:
@@ -111,7 +133,12 @@ class TaskAssignmentGuidance(CFGuidance):
         """This drone's part of the report."""
         failed = {"success": False, "reason": self.reason} if self.reason else {}
         left = [task.id for task in open_tasks(self.news.book, self.news.members)]
-        return {"done": self.done, "tables": self.tables, "open": left, "way": self.way} | failed
+        return {
+            "done": self.done,
+            "tables": self.tables,
+            "open": left,
+            "way": self.way,
+        } | failed
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
         """An operator adds a task, at its pickup, cancels one, or wants the list; see TaskSource."""
@@ -127,7 +154,11 @@ class TaskAssignmentGuidance(CFGuidance):
             return []
         if self.news.ended or self._alone:
             return [self._home]
-        return [] if (mine := self._mine) is None else [self._above(self.news.book.tasks[mine].pickup)]
+        return (
+            []
+            if (mine := self._mine) is None
+            else [self._above(self.news.book.tasks[mine].pickup)]
+        )
 
     def _may_end(self) -> bool:
         return self._shares
@@ -167,9 +198,11 @@ class TaskAssignmentGuidance(CFGuidance):
             if n and not self._wanted(key, n):
                 await self.sleep(POLL)
                 continue
-            n, self._shares = n + 1, True
+            n = n + 1
+            self._shares = True
             self.news.say(run=(key[0], len(key[1]), n))
-            began, generation = self._now, await self._next(key)
+            began = self._now
+            generation = await self._next(key)
             if generation is None:
                 return
             self._adopt(generation, self._now - began)
@@ -178,39 +211,71 @@ class TaskAssignmentGuidance(CFGuidance):
         """Whether somebody plans already, or other tasks are open."""
         alive = self.news.book.alive(self.graph.ids).values()
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
-        return begun or self.generation is None or self._open() != _ids(self.generation.tasks)
+        return (
+            begun
+            or self.generation is None
+            or self._open() != _ids(self.generation.tasks)
+        )
 
     def _open(self) -> list[int]:
         return _ids(open_tasks(self.news.book, self.news.members))
 
     async def _next(self, key: Key) -> Generation | None:
         """The next generation, together; None if the team has changed meanwhile."""
-        links, last, work = self.news.links(without=key[1]), self.generation, self.work
+        links = self.news.links(without=key[1])
+        last = self.generation
+        work = self.work
         number, filled = (0, 0) if last is None else (last.number, last.filled)
         state = self.state
         program = NextGeneration(
-            self.id, links, self.news.book, number, filled, work.draw, work.generations,
+            self.id,
+            links,
+            self.news.book,
+            number,
+            filled,
+            work.draw,
+            work.generations,
             lambda task: work.cost(state, task),
-        )  # fmt: skip
-        return program.result if await run_together(self.news, program, links, key) else None
+        )
+        return (
+            program.result
+            if await run_together(self.news, program, links, key)
+            else None
+        )
 
     def _adopt(self, generation: Generation, seconds: float) -> None:
         """Fly by this generation from now on."""
         outcome = generation.outcome
-        self.generation, self._shares = generation, False
+        self.generation = generation
+        self._shares = False
         self.news.book.merge(generation.book)
         for j, error in generation.dropped.items():
             self.news.drop(j, error)
         costs = [None if cost == inf else cost for cost in generation.costs]
         self.tables.append(
-            {"number": generation.number, "filled": generation.filled, "team": list(self.news.alive_ids()),
-             "tasks": _ids(generation.tasks), "places": [task.pickup for task in generation.tasks], "costs": costs,
-             "mine": generation.mine, "cost": outcome.cost, "infeasible": outcome.infeasible,
-             "unserved": list(outcome.unserved), "rounds": outcome.rounds, "seconds": seconds}
-        )  # fmt: skip
+            {
+                "number": generation.number,
+                "filled": generation.filled,
+                "team": list(self.news.alive_ids()),
+                "tasks": _ids(generation.tasks),
+                "places": [task.pickup for task in generation.tasks],
+                "costs": costs,
+                "mine": generation.mine,
+                "cost": outcome.cost,
+                "infeasible": outcome.infeasible,
+                "unserved": list(outcome.unserved),
+                "rounds": outcome.rounds,
+                "seconds": seconds,
+            }
+        )
         speaks = self.id == min(self.news.alive_ids(), default=self.id)
         if outcome.infeasible not in ("", self._said) and speaks:
-            log.warning("drone %d: generation %d: %s", self.id, generation.number, outcome.infeasible)
+            log.warning(
+                "drone %d: generation %d: %s",
+                self.id,
+                generation.number,
+                outcome.infeasible,
+            )
         self._said = outcome.infeasible
         if generation.idle:
             self.news.say(ended=True)
@@ -218,14 +283,18 @@ class TaskAssignmentGuidance(CFGuidance):
     async def _cut_off(self, key: Key) -> None:
         """Too few to decide: wait in the air for the others, then go home."""
         log.warning("drone %d: %s", self.id, UNREACHED)
-        self._shares, self.generation = True, None
+        self._shares = True
+        self.generation = None
         while self.news.key() == key and not (self.news.ended or self._alone):
             await self.sleep(POLL)
 
     async def _left_alone(self) -> None:
         """End the mission of who waits for others that are gone, wherever it waits."""
         why = await self.news.left_alone(REUNION)
-        self._alone, self.reason = True, f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
+        self._alone = True
+        self.reason = (
+            f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
+        )
         self.news.say(out=True)
         self.news.changed.set()  # also for a round that waits for them
 
@@ -263,7 +332,8 @@ class TaskAssignmentGuidance(CFGuidance):
         pilot = self.member.pilot
         if pilot.mode not in FLIES:
             raise Interrupted(f"drone {self.id}: {standing(pilot)}")
-        generation, mine = self.generation, self._mine
+        generation = self.generation
+        mine = self._mine
         if generation is None or mine is None:
             if (away := self._turns.away()) is None:
                 pilot.hover()
@@ -288,7 +358,11 @@ class TaskAssignmentGuidance(CFGuidance):
         if self.way and t < float(self.way[-1][0]) + NOTED:
             return
         mine = self._mine
-        left = None if mine is None else round(math.dist(self._here(), self.news.book.tasks[mine].pickup), 3)
+        left = (
+            None
+            if mine is None
+            else round(math.dist(self._here(), self.news.book.tasks[mine].pickup), 3)
+        )
         self.way.append((round(t, 2), *(round(x, 3) for x in self._here()), left))
 
     async def _go_home(self) -> None:
@@ -300,7 +374,9 @@ class TaskAssignmentGuidance(CFGuidance):
             await self.sleep(POLL)
 
     def _all_home(self) -> bool:
-        return all(record.idle for record in self.news.book.alive(self.news.members).values())
+        return all(
+            record.idle for record in self.news.book.alive(self.news.members).values()
+        )
 
 
 def _ids(tasks: Collection[Task]) -> list[int]:

@@ -102,13 +102,17 @@ class TaskBook:
     changes: counts news that may change what has become of a task.
     """
 
-    def __init__(self, tasks: Iterable[Task] = (), records: Iterable[Record] = ()) -> None:
+    def __init__(
+        self, tasks: Iterable[Task] = (), records: Iterable[Record] = ()
+    ) -> None:
         self.tasks: dict[int, Task] = {}
         self.records: dict[tuple[int, int], Record] = {}
         self.changes = 0
         self._newest: dict[int, Record] = {}
         self._standings: tuple[Any, dict[int, Standing]] = (None, {})
-        self._fallen: dict[int | None, None] = {}  # robots by whose places these standings are: others fly about
+        self._fallen: dict[
+            int | None, None
+        ] = {}  # robots by whose places these standings are: others fly about
         for task in tasks:
             self.learn(task)
         for record in records:
@@ -130,9 +134,17 @@ class TaskBook:
         if known is not None and (record.number, record) <= (known.number, known):
             return False
         self.records[key] = record
-        lives = [other for other in self.records.values() if other.robot == record.robot]
-        self._newest[record.robot] = max(lives, key=lambda other: (other.life, other.incarnation))
-        moved = record.robot in self._fallen and known is not None and known.place != record.place
+        lives = [
+            other for other in self.records.values() if other.robot == record.robot
+        ]
+        self._newest[record.robot] = max(
+            lives, key=lambda other: (other.life, other.incarnation)
+        )
+        moved = (
+            record.robot in self._fallen
+            and known is not None
+            and known.place != record.place
+        )
         if moved or known is None or _done(known) != _done(record):
             self.changes += 1
         return True
@@ -157,17 +169,28 @@ class TaskBook:
     def alive(self, members: Collection[int]) -> dict[int, Record]:
         """Records of the members that still fly, by robot."""
         found = {i: self.newest(i) for i in sorted(members)}
-        return {i: record for i, record in found.items() if record is not None and not record.out}
+        return {
+            i: record
+            for i, record in found.items()
+            if record is not None and not record.out
+        }
 
     def out(self, members: Collection[int]) -> tuple[int, ...]:
         """Members that have said that they fly no more."""
         found = {i: self.newest(i) for i in sorted(members)}
-        return tuple(i for i, record in found.items() if record is not None and record.out)
+        return tuple(
+            i for i, record in found.items() if record is not None and record.out
+        )
 
-    def witnesses(self, i: int, incarnation: int, number: int, members: Collection[int]) -> int:
+    def witnesses(
+        self, i: int, incarnation: int, number: int, members: Collection[int]
+    ) -> int:
         """How many of the members are known to have heard edition `number` of robot i, or a newer one."""
         others = [record for j, record in self.alive(members).items() if j != i]
-        return sum(any(s[0] == i and s[1] == incarnation and s[2] >= number for s in r.seen) for r in others)
+        return sum(
+            any(s[0] == i and s[1] == incarnation and s[2] >= number for s in r.seen)
+            for r in others
+        )
 
     # What has become of the tasks -----------------------------------------------------------------------------
 
@@ -179,11 +202,20 @@ class TaskBook:
         key = self.changes, tuple(members), recover
         if self._standings[0] != key:
             found = self._all_standings(members, recover)
-            lying = [s for s in found.values() if s.fate in (Fate.OPEN, Fate.CANCELLED) and s.robot is not None]
-            self._standings, self._fallen = (key, found), dict.fromkeys(s.robot for s in lying)
+            lying = [
+                s
+                for s in found.values()
+                if s.fate in (Fate.OPEN, Fate.CANCELLED) and s.robot is not None
+            ]
+            self._standings, self._fallen = (
+                (key, found),
+                dict.fromkeys(s.robot for s in lying),
+            )
         return self._standings[1]
 
-    def _all_standings(self, members: Collection[int], recover: bool) -> dict[int, Standing]:
+    def _all_standings(
+        self, members: Collection[int], recover: bool
+    ) -> dict[int, Standing]:
         carriers: dict[int, tuple[int, int, int]] = {}
         delivered: dict[int, int] = {}
         for (i, incarnation), record in sorted(self.records.items()):
@@ -194,20 +226,30 @@ class TaskBook:
                     last = carriers.get(deed.task, (0, 0, 0))
                     if deed.generation > last[0]:
                         carriers[deed.task] = deed.generation, i, incarnation
-        alive = {(i, record.incarnation): None for i, record in self.alive(members).items()}
+        alive = {
+            (i, record.incarnation): None for i, record in self.alive(members).items()
+        }
         return {
-            j: self._standing(self.tasks[j], carriers.get(j), delivered.get(j), alive, recover)
+            j: self._standing(
+                self.tasks[j], carriers.get(j), delivered.get(j), alive, recover
+            )
             for j in sorted(self.tasks)
         }
 
     def _standing(
-        self, task: Task, carrier: tuple[int, int, int] | None, by: int | None,
-        alive: Mapping[tuple[int, int], None], recover: bool,
-    ) -> Standing:  # fmt: skip
+        self,
+        task: Task,
+        carrier: tuple[int, int, int] | None,
+        by: int | None,
+        alive: Mapping[tuple[int, int], None],
+        recover: bool,
+    ) -> Standing:
         if by is not None:
             return Standing(Fate.DELIVERED, task.pickup, by)
         if carrier is None:
-            return Standing(Fate.CANCELLED if task.cancelled else Fate.OPEN, task.pickup)
+            return Standing(
+                Fate.CANCELLED if task.cancelled else Fate.OPEN, task.pickup
+            )
         generation, i, incarnation = carrier
         if (i, incarnation) in alive:
             return Standing(Fate.ABOARD, task.pickup, i, generation)
@@ -221,11 +263,15 @@ class TaskBook:
     @property
     def checksum(self) -> int:
         """Of the tasks: equal for equal ones."""
-        return crc32(msgspec.msgpack.encode([task for _, task in sorted(self.tasks.items())]))
+        return crc32(
+            msgspec.msgpack.encode([task for _, task in sorted(self.tasks.items())])
+        )
 
     def wire(self, tasks: bool = True) -> bytes:
         """As a message, with the tasks or the records alone."""
-        return msgspec.msgpack.encode([list(self.tasks.values()) if tasks else [], list(self.records.values())])
+        return msgspec.msgpack.encode(
+            [list(self.tasks.values()) if tasks else [], list(self.records.values())]
+        )
 
     @classmethod
     def of(cls, wire: object) -> "TaskBook":

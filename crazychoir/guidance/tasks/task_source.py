@@ -53,9 +53,16 @@ class TaskSource:
     """
 
     def __init__(
-        self, news: TeamNews, site: Site, events: Sequence[Event] = (), may_end: Callable[[], bool] = lambda: False
+        self,
+        news: TeamNews,
+        site: Site,
+        events: Sequence[Event] = (),
+        may_end: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.news, self.site, self.events, self.may_end = news, site, events, may_end
+        self.news = news
+        self.site = site
+        self.events = events
+        self.may_end = may_end
         self._heard = 0
 
     @property
@@ -93,16 +100,25 @@ class TaskSource:
         await self._ready()
         j, note = self._cancel(arguments) if task is None else self._add(task)
         notes = [note, await self._told(self.news.say())]
-        return {"id": j} | ({"note": "; ".join(filter(None, notes))} if any(notes) else {})
+        return {"id": j} | (
+            {"note": "; ".join(filter(None, notes))} if any(notes) else {}
+        )
 
     def listed(self) -> list[dict[str, Any]]:
         """The tasks that are known here: id, pickup (where it lies now) and delivery m, load, fate, robot."""
-        standings, tasks = self.news.standings(), self.news.book.tasks
+        standings = self.news.standings()
+        tasks = self.news.book.tasks
         return [
-            {"id": j, "pickup": list(standing.pickup), "delivery": list(tasks[j].delivery), "load": tasks[j].load,
-             "fate": standing.fate.value, "robot": standing.robot}
+            {
+                "id": j,
+                "pickup": list(standing.pickup),
+                "delivery": list(tasks[j].delivery),
+                "load": tasks[j].load,
+                "fate": standing.fate.value,
+                "robot": standing.robot,
+            }
             for j, standing in standings.items()
-        ]  # fmt: skip
+        ]
 
     async def _ready(self) -> None:
         """Wait until this robot knows what more than half of the team knew when it was started.
@@ -118,7 +134,9 @@ class TaskSource:
             if self.news.known(1) and not self.may_end():
                 return
             if self.news.clock.now() > ends:
-                raise self._refused(f"for {PATIENCE:g} s, it has heard of too few others; ask another one, or again")
+                raise self._refused(
+                    f"for {PATIENCE:g} s, it has heard of too few others; ask another one, or again"
+                )
             await self._pause(LOOK[0])
 
     async def _told(self, number: int) -> str:
@@ -132,42 +150,71 @@ class TaskSource:
 
     def _read(self, arguments: dict[str, Any]) -> Task:
         """The task that is to be added, but for its id."""
-        raw = {"load": 1.0, "robots": [], **arguments, "id": ADDED, "version": 0, "cancelled": False}
+        raw = {
+            "load": 1.0,
+            "robots": [],
+            **arguments,
+            "id": ADDED,
+            "version": 0,
+            "cancelled": False,
+        }
         names = Task.__struct_fields__
         try:
             task = msgspec.convert([raw.pop(name, None) for name in names], Task)
         except msgspec.ValidationError as error:
             wrong = _FIELD.sub(lambda found: f"`{names[int(found[1])]}`", str(error))
-            raise self._refused(f"{wrong}; allowed: places [x, y] in m, a load of 0 to 1e6, drone ids") from error
+            raise self._refused(
+                f"{wrong}; allowed: places [x, y] in m, a load of 0 to 1e6, drone ids"
+            ) from error
         if raw:
-            raise self._refused(f"unknown: {', '.join(sorted(raw))}; there are {', '.join(names[3:])}")
+            raise self._refused(
+                f"unknown: {', '.join(sorted(raw))}; there are {', '.join(names[3:])}"
+            )
         if why := self.site.lies_badly(task, task.pickup) or self.site.never(task):
             raise self._refused(why)
         return task
 
     def _add(self, task: Task) -> tuple[int, str]:
         """Ids differ by the robot that was asked: two operators may add tasks at the same time."""
-        tasks, me = self.news.book.tasks, self.news.id
-        count = max((j // ADDED for j in tasks if j >= ADDED and j % ADDED == me), default=0) + 1
+        tasks = self.news.book.tasks
+        me = self.news.id
+        count = (
+            max(
+                (j // ADDED for j in tasks if j >= ADDED and j % ADDED == me), default=0
+            )
+            + 1
+        )
         task = msgspec.structs.replace(task, id=ADDED * count + me)
         self.news.book.learn(task)
         waits = self.site.waits(task, self.news.book.alive(self.news.members))
         return task.id, waits and f"it waits: {waits}"
 
     def _cancel(self, arguments: dict[str, Any]) -> tuple[int, str]:
-        j, book = arguments.get("id"), self.news.book
+        j = arguments.get("id")
+        book = self.news.book
         if not isinstance(j, int) or j not in book.tasks:
-            groups = [k for k in book.tasks if k < ADDED], [k for k in book.tasks if k >= ADDED]
-            raise self._refused(f"there is no {j}; there are {', '.join(map(span, filter(None, groups))) or 'none'}")
-        standing, was_cancelled = self.news.standings()[j], book.tasks[j].cancelled
+            groups = (
+                [k for k in book.tasks if k < ADDED],
+                [k for k in book.tasks if k >= ADDED],
+            )
+            raise self._refused(
+                f"there is no {j}; there are {', '.join(map(span, filter(None, groups))) or 'none'}"
+            )
+        standing = self.news.standings()[j]
+        was_cancelled = book.tasks[j].cancelled
         match standing.fate:
             case Fate.DELIVERED:
                 raise self._refused(f"drone {standing.robot} has delivered {j} already")
             case Fate.LOST:
-                raise self._refused(f"{j} is lost, with drone {standing.robot} that had it aboard")
+                raise self._refused(
+                    f"{j} is lost, with drone {standing.robot} that had it aboard"
+                )
         book.cancel(j)
         if standing.fate is Fate.ABOARD:
-            return j, f"it is aboard drone {standing.robot}, which delivers it all the same"
+            return (
+                j,
+                f"it is aboard drone {standing.robot}, which delivers it all the same",
+            )
         return j, "it was cancelled already" if was_cancelled else ""
 
     async def _pause(self, seconds: float) -> None:

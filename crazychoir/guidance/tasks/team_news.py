@@ -40,11 +40,19 @@ class TeamNews:
     """
 
     def __init__(
-        self, communicator: Communicator, tasks: tuple[Task, ...], here: Callable[[], Place], recover: bool,
+        self,
+        communicator: Communicator,
+        tasks: tuple[Task, ...],
+        here: Callable[[], Place],
+        recover: bool,
         period: float = PERIOD,
-    ) -> None:  # fmt: skip
-        self.communicator, self.here, self.recover, self.period = communicator, here, recover, period
-        self.clock, self.id = communicator.port.bus.clock, communicator.id
+    ) -> None:
+        self.communicator = communicator
+        self.here = here
+        self.recover = recover
+        self.period = period
+        self.clock = communicator.port.bus.clock
+        self.id = communicator.id
         self.record = Record(self.id, communicator.port.incarnation, 1, here())
         self.book = TaskBook(tasks, [self.record])
         self.changed = asyncio.Event()
@@ -57,7 +65,9 @@ class TeamNews:
 
     def say(self, **changes: Any) -> int:
         """Write a new edition of the own record; returns its number."""
-        self.record = msgspec.structs.replace(self.record, number=self.record.number + 1, **changes)
+        self.record = msgspec.structs.replace(
+            self.record, number=self.record.number + 1, **changes
+        )
         self.book.hear(self.record)
         return self.record.number
 
@@ -66,8 +76,16 @@ class TeamNews:
         while True:
             try:
                 neighbors = self.links().neighbors(self.id)
-                self.hear(await self.communicator.asynchronous_receive(neighbors, channel=BOOK))
-                self._write_off(await self.communicator.asynchronous_receive(neighbors, channel=FAILED))
+                self.hear(
+                    await self.communicator.asynchronous_receive(
+                        neighbors, channel=BOOK
+                    )
+                )
+                self._write_off(
+                    await self.communicator.asynchronous_receive(
+                        neighbors, channel=FAILED
+                    )
+                )
                 await self._tell()
             except RosterChanged:
                 self.changed.set()
@@ -77,26 +95,40 @@ class TeamNews:
 
     async def _tell(self) -> None:
         letter = self.letter()
-        await self.communicator.send(letter, self.links().neighbors(self.id), channel=BOOK)
+        await self.communicator.send(
+            letter, self.links().neighbors(self.id), channel=BOOK
+        )
 
     def letter(self) -> bytes:
         """The book for the neighbours; the tasks only if one of them has others."""
-        others = [record for _, record in sorted(self.book.records.items()) if record.robot != self.id]
-        seen, knows = tuple((r.robot, r.incarnation, r.number) for r in others), self.book.checksum
+        others = [
+            record
+            for _, record in sorted(self.book.records.items())
+            if record.robot != self.id
+        ]
+        seen = tuple((r.robot, r.incarnation, r.number) for r in others)
+        knows = self.book.checksum
         self.say(place=self.here(), seen=seen, knows=knows)
         records = [self.book.newest(j) for j in self.links().neighbors(self.id)]
-        return self.book.wire(tasks=any(record is None or record.knows != knows for record in records))
+        return self.book.wire(
+            tasks=any(record is None or record.knows != knows for record in records)
+        )
 
     def hear(self, heard: dict[int, Any]) -> None:
         """Merge the letters of neighbours, by robot. Who hears of another life of its own says that this is later."""
-        before, old = self.key(), dict(self.book.records)
+        before = self.key()
+        old = dict(self.book.records)
         for i, wire in heard.items():
             try:
                 self.book.merge(TaskBook.of(wire))
             except CodecError as error:
                 self.drop(i, error)
         now = self.clock.now()
-        self._heard |= {key[0]: now for key, record in self.book.records.items() if record is not old.get(key)}
+        self._heard |= {
+            key[0]: now
+            for key, record in self.book.records.items()
+            if record is not old.get(key)
+        }
         newest = self.book.newest(self.id)
         if newest is not None and newest.incarnation != self.record.incarnation:
             self.say(life=newest.life + 1)
@@ -112,7 +144,9 @@ class TeamNews:
         for i in failed:
             record = self.book.newest(i)
             if i not in self._failed and record is not None and not record.out:
-                self.book.hear(msgspec.structs.replace(record, number=record.number + 1, out=True))
+                self.book.hear(
+                    msgspec.structs.replace(record, number=record.number + 1, out=True)
+                )
         self._failed = dict.fromkeys(failed)
         if self.key() != before:
             self.changed.set()
@@ -127,7 +161,9 @@ class TeamNews:
         """Stay until all know that the team has ended, or FAREWELL s are over; beside `gossip`."""
         self.say(ended=True)
         ends = self.clock.now() + FAREWELL
-        while self.clock.now() < ends and not all(r.ended for r in self.book.alive(self.members).values()):
+        while self.clock.now() < ends and not all(
+            r.ended for r in self.book.alive(self.members).values()
+        ):
             await self._pause()
         await self._pause()  # the last to know is told that all do
         await self._pause()
@@ -142,7 +178,9 @@ class TeamNews:
                 continue
             await self._pause()
 
-    async def left_alone(self, bound: float, busy: Callable[[], bool] = lambda: False) -> str:
+    async def left_alone(
+        self, bound: float, busy: Callable[[], bool] = lambda: False
+    ) -> str:
         """Wait until, for `bound` s in which this robot was not busy, nobody has decided for it; returns why.
 
         That is the end of who is out, or has nothing to do, and would wait for ever for others who are gone.
@@ -177,8 +215,13 @@ class TeamNews:
 
         Never in a part that is cut off: each of its robots alone is more than half of that.
         """
-        witnesses = self.book.witnesses(self.id, self.record.incarnation, number, self.members)
-        return self.quorate and witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
+        witnesses = self.book.witnesses(
+            self.id, self.record.incarnation, number, self.members
+        )
+        return (
+            self.quorate
+            and witnesses >= (len(self.members) - len(self.book.out(self.members))) // 2
+        )
 
     @property
     def ended(self) -> bool:
@@ -191,9 +234,18 @@ class TeamNews:
 
         Who flies decides, in a part that may. A part with less than half never agrees on the team without the others.
         """
-        flying, now = self.book.alive(self.members), self.clock.now()
-        heard = [i for i in self.members if i == self.id or now <= self._heard.get(i, -inf) + SILENT]
-        missing = [i for i in self.members if i not in heard and i not in self.book.out(self.members)]
+        flying = self.book.alive(self.members)
+        now = self.clock.now()
+        heard = [
+            i
+            for i in self.members
+            if i == self.id or now <= self._heard.get(i, -inf) + SILENT
+        ]
+        missing = [
+            i
+            for i in self.members
+            if i not in heard and i not in self.book.out(self.members)
+        ]
         if self.ended:
             return ""
         if not self.quorate or len(heard) <= len(missing):
@@ -218,7 +270,9 @@ class TeamNews:
         """
         team = self._team or self.members
         stayed = [i for i in team if i in self.members]
-        return 2 * len(stayed) > len(team) or (2 * len(stayed) == len(team) and team[0] in stayed)
+        return 2 * len(stayed) > len(team) or (
+            2 * len(stayed) == len(team) and team[0] in stayed
+        )
 
     def count(self) -> bool:
         """Whether the present team may decide; if so, it is the one of which the next must be more than half."""
@@ -234,7 +288,8 @@ def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
     ids = tuple(i for i in graph.ids if i not in without)
     arcs = [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids]
     graph = Graph.from_edges(ids, arcs)
-    lowest, seen = list[int](), dict[int, None]()
+    lowest = list[int]()
+    seen = dict[int, None]()
     for i in ids:
         if i not in seen:
             lowest.append(i)

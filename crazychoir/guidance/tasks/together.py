@@ -14,14 +14,18 @@ POLL = 0.05
 """s between two looks at a team of which a neighbour is silent."""
 
 
-async def run_together(news: TeamNews, program: Program[Any], links: Graph, key: Key) -> bool:
+async def run_together(
+    news: TeamNews, program: Program[Any], links: Graph, key: Key
+) -> bool:
     """Run a program with the team of this key, over these links; False if the team has changed meanwhile.
 
     Raises RosterChanged at the beginning of an epoch.
     """
     channel = "-".join(["plan", *map(str, key[1])])
     while not program.done:
-        heard = await _exchange(news, program.message(), links.neighbors(news.id), channel, key)
+        heard = await _exchange(
+            news, program.message(), links.neighbors(news.id), channel, key
+        )
         if heard is None:
             return False
         await news.clock.compute(program.step, heard)
@@ -38,7 +42,9 @@ async def _exchange(
     ends = news.clock.now() + DEADLINE
     while True:
         exchange = asyncio.ensure_future(
-            news.communicator.neighbors_exchange(message, neighbors, neighbors, channel=channel, deadline=DEADLINE)
+            news.communicator.neighbors_exchange(
+                message, neighbors, neighbors, channel=channel, deadline=DEADLINE
+            )
         )
         try:
             await unless(exchange, news.changed)

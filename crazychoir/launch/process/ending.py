@@ -30,7 +30,10 @@ def run(app: Callable[[], None]) -> None:
     try:
         app()
     except SystemExit as ended:
-        if isinstance(ended.code, int) and "crazychoir.bus.network.zenoh_link" in sys.modules:
+        if (
+            isinstance(ended.code, int)
+            and "crazychoir.bus.network.zenoh_link" in sys.modules
+        ):
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(ended.code)

@@ -35,7 +35,8 @@ class Showing(Actor):
     name = "table"
 
     def __init__(self, process: MocapProcess, show: Show) -> None:
-        self._process, self._show = process, show
+        self._process = process
+        self._show = show
 
     async def run(self) -> None:
         """Some times a second."""
@@ -43,19 +44,31 @@ class Showing(Actor):
             self._show(self._process)
 
 
-def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show: Show | None) -> dict[str, Any]:
+def run_mocap(
+    config: SwarmConfig, listen: str | None, record: Path | None, show: Show | None
+) -> dict[str, Any]:
     """Publish the poses of the drones that are seen, over Zenoh; returns what was seen."""
 
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
-        name, host = f"mocap-{incarnation & 0xFFFFFFFF:08x}", config.mocap.host or socket.gethostname().split(".")[0]
-        source, recorder = source_of(clock, config), None if record is None else stack.enter_context(Recorder(record))
+        name = f"mocap-{incarnation & 0xFFFFFFFF:08x}"
+        host = config.mocap.host or socket.gethostname().split(".")[0]
+        source = source_of(clock, config)
+        recorder = None if record is None else stack.enter_context(Recorder(record))
         mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
         link = ZenohLink(
-            mocap.bus, config.name, listen=[listen or config.endpoints()[MOCAP]], connect=[],
-            routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
-            access=config.access(host, *filter(None, [listen])), on_refused=mocap.refuse, agreed=config.of_bodies(),
-        )  # fmt: skip
+            mocap.bus,
+            config.name,
+            listen=[listen or config.endpoints()[MOCAP]],
+            connect=[],
+            routers=config.routers,
+            incarnation=incarnation,
+            version=VERSION,
+            lease=config.lease,
+            access=config.access(host, *filter(None, [listen])),
+            on_refused=mocap.refuse,
+            agreed=config.of_bodies(),
+        )
         link.open()
         watchdog = Watchdog(clock)
         watchdog.start()
@@ -65,7 +78,10 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
         finally:
             watchdog.stop()
             stack.close()
-        return mocap.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
+        return mocap.report() | {
+            "network": asdict(link.counters),
+            "late_s": watchdog.worst,
+        }
 
     with contextlib.ExitStack() as stack:
         return run_wall(main)
@@ -73,9 +89,23 @@ def run_mocap(config: SwarmConfig, listen: str | None, record: Path | None, show
 
 def mocap_table(process: MocapProcess) -> Table:
     """Body by body: whose it is, how often it is seen, how long ago, where, and in how many frames it was not."""
-    watch, now = process.watch, process.clock.now()
-    title = f"{process.source.where}: {process.source.state}, {_hertz(watch.mean_rate)} Hz"
-    table = Table("body", "drone", "Hz", "age s", "x", "y", "z", "dropped", title=title, box=box.SIMPLE_HEAD)
+    watch = process.watch
+    now = process.clock.now()
+    title = (
+        f"{process.source.where}: {process.source.state}, {_hertz(watch.mean_rate)} Hz"
+    )
+    table = Table(
+        "body",
+        "drone",
+        "Hz",
+        "age s",
+        "x",
+        "y",
+        "z",
+        "dropped",
+        title=title,
+        box=box.SIMPLE_HEAD,
+    )
     owners = {name: str(i) for i, name in watch.names.items()}
     for name in dict.fromkeys([*owners, *sorted(watch.sights)]):
         sight = watch.sights.get(name)
@@ -86,7 +116,12 @@ def mocap_table(process: MocapProcess) -> Table:
 
 def _cells(sight: Sight, age: float) -> list[str | Text]:
     shown = Text(f"{age:.1f}", "red") if age > MISSING else f"{age:.2f}"
-    return [_hertz(sight.rate), shown, *(f"{c:.3f}" for c in sight.flat[0:3]), str(sight.dropped)]
+    return [
+        _hertz(sight.rate),
+        shown,
+        *(f"{c:.3f}" for c in sight.flat[0:3]),
+        str(sight.dropped),
+    ]
 
 
 def _hertz(rate: float) -> str:

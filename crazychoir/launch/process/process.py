@@ -26,14 +26,26 @@ log = logging.getLogger(__name__)
 
 
 def run_agent(
-    config: SwarmConfig, mission: Mission, ids: tuple[int, ...], listen: str | None, connect: list[str] | None
+    config: SwarmConfig,
+    mission: Mission,
+    ids: tuple[int, ...],
+    listen: str | None,
+    connect: list[str] | None,
 ) -> dict[str, Any]:
     """Fly these drones in real time, over Zenoh; returns results and counters."""
 
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
         process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
-        agent = Agent(clock, config, mission, ids, process=process, incarnation=incarnation, alone=False)
+        agent = Agent(
+            clock,
+            config,
+            mission,
+            ids,
+            process=process,
+            incarnation=incarnation,
+            alone=False,
+        )
         _obey_signals(clock, agent)  # before others may find us, and end us
         link = _link(agent, config, ids, listen, connect)
         link.open()
@@ -59,27 +71,45 @@ def run_agent(
 
 
 def _link(
-    agent: Agent, config: SwarmConfig, ids: tuple[int, ...], listen: str | None, connect: list[str] | None
+    agent: Agent,
+    config: SwarmConfig,
+    ids: tuple[int, ...],
+    listen: str | None,
+    connect: list[str] | None,
 ) -> ZenohLink:
     """Listen on the endpoint of the lowest drone; connect to every lower one: so each pair has one link."""
     host = config.endpoint(ids[0]).rsplit(":", 1)[0]
     own = f"{host}:{config.base_port + ids[0]}"
-    lower = [endpoint for process, endpoint in config.endpoints().items() if process < ids[0]]
+    lower = [
+        endpoint for process, endpoint in config.endpoints().items() if process < ids[0]
+    ]
 
     def on_token(drones: list[int], there: bool) -> None:
         for drone in agent.drones.values():
             for j in drones:
-                (drone.barrier.monitor.token_back if there else drone.barrier.monitor.token_gone)(j)
+                (
+                    drone.barrier.monitor.token_back
+                    if there
+                    else drone.barrier.monitor.token_gone
+                )(j)
 
     def on_refused(refused: Refused) -> None:
         agent.refuse(refused)
 
     return ZenohLink(
-        agent.bus, config.name, listen=[listen or own], connect=lower if connect is None else connect,
-        routers=[] if listen or connect else config.routers, incarnation=agent.incarnation, version=VERSION,
-        lease=config.lease, access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
-        on_token=on_token, on_refused=on_refused, agreed=config.of_bodies(),
-    )  # fmt: skip
+        agent.bus,
+        config.name,
+        listen=[listen or own],
+        connect=lower if connect is None else connect,
+        routers=[] if listen or connect else config.routers,
+        incarnation=agent.incarnation,
+        version=VERSION,
+        lease=config.lease,
+        access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
+        on_token=on_token,
+        on_refused=on_refused,
+        agreed=config.of_bodies(),
+    )
 
 
 def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
@@ -91,10 +121,18 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         host = config.world.host or socket.gethostname().split(".")[0]
         world = WorldProcess(clock, config, process, host, incarnation)
         link = ZenohLink(
-            world.bus, config.name, listen=[listen or config.endpoints()[WORLD]], connect=[],
-            routers=config.routers, incarnation=incarnation, version=VERSION, lease=config.lease,
-            access=config.access(host, *filter(None, [listen])), on_refused=world.refuse, agreed=config.of_bodies(),
-        )  # fmt: skip
+            world.bus,
+            config.name,
+            listen=[listen or config.endpoints()[WORLD]],
+            connect=[],
+            routers=config.routers,
+            incarnation=incarnation,
+            version=VERSION,
+            lease=config.lease,
+            access=config.access(host, *filter(None, [listen])),
+            on_refused=world.refuse,
+            agreed=config.of_bodies(),
+        )
         link.open()
         watchdog = Watchdog(clock)
         watchdog.start()
@@ -103,7 +141,10 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
             await world.serve(link)
         finally:
             watchdog.stop()
-        return world.report() | {"network": asdict(link.counters), "late_s": watchdog.worst}
+        return world.report() | {
+            "network": asdict(link.counters),
+            "late_s": watchdog.worst,
+        }
 
     return run_wall(main)
 
@@ -118,11 +159,18 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
         radios = RadioProcess(clock, config, dongle, process, host, incarnation)
         endpoints = config.endpoints()
         link = ZenohLink(
-            radios.bus, config.name, listen=[listen or endpoints[DONGLES - dongle]],
-            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [], routers=config.routers,
-            incarnation=incarnation, version=VERSION, lease=config.lease,
-            access=config.access(host, *filter(None, [listen])), on_refused=radios.refuse, agreed=config.of_bodies(),
-        )  # fmt: skip
+            radios.bus,
+            config.name,
+            listen=[listen or endpoints[DONGLES - dongle]],
+            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [],
+            routers=config.routers,
+            incarnation=incarnation,
+            version=VERSION,
+            lease=config.lease,
+            access=config.access(host, *filter(None, [listen])),
+            on_refused=radios.refuse,
+            agreed=config.of_bodies(),
+        )
         link.open()
         end_on_signals(clock, radios)
         await radios.serve(link)

@@ -20,17 +20,28 @@ Shared = list[tuple[tuple[int, ...], float | None]]
 
 
 async def serve(
-    clock: Clock, hall: Hall, shared: Shared, seed: int, release: str, progress: Progress[dict[int, Any]]
+    clock: Clock,
+    hall: Hall,
+    shared: Shared,
+    seed: int,
+    release: str,
+    progress: Progress[dict[int, Any]],
 ) -> dict[str, Any]:
     """Until a signal; returns what became of the drones."""
     radios = [Dongle(clock, group, capacity) for group, capacity in shared]
-    server = VirtualServer(clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed)
+    server = VirtualServer(
+        clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed
+    )
     try:
         server.listen()
     except ConfigError as error:
-        raise ConfigError(error.where, error.found, error.allowed, hall.taken) from error
+        raise ConfigError(
+            error.where, error.found, error.allowed, hall.taken
+        ) from error
     failures: list[str] = []
-    supervisor = Supervisor(clock, "virtual", lambda actor, error, again: failures.append(str(error)))
+    supervisor = Supervisor(
+        clock, "virtual", lambda actor, error, again: failures.append(str(error))
+    )
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         add_signal_handler(number, supervisor.stop)
     progress.say(_where(hall))
@@ -39,7 +50,9 @@ async def serve(
         await supervisor.run([server])
     finally:
         shows.cancel()
-    return server.report() | ({"success": False, "error": failures[0]} if failures else {})
+    return server.report() | (
+        {"success": False, "error": failures[0]} if failures else {}
+    )
 
 
 def _where(hall: Hall) -> str:
@@ -48,6 +61,8 @@ def _where(hall: Hall) -> str:
     return f"virtual Crazyflies: {shown}; poses at udp://{hall.poses[0]}:{hall.poses[1]}; Ctrl-C ends"
 
 
-async def _show(clock: Clock, server: VirtualServer, progress: Progress[dict[int, Any]]) -> None:
+async def _show(
+    clock: Clock, server: VirtualServer, progress: Progress[dict[int, Any]]
+) -> None:
     async for _ in clock.ticks(LOOKS):
         progress({i: server.state(i) for i in server.ports})

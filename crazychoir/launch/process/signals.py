@@ -28,7 +28,9 @@ def end_on_signals(clock: Clock, owner: Owner) -> None:
     times: list[int] = []
 
     def on_signal(number: int) -> None:
-        again = number != signal.SIGHUP and any(t > clock.now_ns() - AGAIN * SECOND for t in times)
+        again = number != signal.SIGHUP and any(
+            t > clock.now_ns() - AGAIN * SECOND for t in times
+        )
         if again:
             owner.abort("a second signal")
         else:

@@ -33,16 +33,25 @@ class ADMM(Iteration):
     same = ("penalty",)
 
     def __init__(
-        self, problem: CostCoupled, neighbors: Iterable[int], penalty: float, iterations: int | None = None
+        self,
+        problem: CostCoupled,
+        neighbors: Iterable[int],
+        penalty: float,
+        iterations: int | None = None,
     ) -> None:
         require_problem(problem, CostCoupled, "ADMM")
         super().__init__(problem.agent, None if iterations is None else 2 * iterations)
         if not is_number(penalty) or not 0.0 < penalty < np.inf:
-            raise ConfigError(f"agent {self.i}: penalty", f"{penalty}", "a finite number above 0")
-        self.problem, self.neighbors, self.penalty = problem, tuple(sorted(neighbors)), penalty
+            raise ConfigError(
+                f"agent {self.i}: penalty", f"{penalty}", "a finite number above 0"
+            )
+        self.problem = problem
+        self.neighbors = tuple(sorted(neighbors))
+        self.penalty = penalty
         self._members = 1 + len(self.neighbors)
         self.heavy = not problem.is_fast(penalty * self._members)
-        self.x, self.z = np.zeros(problem.n), np.zeros(problem.n)
+        self.x = np.zeros(problem.n)
+        self.z = np.zeros(problem.n)
         self._L = np.zeros(problem.n)
 
     @property

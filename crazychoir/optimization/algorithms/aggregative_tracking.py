@@ -39,16 +39,30 @@ class AggregativeTracking(Mixing):
     common = False
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, aggregate: Of, jacobian: Of, gradient_own: OfBoth,
-        gradient_sigma: OfBoth, step: float | StepSize, project: Project = anywhere, delta: float = 1.0,
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        aggregate: Of,
+        jacobian: Of,
+        gradient_own: OfBoth,
+        gradient_sigma: OfBoth,
+        step: float | StepSize,
+        project: Project = anywhere,
+        delta: float = 1.0,
         rounds: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(i, weights, rounds)
         self.x = vector(f"agent {i}: x", x)
-        self.aggregate, self.jacobian = Checked(i, "aggregate", aggregate), Checked(i, "jacobian", jacobian)
+        self.aggregate = Checked(i, "aggregate", aggregate)
+        self.jacobian = Checked(i, "jacobian", jacobian)
         self.gradient_own = Checked(i, "gradient_own", gradient_own)
         self.gradient_sigma = Checked(i, "gradient_sigma", gradient_sigma)
-        self.project, self.step_size, self.delta = Checked(i, "project", project), step_size(step), delta
+        self.project, self.step_size, self.delta = (
+            Checked(i, "project", project),
+            step_size(step),
+            delta,
+        )
         if not 0.0 < delta <= 1.0:
             raise ConfigError(f"agent {i}: delta", delta, "above 0, at most 1")
         self.phi = self.sigma = vector(f"agent {i}: aggregate", aggregate(self.x))
@@ -64,13 +78,23 @@ class AggregativeTracking(Mixing):
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Move, track sigma, track the gradient with respect to it."""
-        k, x = self.k, self.x
+        k = self.k
+        x = self.x
         parts(self.i, k, heard, object, object)
         jacobian = self.jacobian(k, x, shape=(len(self.sigma), len(x)))
         down = self.gradient_own(k, x, self.sigma) + jacobian.T @ self.y
         new = x + self.delta * (self.project(k, x - self.step_size(k) * down) - x)
         phi = self.aggregate(k, new, shape=self.phi.shape)
-        sigma = mix(self.i, row, self.sigma, {j: s for j, (s, _) in heard.items()}) + phi - self.phi
+        sigma = (
+            mix(self.i, row, self.sigma, {j: s for j, (s, _) in heard.items()})
+            + phi
+            - self.phi
+        )
         g = self._pull(k, new, sigma)
-        self.y = mix(self.i, row, self.y, {j: y for j, (_, y) in heard.items()}) + g - self.g
-        self.x, self.phi, self.sigma, self.g = np.array(new), phi, sigma, g
+        self.y = (
+            mix(self.i, row, self.y, {j: y for j, (_, y) in heard.items()}) + g - self.g
+        )
+        self.x = np.array(new)
+        self.phi = phi
+        self.sigma = sigma
+        self.g = g

@@ -23,25 +23,34 @@ class Allocation:
 
     def __init__(self, problem: ConstraintCoupled, penalty: float) -> None:
         require_problem(problem, ConstraintCoupled, "Allocation")
-        self._problem, rho = problem, cp.Variable(nonneg=True)
+        self._problem = problem
+        rho = cp.Variable(nonneg=True)
         self._y = cp.Parameter(problem.S)
         self._row = cp.vec(problem.coupling, order="F") <= self._y + rho
         constraints = [self._row, *problem.local.constraints]
-        self._program = cp.Problem(cp.Minimize(problem.local.objective + penalty * rho), constraints)
+        self._program = cp.Problem(
+            cp.Minimize(problem.local.objective + penalty * rho), constraints
+        )
         self._rho = rho
 
     def allocate(self, y: Vec) -> Allocated:
         """p_i(y) and its prices. y: (S,)."""
-        problem, self._y.value = self._problem, y
+        problem = self._problem
+        self._y.value = y
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # an inaccurate answer is in the status, which is looked at
+                warnings.simplefilter(
+                    "ignore"
+                )  # an inaccurate answer is in the status, which is looked at
                 self._program.solve(solver=cp.CLARABEL, max_iter=MOST_ITERATIONS)
         except cp.SolverError as error:
             raise SolverError(f"{problem.where}: local problem", str(error)) from error
         if self._program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
             status = self._program.status.removesuffix("_inaccurate")
-            raise SolverError(f"{problem.where}: local problem", problem.local.why(status, np.zeros(problem.n)))
+            raise SolverError(
+                f"{problem.where}: local problem",
+                problem.local.why(status, np.zeros(problem.n)),
+            )
         x = np.array(np.ravel(problem.x.value), dtype=float)
         mu = np.maximum(np.ravel(self._row.dual_value), 0.0)
         return Allocated(float(self._program.value), x, mu, float(self._rho.value))

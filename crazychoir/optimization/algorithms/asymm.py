@@ -59,28 +59,62 @@ class ASYMM:
     undirected = True
 
     def __init__(
-        self, i: int, neighbors: Iterable[int], diameter: int, x: ArrayLike, objective: Smooth, *,
-        equalities: Smooth | None = None, inequalities: Smooth | None = None, epochs: int = 25, penalty: float = 1.0,
-        tolerance: float = 0.1, growth: float = 2.0, shrink: float = 0.5, sharpen: float = 0.5,
-    ) -> None:  # fmt: skip
-        for name, value, most in (("penalty", penalty, MOST_PENALTY), ("tolerance", tolerance, np.inf)):
+        self,
+        i: int,
+        neighbors: Iterable[int],
+        diameter: int,
+        x: ArrayLike,
+        objective: Smooth,
+        *,
+        equalities: Smooth | None = None,
+        inequalities: Smooth | None = None,
+        epochs: int = 25,
+        penalty: float = 1.0,
+        tolerance: float = 0.1,
+        growth: float = 2.0,
+        shrink: float = 0.5,
+        sharpen: float = 0.5,
+    ) -> None:
+        for name, value, most in (
+            ("penalty", penalty, MOST_PENALTY),
+            ("tolerance", tolerance, np.inf),
+        ):
             if not 0.0 < value <= most:
-                raise ConfigError(f"agent {i}: {name}", f"{value}", f"above 0, at most {most:g}")
-        for name, value in (("shrink", shrink), ("sharpen", sharpen), ("1 / growth", 1.0 / growth)):
+                raise ConfigError(
+                    f"agent {i}: {name}", f"{value}", f"above 0, at most {most:g}"
+                )
+        for name, value in (
+            ("shrink", shrink),
+            ("sharpen", sharpen),
+            ("1 / growth", 1.0 / growth),
+        ):
             if not 0.0 < value < 1.0:
-                raise ConfigError(f"agent {i}: {name}", f"{value:g}", "above 0, below 1")
+                raise ConfigError(
+                    f"agent {i}: {name}", f"{value:g}", "above 0, below 1"
+                )
         if epochs < 1:
-            raise ConfigError(f"agent {i}: epochs", epochs, "1 or more, the same at all agents")
-        self.i, self.where, self.neighbors = i, f"agent {i}", tuple(sorted(neighbors))
+            raise ConfigError(
+                f"agent {i}: epochs", epochs, "1 or more, the same at all agents"
+            )
+        self.i = i
+        self.where = f"agent {i}"
+        self.neighbors = tuple(sorted(neighbors))
         self.x = vector(f"{self.where}: x", x)
-        self.epochs, self.tolerance = epochs, tolerance
-        self.growth, self.shrink, self.sharpen = growth, shrink, sharpen
-        self.epoch, self.k = 0, 0
+        self.epochs = epochs
+        self.tolerance = tolerance
+        self.growth = growth
+        self.shrink = shrink
+        self.sharpen = sharpen
+        self.epoch = 0
+        self.k = 0
         self.nu = {j: np.zeros_like(self.x) for j in self.neighbors}
         self.rho = dict.fromkeys(self.neighbors, penalty)
         self._gap = dict.fromkeys(self.neighbors, np.inf)
-        self._own = _Own(self.where, len(self.x), objective, equalities, inequalities, penalty)
-        self.diameter, self._flags = diameter, Flags(diameter, False)
+        self._own = _Own(
+            self.where, len(self.x), objective, equalities, inequalities, penalty
+        )
+        self.diameter = diameter
+        self._flags = Flags(diameter, False)
         self._calm = self._steps = 0
         self._heard: dict[int, Heard] = {}
 
@@ -92,20 +126,35 @@ class ASYMM:
     def message(self) -> PerNeighbor:
         """[epoch, bits of the logical and, x_i, nu_ij, rho_ij] for each neighbour."""
         bits = self._flags.message()
-        return PerNeighbor({j: [self.epoch, bits, self.x, self.nu[j], self.rho[j]] for j in self.neighbors})
+        return PerNeighbor(
+            {
+                j: [self.epoch, bits, self.x, self.nu[j], self.rho[j]]
+                for j in self.neighbors
+            }
+        )
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take what has come; descend, or take the multipliers to the next epoch, or wait."""
         self.k += 1
         said = parts(self.i, self.k, heard, INTEGER, bytes, object, object, NUMBER)
         for j, (epoch, bits, x, nu, rho) in said.items():
-            self._heard[j] = epoch, bits, like(self.i, j, x, self.x), like(self.i, j, nu, self.x), rho
+            self._heard[j] = (
+                epoch,
+                bits,
+                like(self.i, j, x, self.x),
+                like(self.i, j, nu, self.x),
+                rho,
+            )
         others = [self._heard[j] for j in self.neighbors if j in self._heard]
-        if len(others) < len(self.neighbors) or any(epoch < self.epoch for epoch, *_ in others):
+        if len(others) < len(self.neighbors) or any(
+            epoch < self.epoch for epoch, *_ in others
+        ):
             return
         if all(epoch == self.epoch for epoch, *_ in others):
             ready = self.epoch >= self.epochs or self._is_calm()
-            self._flags.step(ready, {j: bits for j, (_, bits, *_) in self._heard.items()})
+            self._flags.step(
+                ready, {j: bits for j, (_, bits, *_) in self._heard.items()}
+            )
             if self.epoch >= self.epochs or not self._flags.agreed:
                 return
         self._ascend()
@@ -117,7 +166,9 @@ class ASYMM:
 
     def _descend(self) -> bool:
         """One step, unless the gradient is small; whether x has changed."""
-        slope, pull, centre = np.zeros_like(self.x), 0.0, np.zeros_like(self.x)
+        slope = np.zeros_like(self.x)
+        pull = 0.0
+        centre = np.zeros_like(self.x)
         for j, (_, _, x, nu, rho) in self._heard.items():
             both = self.rho[j] + rho
             slope += self.nu[j] - nu
@@ -135,8 +186,12 @@ class ASYMM:
         self._steps += 1
         if self._steps > MOST_STEPS:
             found = f"epoch {self.epoch}: |grad L| = {length:.3g} > {self.tolerance:.3g} after {MOST_STEPS} steps"
-            raise SolverError(f"{self.where}: {found}, at x = {self.x.tolist()}", "no minimum, or tolerance too sharp")
-        before, self.x = self.x, descended(value, gradient, self.x)
+            raise SolverError(
+                f"{self.where}: {found}, at x = {self.x.tolist()}",
+                "no minimum, or tolerance too sharp",
+            )
+        before = self.x
+        self.x = descended(value, gradient, self.x)
         return self.x is not before
 
     def _ascend(self) -> None:
@@ -145,9 +200,13 @@ class ASYMM:
             self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
             gap = float(np.linalg.norm(self.x - x))
             size = float(np.linalg.norm(self.nu[j]))
-            if self.epoch + 1 == self.epochs and self.rho[j] * gap > GROWING * (1.0 + size):
+            if self.epoch + 1 == self.epochs and self.rho[j] * gap > GROWING * (
+                1.0 + size
+            ):
                 why = "constraints that exclude each other, or too few epochs"
-                found = f"x is {gap:.3g} from that of agent {j} after {self.epochs} epochs"
+                found = (
+                    f"x is {gap:.3g} from that of agent {j} after {self.epochs} epochs"
+                )
                 raise SolverError(f"{self.where}: {found}", why)
             if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
                 self.rho[j] = min(self.growth * self.rho[j], MOST_PENALTY)
@@ -164,40 +223,69 @@ class ASYMM:
 class _Own:
     """f_i with its constraints in an augmented Lagrangian of its own."""
 
-    def __init__(self, where: str, n: int, f: Smooth, h: Smooth | None, g: Smooth | None, penalty: float) -> None:
+    def __init__(
+        self,
+        where: str,
+        n: int,
+        f: Smooth,
+        h: Smooth | None,
+        g: Smooth | None,
+        penalty: float,
+    ) -> None:
         nothing = Smooth(lambda x: np.zeros(0), lambda x: np.zeros((0, n)))
-        self._f, self._h, self._g = f, h or nothing, g or nothing
-        self._where, self.s, self._missed = where, penalty, np.inf
+        self._f = f
+        self._h = h or nothing
+        self._g = g or nothing
+        self._where = where
+        self.s = penalty
+        self._missed = np.inf
         self.l: Vec | float = 0.0
         self.m: Vec | float = 0.0
 
     def _parts(self, x: Vec) -> list[tuple[Vec, Any]]:
-        parts = (("objective", self._f), ("equalities", self._h), ("inequalities", self._g))
+        parts = (
+            ("objective", self._f),
+            ("equalities", self._h),
+            ("inequalities", self._g),
+        )
         return [part.at(x, f"{self._where}: {name}") for name, part in parts]
 
     def value(self, x: Vec) -> float:
         """f + l'h + s/2 |h|^2 + 1/(2s) sum max(0, m + s g)^2, which differs from L_i by a constant."""
         (f, _), (h, _), (g, _) = self._parts(x)
         short = np.maximum(0.0, self.m + self.s * g)
-        return float(f[0] + np.sum(h * (self.l + 0.5 * self.s * h)) + short @ short / (2.0 * self.s))
+        return float(
+            f[0]
+            + np.sum(h * (self.l + 0.5 * self.s * h))
+            + short @ short / (2.0 * self.s)
+        )
 
     def gradient(self, x: Vec) -> Vec:
         """grad f + J_h'(l + s h) + J_g' max(0, m + s g)."""
         (_, df), (h, dh), (g, dg) = self._parts(x)
-        total: Vec = df[0] + dh.T @ (self.l + self.s * h) + dg.T @ np.maximum(0.0, self.m + self.s * g)
+        total: Vec = (
+            df[0]
+            + dh.T @ (self.l + self.s * h)
+            + dg.T @ np.maximum(0.0, self.m + self.s * g)
+        )
         return total
 
     def require_met(self, x: Vec, epochs: int) -> None:
         """Raise SolverError where the last epoch changes the multipliers by much, or leaves a constraint unmet."""
         (_, _), (h, _), (g, _) = self._parts(x)
         m = np.maximum(0.0, self.m + self.s * g)
-        for name, missed, multipliers in (("equalities", np.abs(h), self.l), ("inequalities", np.maximum(0.0, g), m)):
+        for name, missed, multipliers in (
+            ("equalities", np.abs(h), self.l),
+            ("inequalities", np.maximum(0.0, g), m),
+        ):
             if not len(missed):
                 continue
             row = int(np.argmax(missed))
             size = float(np.linalg.norm(multipliers))
             is_growing = self.s * missed[row] > GROWING * (1.0 + size)
-            is_stuck = self.s >= MOST_PENALTY and missed[row] > UNMET * (1.0 + float(np.abs(x).max()))
+            is_stuck = self.s >= MOST_PENALTY and missed[row] > UNMET * (
+                1.0 + float(np.abs(x).max())
+            )
             if is_growing or is_stuck:
                 found = f"{name}, row {row}: violated by {missed[row]:.3g} after {epochs} epochs"
                 why = "constraints that exclude each other, or too few epochs"
@@ -208,7 +296,8 @@ class _Own:
         (_, _), (h, _), (g, _) = self._parts(x)
         m = np.maximum(0.0, self.m + self.s * g)
         missed = float(np.linalg.norm(np.concatenate([h, (m - self.m) / self.s])))
-        self.l, self.m = self.l + self.s * h, m
+        self.l = self.l + self.s * h
+        self.m = m
         if missed > shrink * self._missed and self.s * missed > tolerance:
             self.s = min(growth * self.s, MOST_PENALTY)
         self._missed = missed

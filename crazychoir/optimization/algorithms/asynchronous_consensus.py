@@ -23,12 +23,18 @@ class AsynchronousConsensus(Iteration):
     asynchronous = True
     connected = True
 
-    def __init__(self, i: int, x: ArrayLike, weights: Row, rounds: int | None = None) -> None:
+    def __init__(
+        self, i: int, x: ArrayLike, weights: Row, rounds: int | None = None
+    ) -> None:
         super().__init__(i, rounds)
         self.x = vector(f"agent {i}: x", x)
         self.weights = checked_rows(i, weights)
         if min(weights.values()) < 0.0 or weights[i] <= 0.0:
-            raise ConfigError(f"agent {i}: weights", dict(weights), f"0 or more, that of agent {i} itself above 0")
+            raise ConfigError(
+                f"agent {i}: weights",
+                dict(weights),
+                f"0 or more, that of agent {i} itself above 0",
+            )
 
     def message(self) -> Vec:
         """x_i."""
@@ -36,11 +42,16 @@ class AsynchronousConsensus(Iteration):
 
     def update(self, heard: Mapping[int, Vec]) -> None:
         """Average with those heard."""
-        row, x = self.weights[0], self.x
+        row = self.weights[0]
+        x = self.x
         moved = 0.0 * x
         for j, other in heard.items():
             if j not in row or getattr(other, "shape", None) != x.shape:
-                allowed = f"shape {x.shape}, of agents {[j for j in row if j != self.i]}"
-                raise ConfigError(f"agent {self.i}: message of agent {j}", shape_of(other), allowed)
+                allowed = (
+                    f"shape {x.shape}, of agents {[j for j in row if j != self.i]}"
+                )
+                raise ConfigError(
+                    f"agent {self.i}: message of agent {j}", shape_of(other), allowed
+                )
             moved += row[j] * (other - x)
         self.x = x + moved

@@ -29,12 +29,23 @@ class BlockConsensus(Mixing):
     doubly_stochastic = False
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, blocks: Sequence[int], chances: Sequence[float] | None = None,
-        awake: float = 1.0, rounds: int | None = None, seed: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        blocks: Sequence[int],
+        chances: Sequence[float] | None = None,
+        awake: float = 1.0,
+        rounds: int | None = None,
+        seed: int = 0,
+    ) -> None:
         super().__init__(i, weights, rounds)
         if len(self.weights) > 1:
-            raise ConfigError(f"agent {i}: weights", f"{len(self.weights)} rows", "one: the graph must not change")
+            raise ConfigError(
+                f"agent {i}: weights",
+                f"{len(self.weights)} rows",
+                "one: the graph must not change",
+            )
         self.x = flat(i, vector(f"agent {i}: x", x))
         self.blocks = Blocks(i, len(self.x), blocks, chances, awake, seed)
         self._known: dict[int, Vec] = {}
@@ -44,7 +55,11 @@ class BlockConsensus(Mixing):
         """[l, x_i[l]]: the block that has changed; all in the first round; None if it slept."""
         if self.k == 0:
             return self.x
-        return None if self._changed is None else [self._changed, self.x[self.blocks.part(self._changed)]]
+        return (
+            None
+            if self._changed is None
+            else [self._changed, self.x[self.blocks.part(self._changed)]]
+        )
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Remember what was heard; change a block."""
@@ -80,6 +95,10 @@ class BlockConsensus(Mixing):
         block, values = message
         if j not in self._known or not 0 <= block < len(self.blocks):
             allowed = f"all of x, then of blocks 0 to {len(self.blocks) - 1}"
-            raise ConfigError(f"agent {self.i}: message of agent {j}, round {self.k}", f"block {block}", allowed)
+            raise ConfigError(
+                f"agent {self.i}: message of agent {j}, round {self.k}",
+                f"block {block}",
+                allowed,
+            )
         part = self.blocks.part(block)
         self._known[j][part] = like(self.i, j, values, self.x[part])

@@ -5,7 +5,12 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from crazychoir.optimization.algorithms.block_consensus import BlockConsensus
-from crazychoir.optimization.problems.gradient import Checked, Gradient, Project, anywhere
+from crazychoir.optimization.problems.gradient import (
+    Checked,
+    Gradient,
+    Project,
+    anywhere,
+)
 from crazychoir.optimization.rounds.mixing import Row, Rows
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -28,12 +33,22 @@ class BlockSubgradientMethod(BlockConsensus):
     same = ("step_size",)
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, blocks: Sequence[int], gradient: Gradient, step: float | StepSize,
-        project: Project = anywhere, chances: Sequence[float] | None = None, awake: float = 1.0,
-        rounds: int | None = None, seed: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        blocks: Sequence[int],
+        gradient: Gradient,
+        step: float | StepSize,
+        project: Project = anywhere,
+        chances: Sequence[float] | None = None,
+        awake: float = 1.0,
+        rounds: int | None = None,
+        seed: int = 0,
+    ) -> None:
         super().__init__(i, x, weights, blocks, chances, awake, rounds, seed)
-        self.gradient, self.project = Checked(i, "gradient", gradient), Checked(i, "project", project)
+        self.gradient = Checked(i, "gradient", gradient)
+        self.project = Checked(i, "project", project)
         self.step_size = step_size(step)
 
     def changed(self, row: Row, part: slice) -> Vec:

@@ -23,7 +23,9 @@ class Consensus(Mixing):
 
     doubly_stochastic = False
 
-    def __init__(self, i: int, x: ArrayLike, weights: Rows, rounds: int | None = None) -> None:
+    def __init__(
+        self, i: int, x: ArrayLike, weights: Rows, rounds: int | None = None
+    ) -> None:
         super().__init__(i, weights, rounds)
         self.x = vector(f"agent {i}: x", x)
 

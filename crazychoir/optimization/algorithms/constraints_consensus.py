@@ -9,7 +9,11 @@ from scipy.optimize import nnls
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.problems.linear import LinearProgram
 from crazychoir.optimization.problems.problems import CommonCost, require_problem
-from crazychoir.optimization.problems.quadratic import Polyhedron, QuadraticProgram, positive
+from crazychoir.optimization.problems.quadratic import (
+    Polyhedron,
+    QuadraticProgram,
+    positive,
+)
 from crazychoir.optimization.rounds.iteration import Iteration
 from crazychoir.optimization.rounds.messages import INTEGER, parts
 from crazychoir.types import Mat, Vec
@@ -47,20 +51,34 @@ class ConstraintsConsensus(Iteration):
 
     connected = True
 
-    def __init__(self, problem: CommonCost, diameter: int | None = None, rounds: int | None = None) -> None:
+    def __init__(
+        self,
+        problem: CommonCost,
+        diameter: int | None = None,
+        rounds: int | None = None,
+    ) -> None:
         require_problem(problem, CommonCost, "ConstraintsConsensus")
         super().__init__(problem.agent, rounds)
         if diameter is None and rounds is None:
-            raise ConfigError(f"agent {self.i}: diameter, rounds", "None, None", "one of them, the same at all agents")
-        self.problem, self.diameter, self.unchanged = problem, diameter, 0
+            raise ConfigError(
+                f"agent {self.i}: diameter, rounds",
+                "None, None",
+                "one of them, the same at all agents",
+            )
+        self.problem = problem
+        self.diameter = diameter
+        self.unchanged = 0
         self._P, self._q, self._flat = _strictly_convex(problem)
         self._own = _inequalities(problem)
-        self.x, self.basis = np.zeros(problem.n), np.zeros((0, problem.n + 1))
+        self.x = np.zeros(problem.n)
+        self.basis = np.zeros((0, problem.n + 1))
 
     @property
     def done(self) -> bool:
         """Whether nothing has changed anywhere for long enough, or the rounds are over."""
-        return (self.diameter is not None and self.unchanged >= max(1, 2 * self.diameter)) or super().done
+        return (
+            self.diameter is not None and self.unchanged >= max(1, 2 * self.diameter)
+        ) or super().done
 
     def message(self) -> list[Any]:
         """[rounds without a change, basis]."""
@@ -74,8 +92,14 @@ class ConstraintsConsensus(Iteration):
         for j, (_, basis) in parts(self.i, self.k, heard, INTEGER, object).items():
             if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != self.basis.shape[1]:
                 allowed = f"(m, {self.basis.shape[1]}), as its own"
-                raise ConfigError(f"agent {self.i}: message of agent {j}", f"a basis {np.shape(basis)}", allowed)
-        changed = self._improve(np.vstack([self._own, *(basis for _, basis in heard.values())]))
+                raise ConfigError(
+                    f"agent {self.i}: message of agent {j}",
+                    f"a basis {np.shape(basis)}",
+                    allowed,
+                )
+        changed = self._improve(
+            np.vstack([self._own, *(basis for _, basis in heard.values())])
+        )
         fewest = min([self.unchanged, *(int(count) for count, _ in heard.values())])
         self.unchanged = 0 if changed else fewest + 1
 
@@ -91,14 +115,22 @@ class ConstraintsConsensus(Iteration):
         rows = self.basis[:, :-1]
         # Each entry in its own unit: beside a large one a small one, of an x in small units, would not be seen.
         unit = np.abs(self._q) + np.abs(self._P) @ np.abs(self.x)
-        unit = np.where(unit > 0.0, unit, np.maximum(np.abs(rows).max(axis=0, initial=0.0), CERTAIN))
+        unit = np.where(
+            unit > 0.0, unit, np.maximum(np.abs(rows).max(axis=0, initial=0.0), CERTAIN)
+        )
         pull = pull / unit
-        missing = nnls((rows / unit).T, -pull)[1] if len(rows) else float(np.linalg.norm(pull))
+        missing = (
+            nnls((rows / unit).T, -pull)[1]
+            if len(rows)
+            else float(np.linalg.norm(pull))
+        )
         if missing > CERTAIN:
             k = int(np.argmax(np.abs(self.x)))
             found = f"x[{k}] = {self.x[k]:.6g} is held by the tie-break {TIE:g} |x|^2 / 2, not by constraints"
             do = "the optimum is farther away, or there is none; bound x, take larger units, or DualDistributedSimplex"
-            raise SolverError(f"agent {self.i}: constraints consensus", f"{found}: {do}")
+            raise SolverError(
+                f"agent {self.i}: constraints consensus", f"{found}: {do}"
+            )
 
     def _improve(self, rows: Mat) -> bool:
         """Take in what x violates of the rows until it violates nothing; whether it did."""
@@ -108,7 +140,9 @@ class ConstraintsConsensus(Iteration):
             if steps > len(rows):
                 found = f"{steps} steps without an optimum: rows that double precision cannot tell apart"
                 do = "take units in which x is near 1, or use DualDistributedSimplex"
-                raise SolverError(f"agent {self.i}: constraints consensus", f"{found}; {do}")
+                raise SolverError(
+                    f"agent {self.i}: constraints consensus", f"{found}; {do}"
+                )
             self._take(np.vstack([self.basis, worst]))
         return steps > 0
 
@@ -124,32 +158,47 @@ class ConstraintsConsensus(Iteration):
     def _take(self, rows: Mat) -> None:
         """The optimum over these rows, and its basis."""
         n = self.problem.n
-        over = Polyhedron(np.ascontiguousarray(rows[:, :-1]), rows[:, -1], np.zeros((0, n)), np.zeros(0))
+        over = Polyhedron(
+            np.ascontiguousarray(rows[:, :-1]),
+            rows[:, -1],
+            np.zeros((0, n)),
+            np.zeros(0),
+        )
         program = QuadraticProgram(self._P, self._q, over)
         found = program.solve(np.zeros(n))
         if isinstance(found, str):
-            raise SolverError(f"agent {self.i}: constraints that it knows", self._why(found, rows))
+            raise SolverError(
+                f"agent {self.i}: constraints that it knows", self._why(found, rows)
+            )
         self.basis = rows[program.u > 0.0] if len(rows) else rows
         self.x = self._corner(found)
 
     def _corner(self, near: Vec) -> Vec:
         """x from its basis alone: P x + A'u + q = 0, A x = b; free of the rounding of a far start."""
-        A, b = self.basis[:, :-1], self.basis[:, -1]
+        A = self.basis[:, :-1]
+        b = self.basis[:, -1]
         if not len(b):
             return near
         zero = np.zeros((len(b), len(b)))
-        both = np.linalg.solve(np.block([[self._P, A.T], [A, zero]]), np.concatenate([-self._q, b]))
+        both = np.linalg.solve(
+            np.block([[self._P, A.T], [A, zero]]), np.concatenate([-self._q, b])
+        )
         return np.ascontiguousarray(both[: self.problem.n])
 
     def _why(self, status: str, rows: Mat) -> str:
         """Of rows that exclude each other, the one that is missed when all together are missed by the least."""
         if status != "infeasible":
             return status
-        m, n = len(rows), self.problem.n
-        size = float(np.abs(rows[:, -1]).max()) or 1.0  # the tolerances of HiGHS are those of numbers near 1
+        m = len(rows)
+        n = self.problem.n
+        size = (
+            float(np.abs(rows[:, -1]).max()) or 1.0
+        )  # the tolerances of HiGHS are those of numbers near 1
         elastic = np.hstack([rows[:, :-1], -np.eye(m)]), rows[:, -1] / size
         bounds = np.r_[np.full(n, -np.inf), np.zeros(m)], np.full(n + m, np.inf)
-        missed = LinearProgram(np.r_[np.zeros(n), np.ones(m)], elastic, bounds=bounds).solve(np.zeros(n + m))
+        missed = LinearProgram(
+            np.r_[np.zeros(n), np.ones(m)], elastic, bounds=bounds
+        ).solve(np.zeros(n + m))
         if isinstance(missed, str):
             return status
         r = int(np.argmax(missed[n:]))

@@ -6,7 +6,10 @@ import numpy as np
 from crazychoir.errors import SolverError
 from crazychoir.optimization.algorithms.primal_decomposition import Allocated
 from crazychoir.optimization.problems.linear import quiet_highs
-from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock, require_block
+from crazychoir.optimization.problems.mixed_integer import (
+    MixedIntegerBlock,
+    require_block,
+)
 from crazychoir.types import Vec
 
 GAP = 1e-9
@@ -32,8 +35,11 @@ class Convexified:
 
     def __init__(self, block: MixedIntegerBlock, penalty: float) -> None:
         require_block(block, "Convexified")
-        self._block, self._corners, self.active = block, np.zeros((0, block.n)), np.zeros((0, block.n))
-        S, none = block.S, np.array([], np.int32)
+        self._block = block
+        self._corners = np.zeros((0, block.n))
+        self.active = np.zeros((0, block.n))
+        S = block.S
+        none = np.array([], np.int32)
         self._highs = quiet_highs()
         for _ in range(S):
             self._highs.addRow(-highspy.kHighsInf, 0.0, 0, none, none)
@@ -52,22 +58,34 @@ class Convexified:
             mu = np.maximum(-dual[:-1], 0.0)
             priced = block.c + mu @ block.A
             corner = block.corner(priced)
-            if float(priced @ corner) >= float(dual[-1]) - GAP * (1.0 + abs(value)) or self._known(corner):
+            if float(priced @ corner) >= float(dual[-1]) - GAP * (
+                1.0 + abs(value)
+            ) or self._known(corner):
                 self.active = self._corners[weights[1:] > ACTIVE]
-                return Allocated(value, weights[1:] @ self._corners, mu, float(weights[0]))
+                return Allocated(
+                    value, weights[1:] @ self._corners, mu, float(weights[0])
+                )
             self._add(corner)
-        raise SolverError(f"{block.where}: local problem", f"{MOST_CORNERS} corners without an end")
+        raise SolverError(
+            f"{block.where}: local problem", f"{MOST_CORNERS} corners without an end"
+        )
 
     def _known(self, corner: Vec) -> bool:
         """One that is there already, and still seems to gain, is within the tolerance of HiGHS."""
-        return bool((np.abs(self._corners - corner) <= GAP * (1.0 + np.abs(corner))).all(axis=1).any())
+        return bool(
+            (np.abs(self._corners - corner) <= GAP * (1.0 + np.abs(corner)))
+            .all(axis=1)
+            .any()
+        )
 
     def _add(self, corner: Vec) -> None:
         block = self._block
         self._corners = np.vstack([self._corners, corner])
         column = np.concatenate([block.A @ corner, [1.0]])
         rows = np.arange(len(column), dtype=np.int32)
-        self._highs.addCol(float(block.c @ corner), 0.0, highspy.kHighsInf, len(column), rows, column)
+        self._highs.addCol(
+            float(block.c @ corner), 0.0, highspy.kHighsInf, len(column), rows, column
+        )
 
     def _master(self) -> tuple[float, Vec, Vec]:
         self._highs.run()
@@ -75,4 +93,8 @@ class Convexified:
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError(f"{self._block.where}: local problem", status.name)
         solution = self._highs.getSolution()
-        return self._highs.getObjectiveValue(), np.array(solution.col_value), np.array(solution.row_dual)
+        return (
+            self._highs.getObjectiveValue(),
+            np.array(solution.col_value),
+            np.array(solution.row_dual),
+        )

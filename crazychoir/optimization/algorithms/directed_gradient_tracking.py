@@ -32,19 +32,34 @@ class DirectedGradientTracking(Iteration):
     connected = True
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, shares: Rows, gradient: Gradient, step: float | StepSize,
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        shares: Rows,
+        gradient: Gradient,
+        step: float | StepSize,
         rounds: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(i, rounds)
         self.x = vector(f"agent {i}: x", x)
-        self.weights, self.shares = checked_rows(i, weights), checked_rows(i, shares, "shares")
-        self.gradient, self.step_size = Checked(i, "gradient", gradient), step_size(step)
+        self.weights, self.shares = (
+            checked_rows(i, weights),
+            checked_rows(i, shares, "shares"),
+        )
+        self.gradient, self.step_size = (
+            Checked(i, "gradient", gradient),
+            step_size(step),
+        )
         self.g = self.d = self.gradient(0, self.x)
 
     def message(self) -> PerNeighbor:
         """[x_i - a_k d_i, b_ji d_i] for each j."""
-        share, moved = self.shares[self.k % len(self.shares)], self._moved()
-        return PerNeighbor({j: [moved, b * self.d] for j, b in share.items() if j != self.i})
+        share = self.shares[self.k % len(self.shares)]
+        moved = self._moved()
+        return PerNeighbor(
+            {j: [moved, b * self.d] for j, b in share.items() if j != self.i}
+        )
 
     def _moved(self) -> Vec:
         return self.x - self.step_size(self.k) * self.d
@@ -53,9 +68,13 @@ class DirectedGradientTracking(Iteration):
         """Pull x, push d."""
         row = self.weights[self.k % len(self.weights)]
         parts(self.i, self.k, heard, object, object)
-        x = mix(self.i, row, self._moved(), {j: theirs[0] for j, theirs in heard.items()})
+        x = mix(
+            self.i, row, self._moved(), {j: theirs[0] for j, theirs in heard.items()}
+        )
         g = self.gradient(self.k, x)
         d = self.shares[self.k % len(self.shares)][self.i] * self.d + g - self.g
         for j, (_, theirs) in heard.items():
             d = d + like(self.i, j, theirs, d)
-        self.x, self.d, self.g = x, d, g
+        self.x = x
+        self.d = d
+        self.g = g

@@ -32,12 +32,15 @@ class DualDecomposition(Iteration):
     undirected = True
     same = ("step_size",)
 
-    def __init__(self, problem: CostCoupled, step: float | StepSize, rounds: int | None = None) -> None:
+    def __init__(
+        self, problem: CostCoupled, step: float | StepSize, rounds: int | None = None
+    ) -> None:
         require_problem(problem, CostCoupled, "DualDecomposition")
         super().__init__(problem.agent, rounds)
         self.problem, self.step_size = problem, step_size(step)
         self.heavy = not problem.is_fast()
-        self.x, self.v = np.zeros(problem.n), np.zeros(problem.n)
+        self.x = np.zeros(problem.n)
+        self.v = np.zeros(problem.n)
 
     def message(self) -> Vec:
         """x_i."""

@@ -30,13 +30,18 @@ class DualSubgradient(Mixing):
     same = ("step_size",)
 
     def __init__(
-        self, problem: ConstraintCoupled, weights: Rows, step: float | StepSize, rounds: int | None = None
+        self,
+        problem: ConstraintCoupled,
+        weights: Rows,
+        step: float | StepSize,
+        rounds: int | None = None,
     ) -> None:
         require_problem(problem, ConstraintCoupled, "DualSubgradient")
         super().__init__(problem.agent, weights, rounds)
         self.problem, self.step_size = problem, step_size(step)
         self.heavy = not problem.is_fast()
-        self.x, self.prices = np.zeros(problem.n), np.zeros(problem.S)
+        self.x = np.zeros(problem.n)
+        self.prices = np.zeros(problem.S)
         self._average = RunningAverage()
 
     @property
@@ -50,7 +55,8 @@ class DualSubgradient(Mixing):
 
     def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
         """Average the prices, answer them, raise those of what is short."""
-        v, a = mix(self.i, row, self.prices, heard), self.step_size(self.k)
+        v = mix(self.i, row, self.prices, heard)
+        a = self.step_size(self.k)
         self.x = self.problem.argmin(v)
         self._average.add(self.x, a)
         self.prices = np.maximum(0.0, v + a * self.problem.excess(self.x))

@@ -28,12 +28,20 @@ class GradientTracking(Mixing):
     """
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, gradient: Gradient, step: float | StepSize,
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        gradient: Gradient,
+        step: float | StepSize,
         rounds: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(i, weights, rounds)
         self.x = vector(f"agent {i}: x", x)
-        self.gradient, self.step_size = Checked(i, "gradient", gradient), step_size(step)
+        self.gradient, self.step_size = (
+            Checked(i, "gradient", gradient),
+            step_size(step),
+        )
         self.g = self.d = self.gradient(0, self.x)
 
     def payload(self) -> list[Vec]:
@@ -43,7 +51,15 @@ class GradientTracking(Mixing):
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Average, move along the tracked gradient, track on."""
         parts(self.i, self.k, heard, object, object)
-        x = mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()}) - self.step_size(self.k) * self.d
+        x = (
+            mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()})
+            - self.step_size(self.k) * self.d
+        )
         g = self.gradient(self.k, x)
-        self.d = mix(self.i, row, self.d, {j: theirs[1] for j, theirs in heard.items()}) + g - self.g
-        self.x, self.g = x, g
+        self.d = (
+            mix(self.i, row, self.d, {j: theirs[1] for j, theirs in heard.items()})
+            + g
+            - self.g
+        )
+        self.x = x
+        self.g = g

@@ -9,8 +9,17 @@ import numpy as np
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.convexified import Convexified
 from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
-from crazychoir.optimization.problems.mixed_integer import SLACK, MixedIntegerBlock, require_block
-from crazychoir.optimization.problems.options_lp import Options, Pool, column_sums, exceeded
+from crazychoir.optimization.problems.mixed_integer import (
+    SLACK,
+    MixedIntegerBlock,
+    require_block,
+)
+from crazychoir.optimization.problems.options_lp import (
+    Options,
+    Pool,
+    column_sums,
+    exceeded,
+)
 from crazychoir.optimization.rounds.agreement import best_offer, flood, greatest
 from crazychoir.optimization.rounds.mixing import Rows, checked_rows
 from crazychoir.optimization.rounds.program import Exchange, Program
@@ -85,15 +94,29 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
     ) -> None:
         require_block(block, "PrimalDecompositionMILP")
         self._where = f"agent {block.agent}: primal decomposition"
-        for name, value, least in (("agents", agents, 1), ("rounds", rounds, 1), ("options", options, 1)):
+        for name, value, least in (
+            ("agents", agents, 1),
+            ("rounds", rounds, 1),
+            ("options", options, 1),
+        ):
             if value < least:
                 raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
-        self._block, self._i, self.weights = block, block.agent, checked_rows(block.agent, weights)
-        self._agents, self.diameter, self._step = agents, diameter, step
-        self._rounds, self._penalty, self._options = rounds, penalty, options
+        self._block, self._i, self.weights = (
+            block,
+            block.agent,
+            checked_rows(block.agent, weights),
+        )
+        self._agents = agents
+        self.diameter = diameter
+        self._step = step
+        self._rounds = rounds
+        self._penalty = penalty
+        self._options = options
         self._local = Convexified(block, penalty)
-        self._capacity, self._left = np.zeros(block.S), np.zeros(block.S)
-        self._x, self._cost = np.zeros(block.n), 0.0
+        self._capacity = np.zeros(block.S)
+        self._left = np.zeros(block.S)
+        self._x = np.zeros(block.n)
+        self._cost = 0.0
         super().__init__()
 
     def run(self) -> Exchange[MixedIntegerSolution]:
@@ -101,12 +124,16 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         yield from self._hello()
         found = yield from self._attempt(np.zeros(self._block.S), restricted=False)
         if found is None:
-            sigma = self._block.S * (yield from greatest(self._block.tightening(), self.diameter))
+            sigma = self._block.S * (
+                yield from greatest(self._block.tightening(), self.diameter)
+            )
             found = yield from self._attempt(sigma, restricted=True)
         if found is None:
             s = int(np.argmax(self._excess))
             found_none = f"infeasible, as far as was found: resource {s} exceeded by {self._excess[s]:.6g}"
-            raise SolverError(self._where, f"{found_none}; more rounds or a larger penalty may help")
+            raise SolverError(
+                self._where, f"{found_none}; more rounds or a larger penalty may help"
+            )
         return found
 
     def _hello(self) -> Exchange[None]:
@@ -114,18 +141,26 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         known = yield from flood(self._i, self._block.share.tolist(), self.diameter)
         for j, share in known.items():
             if len(share) != self._block.S:
-                raise ConfigError(f"{self._where}: share of agent {j}", f"{len(share)} resources", f"{self._block.S}")
+                raise ConfigError(
+                    f"{self._where}: share of agent {j}",
+                    f"{len(share)} resources",
+                    f"{self._block.S}",
+                )
         if len(known) != self._agents:
             allowed = f"{len(known)}, those within {self.diameter} hops"
             raise ConfigError(f"{self._where}: agents", self._agents, allowed)
         self._capacity = column_sums(known.values())
         self._members = list(known)
 
-    def _attempt(self, sigma: Vec, restricted: bool) -> Exchange[MixedIntegerSolution | None]:
+    def _attempt(
+        self, sigma: Vec, restricted: bool
+    ) -> Exchange[MixedIntegerSolution | None]:
         """Stages 1 to 3; None if a resource is exceeded."""
         block = self._block
         share = block.share - sigma / self._agents
-        prices = PrimalDecomposition(self._i, self.weights, self._local, share, self._step, self._rounds)
+        prices = PrimalDecomposition(
+            self._i, self.weights, self._local, share, self._step, self._rounds
+        )
         options = Options(block)
         while not prices.done:
             prices.step((yield prices.message()))
@@ -143,19 +178,26 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             yield from self._choose(options, pool)
             yield from self._improve()
             less = exceeded(before[2]) - exceeded(self._left)
-            if less <= SLACK and (less < -SLACK or self._cost >= before[1] - WORTH * (1.0 + abs(before[1]))):
+            if less <= SLACK and (
+                less < -SLACK
+                or self._cost >= before[1] - WORTH * (1.0 + abs(before[1]))
+            ):
                 self._x, self._cost, self._left = before
                 break
         self._excess = -self._left
         if (self._excess > SLACK * (1.0 + np.abs(self._capacity))).any():
             return None
         self._require_dual(*bound)
-        return MixedIntegerSolution(self._x, self._cost, self._left, bound[0], restricted, self.k)
+        return MixedIntegerSolution(
+            self._x, self._cost, self._left, bound[0], restricted, self.k
+        )
 
     def _require_dual(self, bound: float, pi: Vec) -> None:
         """Weak duality, sum_i min_x (c_i + A_i'pi)'x - pi'b <= cost - pi'left, holds for any x_i in X_i: all check."""
         most = self._cost - float(pi @ self._left)
-        if bound > most + SLACK * (1.0 + abs(most) + float(pi @ np.abs(self._capacity))):
+        if bound > most + SLACK * (
+            1.0 + abs(most) + float(pi @ np.abs(self._capacity))
+        ):
             found = f"bound {bound:.9g} above cost - pi'left = {most:.9g}: a local problem was not solved to its end"
             raise SolverError(self._where, found)
 
@@ -164,17 +206,29 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
 
         Returns the best bound that they found, and its pi.
         """
-        block, fresh = self._block, 0
+        block = self._block
+        fresh = 0
         asked: list[Any] = [None, 0.0]
-        bound, at = -np.inf, np.zeros(block.S)
+        bound = -np.inf
+        at = np.zeros(block.S)
         for _ in range(PASSES):
-            known = yield from flood(self._i, [options.table[fresh:], *asked], self.diameter)
+            known = yield from flood(
+                self._i, [options.table[fresh:], *asked], self.diameter
+            )
             fresh = len(options.table)
             prices = asked[0]
-            if prices is not None and all(theirs == prices for _, theirs, _ in known.values()):
-                least = math.fsum([*(value for *_, value in known.values()), *(-np.array(prices) * self._capacity)])
+            if prices is not None and all(
+                theirs == prices for _, theirs, _ in known.values()
+            ):
+                least = math.fsum(
+                    [
+                        *(value for *_, value in known.values()),
+                        *(-np.array(prices) * self._capacity),
+                    ]
+                )
                 if least > bound:
-                    bound, at = least, np.array(prices)
+                    bound = least
+                    at = np.array(prices)
             if not pool.add({j: rows for j, (rows, _, _) in known.items()}):
                 break
             pi = pool.prices()
@@ -187,16 +241,24 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         """All hear what each would do with its present use, and with more or less than it."""
         fresh = len(options.table)
         for part in (0.0, *VARIATIONS):
-            options.add(self._block.within(self._block.A @ self._x + part * self._capacity / self._agents)[0])
+            options.add(
+                self._block.within(
+                    self._block.A @ self._x + part * self._capacity / self._agents
+                )[0]
+            )
         known = yield from flood(self._i, options.table[fresh:], self.diameter)
         pool.add(known)
 
     def _choose(self, options: Options, pool: Pool) -> Exchange[None]:
         """Stage 2, second half: one option an agent."""
-        offer = pool.best(self._i) if self._i == pool.agents[0] else None  # one answer is enough
+        offer = (
+            pool.best(self._i) if self._i == pool.agents[0] else None
+        )  # one answer is enough
         agreed = yield from best_offer(offer, self.diameter)
         if agreed is None:
-            raise SolverError(self._where, "no choice of options within the nodes of a search")
+            raise SolverError(
+                self._where, "no choice of options within the nodes of a search"
+            )
         chosen = [int(o) for o in agreed[2]]
         self._x = options.x[chosen[pool.agents.index(self._i)]]
         self._cost, self._left = pool.value(chosen)
@@ -208,13 +270,21 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             used = block.A @ self._x
             x, _ = block.within(used + self._left)
             left = self._left + used - block.A @ x
-            excess, saved = exceeded(self._left) - exceeded(left), float(block.c @ (self._x - x))
-            gains = excess > SLACK or (excess > -SLACK and saved > WORTH * (1.0 + abs(self._cost)))
-            offer = [[-excess if excess > SLACK else 0.0, -saved], self._i, left.tolist()] if gains else None
+            excess = exceeded(self._left) - exceeded(left)
+            saved = float(block.c @ (self._x - x))
+            gains = excess > SLACK or (
+                excess > -SLACK and saved > WORTH * (1.0 + abs(self._cost))
+            )
+            offer = (
+                [[-excess if excess > SLACK else 0.0, -saved], self._i, left.tolist()]
+                if gains
+                else None
+            )
             agreed = yield from best_offer(offer, self.diameter)
             if agreed is None:
                 return
             (_, change), winner, after = agreed
-            self._cost, self._left = self._cost + change, np.array(after)
+            self._cost = self._cost + change
+            self._left = np.array(after)
             if winner == self._i:
                 self._x = x

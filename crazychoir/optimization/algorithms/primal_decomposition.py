@@ -55,19 +55,31 @@ class PrimalDecomposition(Mixing):
     same = ("step_size",)
 
     def __init__(
-        self, i: int, weights: Rows, local: Local, share: Vec, step: float | StepSize, rounds: int | None = None
+        self,
+        i: int,
+        weights: Rows,
+        local: Local,
+        share: Vec,
+        step: float | StepSize,
+        rounds: int | None = None,
     ) -> None:
         super().__init__(i, weights, rounds)
         if not isinstance(local, Local):
             do = "Wrap it: Allocation(problem, penalty) of optimization/algorithms/allocation.py, or Convexified."
-            raise ConfigError(f"agent {i}: local", type(local).__name__, "one with allocate(y)", do)
+            raise ConfigError(
+                f"agent {i}: local", type(local).__name__, "one with allocate(y)", do
+            )
         self._local, self.step_size = local, step_size(step)
         self._mean = RunningAverage()
         self._set(vector(share, f"agent {i}", "share"))
 
     def _set(self, y: Vec, weight: float = 1.0) -> None:
         found = self._local.allocate(y)
-        self.y, self.x, self.mu, self.cost, self.violation = y, found.x, found.mu, found.value, found.violation
+        self.y = y
+        self.x = found.x
+        self.mu = found.mu
+        self.cost = found.value
+        self.violation = found.violation
         self.y_mean = self._mean.add(y, weight)
 
     def payload(self) -> Vec:

@@ -26,26 +26,36 @@ class PushSum(Iteration):
 
     connected = True
 
-    def __init__(self, i: int, x: ArrayLike, shares: Rows, rounds: int | None = None) -> None:
+    def __init__(
+        self, i: int, x: ArrayLike, shares: Rows, rounds: int | None = None
+    ) -> None:
         super().__init__(i, rounds)
         self.x = self.s = vector(f"agent {i}: x", x)
         self.y = 1.0
         self.shares = checked_rows(i, shares, "shares")
         for share in self.shares:
             if min(share.values()) < 0.0 or share[i] == 0.0:
-                raise ConfigError(f"agent {i}: shares", dict(share), f"0 or more, that of agent {i} itself above 0")
+                raise ConfigError(
+                    f"agent {i}: shares",
+                    dict(share),
+                    f"0 or more, that of agent {i} itself above 0",
+                )
 
     def message(self) -> PerNeighbor:
         """[a_ji s_i, a_ji y_i] for each j."""
         share = self.shares[self.k % len(self.shares)]
-        return PerNeighbor({j: [a * self.s, a * self.y] for j, a in share.items() if j != self.i})
+        return PerNeighbor(
+            {j: [a * self.s, a * self.y] for j, a in share.items() if j != self.i}
+        )
 
     def update(self, heard: Mapping[int, Any]) -> None:
         """Sum up."""
         a = self.shares[self.k % len(self.shares)][self.i]
-        s, y = a * self.s, a * self.y
+        s = a * self.s
+        y = a * self.y
         for j, (theirs, weight) in parts(self.i, self.k, heard, object, NUMBER).items():
             s = s + like(self.i, j, theirs, s)
             y += weight
-        self.s, self.y = s, y
+        self.s = s
+        self.y = y
         self.x = s / np.float64(y)

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.algorithms.asynchronous_consensus import AsynchronousConsensus
+from crazychoir.optimization.algorithms.asynchronous_consensus import (
+    AsynchronousConsensus,
+)
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.problems.projection import ConvexSet, Intersection
 from crazychoir.optimization.rounds.mixing import Row, Rows
@@ -34,9 +36,14 @@ class SetMembership(Consensus):
     """
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, first: tuple[ConvexSet, ...], measure: Measure = nothing_new,
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        first: tuple[ConvexSet, ...],
+        measure: Measure = nothing_new,
         rounds: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(i, x, weights, rounds)
         self.possible = possible(i, self.x, first)
         self.measure = measure
@@ -54,9 +61,14 @@ class AsynchronousSetMembership(AsynchronousConsensus):
     """
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Row, first: tuple[ConvexSet, ...], measure: Measure = nothing_new,
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Row,
+        first: tuple[ConvexSet, ...],
+        measure: Measure = nothing_new,
         rounds: int | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(i, x, weights, rounds)
         self.possible = possible(i, self.x, first)
         self.measure = measure

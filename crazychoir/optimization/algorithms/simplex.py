@@ -8,7 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.problems.lexicographic import Basis, Columns, optimal_basis, union
+from crazychoir.optimization.problems.lexicographic import (
+    Basis,
+    Columns,
+    optimal_basis,
+    union,
+)
 from crazychoir.optimization.problems.tableau import CANCELLED
 from crazychoir.optimization.rounds.agreement import greatest, same_everywhere
 from crazychoir.optimization.rounds.arrays import matrix, vector
@@ -70,7 +75,9 @@ class BasisExchange:
         common: Columns | None = None,
     ) -> None:
         sign = np.where(b < 0, -1.0, 1.0)
-        self._sign, self._b, self._agent = sign, b * sign, agent
+        self._sign = sign
+        self._b = b * sign
+        self._agent = agent
         own = Columns.own(agent, c, entries * sign[:, None], first)
         self._n = len(own)
         self._own = own if common is None else union([own, common])
@@ -86,14 +93,26 @@ class BasisExchange:
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the neighbours' bases; None from who is not at this problem yet."""
-        received = [self._unpacked(j, message) for j, message in heard.items() if message is not None]
-        still = {j: b"" if message is None else message[0] for j, message in heard.items()}
+        received = [
+            self._unpacked(j, message)
+            for j, message in heard.items()
+            if message is not None
+        ]
+        still = {
+            j: b"" if message is None else message[0] for j, message in heard.items()
+        }
         heard = {j: message for j, message in heard.items() if message is not None}
-        before, ray = self.basis.columns.ids, self._ray
-        self._ray = min((r for r in [ray, *(m[1] for m in heard.values())] if r is not None), default=None)
+        before = self.basis.columns.ids
+        ray = self._ray
+        self._ray = min(
+            (r for r in [ray, *(m[1] for m in heard.values())] if r is not None),
+            default=None,
+        )
         news = {key for columns in received for key in columns.id_pairs()}
         if self._ray != ray or not news <= self._weighed:
-            self.basis = self._best([self.basis.columns, self._own, *received], self.basis)
+            self.basis = self._best(
+                [self.basis.columns, self._own, *received], self.basis
+            )
         changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
         # The basis is the best of these columns: of any part of them too, so that they need not be weighed again.
         self._weighed = news if changed else self._weighed | news
@@ -103,7 +122,9 @@ class BasisExchange:
         try:
             still, ray, *packed = message
             if not (isinstance(still, bytes) and isinstance(ray, list | None)):
-                raise TypeError(f"{type(still).__name__} and {type(ray).__name__} before it")
+                raise TypeError(
+                    f"{type(still).__name__} and {type(ray).__name__} before it"
+                )
             return _unpacked(packed, len(self._b))
         except (TypeError, ValueError, LookupError) as error:
             allowed = f"flags, a ray, and {len(self._b)} columns: ids, costs, entries"
@@ -178,11 +199,17 @@ class BasisExchange:
         """Raise SolverError where rounding errors are as large as the levels: at all agents with this basis alike."""
         basis = self.basis
         wrong = (basis.level < 0.0) & (-basis.level > FEASIBLE * basis.terms)
-        wrong |= (basis.level != 0.0) & (basis.uncertainty > UNCERTAIN * np.abs(basis.level))
+        wrong |= (basis.level != 0.0) & (
+            basis.uncertainty > UNCERTAIN * np.abs(basis.level)
+        )
         if wrong.any():
             p = int(np.argmax(wrong))
             owner, number = basis.columns.ids[p].tolist()
-            name = f"what remains of row {number}" if owner < 0 else f"column {number} of agent {owner}"
+            name = (
+                f"what remains of row {number}"
+                if owner < 0
+                else f"column {number} of agent {owner}"
+            )
             found = f"{name} is {basis.level[p]:.3g}, with a rounding error of up to {basis.uncertainty[p]:.3g}"
             do = "double precision cannot tell; remove rows or columns that are nearly the same as sums of others"
             raise SolverError(where, f"{found}: {do}")
@@ -199,7 +226,11 @@ class BasisExchange:
         change = self.basis.expressed(self._own.entries)[self._artificial]
         reduced = self.basis.price_out(self._own)[1]
         for k in reversed(range(len(M))):
-            short = (change[k] < 0.0) & (change[:k] == 0.0).all(axis=0) & (reduced < M @ change)
+            short = (
+                (change[k] < 0.0)
+                & (change[:k] == 0.0).all(axis=0)
+                & (reduced < M @ change)
+            )
             rest = reduced - M @ change + M[k] * change[k]
             M[k] = (rest[short] / change[k, short]).max(initial=M[k])
         return M
@@ -248,14 +279,19 @@ def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
     rounds = 0
     while not bases.settled:
         if rounds == ROUNDS:
-            raise SolverError(where, f"no common basis after {ROUNDS} rounds; is {diameter} the diameter of the graph?")
+            raise SolverError(
+                where,
+                f"no common basis after {ROUNDS} rounds; is {diameter} the diameter of the graph?",
+            )
         bases.step((yield bases.message()))
         rounds += 1
     bases.require_certain(where)
     M = np.zeros(bases.left_over)
     for _ in range(len(M)):
         before = M
-        agreed = yield from greatest(np.concatenate([bases.penalties(before), bases.doubts()]), diameter)
+        agreed = yield from greatest(
+            np.concatenate([bases.penalties(before), bases.doubts()]), diameter
+        )
         M, doubts = np.split(agreed, 2)
         bases.require_distinct(doubts, where)
         if np.array_equal(M, before) or bases.status != "optimal":
@@ -288,8 +324,13 @@ class DistributedSimplex(Program[LinearSolution]):
         b = vector(b, where, "b")
         if not len(b):
             do = "Without rows each column is 0, or grows for ever, whatever the others do."
-            raise ConfigError(f"{where}: b", "no rows", "one row or more, the same at all agents", do)
-        self._where, self._b, self._agent, self.diameter = where, b, agent, diameter
+            raise ConfigError(
+                f"{where}: b", "no rows", "one row or more, the same at all agents", do
+            )
+        self._where = where
+        self._b = b
+        self._agent = agent
+        self.diameter = diameter
         c = vector(c, where, "c")
         A = matrix(A, where, "A", (len(b), len(c)))
         _require_range(where, c=c, A=A, b=b)
@@ -315,10 +356,15 @@ class DistributedSimplex(Program[LinearSolution]):
             raise SolverError(self._where, f"infeasible: {_remaining(bases)}")
         if bases.ray is not None:
             owner, column = bases.ray
-            raise SolverError(self._where, f"unbounded: column {column} of agent {owner} may grow for ever")
+            raise SolverError(
+                self._where,
+                f"unbounded: column {column} of agent {owner} may grow for ever",
+            )
         columns = bases.basis.columns
         ids = [(int(owner), int(number)) for owner, number in columns.ids]
-        return LinearSolution(bases.x, bases.cost, bases.prices(penalties), ids, bases.basis.level, self.k)
+        return LinearSolution(
+            bases.x, bases.cost, bases.prices(penalties), ids, bases.basis.level, self.k
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,10 +398,15 @@ class DualDistributedSimplex(Program[CommonSolution]):
         where = f"agent {agent}: dual distributed simplex"
         self._c, b = vector(c, where, "c"), vector(b, where, "b")
         if not len(self._c):
-            raise ConfigError(f"{where}: c", "no variables", "one variable or more, the same at all agents")
+            raise ConfigError(
+                f"{where}: c",
+                "no variables",
+                "one variable or more, the same at all agents",
+            )
         rows = matrix(A, where, "A", (len(b), len(self._c)))
         _require_range(where, c=self._c, A=rows, b=b)
-        self._where, self.diameter = where, diameter
+        self._where = where
+        self.diameter = diameter
         self._bases = BasisExchange(agent, b, rows.T, self._c, diameter)
         super().__init__()
 
@@ -371,11 +422,21 @@ class DualDistributedSimplex(Program[CommonSolution]):
         penalties = yield from _exchange(bases, self._where, self.diameter)
         if bases.ray is not None:
             owner, row = bases.ray
-            raise SolverError(self._where, f"infeasible: constraint {row} of agent {owner} contradicts others")
+            raise SolverError(
+                self._where,
+                f"infeasible: constraint {row} of agent {owner} contradicts others",
+            )
         if bases.status == "infeasible":
-            raise SolverError(self._where, f"unbounded: {_remaining(bases, 'variable')} without a limit")
+            raise SolverError(
+                self._where,
+                f"unbounded: {_remaining(bases, 'variable')} without a limit",
+            )
         x = bases.prices(penalties)
-        active = [(int(owner), int(row)) for owner, row in bases.basis.columns.ids if owner >= 0]
+        active = [
+            (int(owner), int(row))
+            for owner, row in bases.basis.columns.ids
+            if owner >= 0
+        ]
         return CommonSolution(x, float(self._c @ x), active, self.k)
 
 
@@ -388,7 +449,12 @@ def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
             place = tuple(int(k) for k in beyond[0])
             allowed = f"0, or a size from {1.0 / LARGEST:g} to {LARGEST:g}"
             do = "Take other units."
-            raise ConfigError(f"{where}: {name}[{', '.join(map(str, place))}]", f"{array[place]:g}", allowed, do)
+            raise ConfigError(
+                f"{where}: {name}[{', '.join(map(str, place))}]",
+                f"{array[place]:g}",
+                allowed,
+                do,
+            )
 
 
 def _remaining(bases: BasisExchange, what: str = "row") -> str:
@@ -407,7 +473,11 @@ def _packed(columns: Columns) -> list[Any]:
     ids = columns.ids.astype(np.int32).ravel()
     first = np.where(columns.ids[:, 0] < 0, 0.0, columns.cost[0])
     first = first if first.any() else first[:0]
-    entries = [counts.astype(np.int32), row.astype(np.int32), columns.entries[row, number]]
+    entries = [
+        counts.astype(np.int32),
+        row.astype(np.int32),
+        columns.entries[row, number],
+    ]
     return [ids, columns.cost[1], *entries, first]
 
 
@@ -415,7 +485,12 @@ def _unpacked(packed: list[Any], m: int) -> Columns:
     """Return columns of m rows; raises ValueError, IndexError, TypeError for what is none."""
     ids, c, counts, row, value, first = (np.asarray(part) for part in packed)
     numbers = np.concatenate([c, value, first])
-    if len(c) != m or min(row, default=0) < 0 or not np.isfinite(numbers).all() or len(first) not in (0, m):
+    if (
+        len(c) != m
+        or min(row, default=0) < 0
+        or not np.isfinite(numbers).all()
+        or len(first) not in (0, m)
+    ):
         raise ValueError(f"{len(c)} columns for {m} rows, or not finite")
     ids = ids.astype(np.int64).reshape(-1, 2)
     entries = np.zeros((m, len(ids)))

@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.optimization.algorithms.average import RunningAverage
-from crazychoir.optimization.problems.gradient import Checked, Gradient, Project, anywhere
+from crazychoir.optimization.problems.gradient import (
+    Checked,
+    Gradient,
+    Project,
+    anywhere,
+)
 from crazychoir.optimization.rounds.iteration import vector
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
@@ -29,12 +34,19 @@ class SubgradientMethod(Mixing):
     same = ("step_size",)
 
     def __init__(
-        self, i: int, x: ArrayLike, weights: Rows, gradient: Gradient, step: float | StepSize,
-        project: Project = anywhere, rounds: int | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        i: int,
+        x: ArrayLike,
+        weights: Rows,
+        gradient: Gradient,
+        step: float | StepSize,
+        project: Project = anywhere,
+        rounds: int | None = None,
+    ) -> None:
         super().__init__(i, weights, rounds)
         self.x = vector(f"agent {i}: x", x)
-        self.gradient, self.project = Checked(i, "gradient", gradient), Checked(i, "project", project)
+        self.gradient = Checked(i, "gradient", gradient)
+        self.project = Checked(i, "project", project)
         self.step_size = step_size(step)
         self._average = RunningAverage()
 
@@ -49,6 +61,7 @@ class SubgradientMethod(Mixing):
 
     def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
         """Average, go down, project."""
-        v, a = mix(self.i, row, self.x, heard), self.step_size(self.k)
+        v = mix(self.i, row, self.x, heard)
+        a = self.step_size(self.k)
         self.x = np.array(self.project(self.k, v - a * self.gradient(self.k, v)))
         self._average.add(self.x, a)

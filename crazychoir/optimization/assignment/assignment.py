@@ -77,7 +77,10 @@ class TaskAssignment:
         self._where = f"robot {robot}: task assignment"
         if robot not in robots:
             raise ConfigError(self._where, f"robot {robot}", span(robots))
-        self._robot, self._cost, self._robots, self.diameter = robot, cost, sorted(robots), diameter
+        self._robot = robot
+        self._cost = cost
+        self._robots = sorted(robots)
+        self.diameter = diameter
         self._table: Table | None = None
         self.outcome: Outcome | None = None
         if table is not None:
@@ -85,12 +88,24 @@ class TaskAssignment:
 
     def post(self, table: Table) -> None:
         """Tell this robot of a table; what it has already heard of, or of a newer one, is nothing new."""
-        if self._table is not None and table.label == self._table.label and _ids(table) != _ids(self._table):
+        if (
+            self._table is not None
+            and table.label == self._table.label
+            and _ids(table) != _ids(self._table)
+        ):
             do = "Number the tables in one place."
-            raise ConfigError(f"{self._where}: table {table.label}", _ids(table), f"tasks {_ids(self._table)}", do)
+            raise ConfigError(
+                f"{self._where}: table {table.label}",
+                _ids(table),
+                f"tasks {_ids(self._table)}",
+                do,
+            )
         if self._table is None or table.label > self._table.label:
-            self._table, self._age = table, 0
-            self._program = _Program(self._robot, self._robots, table.tasks, self._costs(table.tasks))
+            self._table = table
+            self._age = 0
+            self._program = _Program(
+                self._robot, self._robots, table.tasks, self._costs(table.tasks)
+            )
             self._bases = self._program.exchange(self.diameter)
 
     @property
@@ -114,7 +129,11 @@ class TaskAssignment:
             return None
         if self.settled:
             return [self._table.label]
-        news = [[task.id, task.p] for task in self._table.tasks] if self._age < self.diameter else None
+        news = (
+            [[task.id, task.p] for task in self._table.tasks]
+            if self._age < self.diameter
+            else None
+        )
         return [self._table.label, self._table.last, news, *self._bases.message()]
 
     def step(self, heard: Mapping[int, Any]) -> None:
@@ -122,13 +141,19 @@ class TaskAssignment:
         for message in heard.values():
             if message is not None and len(message) > 1 and message[2] is not None:
                 label, last, tasks = message[:3]
-                self.post(Table(label, tuple(Task(id_, np.asarray(p)) for id_, p in tasks), last))
+                self.post(
+                    Table(
+                        label, tuple(Task(id_, np.asarray(p)) for id_, p in tasks), last
+                    )
+                )
         if self._table is None or self.settled:
             return
         self._age += 1
         self._bases.step({j: self._same(message) for j, message in heard.items()})
         if self._bases.settled:
-            self.outcome = self._program.outcome(self._table.label, self._bases, self._age)
+            self.outcome = self._program.outcome(
+                self._table.label, self._bases, self._age
+            )
 
     def _same(self, message: Any) -> Any:
         """A neighbour's basis, if it is of our table."""
@@ -139,7 +164,11 @@ class TaskAssignment:
         costs = np.array([self._cost(task) for task in tasks], dtype=float)
         for task, value in zip(tasks, costs, strict=True):
             if np.isnan(value) or value == -inf:
-                raise ConfigError(f"{self._where}: cost of task {task.id}", f"{value}", "a number, or inf: not allowed")
+                raise ConfigError(
+                    f"{self._where}: cost of task {task.id}",
+                    f"{value}",
+                    "a number, or inf: not allowed",
+                )
         return costs
 
     @property
@@ -148,7 +177,10 @@ class TaskAssignment:
         if self.outcome is None:
             raise SolverError(self._where, "not agreed upon yet")
         if self.outcome.infeasible:
-            raise SolverError(f"{self._where}: table {self.outcome.label}", f"infeasible: {self.outcome.infeasible}")
+            raise SolverError(
+                f"{self._where}: table {self.outcome.label}",
+                f"infeasible: {self.outcome.infeasible}",
+            )
         return self.outcome
 
 
@@ -160,23 +192,38 @@ class _Program:
     without: a first cost of 1, so that as many as possible are served, before c counts.
     """
 
-    def __init__(self, robot: int, robots: Sequence[int], tasks: Sequence[Task], costs: Vec) -> None:
-        self._robot, self._robots, self._tasks = robot, robots, sorted(tasks, key=lambda task: task.id)
+    def __init__(
+        self, robot: int, robots: Sequence[int], tasks: Sequence[Task], costs: Vec
+    ) -> None:
+        self._robot = robot
+        self._robots = robots
+        self._tasks = sorted(tasks, key=lambda task: task.id)
         ids = [task.id for task in tasks]
         if len(dict.fromkeys(ids)) < len(ids):
-            raise ConfigError(f"robot {robot}: task table", f"ids {ids}", "each id once")
+            raise ConfigError(
+                f"robot {robot}: task table", f"ids {ids}", "each id once"
+            )
         cost_of = dict(zip(ids, costs, strict=True))
-        self._allowed = [k for k, task in enumerate(self._tasks) if cost_of[task.id] < inf]
+        self._allowed = [
+            k for k, task in enumerate(self._tasks) if cost_of[task.id] < inf
+        ]
         self._c = np.array([cost_of[self._tasks[k].id] for k in self._allowed])
 
     def exchange(self, diameter: int) -> BasisExchange:
         """The part of this robot."""
-        n, m, pairs = len(self._robots), len(self._tasks), len(self._allowed)
+        n = len(self._robots)
+        m = len(self._tasks)
+        pairs = len(self._allowed)
         must = range(n, n + m) if m <= n else range(n)
         singles = [self._singles(i) for i in range(n)]
         common = union(
             [
-                Columns.own(robot, np.zeros(len(rows)), np.eye(n + m)[:, rows], np.isin(rows, must).astype(float))
+                Columns.own(
+                    robot,
+                    np.zeros(len(rows)),
+                    np.eye(n + m)[:, rows],
+                    np.isin(rows, must).astype(float),
+                )
                 for robot, rows in zip(self._robots, singles, strict=True)
             ]
         )
@@ -187,7 +234,9 @@ class _Program:
         entries = np.hstack([np.eye(n + m)[:, singles[i]], entries])
         first = np.concatenate([np.isin(singles[i], must), np.zeros(pairs)])
         c = np.concatenate([np.zeros(len(singles[i])), self._c])
-        return BasisExchange(self._robot, c, entries, np.ones(n + m), diameter, first, common)
+        return BasisExchange(
+            self._robot, c, entries, np.ones(n + m), diameter, first, common
+        )
 
     def _singles(self, i: int) -> list[int]:
         """Return the rows that have a column of the i-th robot alone: its own, and tasks that are dealt in turn."""
@@ -199,8 +248,11 @@ class _Program:
         n = len(self._robots)
         pairs = bases.x[len(self._singles(self._robots.index(self._robot))) :]
         mine = [k for k, x in zip(self._allowed, pairs, strict=True) if x > 0.5]
-        columns, level = bases.basis.columns, bases.basis.level
-        pair = (columns.ids[:, 0] >= 0) & (columns.entries[:n].any(axis=0)) & (level > 0.5)
+        columns = bases.basis.columns
+        level = bases.basis.level
+        pair = (
+            (columns.ids[:, 0] >= 0) & (columns.entries[:n].any(axis=0)) & (level > 0.5)
+        )
         pair &= columns.entries[n:].any(axis=0)
         served = columns.entries[n:, pair].sum(axis=1) > 0.5
         without = float(columns.cost[0] @ level)
@@ -208,19 +260,29 @@ class _Program:
             label=label,
             task=self._tasks[mine[0]] if mine else None,
             cost=bases.cost,
-            unserved=tuple(task.id for task, done in zip(self._tasks, served, strict=True) if not done),
+            unserved=tuple(
+                task.id
+                for task, done in zip(self._tasks, served, strict=True)
+                if not done
+            ),
             infeasible="" if without < 0.5 else self._why(bases.certificate),
             rounds=rounds,
         )
 
     def _why(self, y: Vec) -> str:
         """Hall's condition, broken: y = 1 at those who compete, -1 at all that is open to them."""
-        robots, tasks = (np.array(names) for names in (self._robots, [task.id for task in self._tasks]))
-        of_robots, of_tasks = np.round(y[: len(robots)]), np.round(y[len(robots) :])
+        robots, tasks = (
+            np.array(names)
+            for names in (self._robots, [task.id for task in self._tasks])
+        )
+        of_robots = np.round(y[: len(robots)])
+        of_tasks = np.round(y[len(robots) :])
         if len(tasks) <= len(robots):
-            few, many = robots[of_robots < 0], tasks[of_tasks > 0]
+            few = robots[of_robots < 0]
+            many = tasks[of_tasks > 0]
             return f"task(s) {_names(many)} may be done by {_only(few, 'robot')}"
-        few, many = tasks[of_tasks < 0], robots[of_robots > 0]
+        few = tasks[of_tasks < 0]
+        many = robots[of_robots > 0]
         return f"robot(s) {_names(many)} may do {_only(few, 'task')}"
 
 

@@ -52,7 +52,9 @@ class Bundle:
         return tuple(j for j, winner in enumerate(self.winners) if winner == NOBODY)
 
 
-def sequential_auction(robot: int, bidder: Bidder[Path], tasks: int, diameter: int) -> Exchange[Bundle]:
+def sequential_auction(
+    robot: int, bidder: Bidder[Path], tasks: int, diameter: int
+) -> Exchange[Bundle]:
     """One task after the other goes to the robot to which any is worth the most, together with what it has.
 
         (i, j) = argmax_ij c_ij(path_i),   path_i <- path_i with j;   until all c_ij are -inf
@@ -60,13 +62,19 @@ def sequential_auction(robot: int, bidder: Bidder[Path], tasks: int, diameter: i
     D rounds an auction. Each robot bids for the one task that is worth the most to it; ties go to the lowest id.
     Source: Lagoudakis et al. 2005, RSS, "Auction-based multi-robot routing"; Koenig et al. 2006, AAAI.
     """
-    path, won, rounds = bidder.start, list[int](), 0
+    path = bidder.start
+    won = list[int]()
+    rounds = 0
     winners = np.full(tasks, NOBODY)
     scores = _checked(bidder.scores(path), tasks, robot)
     while True:
         open_scores = np.where(winners == NOBODY, scores, -np.inf)
         best = int(np.argmax(open_scores)) if tasks else 0
-        offer = [-float(open_scores[best]), robot, best] if tasks and open_scores[best] > -np.inf else None
+        offer = (
+            [-float(open_scores[best]), robot, best]
+            if tasks and open_scores[best] > -np.inf
+            else None
+        )
         agreed = yield from best_offer(offer, diameter)
         rounds += diameter
         if agreed is None:
@@ -89,8 +97,11 @@ class SequentialAuction(Program[Bundle]):
     heavy = True
     connected = True
 
-    def __init__(self, robot: int, bidder: Bidder[Any], tasks: int, diameter: int) -> None:
-        self._arguments, self.diameter = (robot, bidder, tasks, diameter), diameter
+    def __init__(
+        self, robot: int, bidder: Bidder[Any], tasks: int, diameter: int
+    ) -> None:
+        self._arguments = (robot, bidder, tasks, diameter)
+        self.diameter = diameter
         super().__init__()
 
     def run(self) -> Exchange[Bundle]:
@@ -130,10 +141,18 @@ class CBBA(Program[Bundle]):
         most: int | None = None,
     ) -> None:
         if robot not in robots:
-            raise ConfigError(f"robot {robot}: CBBA", f"robots {list(robots)}", "ids of all, its own too")
-        self._i, self._bidder, self._robots, self._tasks = robot, bidder, sorted(robots), tasks
+            raise ConfigError(
+                f"robot {robot}: CBBA",
+                f"robots {list(robots)}",
+                "ids of all, its own too",
+            )
+        self._i = robot
+        self._bidder = bidder
+        self._robots = sorted(robots)
+        self._tasks = tasks
         self._most = tasks if most is None else most
-        self.diameter, self._stillness = diameter, Stillness(diameter)
+        self.diameter = diameter
+        self._stillness = Stillness(diameter)
         self._table = Table(robot, tasks)
         self._order: list[int] = []
         self._paths = [bidder.start]
@@ -145,23 +164,50 @@ class CBBA(Program[Bundle]):
         self._extend()
         for _ in range(ROUNDS):
             if self._stillness.reached:
-                return Bundle(tuple(self._order), self._paths[-1], tuple(table.winner.tolist()), self.k)
+                return Bundle(
+                    tuple(self._order),
+                    self._paths[-1],
+                    tuple(table.winner.tolist()),
+                    self.k,
+                )
             before = table.bid.tobytes(), table.winner.tobytes(), tuple(self._order)
-            heard = yield [self._stillness.message(), table.bid, table.winner, table.stamps(self._robots, self.k)]
-            for j, (_, bid, winner, stamps) in parts(self._i, self.k, heard, bytes, object, object, object).items():
-                bids, winners = like(self._i, j, bid, table.bid), like(self._i, j, winner, table.winner)
+            heard = yield [
+                self._stillness.message(),
+                table.bid,
+                table.winner,
+                table.stamps(self._robots, self.k),
+            ]
+            for j, (_, bid, winner, stamps) in parts(
+                self._i, self.k, heard, bytes, object, object, object
+            ).items():
+                bids = like(self._i, j, bid, table.bid)
+                winners = like(self._i, j, winner, table.winner)
                 known = like(self._i, j, stamps, table.stamps(self._robots, self.k))
-                table.hear(j, bids.tolist(), winners.tolist(), dict(zip(self._robots, known.tolist(), strict=True)))
+                table.hear(
+                    j,
+                    bids.tolist(),
+                    winners.tolist(),
+                    dict(zip(self._robots, known.tolist(), strict=True)),
+                )
             self._release()
             self._extend()
-            changed = before != (table.bid.tobytes(), table.winner.tobytes(), tuple(self._order))
-            self._stillness.step(changed, {j: message[0] for j, message in heard.items()})
+            changed = before != (
+                table.bid.tobytes(),
+                table.winner.tobytes(),
+                tuple(self._order),
+            )
+            self._stillness.step(
+                changed, {j: message[0] for j, message in heard.items()}
+            )
         raise SolverError(f"robot {self._i}: CBBA", f"no agreement in {ROUNDS} rounds")
 
     def _release(self) -> None:
         """The bundle up to the first task that is lost; what came after it is free again."""
         table = self._table
-        kept = next((n for n, j in enumerate(self._order) if table.winner[j] != self._i), len(self._order))
+        kept = next(
+            (n for n, j in enumerate(self._order) if table.winner[j] != self._i),
+            len(self._order),
+        )
         for j in self._order[kept:]:
             if table.winner[j] == self._i:
                 table.reset(j)
@@ -171,10 +217,14 @@ class CBBA(Program[Bundle]):
         table = self._table
         ceiling = min((float(table.bid[j]) for j in self._order), default=math.inf)
         while len(self._order) < self._most:
-            scores = _checked(self._bidder.scores(self._paths[-1]), self._tasks, self._i)
+            scores = _checked(
+                self._bidder.scores(self._paths[-1]), self._tasks, self._i
+            )
             bids = np.minimum(scores, ceiling)
             own = table.winner == self._i
-            wins = (bids > table.bid) | ((bids == table.bid) & (self._i < table.winner)) & (scores > -np.inf)
+            wins = (bids > table.bid) | (
+                (bids == table.bid) & (self._i < table.winner)
+            ) & (scores > -np.inf)
             worth = np.where(wins & ~own, scores, -np.inf)
             j = int(np.argmax(worth)) if self._tasks else 0
             if not self._tasks or worth[j] == -np.inf:
@@ -182,7 +232,8 @@ class CBBA(Program[Bundle]):
             self._paths.append(self._bidder.insert(self._paths[-1], j))
             self._order.append(j)
             ceiling = float(bids[j])
-            table.bid[j], table.winner[j] = ceiling, self._i
+            table.bid[j] = ceiling
+            table.winner[j] = self._i
 
 
 class Table:
@@ -203,15 +254,23 @@ class Table:
 
     def reset(self, j: int) -> None:
         """Nobody's."""
-        self.bid[j], self.winner[j] = -np.inf, NOBODY
+        self.bid[j] = -np.inf
+        self.winner[j] = NOBODY
 
-    def hear(self, sender: int, bid: Sequence[float], winner: Sequence[int], stamp: Mapping[int, int]) -> None:
+    def hear(
+        self,
+        sender: int,
+        bid: Sequence[float],
+        winner: Sequence[int],
+        stamp: Mapping[int, int],
+    ) -> None:
         """What the sender thinks of all tasks, and when it heard of each robot last."""
         for j, (y, z) in enumerate(zip(bid, winner, strict=True)):
             mine = int(self.winner[j])
             higher = (y, -z) > (float(self.bid[j]), -mine)
             if self._updates(sender, z, mine, higher, stamp):
-                self.bid[j], self.winner[j] = y, z
+                self.bid[j] = y
+                self.winner[j] = z
             elif self._resets(sender, z, mine, stamp):
                 self.reset(j)
         for robot, k in stamp.items():
@@ -221,39 +280,68 @@ class Table:
     def _newer(self, robot: int, stamp: Mapping[int, int]) -> bool:
         return stamp[robot] > self._stamp.get(robot, -1)
 
-    def _updates(self, sender: int, theirs: int, mine: int, higher: bool, stamp: Mapping[int, int]) -> bool:
+    def _updates(
+        self,
+        sender: int,
+        theirs: int,
+        mine: int,
+        higher: bool,
+        stamp: Mapping[int, int],
+    ) -> bool:
         """Whether the sender's winner is taken over. theirs, mine: who wins, as the sender and this robot think."""
         i = self._i
         if theirs == i:
             return False
         if theirs == sender:
-            return mine in (sender, NOBODY) or higher or (mine != i and self._newer(mine, stamp))
+            return (
+                mine in (sender, NOBODY)
+                or higher
+                or (mine != i and self._newer(mine, stamp))
+            )
         if theirs == NOBODY:
-            return mine == sender or (mine not in (i, NOBODY) and self._newer(mine, stamp))
+            return mine == sender or (
+                mine not in (i, NOBODY) and self._newer(mine, stamp)
+            )
         if not self._newer(theirs, stamp):
             return False
         others = mine not in (i, sender, theirs, NOBODY)
-        return mine in (sender, theirs, NOBODY) or higher or (others and self._newer(mine, stamp))
+        return (
+            mine in (sender, theirs, NOBODY)
+            or higher
+            or (others and self._newer(mine, stamp))
+        )
 
-    def _resets(self, sender: int, theirs: int, mine: int, stamp: Mapping[int, int]) -> bool:
+    def _resets(
+        self, sender: int, theirs: int, mine: int, stamp: Mapping[int, int]
+    ) -> bool:
         """Whether nobody is known to win any more: both point at somebody who has given up, or at each other."""
         i = self._i
         if theirs == i:
-            return mine == sender or (mine not in (i, NOBODY) and self._newer(mine, stamp))
+            return mine == sender or (
+                mine not in (i, NOBODY) and self._newer(mine, stamp)
+            )
         if theirs in (sender, NOBODY):
             return False
         if mine == sender:
             return not self._newer(theirs, stamp)
         others = mine not in (i, sender, theirs, NOBODY)
-        return others and self._newer(mine, stamp) and self._stamp.get(theirs, -1) > stamp[theirs]
+        return (
+            others
+            and self._newer(mine, stamp)
+            and self._stamp.get(theirs, -1) > stamp[theirs]
+        )
 
 
 def _checked(scores: Vec, tasks: int, robot: int) -> Vec:
     found = np.asarray(scores, dtype=float)
     if found.shape != (tasks,):
-        raise ConfigError(f"robot {robot}: scores", f"shape {found.shape}", f"({tasks},), one a task")
+        raise ConfigError(
+            f"robot {robot}: scores", f"shape {found.shape}", f"({tasks},), one a task"
+        )
     bad = np.flatnonzero(np.isnan(found) | (found == np.inf))
     if len(bad):
         allowed = "a number, or -inf: not possible"
-        raise ConfigError(f"robot {robot}: score of task {bad[0]}", f"{found[bad[0]]}", allowed)
+        raise ConfigError(
+            f"robot {robot}: score of task {bad[0]}", f"{found[bad[0]]}", allowed
+        )
     return found

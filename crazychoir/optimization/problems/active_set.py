@@ -101,12 +101,16 @@ def _terms(gram: Mat, size: Vec, u: Vec, rows: Rows, count: int, p: int) -> floa
 @kernel()
 def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> int:
     """The row whose slack is the most negative, -1 if none is: beyond what the rounding of its own terms explains."""
-    worst, least = -1, 0.0
+    worst = -1
+    least = 0.0
     for p in range(len(free)):
         if u[p] == 0.0:
             slack = _slack(gram, free, u, rows, count, p)
-            if slack < least and slack < -ROUNDING * _terms(gram, size, u, rows, count, p):
-                worst, least = p, slack
+            if slack < least and slack < -ROUNDING * _terms(
+                gram, size, u, rows, count, p
+            ):
+                worst = p
+                least = slack
     return worst
 
 
@@ -124,9 +128,12 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
     """The multipliers u (m,) of `minimise`; returns the number of steps, or why there are none."""
     m = len(free)
     width = min(m, most)
-    rows, factor, s = np.empty(m, np.int64), np.empty((width, width)), np.empty(width)
+    rows = np.empty(m, np.int64)
+    factor = np.empty((width, width))
+    s = np.empty(width)
     count = _resume(gram, free, u, rows, factor, s)
-    steps, p = 0, _worst(gram, free, size, u, rows, count)
+    steps = 0
+    p = _worst(gram, free, size, u, rows, count)
     while p >= 0:
         steps += 1
         if steps > 50 + 10 * m:
@@ -136,15 +143,24 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
         for i in range(count):
             s[i] = gram[rows[i], p]
         _divide(factor, s, count)
-        curvature, blocked, place = gram[p, p], np.inf, -1
+        curvature = gram[p, p]
+        blocked = np.inf
+        place = -1
         for i in range(count):
             curvature -= gram[rows[i], p] * s[i]
-        full, slack, least = np.inf, _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p], CANCELLED
+        full = np.inf
+        slack = _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p]
+        least = CANCELLED
         if curvature > DEPENDENT * gram[p, p] and count < width:
-            full, least = max(0.0, -slack / curvature), 0.0
+            full = max(0.0, -slack / curvature)
+            least = 0.0
         for i in range(count):
-            if s[i] > least * np.sqrt(gram[p, p] / gram[rows[i], rows[i]]) and u[rows[i]] < blocked * s[i]:
-                blocked, place = u[rows[i]] / s[i], i
+            if (
+                s[i] > least * np.sqrt(gram[p, p] / gram[rows[i], rows[i]])
+                and u[rows[i]] < blocked * s[i]
+            ):
+                blocked = u[rows[i]] / s[i]
+                place = i
         t = min(full, blocked)
         if t == np.inf:
             if -slack >= DOUBT * _terms(gram, size, u, rows, count, p) + NEGLIGIBLE:
@@ -171,7 +187,9 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
 
 
 @kernel(matrix, vector, matrix, vector, matrix, vector, memory, memory)
-def minimise(inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Vec, u: Vec, x: Vec) -> int:
+def minimise(
+    inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Vec, u: Vec, x: Vec
+) -> int:
     """x = argmin 1/2 x'Px + q'x  s.t.  A x <= b,  E x = e, by the dual active-set method.
 
         x = K (q + A'u) + k,   w = b - A x = (b - A k) - A K q + D u >= 0,   u >= 0,   u'w = 0,   D = -A K A'
@@ -183,7 +201,8 @@ def minimise(inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Ve
     Source: Goldfarb & Idnani 1983, Mathematical Programming 27, "A numerically stable dual method for solving strictly
     convex quadratic programs"; here with a Cholesky factor of the active part of D, made anew in each step.
     """
-    n, m = len(q), len(slack)
+    n = len(q)
+    m = len(slack)
     for i in range(n):
         if not np.isfinite(q[i]):
             return NOT_FINITE

@@ -34,9 +34,15 @@ class ConicProgram:
     name = "Clarabel"
 
     def __init__(
-        self, x: cp.Variable, objective: cp.Expression, constraints: list[cp.Constraint], penalty: float = 0.0
+        self,
+        x: cp.Variable,
+        objective: cp.Expression,
+        constraints: list[cp.Constraint],
+        penalty: float = 0.0,
     ) -> None:
-        self._x = cp.Variable(x.shape)  # of a variable with attributes, cvxpy's canonical form has another one
+        self._x = cp.Variable(
+            x.shape
+        )  # of a variable with attributes, cvxpy's canonical form has another one
         self._penalty = penalty
         self._problem = cp.Problem(cp.Minimize(objective), [*constraints, self._x == x])
         self._columns = np.zeros(0, int)
@@ -48,7 +54,13 @@ class ConicProgram:
         first = data["param_prob"].var_id_to_col[self._x.id]
         self._columns = np.arange(first, first + self._x.size)
         self._q = np.asarray(data["c"], float)
-        self._given = self._hessian(data), self._q, data["A"], data["b"], dims_to_solver_cones(data["dims"])
+        self._given = (
+            self._hessian(data),
+            self._q,
+            data["A"],
+            data["b"],
+            dims_to_solver_cones(data["dims"]),
+        )
         self._solvers: dict[float, Any] = {}
 
     def _hessian(self, data: dict[str, Any]) -> Any:
@@ -76,7 +88,9 @@ class ConicProgram:
     def _solution(self, q: Vec, gap: float) -> Any:
         solver = self._solvers.get(gap)
         if solver is None:
-            solver = self._solvers[gap] = clarabel.DefaultSolver(*self._given, _settings(gap))
+            solver = self._solvers[gap] = clarabel.DefaultSolver(
+                *self._given, _settings(gap)
+            )
         solver.update(q=q)
         return solver.solve()
 

@@ -8,9 +8,20 @@ import cvxpy as cp
 import numpy as np
 
 from crazychoir.optimization.problems.active_set import INFEASIBLE
-from crazychoir.optimization.problems.expressions import EQUAL, LINEAR, NONNEGATIVE, polyhedral, rows
+from crazychoir.optimization.problems.expressions import (
+    EQUAL,
+    LINEAR,
+    NONNEGATIVE,
+    polyhedral,
+    rows,
+)
 from crazychoir.optimization.problems.linear import LinearProgram, Mask
-from crazychoir.optimization.problems.quadratic import DOUBTFUL, WORDS, AffineHull, scaled
+from crazychoir.optimization.problems.quadratic import (
+    DOUBTFUL,
+    WORDS,
+    AffineHull,
+    scaled,
+)
 from crazychoir.types import Mat, Vec
 
 FAR = 1e6
@@ -35,7 +46,11 @@ def infeasible(constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
 
     constraints: of x, and perhaps of further variables.
     """
-    return _Rows.of(constraints, x).conflict() if polyhedral(constraints, x) else _relaxation(constraints)
+    return (
+        _Rows.of(constraints, x).conflict()
+        if polyhedral(constraints, x)
+        else _relaxation(constraints)
+    )
 
 
 @dataclass(frozen=True)
@@ -57,9 +72,17 @@ class _Rows:
         """Read them from the constraints."""
         parts = [rows([c], x) for c in constraints]
         A = np.vstack([part for upper, _, equal, _ in parts for part in (upper, equal)])
-        b = np.concatenate([part for _, upper, _, equal in parts for part in (upper, equal)])
-        is_equal = np.repeat([isinstance(c, EQUAL) for c in constraints], [c.size for c in constraints])
-        places = [f"constraints[{r}] ({c}), row {k}" for r, c in enumerate(constraints) for k in range(c.size)]
+        b = np.concatenate(
+            [part for _, upper, _, equal in parts for part in (upper, equal)]
+        )
+        is_equal = np.repeat(
+            [isinstance(c, EQUAL) for c in constraints], [c.size for c in constraints]
+        )
+        places = [
+            f"constraints[{r}] ({c}), row {k}"
+            for r, c in enumerate(constraints)
+            for k in range(c.size)
+        ]
         return cls(*scaled(A, b, np.ones(len(b), bool)), is_equal, places)
 
     def conflict(self) -> str:
@@ -72,7 +95,9 @@ class _Rows:
             violation = np.zeros(len(self.b))
             violation[equal[hull.others]] = np.abs(gaps)
             is_part = np.zeros(len(self.b), bool)
-            is_part[equal[hull.basis]] = (np.abs(hull.shares[gaps != 0.0]) > SEEN).any(axis=0)
+            is_part[equal[hull.basis]] = (np.abs(hull.shares[gaps != 0.0]) > SEEN).any(
+                axis=0
+            )
             return self._text(violation, is_part)
         near = self._elastic(np.zeros(len(x0)), 1.0)
         if near is not None and not near[1].any():
@@ -87,13 +112,16 @@ class _Rows:
 
         The program is that of (x - centre) / unit; None if even that has no solution.
         """
-        m, n = len(self.b), self.A.shape[1]
+        m = len(self.b)
+        n = self.A.shape[1]
         b = np.minimum((self.b - self.A @ centre) / unit, FAR**2)
         above = np.hstack([self.A, -np.eye(m), np.zeros((m, m))])
         below = np.hstack([-self.A, np.zeros((m, m)), -np.eye(m)])[self.is_equal]
         bounds = np.r_[np.full(n, -np.inf), np.zeros(2 * m)], np.full(n + 2 * m, np.inf)
         elastic = np.vstack([above, below]), np.concatenate([b, -b[self.is_equal]])
-        program = LinearProgram(np.r_[np.zeros(n), np.ones(2 * m)], elastic, bounds=bounds)
+        program = LinearProgram(
+            np.r_[np.zeros(n), np.ones(2 * m)], elastic, bounds=bounds
+        )
         found = program.solve(np.zeros(n + 2 * m))
         if isinstance(found, str):
             return None
@@ -101,7 +129,11 @@ class _Rows:
         keeps = np.abs(program.multipliers) > SEEN
         is_part = keeps[:m].copy()
         is_part[self.is_equal] |= keeps[m:]
-        return centre + unit * found[:n], np.where(violation > SEEN, violation * unit, 0.0), is_part
+        return (
+            centre + unit * found[:n],
+            np.where(violation > SEEN, violation * unit, 0.0),
+            is_part,
+        )
 
     def _text(self, violation: Vec, is_part: Mask) -> str:
         """Name the rows that are violated the most, and of those that are met the ones that stand against them."""
@@ -109,18 +141,31 @@ class _Rows:
         if not violation.any():
             return UNSEEN
         violated = [int(r) for r in sorted(worst) if violation[r] > 0.0]
-        found = [f"{self.places[r]}: violated by {violation[r] * self.length[r]:.4g}" for r in violated]
-        against = [self.places[r] for r in np.flatnonzero(is_part & (violation == 0.0))[:SHOWN]]
+        found = [
+            f"{self.places[r]}: violated by {violation[r] * self.length[r]:.4g}"
+            for r in violated
+        ]
+        against = [
+            self.places[r] for r in np.flatnonzero(is_part & (violation == 0.0))[:SHOWN]
+        ]
         text = f"infeasible: {'; '.join(found)}, at best"
         return f"{text}; against {' and '.join(against)}" if against else text
 
 
 def _relaxation(constraints: Sequence[cp.Constraint]) -> str:
     """Return the rows of linear constraints whose violation must add up to the least that is possible."""
-    slack = [cp.Variable(c.expr.shape, nonneg=True) if isinstance(c, LINEAR) else None for c in constraints]
+    slack = [
+        cp.Variable(c.expr.shape, nonneg=True) if isinstance(c, LINEAR) else None
+        for c in constraints
+    ]
     total = sum(cp.sum(s) for s in slack if s is not None)
-    elastic = [c if s is None else _relaxed(c, s) for c, s in zip(constraints, slack, strict=True)]
-    if not isinstance(total, cp.Expression) or not _solved(cp.Problem(cp.Minimize(total), elastic)):
+    elastic = [
+        c if s is None else _relaxed(c, s)
+        for c, s in zip(constraints, slack, strict=True)
+    ]
+    if not isinstance(total, cp.Expression) or not _solved(
+        cp.Problem(cp.Minimize(total), elastic)
+    ):
         return "infeasible: its constraints that are not linear exclude each other"
     found = [
         f"constraints[{r}] ({c}), row {k}: violated by {s.value.flat[k]:.4g}"
@@ -131,9 +176,13 @@ def _relaxation(constraints: Sequence[cp.Constraint]) -> str:
     return f"infeasible: {'; '.join(found[:SHOWN])}, at best" if found else UNSEEN
 
 
-def unbounded(x: cp.Variable, objective: cp.Expression, constraints: Sequence[cp.Constraint]) -> str:
+def unbounded(
+    x: cp.Variable, objective: cp.Expression, constraints: Sequence[cp.Constraint]
+) -> str:
     """The entry of x that goes farthest when all are held within FAR."""
-    if not _solved(cp.Problem(cp.Minimize(objective), [*constraints, x <= FAR, x >= -FAR])):
+    if not _solved(
+        cp.Problem(cp.Minimize(objective), [*constraints, x <= FAR, x >= -FAR])
+    ):
         return "unbounded"
     value = np.atleast_1d(x.value)
     k = int(np.argmax(np.abs(value)))
@@ -144,12 +193,18 @@ def unbounded(x: cp.Variable, objective: cp.Expression, constraints: Sequence[cp
 def _relaxed(constraint: cp.Constraint, slack: cp.Variable) -> cp.Constraint:
     if isinstance(constraint, EQUAL):
         return cp.abs(constraint.expr) <= slack
-    return constraint.expr + slack >= 0 if isinstance(constraint, NONNEGATIVE) else constraint.expr <= slack
+    return (
+        constraint.expr + slack >= 0
+        if isinstance(constraint, NONNEGATIVE)
+        else constraint.expr <= slack
+    )
 
 
 def _solved(problem: cp.Problem) -> bool:
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that it may be inaccurate: so may be what it is asked for
+        warnings.simplefilter(
+            "ignore"
+        )  # that it may be inaccurate: so may be what it is asked for
         try:
             problem.solve(solver=cp.CLARABEL)
         except cp.SolverError:

@@ -22,26 +22,40 @@ def decision(x: Any, where: str) -> int:
         raise ConfigError(f"{where}: x", type(x).__name__, "a cvxpy.Variable")
     if x.ndim > 1:
         do = "Use a vector, and cvxpy.reshape."
-        raise ConfigError(f"{where}: {x.name()}", f"shape {x.shape}", "a scalar or a vector", do)
+        raise ConfigError(
+            f"{where}: {x.name()}", f"shape {x.shape}", "a scalar or a vector", do
+        )
     if x.size == 0:
-        raise ConfigError(f"{where}: {x.name()}", f"shape {x.shape}", "one entry or more")
+        raise ConfigError(
+            f"{where}: {x.name()}", f"shape {x.shape}", "one entry or more"
+        )
     return int(x.size)
 
 
 def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constraint]:
     """What the attributes of x say, as constraints; others are refused, but for integers if x may be `whole`."""
-    said = {name for name, value in x.attributes.items() if value is not None and value is not False}
+    said = {
+        name
+        for name, value in x.attributes.items()
+        if value is not None and value is not False
+    }
     said -= {"integer", "boolean"} if whole else set()
     if said - {"nonneg", "pos", "nonpos", "neg", "bounds"}:
         do = "Integers are for MixedIntegerConstraintCoupled."
-        raise ConfigError(f"{where}: {x.name()}", f"attributes {sorted(said)}", "a real vector, perhaps bounded", do)
+        raise ConfigError(
+            f"{where}: {x.name()}",
+            f"attributes {sorted(said)}",
+            "a real vector, perhaps bounded",
+            do,
+        )
     found: list[cp.Constraint] = [x >= 0] if said & {"nonneg", "pos"} else []
     found += [x <= 0] if said & {"nonpos", "neg"} else []
     for low in (True, False) if "bounds" in said else ():
         bound = np.broadcast_to(x.attributes["bounds"][0 if low else 1], x.shape)
         at = np.flatnonzero(np.isfinite(np.atleast_1d(bound)))
         if len(at):
-            flat, limit = cp.vec(x, order="F")[at], np.atleast_1d(bound)[at]
+            flat = cp.vec(x, order="F")[at]
+            limit = np.atleast_1d(bound)[at]
             found.append(flat >= limit if low else flat <= limit)
     return found
 
@@ -51,7 +65,12 @@ def require_continuous(expressions: Sequence[Any], where: str) -> None:
     for variable in [v for expression in expressions for v in expression.variables()]:
         if any(variable.attributes[name] for name in ("integer", "boolean")):
             do = "Integers are for MixedIntegerConstraintCoupled."
-            raise ConfigError(f"{where}: {variable.name()}", "an integer variable", "continuous variables", do)
+            raise ConfigError(
+                f"{where}: {variable.name()}",
+                "an integer variable",
+                "continuous variables",
+                do,
+            )
 
 
 def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
@@ -59,7 +78,11 @@ def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
     found = []
     for name, places in (("integer", x.integer_idx), ("boolean", x.boolean_idx)):
         everywhere = x.attributes[name] is True
-        found.append(list(range(x.size)) if everywhere else [int(k) for k in np.ravel(np.array(places, dtype=int))])
+        found.append(
+            list(range(x.size))
+            if everywhere
+            else [int(k) for k in np.ravel(np.array(places, dtype=int))]
+        )
     return sorted({*found[0], *found[1]}), found[1]
 
 
@@ -71,7 +94,12 @@ def convex(expression: Any, where: str) -> cp.Expression:
         do = "Give the cost -f instead of the gain f."
         raise ConfigError(where, str(expression), "a cost, which is minimised", do)
     if isinstance(expression, (list, tuple)):
-        raise ConfigError(where, f"a {type(expression).__name__}", "one cvxpy expression", "Sum it up.")
+        raise ConfigError(
+            where,
+            f"a {type(expression).__name__}",
+            "one cvxpy expression",
+            "Sum it up.",
+        )
     found = _expression(expression, where)
     if found.size != 1:
         raise ConfigError(where, f"shape {found.shape}", "one number", "Sum it up.")
@@ -82,11 +110,19 @@ def coupling(expression: Any, where: str) -> cp.Expression:
     """A vector g of expressions, each convex; from a list of expressions, or from one."""
     listed = isinstance(expression, (list, tuple))
     given = list(expression) if isinstance(expression, (list, tuple)) else [expression]
-    parts = [_expression(part, f"{where}[{s}]" if listed else where) for s, part in enumerate(given)]
+    parts = [
+        _expression(part, f"{where}[{s}]" if listed else where)
+        for s, part in enumerate(given)
+    ]
     if not sum(part.size for part in parts):
         do = "Without a common resource each agent solves its problem alone."
-        raise ConfigError(where, "no rows", "one row or more, the same number at all agents", do)
-    ruled = [_ruled(part, f"{where}[{s}]" if listed else where) for s, part in enumerate(parts)]
+        raise ConfigError(
+            where, "no rows", "one row or more, the same number at all agents", do
+        )
+    ruled = [
+        _ruled(part, f"{where}[{s}]" if listed else where)
+        for s, part in enumerate(parts)
+    ]
     return cp.hstack([cp.vec(part, order="F") for part in ruled])
 
 
@@ -108,16 +144,27 @@ def _expression(given: Any, where: str) -> cp.Expression:
         except (TypeError, ValueError) as error:
             raise ConfigError(where, type(given).__name__, EXPRESSION) from error
     if found.is_complex():
-        raise ConfigError(where, str(found), "real numbers", "Take real and imaginary parts apart.")
+        raise ConfigError(
+            where, str(found), "real numbers", "Take real and imaginary parts apart."
+        )
     return found
 
 
 def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
     finite(expression, where)
     if not expression.is_convex():
-        raise ConfigError(where, str(expression), "a convex expression, by the rules of cvxpy (dcp.stanford.edu)")
+        raise ConfigError(
+            where,
+            str(expression),
+            "a convex expression, by the rules of cvxpy (dcp.stanford.edu)",
+        )
     if not expression.is_dpp():
-        raise ConfigError(where, str(expression), "parameters by the rules of DPP", "Multiply no two parameters.")
+        raise ConfigError(
+            where,
+            str(expression),
+            "parameters by the rules of DPP",
+            "Multiply no two parameters.",
+        )
     return expression
 
 
@@ -127,21 +174,44 @@ def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
         constraints = [constraints]
     elif constraints is None:
         constraints = []
-    elif isinstance(constraints, (str, bytes, Mapping, Set)) or not isinstance(constraints, Iterable):
+    elif isinstance(constraints, (str, bytes, Mapping, Set)) or not isinstance(
+        constraints, Iterable
+    ):
         do = _advice(constraints)
-        raise ConfigError(f"{where}: constraints", repr(constraints), "a list of cvxpy constraints", do)
+        raise ConfigError(
+            f"{where}: constraints",
+            repr(constraints),
+            "a list of cvxpy constraints",
+            do,
+        )
     listed = list(constraints)
     for r, constraint in enumerate(listed):
         at = f"{where}: constraints[{r}]"
         if not isinstance(constraint, cp.constraints.constraint.Constraint):
-            raise ConfigError(at, repr(constraint), "a cvxpy constraint", _advice(constraint))
+            raise ConfigError(
+                at, repr(constraint), "a cvxpy constraint", _advice(constraint)
+            )
         if any(part.is_complex() for part in constraint.args):
-            raise ConfigError(at, str(constraint), "real numbers", "Take real and imaginary parts apart.")
+            raise ConfigError(
+                at,
+                str(constraint),
+                "real numbers",
+                "Take real and imaginary parts apart.",
+            )
         finite(constraint, at)
         if not constraint.is_dcp():
-            raise ConfigError(at, str(constraint), "a convex set, by the rules of cvxpy (dcp.stanford.edu)")
+            raise ConfigError(
+                at,
+                str(constraint),
+                "a convex set, by the rules of cvxpy (dcp.stanford.edu)",
+            )
         if not constraint.is_dcp(dpp=True):
-            raise ConfigError(at, str(constraint), "parameters by the rules of DPP", "Multiply no two parameters.")
+            raise ConfigError(
+                at,
+                str(constraint),
+                "parameters by the rules of DPP",
+                "Multiply no two parameters.",
+            )
     return listed
 
 
@@ -162,13 +232,23 @@ def finite(expression: Any, where: str) -> None:
         with _sparse_read():
             given = data.value
         if given is None:
-            raise ConfigError(f"{where}: parameter {data.name()}", "no value", "a value", "Set its `value`.")
+            raise ConfigError(
+                f"{where}: parameter {data.name()}",
+                "no value",
+                "a value",
+                "Set its `value`.",
+            )
         value = _dense(given)
         bad = np.argwhere(~np.isfinite(value))
         if len(bad):
             at = tuple(int(k) for k in bad[0])
             entry = ", ".join(str(k) for k in at)
-            raise ConfigError(f"{where}: data[{entry}]", f"{value[at]}", "finite numbers", f"It is in {expression}.")
+            raise ConfigError(
+                f"{where}: data[{entry}]",
+                f"{value[at]}",
+                "finite numbers",
+                f"It is in {expression}.",
+            )
 
 
 def only(expression: Any, x: cp.Variable) -> bool:
@@ -180,7 +260,9 @@ def only(expression: Any, x: cp.Variable) -> bool:
 def _sparse_read() -> Iterator[None]:
     """Without cvxpy's warning that a sparse parameter is read as a whole: here it becomes a matrix in any case."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Reading from a sparse CVXPY expression")
+        warnings.filterwarnings(
+            "ignore", message="Reading from a sparse CVXPY expression"
+        )
         yield
 
 
@@ -204,7 +286,9 @@ def at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
 
 def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
     """A (sub)gradient (S, n) of each of its entries at x = point; nan outside of its domain."""
-    if not np.isfinite(at(expression, x, point)).all():  # of a sum, cvxpy fails to say so
+    if not np.isfinite(
+        at(expression, x, point)
+    ).all():  # of a sum, cvxpy fails to say so
         return np.full((expression.size, x.size), np.nan)
     with _placed(x, point):
         found = expression.grad
@@ -223,7 +307,9 @@ def affine(expression: cp.Expression, x: cp.Variable) -> tuple[Mat, Vec]:
 
 def _dense(value: Any) -> Vec:
     """cvxpy's numbers are floats, arrays or sparse matrices."""
-    return np.atleast_1d(np.asarray(value.toarray() if hasattr(value, "toarray") else value, float))
+    return np.atleast_1d(
+        np.asarray(value.toarray() if hasattr(value, "toarray") else value, float)
+    )
 
 
 @dataclass(frozen=True)
@@ -267,29 +353,47 @@ def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | N
     if not only(expression, x) or not expression.is_quadratic():
         return None
     zero = np.zeros(x.size)
-    r, q = at(expression, x, zero), slope(expression, x, zero)
-    hessians = np.array([slope(expression, x, e) - q for e in np.eye(x.size)]).transpose(1, 0, 2)
-    return [Quadratic((P + P.T) / 2, *rest) for P, *rest in zip(hessians, q, r.tolist(), strict=True)]
+    r = at(expression, x, zero)
+    q = slope(expression, x, zero)
+    hessians = np.array(
+        [slope(expression, x, e) - q for e in np.eye(x.size)]
+    ).transpose(1, 0, 2)
+    return [
+        Quadratic((P + P.T) / 2, *rest)
+        for P, *rest in zip(hessians, q, r.tolist(), strict=True)
+    ]
 
 
-def require_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable, where: str) -> None:
+def require_polyhedral(
+    constraints: Sequence[cp.Constraint], x: cp.Variable, where: str
+) -> None:
     """Raise ConfigError that names the first which is not a linear (in)equality of x alone."""
     for r, c in enumerate(constraints):
         if not polyhedral([c], x):
-            raise ConfigError(f"{where}: constraints[{r}]", str(c), f"linear (in)equalities of {x.name()}")
+            raise ConfigError(
+                f"{where}: constraints[{r}]",
+                str(c),
+                f"linear (in)equalities of {x.name()}",
+            )
 
 
 def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
     """Whether all are linear (in)equalities of x alone."""
-    return all(isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints)
+    return all(
+        isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints
+    )
 
 
-def polyhedron(constraints: Sequence[cp.Constraint], x: cp.Variable) -> Polyhedron | None:
+def polyhedron(
+    constraints: Sequence[cp.Constraint], x: cp.Variable
+) -> Polyhedron | None:
     """The set of all; None if it is no polyhedron, or one in more variables than x."""
     return Polyhedron.of(*rows(constraints, x)) if polyhedral(constraints, x) else None
 
 
-def rows(constraints: Sequence[cp.Constraint], x: cp.Variable) -> tuple[Mat, Vec, Mat, Vec]:
+def rows(
+    constraints: Sequence[cp.Constraint], x: cp.Variable
+) -> tuple[Mat, Vec, Mat, Vec]:
     """A, b, E, e of linear constraints: A x <= b, E x = e."""
     found: dict[bool, list[tuple[Mat, Vec]]] = {False: [], True: []}
     for c in constraints:
@@ -299,11 +403,18 @@ def rows(constraints: Sequence[cp.Constraint], x: cp.Variable) -> tuple[Mat, Vec
     empty = (np.zeros((0, x.size)), np.zeros(0))
     upper, equal = ([empty, *found[kind]] for kind in (False, True))
     return (
-        np.vstack([G for G, _ in upper]), np.concatenate([h for _, h in upper]),
-        np.vstack([G for G, _ in equal]), np.concatenate([h for _, h in equal]),
-    )  # fmt: skip
+        np.vstack([G for G, _ in upper]),
+        np.concatenate([h for _, h in upper]),
+        np.vstack([G for G, _ in equal]),
+        np.concatenate([h for _, h in equal]),
+    )
 
 
 EQUAL = (cp.constraints.zero.Equality, cp.constraints.zero.Zero)
 NONNEGATIVE = (cp.constraints.nonpos.NonNeg,)
-LINEAR = (*EQUAL, *NONNEGATIVE, cp.constraints.nonpos.Inequality, cp.constraints.nonpos.NonPos)
+LINEAR = (
+    *EQUAL,
+    *NONNEGATIVE,
+    cp.constraints.nonpos.Inequality,
+    cp.constraints.nonpos.NonPos,
+)

@@ -24,13 +24,22 @@ class Checked:
     def __init__(self, i: int, name: str, function: Callable[..., ArrayLike]) -> None:
         if not callable(function):
             do = "Give its method `project`." if hasattr(function, "project") else ""
-            raise ConfigError(f"agent {i}: {name}", type(function).__name__, "a function of numpy arrays", do)
-        self.i, self.name, self.function = i, name, function
+            raise ConfigError(
+                f"agent {i}: {name}",
+                type(function).__name__,
+                "a function of numpy arrays",
+                do,
+            )
+        self.i = i
+        self.name = name
+        self.function = function
 
     def __call__(self, k: int, *x: Vec, shape: tuple[int, ...] | None = None) -> Vec:
         """Its value at x, in round k."""
         wanted = x[0].shape if shape is None else shape
-        return result(f"agent {self.i}: {self.name}, round {k}", self.function(*x), wanted)
+        return result(
+            f"agent {self.i}: {self.name}, round {k}", self.function(*x), wanted
+        )
 
 
 def anywhere(x: Vec) -> Vec:
@@ -49,15 +58,29 @@ class Samples:
     """
 
     def __init__(
-        self, i: int, gradient: Callable[[Vec, Any], ArrayLike], samples: Sequence[Any], batch: int = 1, seed: int = 0
+        self,
+        i: int,
+        gradient: Callable[[Vec, Any], ArrayLike],
+        samples: Sequence[Any],
+        batch: int = 1,
+        seed: int = 0,
     ) -> None:
         if not 1 <= batch <= len(samples):
-            raise ConfigError(f"agent {i}: batch", batch, f"1 to {len(samples)}, the number of its samples")
-        self.gradient, self.samples, self.batch = gradient, samples, batch
+            raise ConfigError(
+                f"agent {i}: batch",
+                batch,
+                f"1 to {len(samples)}, the number of its samples",
+            )
+        self.gradient = gradient
+        self.samples = samples
+        self.batch = batch
         self._chance = random.Random(f"{seed} {i}")  # noqa: S311 - which samples, not secrets
 
     def __call__(self, x: Vec) -> Vec:
         """The mean gradient of a new mini-batch."""
         drawn = self._chance.sample(range(len(self.samples)), self.batch)
-        mean: Vec = np.mean([np.asarray(self.gradient(x, self.samples[s]), dtype=float) for s in drawn], axis=0)
+        mean: Vec = np.mean(
+            [np.asarray(self.gradient(x, self.samples[s]), dtype=float) for s in drawn],
+            axis=0,
+        )
         return mean

@@ -7,7 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.equilibration import scaled_inverse, without_rounding
+from crazychoir.optimization.problems.equilibration import (
+    scaled_inverse,
+    without_rounding,
+)
 from crazychoir.optimization.problems.tableau import walk
 from crazychoir.types import Mat, Vec
 
@@ -40,15 +43,25 @@ class Columns:
         return [(owner, number) for owner, number in self.ids.tolist()]
 
     @classmethod
-    def own(cls, owner: int, c: Vec, entries: Mat, first: Vec | None = None) -> "Columns":
+    def own(
+        cls, owner: int, c: Vec, entries: Mat, first: Vec | None = None
+    ) -> "Columns":
         """The columns of one agent. c: (n,); entries: (m, n);  first: (n,) the cost before c, zeros if None."""
-        ids = np.column_stack([np.full(len(c), owner), np.arange(len(c))]).astype(np.int64)
-        return cls(ids, np.vstack([np.zeros(len(c)) if first is None else first, c]), entries)
+        ids = np.column_stack([np.full(len(c), owner), np.arange(len(c))]).astype(
+            np.int64
+        )
+        return cls(
+            ids, np.vstack([np.zeros(len(c)) if first is None else first, c]), entries
+        )
 
     @classmethod
     def artificial(cls, m: int) -> "Columns":
         """The identity."""
-        return cls(cls.own(ARTIFICIAL, np.zeros(m), np.eye(m)).ids, np.vstack([np.ones(m), np.zeros(m)]), np.eye(m))
+        return cls(
+            cls.own(ARTIFICIAL, np.zeros(m), np.eye(m)).ids,
+            np.vstack([np.ones(m), np.zeros(m)]),
+            np.eye(m),
+        )
 
     def take(self, which: Ints) -> "Columns":
         """Those at the positions `which`, increasing."""
@@ -65,7 +78,10 @@ def union(parts: list[Columns]) -> Columns:
     order = np.lexsort((ids[:, 1], ids[:, 0]))
     different = np.concatenate([[True], (np.diff(ids[order], axis=0) != 0).any(axis=1)])
     which = order[different]
-    cost, entries = (np.hstack([getattr(part, name) for part in parts]) for name in ("cost", "entries"))
+    cost, entries = (
+        np.hstack([getattr(part, name) for part in parts])
+        for name in ("cost", "entries")
+    )
     return Columns(ids[which], cost[:, which], np.ascontiguousarray(entries[:, which]))
 
 
@@ -88,13 +104,20 @@ class Basis:
     def of(cls, columns: Columns, b: Vec) -> "Basis":
         """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
         inverse = scaled_inverse(columns.entries)
-        return cls(columns, b, inverse, without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b)))
+        return cls(
+            columns,
+            b,
+            inverse,
+            without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b)),
+        )
 
     @cached_property
     def prices(self) -> Mat:
         """(2, m) of the rows, at the two levels of cost."""
         cost = self.columns.cost
-        return without_rounding(cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse))
+        return without_rounding(
+            cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse)
+        )
 
     @cached_property
     def terms(self) -> Vec:
@@ -114,7 +137,9 @@ class Basis:
 
     def expressed(self, entries: Mat) -> Mat:
         """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones."""
-        return without_rounding(self.inverse @ entries, np.abs(self.inverse) @ np.abs(entries))
+        return without_rounding(
+            self.inverse @ entries, np.abs(self.inverse) @ np.abs(entries)
+        )
 
 
 def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:

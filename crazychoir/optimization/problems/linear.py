@@ -61,7 +61,9 @@ class LinearProgram:
         (A, b), n = rows, len(c)
         self._c = np.asarray(c, float)
         E, e = (np.zeros((0, n)), np.zeros(0)) if equalities is None else equalities
-        low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if bounds is None else bounds
+        low, high = (
+            (np.full(n, -np.inf), np.full(n, np.inf)) if bounds is None else bounds
+        )
         self._index = np.arange(n, dtype=np.int32)
         self._highs = quiet_highs()
         self._highs.addVars(n, np.asarray(low, float), np.asarray(high, float))
@@ -70,7 +72,11 @@ class LinearProgram:
         self._mixed = False
         if integer is not None and np.any(integer):
             self._mixed = True
-            kinds = np.where(integer, int(highspy.HighsVarType.kInteger), int(highspy.HighsVarType.kContinuous))
+            kinds = np.where(
+                integer,
+                int(highspy.HighsVarType.kInteger),
+                int(highspy.HighsVarType.kContinuous),
+            )
             self._highs.changeColsIntegrality(n, self._index, kinds.astype(np.uint8))
             self._highs.setOptionValue("mip_max_nodes", most_nodes)
             self._highs.setOptionValue("mip_rel_gap", 0.0)
@@ -83,7 +89,9 @@ class LinearProgram:
     def proven(self) -> float:
         """No x costs less, by the last `solve` that found one; with integers the bound of its search."""
         info = self._highs.getInfo()
-        return float(info.mip_dual_bound if self._mixed else info.objective_function_value)
+        return float(
+            info.mip_dual_bound if self._mixed else info.objective_function_value
+        )
 
     @property
     def multipliers(self) -> Vec:

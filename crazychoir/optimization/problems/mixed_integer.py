@@ -8,7 +8,13 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.problems.linear import MOST_NODES, WORDS, LinearProgram, Mask, quiet_highs
+from crazychoir.optimization.problems.linear import (
+    MOST_NODES,
+    WORDS,
+    LinearProgram,
+    Mask,
+    quiet_highs,
+)
 from crazychoir.optimization.rounds.arrays import matrix, vector
 from crazychoir.types import Mat, Vec
 
@@ -40,25 +46,34 @@ class MixedIntegerBlock:
         bounds: tuple[Any, Any] = (0.0, np.inf),
         integer: Sequence[int] = (),
     ) -> None:
-        self.agent, self.where = agent, f"agent {agent}"
+        self.agent = agent
+        self.where = f"agent {agent}"
         self.c = vector(c, self.where, "c")
         self.n = len(self.c)
         self.share = vector(share, self.where, "share")
         self.S = len(self.share)
         if not self.S:
             do = "Without a common resource each agent solves its problem alone."
-            raise ConfigError(f"{self.where}: share", "no rows", "one row or more, the same number at all agents", do)
+            raise ConfigError(
+                f"{self.where}: share",
+                "no rows",
+                "one row or more, the same number at all agents",
+                do,
+            )
         self.A = matrix(A, self.where, "A", (self.S, self.n))
         D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
         d = vector(d, self.where, "d")
         self.rows = _near_one(matrix(D, self.where, "D", (len(d), self.n)), d)
         self._require_resources_to_be_seen()
-        low, high = self._bound(bounds[0], "low"), self._bound(bounds[1], "high")
+        low = self._bound(bounds[0], "low")
+        high = self._bound(bounds[1], "high")
         self.bounds = low, high
         crossed = np.flatnonzero(low > high)
         if len(crossed):
             k = int(crossed[0])
-            raise ConfigError(f"{self.where}: low[{k}]", f"{low[k]}", f"at most high[{k}] = {high[k]}")
+            raise ConfigError(
+                f"{self.where}: low[{k}]", f"{low[k]}", f"at most high[{k}] = {high[k]}"
+            )
         self.integer = self._mask(integer)
 
     def _require_resources_to_be_seen(self) -> None:
@@ -79,14 +94,18 @@ class MixedIntegerBlock:
     def _mask(self, integer: Sequence[int]) -> Mask:
         for k in integer:
             if not 0 <= k < self.n:
-                raise ConfigError(f"{self.where}: integer", k, f"indices 0 to {self.n - 1}")
+                raise ConfigError(
+                    f"{self.where}: integer", k, f"indices 0 to {self.n - 1}"
+                )
         mask = np.zeros(self.n, dtype=bool)
         mask[list(integer)] = True
         return mask
 
     @cached_property
     def _over(self) -> LinearProgram:
-        return LinearProgram(np.zeros(self.n), self.rows, bounds=self.bounds, integer=self.integer)
+        return LinearProgram(
+            np.zeros(self.n), self.rows, bounds=self.bounds, integer=self.integer
+        )
 
     def corner(self, cost: Vec) -> Vec:
         """argmin cost'x over X_i (n,)."""
@@ -115,11 +134,20 @@ class MixedIntegerBlock:
         low = np.array([row @ self.corner(row) for row in self.A])
         high = np.array([row @ self.corner(-row) for row in self.A])
         D, d = self.rows
-        left = np.vstack([np.hstack([self.A, -np.ones((self.S, 1))]), np.hstack([D, np.zeros((len(d), 1))])])
+        left = np.vstack(
+            [
+                np.hstack([self.A, -np.ones((self.S, 1))]),
+                np.hstack([D, np.zeros((len(d), 1))]),
+            ]
+        )
         bounds = np.append(self.bounds[0], 0.0), np.append(self.bounds[1], np.inf)
         c = np.append(np.zeros(self.n), 1.0)
-        program = LinearProgram(c, (left, np.append(low, d)), None, bounds, np.append(self.integer, False))
-        return np.asarray(np.minimum(high - low, self._require(program.solve(np.zeros_like(c)))[-1]))
+        program = LinearProgram(
+            c, (left, np.append(low, d)), None, bounds, np.append(self.integer, False)
+        )
+        return np.asarray(
+            np.minimum(high - low, self._require(program.solve(np.zeros_like(c)))[-1])
+        )
 
     def _exact(self, x: Vec) -> Vec:
         x[self.integer] = np.round(x[self.integer])
@@ -127,7 +155,9 @@ class MixedIntegerBlock:
 
     def _require(self, found: Vec | str) -> Vec:
         if isinstance(found, str):
-            raise SolverError(f"{self.where}: local problem", f"{found}: {self._why(found)}")
+            raise SolverError(
+                f"{self.where}: local problem", f"{found}: {self._why(found)}"
+            )
         return found
 
     def _why(self, status: str) -> str:
@@ -161,9 +191,13 @@ class _Elastic:
 
     def __init__(self, block: MixedIntegerBlock) -> None:
         n, S, (D, d) = block.n, block.S, block.rows
-        self._n, self._S, self._index = n, S, np.arange(n + S, dtype=np.int32)
-        self._zero, self._high = np.zeros(S), np.concatenate([block.bounds[1], np.zeros(S)])
-        self._cost, self._short = np.concatenate([block.c, self._zero]), np.concatenate([np.zeros(n), np.ones(S)])
+        self._n = n
+        self._S = S
+        self._index = np.arange(n + S, dtype=np.int32)
+        self._zero = np.zeros(S)
+        self._high = np.concatenate([block.bounds[1], np.zeros(S)])
+        self._cost = np.concatenate([block.c, self._zero])
+        self._short = np.concatenate([np.zeros(n), np.ones(S)])
         self._low = np.concatenate([block.bounds[0], np.zeros(S)])
         self._highs = quiet_highs()
         self._highs.addVars(n + S, self._low, self._high)
@@ -187,13 +221,17 @@ class _Elastic:
         missing = self._minimise(self._short, np.full(self._S, np.inf))
         if isinstance(missing, str):
             return missing
-        found = self._minimise(self._cost, missing[self._n :] + SLACK * (1.0 + np.abs(y)))
+        found = self._minimise(
+            self._cost, missing[self._n :] + SLACK * (1.0 + np.abs(y))
+        )
         return found if isinstance(found, str) else found[: self._n]
 
     def _minimise(self, cost: Vec, most: Vec) -> Vec | str:
         """(x, v) of the least cost; `most`: of v."""
         self._high[self._n :] = most
-        self._highs.changeColsBounds(len(self._index), self._index, self._low, self._high)
+        self._highs.changeColsBounds(
+            len(self._index), self._index, self._low, self._high
+        )
         self._highs.changeColsCost(len(self._index), self._index, cost)
         self._highs.run()
         status = self._highs.getModelStatus()

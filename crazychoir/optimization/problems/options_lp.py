@@ -45,7 +45,8 @@ class Pool:
     """
 
     def __init__(self, capacity: Vec, agents: Sequence[int]) -> None:
-        self._capacity, self.agents = capacity, list(agents)
+        self._capacity = capacity
+        self.agents = list(agents)
         self._tables: dict[int, list[list[float]]] = {j: [] for j in agents}
 
     def add(self, fresh: Mapping[int, Sequence[Sequence[float]]]) -> bool:
@@ -60,17 +61,25 @@ class Pool:
         highs.run()
         if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
             raise SolverError("options of all agents", highs.getModelStatus().name)
-        return np.asarray(np.maximum(-np.array(highs.getSolution().row_dual)[: len(self._capacity)], 0.0))
+        return np.asarray(
+            np.maximum(
+                -np.array(highs.getSolution().row_dual)[: len(self._capacity)], 0.0
+            )
+        )
 
     def best(self, searcher: int) -> list[Any] | None:
         """[[what is exceeded, cost], searcher, chosen option of each agent]: one each; None if none was found."""
         highs, count = self._model(searcher)
         binary = np.arange(count, dtype=np.int32)
-        highs.changeColsIntegrality(count, binary, np.full(count, int(highspy.HighsVarType.kInteger), np.uint8))
+        highs.changeColsIntegrality(
+            count, binary, np.full(count, int(highspy.HighsVarType.kInteger), np.uint8)
+        )
         highs.setOptionValue("mip_rel_gap", ENOUGH)
         highs.setOptionValue("mip_max_nodes", NODES)
         highs.run()
-        if highs.getInfo().primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
+        if highs.getInfo().primal_solution_status != int(
+            highspy.SolutionStatus.kSolutionStatusFeasible
+        ):
             return None
         ends = np.cumsum([len(table) for table in self._tables.values()])[:-1]
         weights = np.split(np.array(highs.getSolution().col_value)[:count], ends)
@@ -80,23 +89,33 @@ class Pool:
 
     def value(self, chosen: Sequence[int]) -> tuple[float, Vec]:
         """Cost, and what is left of the resources, of one option an agent."""
-        rows = [table[o] for table, o in zip(self._tables.values(), chosen, strict=True)]
-        return math.fsum(row[0] for row in rows), self._capacity - column_sums(row[1:] for row in rows)
+        rows = [
+            table[o] for table, o in zip(self._tables.values(), chosen, strict=True)
+        ]
+        return math.fsum(row[0] for row in rows), self._capacity - column_sums(
+            row[1:] for row in rows
+        )
 
     def _model(self, seed: int = 0) -> tuple[highspy.Highs, int]:
         """Columns: the options, then v."""
-        highs, S, none = quiet_highs(seed), len(self._capacity), np.array([], np.int32)
+        highs = quiet_highs(seed)
+        S = len(self._capacity)
+        none = np.array([], np.int32)
         for most in self._capacity:
             highs.addRow(-highspy.kHighsInf, float(most), 0, none, none)
         for _ in self.agents:
             highs.addRow(1.0, 1.0, 0, none, none)
-        columns = [(i, row) for i, table in enumerate(self._tables.values()) for row in table]
+        columns = [
+            (i, row) for i, table in enumerate(self._tables.values()) for row in table
+        ]
         for i, (cost, *use) in columns:
             at = np.array([*range(S), S + i], np.int32)
             highs.addCol(cost, 0.0, highspy.kHighsInf, S + 1, at, np.array([*use, 1.0]))
         large = 1.0 + DEAR * math.fsum(abs(row[0]) for _, row in columns)
         for s in range(S):
-            highs.addCol(large, 0.0, highspy.kHighsInf, 1, np.array([s], np.int32), -np.ones(1))
+            highs.addCol(
+                large, 0.0, highspy.kHighsInf, 1, np.array([s], np.int32), -np.ones(1)
+            )
         return highs, len(columns)
 
 
@@ -107,4 +126,6 @@ def exceeded(left: Vec) -> float:
 
 def column_sums(rows: Iterable[Sequence[float] | Vec]) -> Vec:
     """Of each column, rounded alike by all."""
-    return np.array([math.fsum(column) for column in np.array(list(rows), dtype=float).T])
+    return np.array(
+        [math.fsum(column) for column in np.array(list(rows), dtype=float).T]
+    )

@@ -16,7 +16,12 @@ from crazychoir.optimization.problems.conic import ConicProgram
 from crazychoir.optimization.problems.expressions import Quadratic
 from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 from crazychoir.optimization.problems.quadratic import Polyhedron
-from crazychoir.optimization.problems.solver_choice import Decided, Program, compiled, fast
+from crazychoir.optimization.problems.solver_choice import (
+    Decided,
+    Program,
+    compiled,
+    fast,
+)
 from crazychoir.optimization.rounds.arrays import is_number, numbers, vector
 from crazychoir.types import Mat, Vec
 
@@ -37,11 +42,22 @@ class CostCoupled:
     infeasible or unbounded, when it is solved. Both name the agent, the constraint and its row.
     """
 
-    def __init__(self, agent: int, x: cp.Variable, objective: Any, constraints: Sequence[cp.Constraint] = ()) -> None:
-        self.agent, self.x, self.where = agent, x, f"agent {agent}"
+    def __init__(
+        self,
+        agent: int,
+        x: cp.Variable,
+        objective: Any,
+        constraints: Sequence[cp.Constraint] = (),
+    ) -> None:
+        self.agent = agent
+        self.x = x
+        self.where = f"agent {agent}"
         self.n = ex.decision(x, self.where)
         self.objective = ex.convex(objective, f"{self.where}: objective")
-        self.constraints = [*ex.constraint_list(constraints, self.where), *ex.domain(x, self.where)]
+        self.constraints = [
+            *ex.constraint_list(constraints, self.where),
+            *ex.domain(x, self.where),
+        ]
         ex.require_continuous([self.objective, *self.constraints], self.where)
         self._programs: dict[tuple[float, bool], Program] = {}
 
@@ -79,18 +95,27 @@ class CostCoupled:
             return self.form.gradient(point)
         found: Vec = ex.slope(self._own("gradient"), self.x, point)[0]
         if not np.isfinite(found).all():
-            raise SolverError(f"{self.where}: gradient of the objective at {x}", "not finite: outside of its domain")
+            raise SolverError(
+                f"{self.where}: gradient of the objective at {x}",
+                "not finite: outside of its domain",
+            )
         return found
 
     def _own(self, what: str) -> cp.Expression:
         if not ex.only(self.objective, self.x):
             names = [variable.name() for variable in self.objective.variables()]
-            raise ConfigError(f"{self.where}: {what} of the objective", f"variables {names}", f"{self.x.name()} alone")
+            raise ConfigError(
+                f"{self.where}: {what} of the objective",
+                f"variables {names}",
+                f"{self.x.name()} alone",
+            )
         return self.objective
 
     # Solving --------------------------------------------------------------------------------------------------
 
-    def argmin(self, linear: Vec | None = None, center: Vec | None = None, penalty: float = 0.0) -> Vec:
+    def argmin(
+        self, linear: Vec | None = None, center: Vec | None = None, penalty: float = 0.0
+    ) -> Vec:
         """argmin f_i(x) + p'x + rho/2 |x - z|^2 over X_i; one of them where there are several.
 
         linear: p (n,), else 0;  center: z (n,), else 0;  penalty: rho >= 0, compiled for each value.
@@ -124,34 +149,54 @@ class CostCoupled:
             k = int(np.argmin(np.isfinite(p)))
             return f"not finite: entry {k} of what was heard or asked for is {p[k]}"
         if status == "unbounded":
-            return diagnosis.unbounded(self.x, self.objective + p.reshape(self.x.shape) @ self.x, self.constraints)
+            return diagnosis.unbounded(
+                self.x,
+                self.objective + p.reshape(self.x.shape) @ self.x,
+                self.constraints,
+            )
         return diagnosis.no_point(status, self.constraints, self.x)
 
     def _program(self, penalty: float, cost: bool = True) -> Program:
         """The compiled problem for a rho, with f or without."""
         if not is_number(penalty) or not 0.0 <= penalty < inf:
-            raise ConfigError(f"{self.where}: penalty", f"{penalty}", "a finite number >= 0")
+            raise ConfigError(
+                f"{self.where}: penalty", f"{penalty}", "a finite number >= 0"
+            )
         found = self._programs.get((penalty, cost))
         if found is not None:
             return found
         if len(self._programs) >= MOST_PENALTIES:
             self._programs.clear()
-        objective, form = (self.objective, self.form) if cost else (cp.Constant(0.0), Quadratic.zero(self.n))
-        made = self._programs[penalty, cost] = compiled(form, self.over, self.x, objective, self.constraints, penalty)
+        objective, form = (
+            (self.objective, self.form)
+            if cost
+            else (cp.Constant(0.0), Quadratic.zero(self.n))
+        )
+        made = self._programs[penalty, cost] = compiled(
+            form, self.over, self.x, objective, self.constraints, penalty
+        )
         return made
 
     def _vector(self, value: Vec, name: str) -> Vec:
         found: Vec = numbers(value, self.where, name)
         if found.shape != (self.n,):
-            raise ConfigError(f"{self.where}: {name}", f"shape {found.shape}", f"shape ({self.n},), as {self.x.name()}")
+            raise ConfigError(
+                f"{self.where}: {name}",
+                f"shape {found.shape}",
+                f"shape ({self.n},), as {self.x.name()}",
+            )
         return found
 
 
 def require_problem(problem: Any, kind: type, algorithm: str) -> None:
     """Raise ConfigError unless the problem is of the kind that the algorithm solves."""
     if not isinstance(problem, kind):
-        do = "Model the agent's part with it: crazychoir.optimization.problems.problems."
-        raise ConfigError(f"{algorithm}: problem", type(problem).__name__, f"a {kind.__name__}", do)
+        do = (
+            "Model the agent's part with it: crazychoir.optimization.problems.problems."
+        )
+        raise ConfigError(
+            f"{algorithm}: problem", type(problem).__name__, f"a {kind.__name__}", do
+        )
 
 
 class CommonCost(CostCoupled):
@@ -160,7 +205,13 @@ class CommonCost(CostCoupled):
     Here f is quadratic (or linear), and X_i is a polyhedron. Raises ConfigError that names what is not.
     """
 
-    def __init__(self, agent: int, x: cp.Variable, objective: Any, constraints: Sequence[cp.Constraint] = ()) -> None:
+    def __init__(
+        self,
+        agent: int,
+        x: cp.Variable,
+        objective: Any,
+        constraints: Sequence[cp.Constraint] = (),
+    ) -> None:
         super().__init__(agent, x, objective, constraints)
         if self.form is None:
             allowed = f"a quadratic function of {x.name()}"
@@ -178,15 +229,25 @@ class ConstraintCoupled:
     """
 
     def __init__(
-        self, agent: int, x: cp.Variable, objective: Any, coupling: Any, constraints: Sequence[cp.Constraint] = (),
+        self,
+        agent: int,
+        x: cp.Variable,
+        objective: Any,
+        coupling: Any,
+        constraints: Sequence[cp.Constraint] = (),
         share: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.local = CostCoupled(agent, x, objective, constraints)
-        self.agent, self.x, self.n, self.where = agent, x, self.local.n, self.local.where
+        self.agent = agent
+        self.x = x
+        self.n = self.local.n
+        self.where = self.local.where
         self.coupling = ex.coupling(coupling, f"{self.where}: coupling")
         if not ex.only(self.coupling, x):
             names = [variable.name() for variable in self.coupling.variables()]
-            raise ConfigError(f"{self.where}: coupling", f"variables {names}", f"{x.name()} alone")
+            raise ConfigError(
+                f"{self.where}: coupling", f"variables {names}", f"{x.name()} alone"
+            )
         self.S = int(self.coupling.size)
         self.share = _share(share, self.S, self.where)
 
@@ -207,7 +268,11 @@ class ConstraintCoupled:
 
     def jacobian(self, x: Vec) -> Mat:
         """(Sub)gradients (S, n) of g_i at x."""
-        return ex.slope(self.coupling, self.x, np.asarray(x, float)) if self._affine is None else self._affine[0]
+        return (
+            ex.slope(self.coupling, self.x, np.asarray(x, float))
+            if self._affine is None
+            else self._affine[0]
+        )
 
     def is_fast(self) -> bool:
         """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
@@ -220,13 +285,19 @@ class ConstraintCoupled:
             return self.local.argmin(self._affine[0].T @ mu)
         found = self._priced.solve(mu)
         if isinstance(found, str):
-            raise SolverError(f"{self.where}: local problem", self.local.why(found, np.zeros(self.n)))
+            raise SolverError(
+                f"{self.where}: local problem", self.local.why(found, np.zeros(self.n))
+            )
         return found
 
     def _prices(self, value: Vec) -> Vec:
         found: Vec = numbers(value, self.where, "prices")
         if found.shape != (self.S,):
-            raise ConfigError(f"{self.where}: prices", f"shape {found.shape}", f"shape ({self.S},), as the coupling")
+            raise ConfigError(
+                f"{self.where}: prices",
+                f"shape {found.shape}",
+                f"shape ({self.S},), as the coupling",
+            )
         if not np.isfinite(found).all():
             s = int(np.argmin(np.isfinite(found)))
             raise SolverError(f"{self.where}: prices[{s}] = {found[s]}", "not finite")
@@ -249,20 +320,37 @@ class MixedIntegerConstraintCoupled(MixedIntegerBlock):
     """
 
     def __init__(
-        self, agent: int, x: cp.Variable, objective: Any, coupling: Any, constraints: Sequence[cp.Constraint] = (),
+        self,
+        agent: int,
+        x: cp.Variable,
+        objective: Any,
+        coupling: Any,
+        constraints: Sequence[cp.Constraint] = (),
         share: ArrayLike | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         where = f"agent {agent}"
         n, (integer, binary) = ex.decision(x, where), ex.whole(x)
-        own = [*ex.constraint_list(constraints, where), *ex.domain(x, where, whole=True)]
+        own = [
+            *ex.constraint_list(constraints, where),
+            *ex.domain(x, where, whole=True),
+        ]
         ex.require_polyhedral(own, x, where)
-        cost = ex.linear(ex.convex(objective, f"{where}: objective"), x, f"{where}: objective")[0][0]
-        G, h = ex.linear(ex.coupling(coupling, f"{where}: coupling"), x, f"{where}: coupling")
+        cost = ex.linear(
+            ex.convex(objective, f"{where}: objective"), x, f"{where}: objective"
+        )[0][0]
+        G, h = ex.linear(
+            ex.coupling(coupling, f"{where}: coupling"), x, f"{where}: coupling"
+        )
         A, b, E, e = ex.rows(own, x)
-        low, high = np.full(n, -inf), np.full(n, inf)
-        low[binary], high[binary] = 0.0, 1.0
-        rows, left = (np.vstack([A, E, -E]), np.concatenate([b, e, -e])), _share(share, len(h), where) - h
-        super().__init__(agent, cost, G, left, rows=rows, bounds=(low, high), integer=integer)
+        low = np.full(n, -inf)
+        high = np.full(n, inf)
+        low[binary] = 0.0
+        high[binary] = 1.0
+        rows = (np.vstack([A, E, -E]), np.concatenate([b, e, -e]))
+        left = _share(share, len(h), where) - h
+        super().__init__(
+            agent, cost, G, left, rows=rows, bounds=(low, high), integer=integer
+        )
         self.x = x
 
 
@@ -270,7 +358,8 @@ class _Priced:
     """f + mu'g over X with a g that is not affine: with a Hessian for each mu, else with mu as a DPP parameter."""
 
     def __init__(self, problem: ConstraintCoupled) -> None:
-        self._local, self._coupling = problem.local, problem.coupling
+        self._local = problem.local
+        self._coupling = problem.coupling
         self._forms = ex.quadratics(problem.coupling, problem.x)
         self._mu = cp.Parameter(problem.S, nonneg=True, value=np.zeros(problem.S))
         self._zero = np.zeros(problem.n)

@@ -35,10 +35,13 @@ class Box:
     """Of its points; () where low and high are numbers, which hold for points of any shape."""
 
     def __post_init__(self) -> None:
-        low, high = _bound("low", self.low), _bound("high", self.high)
+        low = _bound("low", self.low)
+        high = _bound("high", self.high)
         found = f"low {low.tolist()}, high {high.tolist()}"
         if low.ndim and high.ndim and low.shape != high.shape:
-            raise ConfigError("box", found, "low and high of one shape, or a number for all entries")
+            raise ConfigError(
+                "box", found, "low and high of one shape, or a number for all entries"
+            )
         if not np.all(low <= high):
             raise ConfigError("box", found, "low at most high in each entry")
         object.__setattr__(self, "shape", low.shape or high.shape)
@@ -51,9 +54,15 @@ class Box:
 
     def constraints(self, x: Any) -> list[Any]:
         """low <= x <= high, where they are finite."""
-        low, high = (np.broadcast_to(np.asarray(bound, dtype=float), x.shape) for bound in (self.low, self.high))
-        below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
-        return [x[below] >= low[below]] * bool(below.size) + [x[above] <= high[above]] * bool(above.size)
+        low, high = (
+            np.broadcast_to(np.asarray(bound, dtype=float), x.shape)
+            for bound in (self.low, self.high)
+        )
+        below = np.flatnonzero(np.isfinite(low))
+        above = np.flatnonzero(np.isfinite(high))
+        return [x[below] >= low[below]] * bool(below.size) + [
+            x[above] <= high[above]
+        ] * bool(above.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +134,16 @@ class Disc:
         c = np.atleast_1d(np.asarray(self.c, dtype=float))
         away = x - c
         distance = float(np.linalg.norm(away))
-        return np.asarray(x if distance <= self.radius else c + away * (self.radius / distance))
+        return np.asarray(
+            x if distance <= self.radius else c + away * (self.radius / distance)
+        )
 
     def constraints(self, x: Any) -> list[Any]:
         """|x - c| <= radius."""
-        return [_cvxpy().norm2(x - np.atleast_1d(np.asarray(self.c, dtype=float))) <= self.radius]
+        return [
+            _cvxpy().norm2(x - np.atleast_1d(np.asarray(self.c, dtype=float)))
+            <= self.radius
+        ]
 
 
 class Convex:
@@ -142,15 +156,24 @@ class Convex:
 
     def __init__(self, x: Any, constraints: Sequence[Any], where: str = "set") -> None:
         from crazychoir.optimization.problems import expressions  # they import cvxpy
-        from crazychoir.optimization.problems import solver_choice as programs  # they import cvxpy
+        from crazychoir.optimization.problems import (
+            solver_choice as programs,
+        )  # they import cvxpy
 
         n = expressions.decision(x, where)
-        self.x, self.where = x, where
+        self.x = x
+        self.where = where
         self.shape = (n,)
-        self._given = [*expressions.constraint_list(constraints, where), *expressions.domain(x, where)]
+        self._given = [
+            *expressions.constraint_list(constraints, where),
+            *expressions.domain(x, where),
+        ]
         over = expressions.polyhedron(self._given, x)
-        zero, nothing = expressions.Quadratic.zero(n), _cvxpy().Constant(0.0)
-        self._program = programs.compiled(zero, over, x, nothing, self._given, penalty=1.0)
+        zero = expressions.Quadratic.zero(n)
+        nothing = _cvxpy().Constant(0.0)
+        self._program = programs.compiled(
+            zero, over, x, nothing, self._given, penalty=1.0
+        )
 
     def project(self, x: Vec) -> Vec:
         """The nearest point of the set; raises SolverError where it is empty."""
@@ -161,7 +184,9 @@ class Convex:
             from crazychoir.optimization.problems import diagnosis
 
             why = diagnosis.no_point(found, self._given, self.x)
-            raise SolverError(f"{self.where}: projection of {np.asarray(x).tolist()}", why)
+            raise SolverError(
+                f"{self.where}: projection of {np.asarray(x).tolist()}", why
+            )
         return found
 
     def constraints(self, x: Any) -> list[Any]:
@@ -177,8 +202,12 @@ class Intersection:
     """
 
     def __init__(self, n: int, sets: Sequence[ConvexSet], where: str = "set") -> None:
-        self.n, self.where = n, where
-        self.sets = [self._checked(one, f"{where}[{r}]") for r, one in enumerate(_listed(sets, where))]
+        self.n = n
+        self.where = where
+        self.sets = [
+            self._checked(one, f"{where}[{r}]")
+            for r, one in enumerate(_listed(sets, where))
+        ]
         self._whole = self._joined()
 
     def add(self, one: ConvexSet) -> None:
@@ -196,8 +225,15 @@ class Intersection:
 
     def _checked(self, one: Any, where: str) -> ConvexSet:
         """Return the set, if its points are (n,)."""
-        if not (callable(getattr(one, "project", None)) and callable(getattr(one, "constraints", None))):
-            raise ConfigError(where, repr(one), "a set: Box, Strip, Disc, Convex, or another ConvexSet")
+        if not (
+            callable(getattr(one, "project", None))
+            and callable(getattr(one, "constraints", None))
+        ):
+            raise ConfigError(
+                where,
+                repr(one),
+                "a set: Box, Strip, Disc, Convex, or another ConvexSet",
+            )
         shape = getattr(one, "shape", ())
         if shape and shape != (self.n,):
             found = f"a {type(one).__name__} of points of shape {shape}"
@@ -220,7 +256,10 @@ class Intersection:
         empty = np.flatnonzero(low > high)
         if empty.size:
             row = int(empty[0])
-            raise SolverError(f"{self.where}: row {row}", f"infeasible: from {low[row]:g} to {high[row]:g}")
+            raise SolverError(
+                f"{self.where}: row {row}",
+                f"infeasible: from {low[row]:g} to {high[row]:g}",
+            )
         return Box(low, high)
 
 
@@ -238,12 +277,18 @@ def _bound(name: str, value: ArrayLike) -> Vec:
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ConfigError(f"box: {name}", repr(value), "a number, or an array of them") from error
+        raise ConfigError(
+            f"box: {name}", repr(value), "a number, or an array of them"
+        ) from error
 
 
-def _another_size(where: str, found: tuple[int, ...], shape: tuple[int, ...]) -> ConfigError:
+def _another_size(
+    where: str, found: tuple[int, ...], shape: tuple[int, ...]
+) -> ConfigError:
     """Return the error of a point that the set has none of."""
-    return ConfigError(f"{where}: point", f"shape {found}", f"shape {shape}, as the set's points")
+    return ConfigError(
+        f"{where}: point", f"shape {found}", f"shape {shape}, as the set's points"
+    )
 
 
 def _cvxpy() -> Any:

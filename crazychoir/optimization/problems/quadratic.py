@@ -8,7 +8,14 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from crazychoir.optimization.problems import active_set
-from crazychoir.optimization.problems.active_set import CAPPED, INFEASIBLE, NEGLIGIBLE, NOT_FINITE, ROUNDING, Rows
+from crazychoir.optimization.problems.active_set import (
+    CAPPED,
+    INFEASIBLE,
+    NEGLIGIBLE,
+    NOT_FINITE,
+    ROUNDING,
+    Rows,
+)
 from crazychoir.optimization.problems.linear import Mask
 from crazychoir.types import Mat, Vec
 
@@ -43,7 +50,10 @@ class Polyhedron:
     def of(cls, A: Mat, b: Vec, E: Mat, e: Vec) -> "Polyhedron":
         """From rows of any length; those of zeros that always hold are left out."""
         upper, equal = (np.asarray(bounds, float) for bounds in (b, e))
-        return cls(*scaled(A, upper, upper < -NEGLIGIBLE)[:2], *scaled(E, equal, np.abs(equal) > NEGLIGIBLE)[:2])
+        return cls(
+            *scaled(A, upper, upper < -NEGLIGIBLE)[:2],
+            *scaled(E, equal, np.abs(equal) > NEGLIGIBLE)[:2],
+        )
 
     @property
     def n(self) -> int:
@@ -62,10 +72,15 @@ class AffineHull:
     """
 
     def __init__(self, E: Mat, least: float = PARALLEL) -> None:
-        directions, factor, order = qr(E.T, pivoting=True) if E.size else (np.eye(E.shape[1]), E.T, np.arange(len(E)))
+        directions, factor, order = (
+            qr(E.T, pivoting=True)
+            if E.size
+            else (np.eye(E.shape[1]), E.T, np.arange(len(E)))
+        )
         sizes = np.abs(np.diag(factor))
         rank = int(np.sum(sizes > least * sizes.max(initial=0.0)))
-        span, triangle = directions[:, :rank], factor[:rank, :rank]
+        span = directions[:, :rank]
+        triangle = factor[:rank, :rank]
         self.E = E
         self.basis = order[:rank]
         self.others = order[rank:]
@@ -93,7 +108,10 @@ class AffineHull:
         """Return e_r - sum_i c_ri e_i (l - rank,), 0 where it is the rounding of the terms of these rows at x (n,)."""
         gap = e[self.others] - self.shares @ e[self.basis]
         size = self.sizes(x, e)
-        allowed = CONSISTENT * (size[self.others] + np.abs(self.shares) @ size[self.basis]) + NEGLIGIBLE
+        allowed = (
+            CONSISTENT * (size[self.others] + np.abs(self.shares) @ size[self.basis])
+            + NEGLIGIBLE
+        )
         found: Vec = np.where(np.abs(gap) <= allowed, 0.0, gap)
         return found
 
@@ -127,9 +145,12 @@ class QuadraticProgram:
     over: Polyhedron
 
     def __post_init__(self) -> None:
-        over, self.hull = self.over, AffineHull(self.over.E)
+        over = self.over
+        self.hull = AffineHull(self.over.E)
         null = self.hull.null
-        self.inverse = np.ascontiguousarray(-null @ np.linalg.solve(positive(null.T @ self.P @ null), null.T))
+        self.inverse = np.ascontiguousarray(
+            -null @ np.linalg.solve(positive(null.T @ self.P @ null), null.T)
+        )
         self._free = over.A @ null
         self._is_fixed = np.linalg.norm(self._free, axis=1) <= PARALLEL
         self._sizes = np.abs(over.A)
@@ -171,7 +192,9 @@ class QuadraticProgram:
             x = self.inverse @ q + self.origin
             return x if isfinite(x.sum()) else WORDS[NOT_FINITE]
         x = np.empty_like(self.origin)
-        steps = active_set.minimise(self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x)
+        steps = active_set.minimise(
+            self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x
+        )
         if steps >= 0:
             return x if self._is_met(x) else self._polished(x)
         if steps == INFEASIBLE:
@@ -204,7 +227,9 @@ class QuadraticProgram:
         least = 0.0 if len(rows) > len(sizes) else sizes[-1]
         gap = -float((self.slack[rows] / lengths) @ weights)
         size = self._sizes[rows] @ np.abs(self.origin) + np.abs(self._b[rows])
-        is_seen = gap > CONSISTENT * float((size / lengths) @ np.abs(weights)) + NEGLIGIBLE
+        is_seen = (
+            gap > CONSISTENT * float((size / lengths) @ np.abs(weights)) + NEGLIGIBLE
+        )
         return bool(least <= PARALLEL and is_seen and weights.min() >= -CONSISTENT)
 
 
@@ -231,13 +256,16 @@ def positive(H: Mat) -> Mat:
     if len(H):
         values = np.linalg.eigvalsh(H)
         if not values[0] > FLAT * max(values[-1], FLAT):
-            raise np.linalg.LinAlgError(f"smallest eigenvalue {values[0]:g} of {values[-1]:g}")
+            raise np.linalg.LinAlgError(
+                f"smallest eigenvalue {values[0]:g} of {values[-1]:g}"
+            )
     return H
 
 
 def scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
     """Return rows of length one, their bounds, and the lengths they had; zero rows only where `keep` says so."""
-    rows, bounds = np.asarray(rows, float), np.asarray(bounds, float)
+    rows = np.asarray(rows, float)
+    bounds = np.asarray(bounds, float)
     largest = np.abs(rows).max(axis=1, initial=0.0)
     kept = (largest > 0.0) | keep
     largest = np.where(largest > 0.0, largest, 1.0)[kept]
@@ -245,4 +273,8 @@ def scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
     rows = rows[kept] / largest[:, None]
     length = np.linalg.norm(rows, axis=1)
     length = np.where(length > 0.0, length, 1.0)
-    return np.ascontiguousarray(rows / length[:, None]), bounds[kept] / largest / length, largest * length
+    return (
+        np.ascontiguousarray(rows / length[:, None]),
+        bounds[kept] / largest / length,
+        largest * length,
+    )

@@ -35,27 +35,36 @@ class Smooth:
         derivative = np.atleast_2d(np.asarray(self.derivative(x), float))
         if value.ndim != 1 or derivative.shape != (len(value), len(x)):
             found = f"shapes {value.shape} and {derivative.shape}"
-            raise ConfigError(f"{where}: value and derivative", found, f"(S,) and (S, {len(x)})")
+            raise ConfigError(
+                f"{where}: value and derivative", found, f"(S,) and (S, {len(x)})"
+            )
         for name, array in (("value", value), ("derivative", derivative)):
             if not np.isfinite(array).all():
                 row = int(np.argwhere(~np.isfinite(array))[0][0])
-                raise SolverError(f"{where}: {name}, row {row}, at x = {x.tolist()}", "not finite")
+                raise SolverError(
+                    f"{where}: {name}, row {row}, at x = {x.tolist()}", "not finite"
+                )
         return value, derivative
 
 
-def descended(value: Callable[[Vec], float], gradient: Callable[[Vec], Vec], x: Vec) -> Vec:
+def descended(
+    value: Callable[[Vec], float], gradient: Callable[[Vec], Vec], x: Vec
+) -> Vec:
     """One step of Newton's method, made to descend whatever the curvature: x - t |H|^-1 g.
 
     |H|: the Hessian, by differences of gradients, with its eigenvalues' absolute values;  t: 1, halved until the value
     falls by Armijo's rule. Returns x itself if no such t is found, as at a minimum.
     Source: Nocedal & Wright 2006, Numerical Optimization, sections 3.1 and 3.4.
     """
-    g, now = gradient(x), value(x)
+    g = gradient(x)
+    now = value(x)
     direction = -_solved(_hessian(gradient, x, g), g)
     slope = float(g @ direction)
     t = 1.0
     for _ in range(HALVINGS):
-        if value(x + t * direction) <= now + ARMIJO * t * slope + ROUNDING * (1.0 + abs(now)):
+        if value(x + t * direction) <= now + ARMIJO * t * slope + ROUNDING * (
+            1.0 + abs(now)
+        ):
             return x + t * direction
         t /= 2.0
     return x
@@ -63,7 +72,12 @@ def descended(value: Callable[[Vec], float], gradient: Callable[[Vec], Vec], x: 
 
 def _hessian(gradient: Callable[[Vec], Vec], x: Vec, g: Vec) -> Mat:
     steps = DIFFERENCE * (1.0 + np.abs(x))
-    H = np.array([(gradient(x + h * e) - g) / h for h, e in zip(steps, np.eye(len(x)), strict=True)])
+    H = np.array(
+        [
+            (gradient(x + h * e) - g) / h
+            for h, e in zip(steps, np.eye(len(x)), strict=True)
+        ]
+    )
     symmetric: Mat = (H + H.T) / 2.0
     return symmetric
 
@@ -71,6 +85,8 @@ def _hessian(gradient: Callable[[Vec], Vec], x: Vec, g: Vec) -> Mat:
 def _solved(H: Mat, g: Vec) -> Vec:
     values, vectors = np.linalg.eigh(H)
     size = np.abs(values)
-    size = np.maximum(size, max(LEAST_CURVATURE * float(size.max()), np.finfo(float).tiny))
+    size = np.maximum(
+        size, max(LEAST_CURVATURE * float(size.max()), np.finfo(float).tiny)
+    )
     solved: Vec = vectors @ ((vectors.T @ g) / size)
     return solved

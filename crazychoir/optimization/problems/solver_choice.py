@@ -10,7 +10,12 @@ import numpy as np
 from crazychoir.optimization.problems.conic import ConicProgram
 from crazychoir.optimization.problems.expressions import Quadratic
 from crazychoir.optimization.problems.linear import LinearProgram
-from crazychoir.optimization.problems.quadratic import DOUBTFUL, UNDECIDED, Polyhedron, QuadraticProgram
+from crazychoir.optimization.problems.quadratic import (
+    DOUBTFUL,
+    UNDECIDED,
+    Polyhedron,
+    QuadraticProgram,
+)
 from crazychoir.types import Vec
 
 MOST_ENTRIES, MOST_ROWS = 100, 400
@@ -73,7 +78,9 @@ def compiled(
 ) -> Program:
     """f(x) + rho/2 |x|^2 over X; f as `objective`, and as `form` if it is quadratic, X as `constraints` and `over`."""
     if form is not None and penalty:
-        form = form + Quadratic(penalty * np.eye(len(form.q)), np.zeros_like(form.q), 0.0)
+        form = form + Quadratic(
+            penalty * np.eye(len(form.q)), np.zeros_like(form.q), 0.0
+        )
 
     def conic() -> ConicProgram:
         return ConicProgram(x, objective, list(constraints), penalty)

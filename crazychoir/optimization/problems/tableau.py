@@ -56,7 +56,9 @@ def _pivot(tableau: Mat, row: int, column: int, cancelled: float) -> None:
 
 
 @kernel()
-def _towards_feasibility(tableau: Mat, order: Ints, basic: Ints, artificial: int, is_open: Mask) -> int:
+def _towards_feasibility(
+    tableau: Mat, order: Ints, basic: Ints, artificial: int, is_open: Mask
+) -> int:
     """Return a column that lowers the first artificial column that it changes; close the columns that raise it.
 
     order: the rows, by their basic columns, so that those of the artificial columns come first.
@@ -80,7 +82,9 @@ def _towards_feasibility(tableau: Mat, order: Ints, basic: Ints, artificial: int
             level += 1
         if change < 0.0 or (change == 0.0 and j < artificial):
             is_open[j] = False
-        elif change > 0.0 and (level < best_level or (level == best_level and change > best_change)):
+        elif change > 0.0 and (
+            level < best_level or (level == best_level and change > best_change)
+        ):
             entering = j
             best_level = level
             best_change = change
@@ -108,7 +112,9 @@ def _entering(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
                 is_open[j] = False
         if entering >= 0:
             return entering
-    for j in range(n):  # of columns that cost the same, one whose first delta is negative
+    for j in range(
+        n
+    ):  # of columns that cost the same, one whose first delta is negative
         if is_open[j]:
             for row in order:
                 if tableau[row, j] != 0.0:

@@ -23,7 +23,9 @@ def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
         news = []
         for j, arrived in heard.items():
             if not _rows(arrived, INTEGER, object):
-                raise malformed(f"agent {robot}: flood", j, k, arrived, "a list of [agent, value]")
+                raise malformed(
+                    f"agent {robot}: flood", j, k, arrived, "a list of [agent, value]"
+                )
             for origin, item in arrived:
                 if origin not in known:
                     known[origin] = item
@@ -38,24 +40,35 @@ def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | N
         heard = yield best
         for j, other in heard.items():
             try:
-                better = other is not None and (best is None or (other[0], other[1]) < (best[0], best[1]))
+                better = other is not None and (
+                    best is None or (other[0], other[1]) < (best[0], best[1])
+                )
             except (TypeError, LookupError, ValueError):
-                raise malformed("best offer", j, k, other, "an offer, [cost, robot, ...], or None") from None
+                raise malformed(
+                    "best offer", j, k, other, "an offer, [cost, robot, ...], or None"
+                ) from None
             if better:
                 best = other
     return best
 
 
-def highest_bids(bids: dict[int, list[Any]], diameter: int) -> Exchange[dict[int, list[Any]]]:
+def highest_bids(
+    bids: dict[int, list[Any]], diameter: int
+) -> Exchange[dict[int, list[Any]]]:
     """The highest bid of all robots for each task that has one; a bid is [amount, robot], ties go to the lowest id."""
     best = dict(bids)
     for k in range(diameter):
         heard = yield [[task, *bid] for task, bid in sorted(best.items())]
         for j, arrived in heard.items():
             if not _rows(arrived, INTEGER, NUMBER, INTEGER):
-                raise malformed("highest bids", j, k, arrived, "a list of [task, amount, robot]")
+                raise malformed(
+                    "highest bids", j, k, arrived, "a list of [task, amount, robot]"
+                )
             for task, amount, robot in arrived:
-                if task not in best or (amount, -robot) > (best[task][0], -best[task][1]):
+                if task not in best or (amount, -robot) > (
+                    best[task][0],
+                    -best[task][1],
+                ):
                     best[task] = [amount, robot]
     return {task: best[task] for task in sorted(best)}
 
@@ -65,8 +78,14 @@ def greatest(values: Vec, diameter: int) -> Exchange[Vec]:
     for k in range(diameter):
         heard = yield values
         for j, other in heard.items():
-            if not (isinstance(other, np.ndarray) and other.shape == values.shape and other.dtype.kind in "fiu"):
-                raise malformed("greatest", j, k, other, f"shape {values.shape}, of numbers")
+            if not (
+                isinstance(other, np.ndarray)
+                and other.shape == values.shape
+                and other.dtype.kind in "fiu"
+            ):
+                raise malformed(
+                    "greatest", j, k, other, f"shape {values.shape}, of numbers"
+                )
         values = np.maximum.reduce([values, *heard.values()])
     return values
 
@@ -76,11 +95,18 @@ def same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
     heard = yield value
     for j, other in heard.items():
         if isinstance(other, np.ndarray) or other != value:
-            raise ConfigError(f"{where}: {name} of agent {j}", other, f"{value}, the same at all agents")
+            raise ConfigError(
+                f"{where}: {name} of agent {j}",
+                other,
+                f"{value}, the same at all agents",
+            )
 
 
 def _rows(arrived: Any, *kinds: Any) -> bool:
     """Whether it is a list of lists of parts of these kinds."""
     return isinstance(arrived, list) and all(
-        isinstance(row, list) and len(row) == len(kinds) and all(map(isinstance, row, kinds)) for row in arrived
+        isinstance(row, list)
+        and len(row) == len(kinds)
+        and all(map(isinstance, row, kinds))
+        for row in arrived
     )

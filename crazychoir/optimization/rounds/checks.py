@@ -27,11 +27,17 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
         raise ConfigError("team", f"agents {span(agents) or 'none'}", allowed)
     for i in graph.ids:
         if getattr(agents[i], "i", i) != i:
-            raise ConfigError(f"team: agent {i}", f"made as agent {agents[i].i}", f"agent {i}")
+            raise ConfigError(
+                f"team: agent {i}", f"made as agent {agents[i].i}", f"agent {i}"
+            )
         _require_fitting(i, agents[i], graph)
         require_graph(agents[i], graph)
-    common = {i: agents[i].x for i in graph.ids if getattr(agents[i], "connected", False)
-              and getattr(agents[i], "common", hasattr(agents[i], "x"))}  # fmt: skip
+    common = {
+        i: agents[i].x
+        for i in graph.ids
+        if getattr(agents[i], "connected", False)
+        and getattr(agents[i], "common", hasattr(agents[i], "x"))
+    }
     _require_one_shape({i: x for i, x in common.items() if isinstance(x, np.ndarray)})
     for i in graph.ids:
         _require_same(i, agents[i], graph.ids[0], agents[graph.ids[0]])
@@ -46,16 +52,32 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
     where = f"graph of {type(agent).__name__}"
     if getattr(agent, "undirected", False):
         for each in graph.graphs if isinstance(graph, GraphSequence) else (graph,):
-            one_way = next(((i, j) for i, j in each.arcs if i not in each.out_neighbors(j)), None)
+            one_way = next(
+                ((i, j) for i, j in each.arcs if i not in each.out_neighbors(j)), None
+            )
             if one_way is not None:
-                found = "agent {1} hears agent {0}, but not the other way round".format(*one_way)
+                found = "agent {1} hears agent {0}, but not the other way round".format(
+                    *one_way
+                )
                 raise ConfigError(where, found, "an undirected graph")
     diameter = getattr(agent, "diameter", None)
-    if (getattr(agent, "connected", False) or isinstance(diameter, int)) and not graph.is_connected:
-        raise ConfigError(where, _cut(graph), "a connected graph", "Add edges, or draw with another probability.")
+    if (
+        getattr(agent, "connected", False) or isinstance(diameter, int)
+    ) and not graph.is_connected:
+        raise ConfigError(
+            where,
+            _cut(graph),
+            "a connected graph",
+            "Add edges, or draw with another probability.",
+        )
     if isinstance(diameter, int) and diameter < (least := graph.diameter()):
         do = "Take graph.diameter(), or any bound on it, the same at all agents."
-        raise ConfigError(f"{where}: diameter", f"{diameter}", f"at least {least}: rounds in which all hear of all", do)
+        raise ConfigError(
+            f"{where}: diameter",
+            f"{diameter}",
+            f"at least {least}: rounds in which all hear of all",
+            do,
+        )
 
 
 def nan_in(value: Any) -> str | None:
@@ -92,7 +114,10 @@ def _nan_of(array: Any) -> str | None:
 
 def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
     graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
-    for name, others in (("weights", Graph.in_neighbors), ("shares", Graph.out_neighbors)):
+    for name, others in (
+        ("weights", Graph.in_neighbors),
+        ("shares", Graph.out_neighbors),
+    ):
         rows = getattr(agent, name, None)
         if not isinstance(rows, tuple) or not rows or not isinstance(rows[0], Mapping):
             continue
@@ -100,10 +125,15 @@ def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
             allowed = f"one, or one for each of {len(graphs)} graphs"
             raise ConfigError(f"agent {i}: {name}", f"{len(rows)} rows", allowed)
         for k, each in enumerate(graphs):
-            found, wanted = sorted(j for j in rows[k % len(rows)] if j != i), sorted(others(each, i))
+            found = sorted(j for j in rows[k % len(rows)] if j != i)
+            wanted = sorted(others(each, i))
             if found != wanted:
                 who = "hears" if name == "weights" else "is heard by"
-                raise ConfigError(f"agent {i}: {name}, round {k}", f"of {found}", f"of those it {who}, {wanted}")
+                raise ConfigError(
+                    f"agent {i}: {name}, round {k}",
+                    f"of {found}",
+                    f"of those it {who}, {wanted}",
+                )
 
 
 def _cut(graph: Graph | GraphSequence) -> str:
@@ -127,17 +157,27 @@ def _require_one_shape(arrays: Mapping[int, Any]) -> None:
     for i, x in arrays.items():
         first = next(iter(arrays))
         if x.shape != arrays[first].shape:
-            raise ConfigError(f"agent {i}: x", f"shape {x.shape}", f"shape {arrays[first].shape}, as agent {first}'s")
+            raise ConfigError(
+                f"agent {i}: x",
+                f"shape {x.shape}",
+                f"shape {arrays[first].shape}, as agent {first}'s",
+            )
 
 
 def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
     """Raise ConfigError unless what must be common is that of the first agent."""
     for name in getattr(agent, "same", ()):
-        found, wanted = _values(getattr(agent, name)), _values(getattr(other, name, None))
+        found = _values(getattr(agent, name))
+        wanted = _values(getattr(other, name, None))
         for at, value in found.items():
             if value != wanted.get(at):
                 do = "With different ones the team would solve another problem."
-                raise ConfigError(f"agent {i}: {name}{at}", f"{value}", f"{wanted.get(at)}, as agent {first}'s", do)
+                raise ConfigError(
+                    f"agent {i}: {name}{at}",
+                    f"{value}",
+                    f"{wanted.get(at)}, as agent {first}'s",
+                    do,
+                )
 
 
 def _values(x: Any) -> dict[str, Any]:

@@ -19,8 +19,14 @@ class Iteration:
 
     def __init__(self, i: int, rounds: int | None = None) -> None:
         if rounds is not None and rounds < 0:
-            raise ConfigError(f"agent {i}: rounds", rounds, "0 or more, the same at all agents; None for no end")
-        self.i, self.rounds, self.k = i, rounds, 0
+            raise ConfigError(
+                f"agent {i}: rounds",
+                rounds,
+                "0 or more, the same at all agents; None for no end",
+            )
+        self.i = i
+        self.rounds = rounds
+        self.k = 0
 
     @property
     def done(self) -> bool:
@@ -46,7 +52,9 @@ def vector(where: str, x: ArrayLike) -> Vec:
     try:
         values = np.atleast_1d(np.array(x, dtype=float))
     except (TypeError, ValueError) as error:
-        raise ConfigError(where, type(x).__name__, "numbers, or an array of them") from error
+        raise ConfigError(
+            where, type(x).__name__, "numbers, or an array of them"
+        ) from error
     return finite(where, values)
 
 

@@ -19,7 +19,9 @@ def like(i: int, j: int, x: Any, own: A) -> A:
     """The array x that agent j has sent to i, if it is shaped as i's own; else raises ConfigError."""
     if type(x) is not np.ndarray or x.shape != own.shape:
         found = f"shape {x.shape}" if isinstance(x, np.ndarray) else type(x).__name__
-        raise ConfigError(f"agent {i}: message of agent {j}", found, f"shape {own.shape}, as its own")
+        raise ConfigError(
+            f"agent {i}: message of agent {j}", found, f"shape {own.shape}, as its own"
+        )
     return cast(A, x)
 
 
@@ -32,7 +34,13 @@ def parts(i: int, k: int, heard: Mapping[int, Any], *kinds: Any) -> Mapping[int,
     for j, message in heard.items():
         whole = isinstance(message, list | tuple) and len(message) == len(kinds)
         if not (whole and all(map(isinstance, message, kinds))):
-            raise malformed(f"agent {i}", j, k, message, f"a list of {len(kinds)}: {', '.join(map(_named, kinds))}")
+            raise malformed(
+                f"agent {i}",
+                j,
+                k,
+                message,
+                f"a list of {len(kinds)}: {', '.join(map(_named, kinds))}",
+            )
     return heard
 
 
@@ -56,4 +64,9 @@ def require_heard(i: int, neighbors: tuple[int, ...], heard: Mapping[int, Any]) 
     """Raise ConfigError unless exactly the neighbours are heard, which are in increasing order."""
     if tuple(heard) != neighbors:
         allowed = f"messages of its neighbors {list(neighbors)}, in each round"
-        raise ConfigError(f"agent {i}", f"messages of {list(heard)}", allowed, "Take a static, undirected graph.")
+        raise ConfigError(
+            f"agent {i}",
+            f"messages of {list(heard)}",
+            allowed,
+            "Take a static, undirected graph.",
+        )

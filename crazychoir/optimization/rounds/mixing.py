@@ -27,7 +27,9 @@ def checked_rows(i: int, weights: Rows, what: str = "weights") -> tuple[Row, ...
     """One row a graph of the sequence, each of finite weights that sum to one; raises ConfigError."""
     rows = (weights,) if isinstance(weights, Mapping) else tuple(weights)
     if not rows:
-        raise ConfigError(f"agent {i}: {what}", "none", "{j: weight}, of itself and those it hears")
+        raise ConfigError(
+            f"agent {i}: {what}", "none", "{j: weight}, of itself and those it hears"
+        )
     for row in rows:
         _check_row(i, row, what)
     return tuple({j: float(row[j]) for j in sorted(row)} for row in rows)
@@ -38,11 +40,21 @@ def _check_row(i: int, row: Row, what: str) -> None:
         if not math.isfinite(weight):
             raise ConfigError(f"agent {i}: {what}[{j}]", f"{weight}", "finite numbers")
     if i not in row:
-        raise ConfigError(f"agent {i}: {what}", f"weights of {sorted(row)}", f"one of agent {i} itself too")
+        raise ConfigError(
+            f"agent {i}: {what}",
+            f"weights of {sorted(row)}",
+            f"one of agent {i} itself too",
+        )
     total = math.fsum(row.values())
     if abs(total - 1.0) > EXACT:
         do = "Take those of crazychoir.team.graph: metropolis, row_stochastic, column_stochastic."
-        raise ConfigError(f"agent {i}: {what}", dict(row), "weights that sum to one", do, f"they sum to {total:.9g}")
+        raise ConfigError(
+            f"agent {i}: {what}",
+            dict(row),
+            "weights that sum to one",
+            do,
+            f"they sum to {total:.9g}",
+        )
 
 
 @kernel(memory, real, vector)
@@ -65,7 +77,9 @@ def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
         if j not in row:
             require_heard(i, row, heard)
         try:
-            fits = _add(total, row[j], x if own.ndim == 1 else like(i, j, x, own).reshape(-1))
+            fits = _add(
+                total, row[j], x if own.ndim == 1 else like(i, j, x, own).reshape(-1)
+            )
         except TypeError:  # no vector of floats
             fits = False
         if not fits:
@@ -78,7 +92,9 @@ def shape_of(x: Any) -> str:
     """For an error text; what kind of numbers, if they are no floats."""
     if not hasattr(x, "shape"):
         return type(x).__name__
-    return f"shape {x.shape}" if x.dtype == "float64" else f"shape {x.shape} of {x.dtype}"
+    return (
+        f"shape {x.shape}" if x.dtype == "float64" else f"shape {x.shape} of {x.dtype}"
+    )
 
 
 def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
@@ -86,7 +102,12 @@ def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
     wanted = sorted(j for j in row if j != i)
     if wanted != sorted(heard):
         do = "Make the weights from the graph that the team runs on."
-        raise ConfigError(f"agent {i}: weights", f"of {wanted}", f"of those it hears, {sorted(heard)}", do)
+        raise ConfigError(
+            f"agent {i}: weights",
+            f"of {wanted}",
+            f"of those it hears, {sorted(heard)}",
+            do,
+        )
 
 
 class Mixing(Iteration):
@@ -127,7 +148,9 @@ class Mixing(Iteration):
         payload = self.payload()
         if self.k >= len(self.weights) or not self.doubly_stochastic:
             return payload
-        return PerNeighbor({j: [w, payload] for j, w in self.row.items() if j != self.i})
+        return PerNeighbor(
+            {j: [w, payload] for j, w in self.row.items() if j != self.i}
+        )
 
     def update(self, heard: Mapping[int, Any]) -> None:
         """Check the column where it is new, then mix."""
@@ -135,7 +158,9 @@ class Mixing(Iteration):
         if self.k < len(self.weights) and self.doubly_stochastic:
             require_heard(self.i, row, heard)
             parts(self.i, self.k, heard, NUMBER, object)
-            self._check_column(math.fsum([row[self.i], *(w for w, _ in heard.values())]))
+            self._check_column(
+                math.fsum([row[self.i], *(w for w, _ in heard.values())])
+            )
             heard = {j: payload for j, (_, payload) in heard.items()}
         self.mix_in(row, heard)
 
@@ -147,18 +172,25 @@ class Mixing(Iteration):
             raise ConfigError(where, f"sum {total:.9g}", allowed, do)
 
 
-def rows(graph: Graph | GraphSequence, rule: Callable[[Graph], Weights] = metropolis) -> dict[int, tuple[Row, ...]]:
+def rows(
+    graph: Graph | GraphSequence, rule: Callable[[Graph], Weights] = metropolis
+) -> dict[int, tuple[Row, ...]]:
     """Each agent's rows by a rule of graph.py: one for each graph of the sequence."""
     graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
     weights = [rule(each) for each in graphs]
     return {i: tuple(of[i] for of in weights) for i in graph.ids}
 
 
-def columns(graph: Graph | GraphSequence, rule: Callable[[Graph], Weights]) -> dict[int, tuple[Row, ...]]:
+def columns(
+    graph: Graph | GraphSequence, rule: Callable[[Graph], Weights]
+) -> dict[int, tuple[Row, ...]]:
     """Each agent's columns {i: w_ij} by a rule of graph.py: what agent j gives to those who hear it, and keeps."""
     graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
     weights = [rule(each) for each in graphs]
-    return {j: tuple({i: row[j] for i, row in of.items() if j in row} for of in weights) for j in graph.ids}
+    return {
+        j: tuple({i: row[j] for i, row in of.items() if j in row} for of in weights)
+        for j in graph.ids
+    }
 
 
 def team(

@@ -44,4 +44,5 @@ class Program(Generic[T]):
             self._message = self._program.send(heard)  # type: ignore[arg-type]  # None starts it
         except StopIteration as end:
             self.result: T = end.value
-            self._message, self._done = None, True
+            self._message = None
+            self._done = True

@@ -36,7 +36,12 @@ class Diminishing:
     def __post_init__(self) -> None:
         _require_positive("a", self.a)
         if not 0.0 < self.p <= 1.0:
-            raise ConfigError("step size: p", self.p, "above 0, at most 1", "Beyond 1 the steps do not reach anywhere.")
+            raise ConfigError(
+                "step size: p",
+                self.p,
+                "above 0, at most 1",
+                "Beyond 1 the steps do not reach anywhere.",
+            )
 
     def __call__(self, k: int) -> float:
         """The step of round k."""

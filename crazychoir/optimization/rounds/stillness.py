@@ -16,7 +16,9 @@ class Stillness:
     """
 
     def __init__(self, diameter: int) -> None:
-        self._flags, self._needed, self._calm = Flags(diameter, False), diameter + 1, 0
+        self._flags = Flags(diameter, False)
+        self._needed = diameter + 1
+        self._calm = 0
 
     @property
     def reached(self) -> bool:

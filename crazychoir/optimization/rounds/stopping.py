@@ -30,9 +30,13 @@ class Flags:
     def __init__(self, diameter: int, flag: bool, latched: bool = False) -> None:
         given: Any = diameter
         if not isinstance(given, Integral) or diameter < 0:
-            raise ConfigError("logic-and: diameter", diameter, "0 or more: Graph.diameter()")
-        self._size, self._latched = diameter // 8 + 1, latched
-        self._mask, self._top = (2 << diameter) - 1, 1 << diameter
+            raise ConfigError(
+                "logic-and: diameter", diameter, "0 or more: Graph.diameter()"
+            )
+        self._size = diameter // 8 + 1
+        self._latched = latched
+        self._mask = (2 << diameter) - 1
+        self._top = 1 << diameter
         self.bits = int(flag)
 
     @property
@@ -63,18 +67,32 @@ class Settled:
 
     compares = True
 
-    def __init__(self, tolerance: float, rounds: int = 1, of: Callable[[Any], Any] = lambda agent: agent.x) -> None:
+    def __init__(
+        self,
+        tolerance: float,
+        rounds: int = 1,
+        of: Callable[[Any], Any] = lambda agent: agent.x,
+    ) -> None:
         if not tolerance >= 0.0 or rounds < 1:
-            raise ConfigError("Settled", f"tolerance {tolerance:g}, {rounds} rounds", "0 or more, 1 or more")
-        self.tolerance, self.rounds, self.of = tolerance, rounds, of
+            raise ConfigError(
+                "Settled",
+                f"tolerance {tolerance:g}, {rounds} rounds",
+                "0 or more, 1 or more",
+            )
+        self.tolerance = tolerance
+        self.rounds = rounds
+        self.of = of
         self._before: Vec | None = None
         self._calm = 0
 
     def __call__(self, agent: Any) -> bool:
         """Whether it is calm since so many rounds."""
         now = np.array(self.of(agent), dtype=float)
-        still = self._before is not None and bool(np.all(np.abs(now - self._before) <= self.tolerance))
-        self._calm, self._before = self._calm + 1 if still else 0, now
+        still = self._before is not None and bool(
+            np.all(np.abs(now - self._before) <= self.tolerance)
+        )
+        self._calm = self._calm + 1 if still else 0
+        self._before = now
         return self._calm >= self.rounds
 
 
@@ -90,7 +108,8 @@ class LogicAnd:
     asynchronous = False
 
     def __init__(self, diameter: int, flag: bool = False) -> None:
-        self.flag, self.diameter = flag, diameter
+        self.flag = flag
+        self.diameter = diameter
         self._flags = Flags(diameter, flag, latched=self.asynchronous)
 
     @property
@@ -115,7 +134,9 @@ class AsynchronousLogicAnd(LogicAnd):
 
     asynchronous = True
 
-    def __init__(self, neighbors: tuple[int, ...], diameter: int, flag: bool = False) -> None:
+    def __init__(
+        self, neighbors: tuple[int, ...], diameter: int, flag: bool = False
+    ) -> None:
         super().__init__(diameter, flag)
         self.neighbors = neighbors
 
@@ -145,7 +166,8 @@ class Riding(Generic[A]):
 
     def message(self) -> Any:
         """[word, the algorithm's message]."""
-        word, message = self.word(), self.algorithm.message()
+        word = self.word()
+        message = self.algorithm.message()
         if isinstance(message, PerNeighbor):
             return PerNeighbor({j: [word, value] for j, value in message.items()})
         return [word, message]
@@ -171,14 +193,28 @@ class Until(Riding[A]):
     """
 
     def __init__(
-        self, algorithm: A, criterion: Callable[[A], bool], diameter: int, neighbors: tuple[int, ...] | None = None
+        self,
+        algorithm: A,
+        criterion: Callable[[A], bool],
+        diameter: int,
+        neighbors: tuple[int, ...] | None = None,
     ) -> None:
         super().__init__(algorithm)
         if self.asynchronous and neighbors is None:
-            raise ConfigError("Until: neighbors", "None", "whom this agent hears, for an asynchronous algorithm")
-        self.criterion, self.neighbors, self.diameter = criterion, neighbors or (), diameter
+            raise ConfigError(
+                "Until: neighbors",
+                "None",
+                "whom this agent hears, for an asynchronous algorithm",
+            )
+        self.criterion = criterion
+        self.neighbors = neighbors or ()
+        self.diameter = diameter
         self._flags = Flags(diameter, False, latched=self.asynchronous)
-        self._steps, self._latest, self._silent = 0, dict[int, int](), set(self.neighbors)
+        self._steps, self._latest, self._silent = (
+            0,
+            dict[int, int](),
+            set(self.neighbors),
+        )
 
     @property
     def done(self) -> bool:
@@ -217,7 +253,9 @@ class Stoppable(Riding[A]):
 
     def __init__(self, algorithm: A, diameter: int) -> None:
         super().__init__(algorithm)
-        self.diameter, self.k, self.at = diameter, 0, NEVER
+        self.diameter = diameter
+        self.k = 0
+        self.at = NEVER
         self._asked = False
 
     def stop(self) -> None:

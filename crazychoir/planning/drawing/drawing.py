@@ -23,8 +23,10 @@ STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
 DENSE = 0.002  # m, of the places by which the deviation is measured
 SHARE = 0.5  # of a_max for the bends, and as much for the changes of speed
 END_WEIGHT = 1e3  # of both ends in the smoothing, against 1 of each point in between
-SLOWEST_PACE, FASTEST_PACE = 3.0, 1.0 / 3.0  # of the mean s/m: how much of a hand's hesitation is flown
-
+SLOWEST_PACE, FASTEST_PACE = (
+    3.0,
+    1.0 / 3.0,
+)  # of the mean s/m: how much of a hand's hesitation is flown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +50,17 @@ class Pen:
             raise ConfigError("Pen: timing", self.timing, '"even" or "drawn"')
         if self.yaw != "along" and not math.isfinite(self.yaw):
             raise ConfigError("Pen: yaw", self.yaw, 'a finite angle, rad, or "along"')
-        for name, low in (("height", -math.inf), ("lift", 0.0), ("spacing", 1e-3), ("smoothing", 0.0)):
+        for name, low in (
+            ("height", -math.inf),
+            ("lift", 0.0),
+            ("spacing", 1e-3),
+            ("smoothing", 0.0),
+        ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= low):
-                raise ConfigError(f"Pen: {name}", value, f"a finite number of metres, {low:g} or more")
+                raise ConfigError(
+                    f"Pen: {name}", value, f"a finite number of metres, {low:g} or more"
+                )
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,10 @@ class Drawing:
 
 
 def drawing(
-    strokes: Sequence[npt.ArrayLike], pen: Pen = Pen(), limits: Limits = STANDARD, longest: float = math.inf
+    strokes: Sequence[npt.ArrayLike],
+    pen: Pen = Pen(),
+    limits: Limits = STANDARD,
+    longest: float = math.inf,
 ) -> Drawing:
     """The smooth flight along drawn strokes, each from rest to rest from its first drawn point to its last.
 
@@ -81,16 +93,24 @@ def drawing(
     Errors: ConfigError.
     """
     limits.check_timed("drawing")
-    drawn = [checked(stroke, f"drawing: strokes[{n}]") for n, stroke in enumerate(strokes)]
+    drawn = [
+        checked(stroke, f"drawing: strokes[{n}]") for n, stroke in enumerate(strokes)
+    ]
     if pen.timing == "drawn" and any(np.shape(stroke)[1] == 2 for stroke in strokes):
-        raise ConfigError("drawing: strokes", "rows of x, y", 'rows of t, x, y for the timing "drawn"')
+        raise ConfigError(
+            "drawing: strokes", "rows of x, y", 'rows of t, x, y for the timing "drawn"'
+        )
     lines: list[Piecewise] = []
     parts: list[Piecewise] = []
     here: FullState | None = None
     spent = 0.0
     for t, xy in drawn:
         for n, (clock, places) in enumerate(split(t, xy, pen.spacing)):
-            line = _line(clock, places, pen, limits, spent, longest) if len(places) > 1 else None
+            line = (
+                _line(clock, places, pen, limits, spent, longest)
+                if len(places) > 1
+                else None
+            )
             begin = line.sample(0.0) if line else _dot(places[0], pen, here)
             new = _transfer(here, begin, 0.0 if n else pen.lift, limits) if here else []
             if line:
@@ -101,19 +121,30 @@ def drawing(
             _check_time(spent, longest)
             here = line.sample(line.duration) if line else begin
     if len(lines) == 0:
-        raise ConfigError("drawing: strokes", f"{len(drawn)}, of one place each", "at least one line")
+        raise ConfigError(
+            "drawing: strokes", f"{len(drawn)}, of one place each", "at least one line"
+        )
     path = joined(parts)
     most = peaks(path)
-    return Drawing(path, _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]), most["speed"], most["acceleration"])
+    return Drawing(
+        path,
+        _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]),
+        most["speed"],
+        most["acceleration"],
+    )
 
 
 def _check_time(seconds: float, longest: float) -> None:
     if seconds > longest:
         do = "Draw less at once, with fewer corners, or let it be faster."
-        raise ConfigError("drawing", f"{seconds:.0f} s or more", f"at most {longest:.0f} s", do)
+        raise ConfigError(
+            "drawing", f"{seconds:.0f} s or more", f"at most {longest:.0f} s", do
+        )
 
 
-def _line(t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float) -> Piecewise:
+def _line(
+    t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float
+) -> Piecewise:
     """One part of a stroke from rest to rest, as fast as the limits allow; spent: s, of the parts before it."""
     places, clock = _even(xy, t, pen)
     durations = _durations(places, limits)
@@ -132,8 +163,14 @@ def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
     fine = np.linspace(0.0, u[-1], max(10 * len(u), 100))
     curve = smoothed(xy, u, pen.smoothing, fine)
     length = np.cumsum([0.0, *np.linalg.norm(np.diff(curve, axis=0), axis=1)])
-    at = np.interp(np.linspace(0.0, length[-1], max(math.ceil(length[-1] / pen.spacing), 2) + 1), length, fine)
-    places = np.column_stack([np.interp(at, fine, curve[:, 0]), np.interp(at, fine, curve[:, 1])])
+    at = np.interp(
+        np.linspace(0.0, length[-1], max(math.ceil(length[-1] / pen.spacing), 2) + 1),
+        length,
+        fine,
+    )
+    places = np.column_stack(
+        [np.interp(at, fine, curve[:, 0]), np.interp(at, fine, curve[:, 1])]
+    )
     places[[0, -1]] = xy[[0, -1]]
     return places, np.interp(at, u, t)
 
@@ -152,9 +189,14 @@ def _durations(places: Mat, limits: Limits) -> Vec:
     """Times (n - 1,) s between places (n, 2): v^2 <= SHARE a_max / curvature, |v'| <= SHARE a_max, 0 at both ends."""
     d = np.linalg.norm(np.diff(places, axis=0), axis=1)
     v = np.zeros(len(places))
-    v[1:-1] = np.minimum(limits.v_max, np.sqrt(SHARE * limits.a_max / np.maximum(_curvatures(places), 1e-9)))
+    v[1:-1] = np.minimum(
+        limits.v_max,
+        np.sqrt(SHARE * limits.a_max / np.maximum(_curvatures(places), 1e-9)),
+    )
     for k in range(1, len(v)):
-        v[k] = min(v[k], math.sqrt(v[k - 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k - 1]))
+        v[k] = min(
+            v[k], math.sqrt(v[k - 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k - 1])
+        )
     for k in range(len(v) - 2, -1, -1):
         v[k] = min(v[k], math.sqrt(v[k + 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k]))
     return np.asarray(2.0 * d / (v[:-1] + v[1:]))
@@ -162,20 +204,35 @@ def _durations(places: Mat, limits: Limits) -> Vec:
 
 def _curvatures(places: Mat) -> Vec:
     """1/m, of the circles through three places in a row (Menger): 4 area / (a b c)."""
-    a, b = places[1:-1] - places[:-2], places[2:] - places[1:-1]
-    sides = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) * np.linalg.norm(a + b, axis=1)
-    return np.asarray(2.0 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / np.maximum(sides, 1e-12))
+    a = places[1:-1] - places[:-2]
+    b = places[2:] - places[1:-1]
+    sides = (
+        np.linalg.norm(a, axis=1)
+        * np.linalg.norm(b, axis=1)
+        * np.linalg.norm(a + b, axis=1)
+    )
+    return np.asarray(
+        2.0 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / np.maximum(sides, 1e-12)
+    )
 
 
 def _drawn_pace(clock: Vec) -> Vec:
     """Share of each step of the drawn times (n,), the mean 1, within a third and three times of it."""
     steps = np.diff(clock)
-    return np.asarray(np.clip(steps / max(steps.mean(), 1e-9), FASTEST_PACE, SLOWEST_PACE))
+    return np.asarray(
+        np.clip(steps / max(steps.mean(), 1e-9), FASTEST_PACE, SLOWEST_PACE)
+    )
 
 
 def _directions(places: Mat) -> Vec:
     """rad, of the line at each of places (n, 2): towards the next from the one before."""
-    step = np.concatenate([places[1:2] - places[0:1], places[2:] - places[:-2], places[-1:] - places[-2:-1]])
+    step = np.concatenate(
+        [
+            places[1:2] - places[0:1],
+            places[2:] - places[:-2],
+            places[-1:] - places[-2:-1],
+        ]
+    )
     return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
 
 
@@ -185,7 +242,9 @@ def _dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
     return FullState.at((xy[0], xy[1], pen.height), yaw=yaw)
 
 
-def _transfer(here: FullState, there: FullState, lift: float, limits: Limits) -> list[Piecewise]:
+def _transfer(
+    here: FullState, there: FullState, lift: float, limits: Limits
+) -> list[Piecewise]:
     """Straight from rest to rest, above the height of the drawing where it lifts."""
     up = np.array([0.0, 0.0, lift])
     if np.allclose(here.flat, there.flat, atol=1e-9):
@@ -194,7 +253,12 @@ def _transfer(here: FullState, there: FullState, lift: float, limits: Limits) ->
     legs: list[Piecewise] = []
     for k, corner in enumerate(corners):
         yaw = here.yaw if lift and k == 0 else there.yaw
-        leg = PointToPoint(here, corner, yaw, duration_for(here, corner, yaw, limits.v_max, limits.a_max))
+        leg = PointToPoint(
+            here,
+            corner,
+            yaw,
+            duration_for(here, corner, yaw, limits.v_max, limits.a_max),
+        )
         legs.append(leg.slowed(max(1.0, slowdown(leg, limits))))
         here = FullState.at(corner, yaw=yaw)
     return legs

@@ -15,7 +15,9 @@ from crazychoir.types import Mat, Vec
 COLUMNS = ("stroke", "t", "x", "y")
 
 THINNING = 0.25  # of the spacing: points that are closer say no more about the shape, only about the hand
-SHARP = math.radians(80.0)  # a turn within one spacing that is flown as a stop, not as a bend
+SHARP = math.radians(
+    80.0
+)  # a turn within one spacing that is flown as a stop, not as a bend
 
 
 def read_strokes(path: str | Path) -> list[Mat]:
@@ -33,22 +35,35 @@ def parse_strokes(text: str, path: str) -> list[Mat]:
 
 def csv_of(strokes: Sequence[Mat]) -> str:
     """What `parse_strokes` reads: strokes (k, 3) rows t, x, y."""
-    rows = (f"{n},{t:.4f},{x:.5f},{y:.5f}" for n, stroke in enumerate(strokes) for t, x, y in stroke.tolist())
+    rows = (
+        f"{n},{t:.4f},{x:.5f},{y:.5f}"
+        for n, stroke in enumerate(strokes)
+        for t, x, y in stroke.tolist()
+    )
     return "\n".join([",".join(COLUMNS), *rows]) + "\n"
 
 
 def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
-    ids, rows = table["stroke"], np.column_stack([table["t"], table["x"], table["y"]])
+    ids = table["stroke"]
+    rows = np.column_stack([table["t"], table["x"], table["y"]])
     starts = np.flatnonzero(np.diff(ids, prepend=np.nan))
     for k in starts.tolist():
         if (ids[:k] == ids[k]).any():
             where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index('stroke') + 1} (stroke)"
-            raise TableError(where, f"{ids[k]:g} again", "the rows of a stroke one after the other")
-    back = (np.diff(table["t"], prepend=-np.inf) < 0.0) & (np.diff(ids, prepend=np.nan) == 0.0)
+            raise TableError(
+                where, f"{ids[k]:g} again", "the rows of a stroke one after the other"
+            )
+    back = (np.diff(table["t"], prepend=-np.inf) < 0.0) & (
+        np.diff(ids, prepend=np.nan) == 0.0
+    )
     if back.any():
         k = int(np.argmax(back))
         where = f"{path}, line {table['line'][k]:.0f}, column {list(table).index('t') + 1} (t)"
-        raise TableError(where, f"{table['t'][k]:g}", f"not before the {table['t'][k - 1]:g} s of the row before")
+        raise TableError(
+            where,
+            f"{table['t'][k]:g}",
+            f"not before the {table['t'][k - 1]:g} s of the row before",
+        )
     return np.split(rows, starts[1:])
 
 
@@ -59,7 +74,11 @@ def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
     """
     rows = np.asarray(stroke, dtype=float)
     if rows.ndim != 2 or rows.shape[1] not in (2, 3) or len(rows) == 0:
-        raise ConfigError(where, f"shape {rows.shape}", "(k, 2): rows of x, y, or (k, 3): rows of t, x, y")
+        raise ConfigError(
+            where,
+            f"shape {rows.shape}",
+            "(k, 2): rows of x, y, or (k, 3): rows of t, x, y",
+        )
     if not np.isfinite(rows).all():
         k = int(np.argmin(np.isfinite(rows).all(axis=1)))
         raise ConfigError(f"{where}[{k}]", rows[k].tolist(), "finite numbers")
@@ -67,7 +86,11 @@ def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
         rows = np.column_stack([np.zeros(len(rows)), rows])
     elif (np.diff(rows[:, 0]) < 0.0).any():
         k = int(np.argmax(np.diff(rows[:, 0]) < 0.0)) + 1
-        raise ConfigError(f"{where}[{k}]: t", float(rows[k, 0]), f"not before the {rows[k - 1, 0]:g} s of the last row")
+        raise ConfigError(
+            f"{where}[{k}]: t",
+            float(rows[k, 0]),
+            f"not before the {rows[k - 1, 0]:g} s of the last row",
+        )
     moved = np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1) > 1e-9
     rows = rows[np.concatenate([[True], moved])]
     return rows[:, 0], rows[:, 1:]
@@ -97,9 +120,11 @@ def _corners(xy: Mat, reach: float) -> list[int]:
     turns = np.zeros(len(xy))
     for i in range(1, len(xy) - 1):
         far = np.linalg.norm(xy - xy[i], axis=1) >= reach
-        behind, ahead = np.flatnonzero(far[:i]), np.flatnonzero(far[i:])
+        behind = np.flatnonzero(far[:i])
+        ahead = np.flatnonzero(far[i:])
         if len(behind) and len(ahead):
-            a, b = xy[i] - xy[behind[-1]], xy[i + ahead[0]] - xy[i]
+            a = xy[i] - xy[behind[-1]]
+            b = xy[i + ahead[0]] - xy[i]
             turns[i] = abs(math.atan2(a[0] * b[1] - a[1] * b[0], a @ b))
     corners: list[int] = []
     while turns.max(initial=0.0) >= SHARP:

@@ -25,7 +25,16 @@ from crazychoir.planning.drawing.svg_document import READABLE, Element, read_doc
 from crazychoir.planning.drawing.svg_reader import DRAWN, MOST_POINTS, Reader
 from crazychoir.types import Mat
 
-__all__ = ["MOST_POINTS", "SCALE", "Picture", "parse_picture", "parse_svg", "read_picture", "read_svg", "svg_of"]
+__all__ = [
+    "MOST_POINTS",
+    "SCALE",
+    "Picture",
+    "parse_picture",
+    "parse_svg",
+    "read_picture",
+    "read_svg",
+    "svg_of",
+]
 
 SCALE = 0.001
 """m a unit of the picture."""
@@ -75,10 +84,15 @@ def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Pictur
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             reader.read()
     except ArithmeticError as error:
-        raise ConfigError(where, f"places that are too far off: {error}", DRAWN) from error
+        raise ConfigError(
+            where, f"places that are too far off: {error}", DRAWN
+        ) from error
     if not reader.strokes:
         raise ConfigError(where, _nothing(root, reader.words), DRAWN)
-    return Picture([stroke * (scale, -scale) + 0.0 for stroke in reader.strokes], first_of(reader.words))
+    return Picture(
+        [stroke * (scale, -scale) + 0.0 for stroke in reader.strokes],
+        first_of(reader.words),
+    )
 
 
 def _nothing(root: Element, words: list[str]) -> str:
@@ -98,9 +112,13 @@ def first_of(words: list[str]) -> list[str]:
 def svg_of(strokes: Sequence[Mat], scale: float = SCALE) -> str:
     """A picture of strokes, rows x, y or t, x, y m, that `parse_svg` reads as they are, to 0.01 mm."""
     flat = [stroke[:, -2:] * (1.0 / scale, -1.0 / scale) for stroke in strokes]
-    low, high = np.concatenate(flat).min(axis=0) - 50.0, np.concatenate(flat).max(axis=0) + 50.0
+    low = np.concatenate(flat).min(axis=0) - 50.0
+    high = np.concatenate(flat).max(axis=0) + 50.0
     width, height = high - low
-    paths = "\n".join(f'<path d="M{" L".join(f"{x:.2f} {y:.2f}" for x, y in one.tolist())}"/>' for one in flat)
+    paths = "\n".join(
+        f'<path d="M{" L".join(f"{x:.2f} {y:.2f}" for x, y in one.tolist())}"/>'
+        for one in flat
+    )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{low[0]:.2f} {low[1]:.2f} {width:.2f} {height:.2f}" '
         f'fill="none" stroke="black" stroke-width="10">\n{paths}\n</svg>\n'

@@ -23,7 +23,9 @@ class Clip:
         sides = np.roll(self.corners, -1, axis=0) - self.corners
         x = places[None, :, 0] - self.corners[:, None, 0]
         y = places[None, :, 1] - self.corners[:, None, 1]
-        turns = (sides[:, None, 0] * y - sides[:, None, 1] * x) * orientation(self.corners)
+        turns = (sides[:, None, 0] * y - sides[:, None, 1] * x) * orientation(
+            self.corners
+        )
         slack = 1e-6 * np.abs(sides).max() ** 2
         passed: Mat = turns >= -slack
         return passed
@@ -34,7 +36,10 @@ def corners_of(strokes: Sequence[Mat]) -> Mat | None:
     if len(strokes) != 1:
         return None
     stroke = strokes[0]
-    is_new = np.linalg.norm(stroke - np.roll(stroke, 1, axis=0), axis=1) > 1e-9 * np.abs(stroke).max()
+    is_new = (
+        np.linalg.norm(stroke - np.roll(stroke, 1, axis=0), axis=1)
+        > 1e-9 * np.abs(stroke).max()
+    )
     corners = stroke[is_new]
     return corners if len(corners) >= 3 and orientation(corners) else None
 

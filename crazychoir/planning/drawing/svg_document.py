@@ -34,7 +34,11 @@ class Element:
     @property
     def label(self) -> str:
         """What errors call it."""
-        name = f' id="{shortened(self.attributes["id"])}"' if self.attributes.get("id") else ""
+        name = (
+            f' id="{shortened(self.attributes["id"])}"'
+            if self.attributes.get("id")
+            else ""
+        )
         return f"<{shortened(self.name)}{name}> in line {self.line}"
 
     def walk(self) -> Iterator["Element"]:
@@ -63,8 +67,14 @@ def read_document(data: str | bytes, where: str) -> Element:
     data: bytes in the encoding that they declare (UTF-8 without), or a text that is decoded already.
     Errors: ConfigError, with `where` and the line.
     """
-    raw = data.lstrip("\ufeff \t\r\n").encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-    if raw.startswith(GZIP_BEGINNING) or (isinstance(data, str) and data.startswith("\x1f")):
+    raw = (
+        data.lstrip("\ufeff \t\r\n").encode("utf-8", "surrogatepass")
+        if isinstance(data, str)
+        else data
+    )
+    if raw.startswith(GZIP_BEGINNING) or (
+        isinstance(data, str) and data.startswith("\x1f")
+    ):
         raise ConfigError(where, "a compressed file (.svgz)", READABLE, UNPACK)
     if len(raw) > LARGEST_FILE:
         raise ConfigError(where, f"{len(raw)} bytes", f"at most {LARGEST_FILE}")
@@ -108,11 +118,21 @@ class _Builder:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         self._count += 1
         if self._count > MOST_ELEMENTS:
-            raise ConfigError(self.where, f"more than {MOST_ELEMENTS} elements", f"at most {MOST_ELEMENTS}")
+            raise ConfigError(
+                self.where,
+                f"more than {MOST_ELEMENTS} elements",
+                f"at most {MOST_ELEMENTS}",
+            )
         if len(self._open) >= DEEPEST_NESTING:
             found = f"elements {DEEPEST_NESTING + 1} deep in line {self._parser.CurrentLineNumber}"
-            raise ConfigError(self.where, found, f"at most {DEEPEST_NESTING}", "Ungroup the drawing.")
-        element = Element(_local(name, SVG_NAMESPACE), _local_attributes(attributes), self._parser.CurrentLineNumber)
+            raise ConfigError(
+                self.where, found, f"at most {DEEPEST_NESTING}", "Ungroup the drawing."
+            )
+        element = Element(
+            _local(name, SVG_NAMESPACE),
+            _local_attributes(attributes),
+            self._parser.CurrentLineNumber,
+        )
         if self._open:
             self._open[-1].children.append(element)
         else:
@@ -123,7 +143,9 @@ class _Builder:
     def _check_root(self, name: str, element: Element) -> None:
         if not element.name or element.name == "html":
             found = f"a document of <{shortened(name.rpartition(' ')[2])}>"
-            raise ConfigError(self.where, found, f'an <svg xmlns="{SVG_NAMESPACE}"> document')
+            raise ConfigError(
+                self.where, found, f'an <svg xmlns="{SVG_NAMESPACE}"> document'
+            )
 
     def _end(self, _: str) -> None:
         self._open.pop()
@@ -132,17 +154,33 @@ class _Builder:
         self._open[-1].text += text
 
     def _check_entity(
-        self, name: str, is_parameter: bool, value: str | None, _base: object, _system: object, _public: object,
+        self,
+        name: str,
+        is_parameter: bool,
+        value: str | None,
+        _base: object,
+        _system: object,
+        _public: object,
         _notation: object,
-    ) -> None:  # fmt: skip
-        if is_parameter or value is None or len(value) > LONGEST_ENTITY or any(mark in value for mark in "&%<"):
+    ) -> None:
+        if (
+            is_parameter
+            or value is None
+            or len(value) > LONGEST_ENTITY
+            or any(mark in value for mark in "&%<")
+        ):
             self._refuse_entity(name, is_parameter)
 
     def _check_instruction(self, target: str, said: str) -> None:
         if target == "xml-stylesheet":
             line = self._parser.CurrentLineNumber
             found = f"a style sheet in another file, <?{target} {shortened(said)}?> in line {line}"
-            raise ConfigError(self.where, found, "styles in the file itself", "Save the drawing as plain SVG.")
+            raise ConfigError(
+                self.where,
+                found,
+                "styles in the file itself",
+                "Save the drawing as plain SVG.",
+            )
 
     def _refuse_entity(self, name: str, _: object) -> None:
         found = f"entity {quoted(name)} in line {self._parser.CurrentLineNumber}"

@@ -14,7 +14,18 @@ LEAST_LINES = 24
 """Straight lines a curve, at least."""
 MOST_LINES = 10_000
 """Straight lines a curve, at most."""
-COORDINATES = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4, "T": 2, "A": 7, "Z": 0}
+COORDINATES = {
+    "M": 2,
+    "L": 2,
+    "H": 1,
+    "V": 1,
+    "C": 6,
+    "S": 4,
+    "Q": 4,
+    "T": 2,
+    "A": 7,
+    "Z": 0,
+}
 """How many numbers each command takes."""
 FLAGS = (3, 4)
 """Numbers of an arc that are one digit, 0 or 1, after which no separator is needed."""
@@ -59,7 +70,9 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
             handle = here
             strokes.append([here])
         elif not strokes:
-            raise PathDataError(f"path data that begins with {name!r}, not with M first")
+            raise PathDataError(
+                f"path data that begins with {name!r}, not with M first"
+            )
         elif kind == "Z" and before == "Z":
             continue
         elif kind == "Z":
@@ -93,7 +106,9 @@ def _commands(d: str) -> Iterator[Command]:
                 yield name, []
             continue
         if not name or COORDINATES[name.upper()] == 0:
-            raise PathDataError(f"path data with {shortened(number)} after {name or 'nothing'!r}")
+            raise PathDataError(
+                f"path data with {shortened(number)} after {name or 'nothing'!r}"
+            )
         if not math.isfinite(float(number)):
             raise PathDataError(f"path data with {shortened(number)} after {name!r}")
         numbers.append(float(number))
@@ -122,7 +137,9 @@ def _tokens(d: str) -> Iterator[tuple[str, str]]:
         if token["number"] and is_arc and count % COORDINATES["A"] in FLAGS:
             token = _FLAG.match(d, at)
             if token is None:
-                raise PathDataError(f"path data with {d[at : at + 8]!r} where an arc has a flag, 0 or 1")
+                raise PathDataError(
+                    f"path data with {d[at : at + 8]!r} where an arc has a flag, 0 or 1"
+                )
             count += 1
             yield "", token.group()
         elif token["number"]:
@@ -135,7 +152,9 @@ def _tokens(d: str) -> Iterator[tuple[str, str]]:
         at = token.end()
 
 
-def _absolute(kind: str, numbers: list[float], here: tuple[float, float]) -> list[float]:
+def _absolute(
+    kind: str, numbers: list[float], here: tuple[float, float]
+) -> list[float]:
     match kind:
         case "H":
             return [numbers[0] + here[0]]
@@ -156,7 +175,11 @@ def _smooth_handle(
 
 
 def _drawn(
-    kind: str, n: list[float], here: tuple[float, float], handle: tuple[float, float], tolerance: float
+    kind: str,
+    n: list[float],
+    here: tuple[float, float],
+    handle: tuple[float, float],
+    tolerance: float,
 ) -> tuple[Places, tuple[float, float]]:
     """Return the places after `here`, and the last handle."""
     match kind:
@@ -165,9 +188,14 @@ def _drawn(
         case "V":
             return [(here[0], n[0])], here
         case "C":
-            return _bezier([here, (n[0], n[1]), (n[2], n[3]), (n[4], n[5])], tolerance), (n[2], n[3])
+            return _bezier(
+                [here, (n[0], n[1]), (n[2], n[3]), (n[4], n[5])], tolerance
+            ), (n[2], n[3])
         case "S":
-            return _bezier([here, handle, (n[0], n[1]), (n[2], n[3])], tolerance), (n[0], n[1])
+            return _bezier([here, handle, (n[0], n[1]), (n[2], n[3])], tolerance), (
+                n[0],
+                n[1],
+            )
         case "Q":
             return _bezier([here, (n[0], n[1]), (n[2], n[3])], tolerance), (n[0], n[1])
         case "T":
@@ -198,12 +226,19 @@ def _arc(here: tuple[float, float], n: list[float], tolerance: float) -> Places:
         return []
     if min(radii) == 0.0:
         return [end]
-    curve = Arc(complex(*here), complex(*radii), n[2], bool(n[3]), bool(n[4]), complex(*end))
+    curve = Arc(
+        complex(*here), complex(*radii), n[2], bool(n[3]), bool(n[4]), complex(*end)
+    )
     bend = max(curve.radius.real, curve.radius.imag) * math.radians(curve.delta) ** 2
     return _sampled(curve, bend, end, tolerance)
 
 
-def _sampled(curve: Arc | QuadraticBezier | CubicBezier, bend: float, end: tuple[float, float], tol: float) -> Places:
+def _sampled(
+    curve: Arc | QuadraticBezier | CubicBezier,
+    bend: float,
+    end: tuple[float, float],
+    tol: float,
+) -> Places:
     """Return places on the curve after its begin; bend: its largest second derivative."""
     count = math.sqrt(bend / (8.0 * tol))
     if not count <= MOST_LINES:

@@ -7,8 +7,19 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.svg_clip import Clip, corners_of
-from crazychoir.planning.drawing.svg_document import DEEPEST_NESTING, Element, quoted, shortened
-from crazychoir.planning.drawing.svg_path import COMMANDS, PathDataError, PathSizeError, Places, strokes_of
+from crazychoir.planning.drawing.svg_document import (
+    DEEPEST_NESTING,
+    Element,
+    quoted,
+    shortened,
+)
+from crazychoir.planning.drawing.svg_path import (
+    COMMANDS,
+    PathDataError,
+    PathSizeError,
+    Places,
+    strokes_of,
+)
 from crazychoir.planning.drawing.svg_shapes import (
     MILLIMETRE,
     SHAPES,
@@ -43,12 +54,39 @@ ODD_SCALE = 0.01
 """Share by which the page's millimetres may differ from those that are flown, without a remark."""
 CONTAINERS = ("g", "a", "svg", "switch", "use")
 DEFINITIONS = (
-    "defs", "symbol", "clipPath", "marker", "pattern", "mask", "linearGradient", "radialGradient", "filter", "style",
-    "script", "title", "desc", "metadata", "view", "cursor", "font", "font-face", "color-profile", "hatch",
-    "solidcolor", "meshgradient",
-)  # fmt: skip
+    "defs",
+    "symbol",
+    "clipPath",
+    "marker",
+    "pattern",
+    "mask",
+    "linearGradient",
+    "radialGradient",
+    "filter",
+    "style",
+    "script",
+    "title",
+    "desc",
+    "metadata",
+    "view",
+    "cursor",
+    "font",
+    "font-face",
+    "color-profile",
+    "hatch",
+    "solidcolor",
+    "meshgradient",
+)
 """Elements that are not drawn where they stand."""
-MOVING = ("animate", "animateMotion", "animateTransform", "animateColor", "set", "discard", "mpath")
+MOVING = (
+    "animate",
+    "animateMotion",
+    "animateTransform",
+    "animateColor",
+    "set",
+    "discard",
+    "mpath",
+)
 """Elements that change others with time."""
 LIKE_TEXT = ("text", "textPath", "tspan", "tref", "altGlyph")
 PICTURES = ("image", "foreignObject", "video", "audio", "iframe", "canvas")
@@ -109,26 +147,44 @@ class Reader:
             self._page = page_of(self._root)
             self._note_millimetres()
         except ShapeError as error:
-            raise self._refusal(self._root, f"with {error.found}", allowed=error.allowed) from error
-        self._draw(self._root, Scene(np.eye(3), {}, self._page.size if self._page else None))
+            raise self._refusal(
+                self._root, f"with {error.found}", allowed=error.allowed
+            ) from error
+        self._draw(
+            self._root, Scene(np.eye(3), {}, self._page.size if self._page else None)
+        )
 
     def _note_millimetres(self) -> None:
         """Remark that the page has a size in millimetres and a unit of it is flown with another."""
         width = self._root.attributes.get("width", "").strip().lower()
         physical = tuple(unit for unit in UNITS if unit not in ("", "px"))
-        if self._page is None or not self._page.size[0] > 0.0 or not width.endswith(physical):
+        if (
+            self._page is None
+            or not self._page.size[0] > 0.0
+            or not width.endswith(physical)
+        ):
             return
         unit = length(self._root, "width", None) / MILLIMETRE / self._page.size[0]
         flown = 1000.0 * self._scale
         if abs(unit / flown - 1.0) > ODD_SCALE:
-            self.words.append(f"on the page a unit is {unit:.4g} mm; flown it is {flown:.4g} mm")
+            self.words.append(
+                f"on the page a unit is {unit:.4g} mm; flown it is {flown:.4g} mm"
+            )
 
     def _draw(self, element: Element, scene: Scene) -> None:
         self._visits += 1
         if self._visits > MOST_VISITS:
-            raise self._refusal(element, f"as one of more than {MOST_VISITS} elements", "Use fewer copies.")
+            raise self._refusal(
+                element,
+                f"as one of more than {MOST_VISITS} elements",
+                "Use fewer copies.",
+            )
         if scene.depth > DEEPEST_NESTING:
-            raise self._refusal(element, f"within more than {DEEPEST_NESTING} others", "Ungroup the drawing.")
+            raise self._refusal(
+                element,
+                f"within more than {DEEPEST_NESTING} others",
+                "Ungroup the drawing.",
+            )
         if not element.name or element.name in DEFINITIONS:
             return
         if element.name in MOVING:
@@ -138,13 +194,17 @@ class Reader:
         else:
             self._draw_styled(element, scene, {})
 
-    def _draw_styled(self, element: Element, scene: Scene, given: dict[str, str]) -> None:
+    def _draw_styled(
+        self, element: Element, scene: Scene, given: dict[str, str]
+    ) -> None:
         """Draw an element in its style and with its transform; given: width and height of the <use> that shows it."""
         style = self._styles.of(element)
         if reason := hidden_by(style):
             self._leave_out(element, reason)
             return
-        scene = replace(scene, inherited=handed_down(scene.inherited, style), depth=scene.depth + 1)
+        scene = replace(
+            scene, inherited=handed_down(scene.inherited, style), depth=scene.depth + 1
+        )
         if element.name in LIKE_TEXT + PICTURES:
             self._refuse_if_seen(element, scene)
             return
@@ -155,24 +215,35 @@ class Reader:
             if np.linalg.det(scene.matrix[:2, :2]) == 0.0:
                 self._leave_out(element, "its transform leaves it no size")
                 return
-            scene = replace(scene, clips=scene.clips + self._clips_of(element, style, scene))
+            scene = replace(
+                scene, clips=scene.clips + self._clips_of(element, style, scene)
+            )
             if element.name in SHAPES:
                 self._draw_shape(element, style, scene)
             elif element.name == "use":
                 self._draw_use(element, scene)
-            elif element.name == "symbol" or (element.name == "svg" and element is not self._root):
+            elif element.name == "symbol" or (
+                element.name == "svg" and element is not self._root
+            ):
                 self._draw_view(element, style, scene, given)
             else:
                 self._draw_children(element, scene)
         except ShapeError as error:
-            raise self._refusal(element, f"with {error.found}", allowed=error.allowed) from error
+            raise self._refusal(
+                element, f"with {error.found}", allowed=error.allowed
+            ) from error
 
     def _check_origin(self, element: Element, style: dict[str, str]) -> None:
         origin = style.get("transform-origin", "0 0")
-        is_moved = any(part not in ("0", "0px", "0%", "left", "top", *INITIAL_WORDS) for part in origin.split())
+        is_moved = any(
+            part not in ("0", "0px", "0%", "left", "top", *INITIAL_WORDS)
+            for part in origin.split()
+        )
         if is_moved and element.attributes.get("transform", "").strip():
             do = "Write the transform without it, or save the drawing as plain SVG."
-            raise self._refusal(element, f"with transform-origin: {shortened(origin)}", do)
+            raise self._refusal(
+                element, f"with transform-origin: {shortened(origin)}", do
+            )
 
     def _draw_children(self, element: Element, scene: Scene) -> None:
         for child in element.children:
@@ -189,30 +260,55 @@ class Reader:
         if is_empty or not is_visible(scene.inherited):
             self._leave_out(element, "nothing of it is seen")
             return
-        do = "Turn it into a path (Inkscape: Path, Object to Path)" if is_text else "Trace it as a path"
+        do = (
+            "Turn it into a path (Inkscape: Path, Object to Path)"
+            if is_text
+            else "Trace it as a path"
+        )
         raise self._refusal(element, "", f"{do}, hide it, or delete it.")
 
-    def _draw_view(self, element: Element, style: dict[str, str], scene: Scene, given: dict[str, str]) -> None:
+    def _draw_view(
+        self,
+        element: Element,
+        style: dict[str, str],
+        scene: Scene,
+        given: dict[str, str],
+    ) -> None:
         """Draw what is in a nested <svg> or a used <symbol>."""
         view = view_of(element, scene.viewport, given)
         if view is None:
             self._leave_out(element, "it has no size")
             return
         clips = scene.clips
-        if view.window is not None and style.get("overflow", "hidden") not in ("visible", "auto"):
-            clips = (*clips, Clip(scene.placed(view.window), f"the window of {element.label}"))
-        self._draw_children(element, replace(scene.transformed(view.matrix), viewport=view.size, clips=clips))
+        if view.window is not None and style.get("overflow", "hidden") not in (
+            "visible",
+            "auto",
+        ):
+            clips = (
+                *clips,
+                Clip(scene.placed(view.window), f"the window of {element.label}"),
+            )
+        self._draw_children(
+            element,
+            replace(scene.transformed(view.matrix), viewport=view.size, clips=clips),
+        )
 
     def _draw_use(self, element: Element, scene: Scene) -> None:
         link = element.attributes.get("href", "").strip()
         if link and not link.startswith("#"):
-            raise self._refusal(element, f"of {quoted(link)}, which is another file", UNLINK)
+            raise self._refusal(
+                element, f"of {quoted(link)}, which is another file", UNLINK
+            )
         target = self._by_id.get(link[1:])
         if target is None:
-            self._leave_out(element, f"nothing in the file has the id {quoted(link[1:])}")
+            self._leave_out(
+                element, f"nothing in the file has the id {quoted(link[1:])}"
+            )
             return
         if link in scene.users:
-            raise self._refusal(element, f"of {quoted(link)}, which uses itself", UNLINK)
+            raise self._refusal(
+                element, f"of {quoted(link)}, which uses itself", UNLINK
+            )
         wide, high = scene.viewport or (None, None)
         move = np.eye(3)
         move[:2, 2] = (length(element, "x", wide), length(element, "y", high))
@@ -220,11 +316,15 @@ class Reader:
         if target.name not in ("symbol", "svg"):
             self._draw(target, scene)
             return
-        given = {name: element.attributes.get(name, "auto") for name in ("width", "height")}
+        given = {
+            name: element.attributes.get(name, "auto") for name in ("width", "height")
+        }
         given = {name: size for name, size in given.items() if size.strip() != "auto"}
         self._draw_styled(target, scene, given)
 
-    def _draw_shape(self, element: Element, style: dict[str, str], scene: Scene) -> None:
+    def _draw_shape(
+        self, element: Element, style: dict[str, str], scene: Scene
+    ) -> None:
         if not is_visible(scene.inherited):
             self._leave_out(element, f"visibility: {scene.inherited['visibility']}")
             return
@@ -253,7 +353,9 @@ class Reader:
         """Return the strokes of a shape in units of the picture."""
         tolerance = TOLERANCE / (self._scale * _widening(scene.matrix))
         try:
-            found = strokes_of(path_data(element, scene.viewport), tolerance, MOST_POINTS)
+            found = strokes_of(
+                path_data(element, scene.viewport), tolerance, MOST_POINTS
+            )
         except PathSizeError as error:
             raise self._too_large(element) from error
         except PathDataError as error:
@@ -268,7 +370,9 @@ class Reader:
             raise self._refusal(element, "with places that are not finite")
         return places
 
-    def _is_inside(self, element: Element, stroke: Mat, clips: tuple[Clip, ...]) -> bool:
+    def _is_inside(
+        self, element: Element, stroke: Mat, clips: tuple[Clip, ...]
+    ) -> bool:
         """Is a stroke seen? Raise a ConfigError if it may be seen in part."""
         for clip in clips:
             passed = clip.sides_passed(stroke)
@@ -277,29 +381,54 @@ class Reader:
             if not passed.any(axis=1).all():
                 self._leave_out(element, f"it is outside of {clip.owner}")
                 return False
-            raise self._refusal(element, f"of which {clip.owner} cuts off a part", RELEASE)
+            raise self._refusal(
+                element, f"of which {clip.owner} cuts off a part", RELEASE
+            )
         return True
 
-    def _clips_of(self, element: Element, style: dict[str, str], scene: Scene) -> tuple[Clip, ...]:
+    def _clips_of(
+        self, element: Element, style: dict[str, str], scene: Scene
+    ) -> tuple[Clip, ...]:
         """Return the clips of the element itself. Raise a ConfigError for masks, and for clips that are not convex."""
         if self._referred(style.get("mask", "none")) is not None:
-            raise self._refusal(element, f"with mask: {shortened(style['mask'])}", RELEASE)
+            raise self._refusal(
+                element, f"with mask: {shortened(style['mask'])}", RELEASE
+            )
         clip = self._referred(style.get("clip-path", "none"))
         if clip is None:
             return ()
         if not isinstance(clip, Element) or clip.name != "clipPath":
-            raise self._refusal(element, f"with clip-path: {shortened(style['clip-path'])}", RELEASE)
-        shapes = [child for child in clip.children if child.name in (*SHAPES, *LIKE_TEXT, "use")]
+            raise self._refusal(
+                element, f"with clip-path: {shortened(style['clip-path'])}", RELEASE
+            )
+        shapes = [
+            child
+            for child in clip.children
+            if child.name in (*SHAPES, *LIKE_TEXT, "use")
+        ]
         is_plain = len(shapes) == 1 and shapes[0].name in SHAPES
         styles = [self._styles.of(part) for part in (clip, *shapes)]
-        has_more = any("clip-path" in one or "mask" in one or hidden_by(one) for one in styles)
-        if not is_plain or has_more or clip.attributes.get("clipPathUnits", "userSpaceOnUse") != "userSpaceOnUse":
-            raise self._refusal(element, f"cut by {clip.label}, which is more than one shape", RELEASE)
+        has_more = any(
+            "clip-path" in one or "mask" in one or hidden_by(one) for one in styles
+        )
+        if (
+            not is_plain
+            or has_more
+            or clip.attributes.get("clipPathUnits", "userSpaceOnUse")
+            != "userSpaceOnUse"
+        ):
+            raise self._refusal(
+                element, f"cut by {clip.label}, which is more than one shape", RELEASE
+            )
         for part in (clip, *shapes):
-            scene = scene.transformed(transform_of(part.attributes.get("transform", "")))
+            scene = scene.transformed(
+                transform_of(part.attributes.get("transform", ""))
+            )
         corners = corners_of(self._outline(shapes[0], scene))
         if corners is None:
-            raise self._refusal(element, f"cut by {clip.label}, which is not convex", RELEASE)
+            raise self._refusal(
+                element, f"cut by {clip.label}, which is not convex", RELEASE
+            )
         return (Clip(corners, clip.label),)
 
     def _referred(self, value: str) -> Element | str | None:
@@ -318,24 +447,32 @@ class Reader:
             return
         places = np.concatenate(strokes)
         corner = np.array(self._page.corner)
-        if (places.max(axis=0) < corner).any() or (places.min(axis=0) > corner + self._page.size).any():
+        if (places.max(axis=0) < corner).any() or (
+            places.min(axis=0) > corner + self._page.size
+        ).any():
             self.words.append(f"{element.label}: flown, though it is beside the page")
 
     def _leave_out(self, element: Element, reason: str) -> None:
         self.words.append(f"{element.label}: left out: {reason}")
 
-    def _refusal(self, element: Element, found: str, do: str = "", allowed: str = DRAWN) -> ConfigError:
+    def _refusal(
+        self, element: Element, found: str, do: str = "", allowed: str = DRAWN
+    ) -> ConfigError:
         return ConfigError(self.where, f"{element.label} {found}".rstrip(), allowed, do)
 
     def _too_large(self, element: Element) -> ConfigError:
         found = f"more than {MOST_POINTS} places up to {element.label}"
-        return ConfigError(self.where, found, f"at most {MOST_POINTS} places", "Simplify the drawing.")
+        return ConfigError(
+            self.where, found, f"at most {MOST_POINTS} places", "Simplify the drawing."
+        )
 
 
 def _is_chosen(child: Element) -> bool:
     """Does a <switch> show this child, if it is the first that it may show?"""
     asks = ("requiredExtensions", "systemLanguage")
-    return bool(child.name) and not any(child.attributes.get(name, "").strip() for name in asks)
+    return bool(child.name) and not any(
+        child.attributes.get(name, "").strip() for name in asks
+    )
 
 
 def _widening(matrix: Mat) -> float:

@@ -44,7 +44,9 @@ class ShapeError(ValueError):
         super().__init__(f"{found}; allowed: {allowed}")
 
 
-def length(element: Element, name: str, whole: float | None, default: str = "0") -> float:
+def length(
+    element: Element, name: str, whole: float | None, default: str = "0"
+) -> float:
     """Return an attribute that is a length, in units of the picture.
 
     whole: what 100 % is; None where the document does not say it.
@@ -53,12 +55,19 @@ def length(element: Element, name: str, whole: float | None, default: str = "0")
     text = element.attributes.get(name, default)
     found = _LENGTH.match(text)
     unit = found[2].lower() if found else ""
-    if found is None or not (unit == "%" or unit in UNITS) or not math.isfinite(float(found[1])):
+    if (
+        found is None
+        or not (unit == "%" or unit in UNITS)
+        or not math.isfinite(float(found[1]))
+    ):
         raise ShapeError(f"{name}={quoted(text)}", LENGTHS)
     if unit != "%":
         return float(found[1]) * UNITS[unit]
     if whole is None:
-        raise ShapeError(f"{name}={quoted(text)} of a page without viewBox, width and height", "a length without %")
+        raise ShapeError(
+            f"{name}={quoted(text)} of a page without viewBox, width and height",
+            "a length without %",
+        )
     return float(found[1]) / 100.0 * whole
 
 
@@ -116,7 +125,10 @@ def path_data(element: Element, viewport: Size | None) -> str:
         case "circle" | "ellipse":
             return _ellipse(element, viewport)
         case "line":
-            ends = [length(element, name, _whole(name, viewport)) for name in ("x1", "y1", "x2", "y2")]
+            ends = [
+                length(element, name, _whole(name, viewport))
+                for name in ("x1", "y1", "x2", "y2")
+            ]
             return _data("M", ends[:2], "L", ends[2:])
     places = numbers(attributes.get("points", ""), "points")
     if len(places) % 2:
@@ -127,7 +139,10 @@ def path_data(element: Element, viewport: Size | None) -> str:
 
 
 def _rectangle(element: Element, viewport: Size | None) -> str:
-    x, y, width, height = (length(element, name, _whole(name, viewport)) for name in ("x", "y", "width", "height"))
+    x, y, width, height = (
+        length(element, name, _whole(name, viewport))
+        for name in ("x", "y", "width", "height")
+    )
     if not (width > 0.0 and height > 0.0):
         return ""
     radii = _radii(element, viewport)
@@ -138,12 +153,29 @@ def _rectangle(element: Element, viewport: Size | None) -> str:
     if not (rx > 0.0 and ry > 0.0):
         return _data("M", [x, y], "H", [right], "V", [bottom], "H", [x]) + "Z"
     corner = [rx, ry, 0, 0, 1]
-    return _data(
-        "M", [x + rx, y], "L", [right - rx, y], "A", [*corner, right, y + ry],
-        "L", [right, bottom - ry], "A", [*corner, right - rx, bottom],
-        "L", [x + rx, bottom], "A", [*corner, x, bottom - ry],
-        "L", [x, y + ry], "A", [*corner, x + rx, y],
-    ) + "Z"  # fmt: skip
+    return (
+        _data(
+            "M",
+            [x + rx, y],
+            "L",
+            [right - rx, y],
+            "A",
+            [*corner, right, y + ry],
+            "L",
+            [right, bottom - ry],
+            "A",
+            [*corner, right - rx, bottom],
+            "L",
+            [x + rx, bottom],
+            "A",
+            [*corner, x, bottom - ry],
+            "L",
+            [x, y + ry],
+            "A",
+            [*corner, x + rx, y],
+        )
+        + "Z"
+    )
 
 
 def _ellipse(element: Element, viewport: Size | None) -> str:
@@ -157,10 +189,21 @@ def _ellipse(element: Element, viewport: Size | None) -> str:
     if not (rx > 0.0 and ry > 0.0):
         return ""
     quarter = [rx, ry, 0, 0, 1]
-    return _data(
-        "M", [cx + rx, cy], "A", [*quarter, cx, cy + ry], "A", [*quarter, cx - rx, cy],
-        "A", [*quarter, cx, cy - ry], "A", [*quarter, cx + rx, cy],
-    ) + "Z"  # fmt: skip
+    return (
+        _data(
+            "M",
+            [cx + rx, cy],
+            "A",
+            [*quarter, cx, cy + ry],
+            "A",
+            [*quarter, cx - rx, cy],
+            "A",
+            [*quarter, cx, cy - ry],
+            "A",
+            [*quarter, cx + rx, cy],
+        )
+        + "Z"
+    )
 
 
 def _radii(element: Element, viewport: Size | None) -> Size:
@@ -186,7 +229,9 @@ def _whole(name: str, viewport: Size | None) -> float | None:
 
 
 def _data(*parts: str | list[float]) -> str:
-    return " ".join(part if isinstance(part, str) else " ".join(map(repr, part)) for part in parts)
+    return " ".join(
+        part if isinstance(part, str) else " ".join(map(repr, part)) for part in parts
+    )
 
 
 @dataclass(frozen=True)
@@ -218,10 +263,13 @@ def page_of(element: Element) -> Page | None:
     if box := _view_box(element):
         return Page((box[0], box[1]), (box[2], box[3]))
     if element.name != "svg" or any(
-        element.attributes.get(name, "auto").strip().endswith(("%", "auto")) for name in ("width", "height")
+        element.attributes.get(name, "auto").strip().endswith(("%", "auto"))
+        for name in ("width", "height")
     ):
         return None
-    return Page((0.0, 0.0), (length(element, "width", None), length(element, "height", None)))
+    return Page(
+        (0.0, 0.0), (length(element, "width", None), length(element, "height", None))
+    )
 
 
 def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View | None:
@@ -237,16 +285,22 @@ def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View
     sizes = [asked.attributes.get(name, "auto").strip() for name in ("width", "height")]
     if outer is None and any(size == "auto" or size.endswith("%") for size in sizes):
         if box is not None:
-            raise ShapeError("a viewBox and no size", "width and height, or a page with them")
+            raise ShapeError(
+                "a viewBox and no size", "width and height, or a page with them"
+            )
         return View(_moved(x, y), None, None)
     for name, size in zip(("width", "height"), sizes, strict=True):
         if size == "auto":
             asked.attributes[name] = "100%"
     width = length(asked, "width", _whole("width", outer))
     height = length(asked, "height", _whole("height", outer))
-    if not (width > 0.0 and height > 0.0) or (box is not None and not (box[2] > 0.0 and box[3] > 0.0)):
+    if not (width > 0.0 and height > 0.0) or (
+        box is not None and not (box[2] > 0.0 and box[3] > 0.0)
+    ):
         return None
-    window = np.array([(x, y), (x + width, y), (x + width, y + height), (x, y + height)])
+    window = np.array(
+        [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
+    )
     if box is None:
         return View(_moved(x, y), (width, height), window)
     fit = _fit(asked.attributes.get("preserveAspectRatio", ""), box, (width, height))
@@ -259,7 +313,9 @@ def _view_box(element: Element) -> list[float] | None:
         return None
     box = numbers(text, "viewBox")
     if len(box) != 4 or box[2] < 0.0 or box[3] < 0.0:
-        raise ShapeError(f"viewBox={quoted(text)}", "x, y, width and height, these not negative")
+        raise ShapeError(
+            f"viewBox={quoted(text)}", "x, y, width and height, these not negative"
+        )
     return box
 
 
@@ -271,7 +327,10 @@ def _fit(text: str, box: list[float], size: Size) -> Mat:
         return np.diag([*scales, 1.0]) @ _moved(-box[0], -box[1])
     align = re.fullmatch(r"x(Min|Mid|Max)Y(Min|Mid|Max)", words[0])
     if align is None or words[1:] not in ([], ["meet"], ["slice"]):
-        raise ShapeError(f"preserveAspectRatio={quoted(text)}", "none, or xMidYMid and its like with meet or slice")
+        raise ShapeError(
+            f"preserveAspectRatio={quoted(text)}",
+            "none, or xMidYMid and its like with meet or slice",
+        )
     scale = max(scales) if words[1:] == ["slice"] else min(scales)
     share = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
     left = [share[align[k + 1]] * (size[k] - scale * box[k + 2]) for k in range(2)]

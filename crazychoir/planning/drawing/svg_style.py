@@ -9,16 +9,32 @@ from crazychoir.planning.drawing.svg_document import Element, quoted, shortened
 
 INITIAL_WORDS = ("initial", "unset", "revert", "revert-layer")
 FOLLOWED_PROPERTIES = (
-    "display", "visibility", "opacity", "overflow", "fill", "fill-opacity", "stroke", "stroke-opacity",
-    "stroke-width", "stroke-linecap", "clip-path", "mask", "marker", "marker-start", "marker-mid", "marker-end",
+    "display",
+    "visibility",
+    "opacity",
+    "overflow",
+    "fill",
+    "fill-opacity",
+    "stroke",
+    "stroke-opacity",
+    "stroke-width",
+    "stroke-linecap",
+    "clip-path",
+    "mask",
+    "marker",
+    "marker-start",
+    "marker-mid",
+    "marker-end",
     "transform-origin",
-)  # fmt: skip
+)
 """Properties that decide what is seen and where; each may be an attribute, too."""
 EVERYTHING = ""
 """Stands for elements of each name."""
 BOXES = ("rect", "svg", "symbol", "use", "image", "foreignObject")
 GEOMETRY_PROPERTIES = {
-    **dict.fromkeys(("transform", "translate", "rotate", "scale", "offset-path"), (EVERYTHING,)),
+    **dict.fromkeys(
+        ("transform", "translate", "rotate", "scale", "offset-path"), (EVERYTHING,)
+    ),
     **dict.fromkeys(("x", "y", "width", "height"), BOXES),
     **dict.fromkeys(("cx", "cy"), ("circle", "ellipse")),
     **dict.fromkeys(("rx", "ry"), ("rect", "ellipse")),
@@ -27,14 +43,24 @@ GEOMETRY_PROPERTIES = {
 }
 """Properties of CSS that would move or reshape these elements; they are refused: attributes say the same."""
 INHERITED_PROPERTIES = (
-    "visibility", "fill", "stroke", "fill-opacity", "stroke-opacity", "stroke-width", "stroke-linecap",
-)  # fmt: skip
+    "visibility",
+    "fill",
+    "stroke",
+    "fill-opacity",
+    "stroke-opacity",
+    "stroke-width",
+    "stroke-linecap",
+)
 MARKERS = ("marker", "marker-start", "marker-mid", "marker-end")
 
 _NO_PAINT = re.compile(r"none|transparent|#[0-9a-f]{3}0|#[0-9a-f]{6}00", re.IGNORECASE)
-_ALPHA = re.compile(r"(?:rgb|hsl)a\([^()]*,([^(),]*)\)|(?:rgb|hsl)a?\([^()]*/([^()/]*)\)", re.IGNORECASE)
+_ALPHA = re.compile(
+    r"(?:rgb|hsl)a\([^()]*,([^(),]*)\)|(?:rgb|hsl)a?\([^()]*/([^()/]*)\)", re.IGNORECASE
+)
 _COMMENT = re.compile(r"/\*.*?(?:\*/|\Z)|<!--|-->", re.DOTALL)
-_HARMLESS_RULE = re.compile(r"@(?:charset|namespace)[^;]*(?:;|\Z)|@font-face\s*\{[^{}]*(?:\}|\Z)")
+_HARMLESS_RULE = re.compile(
+    r"@(?:charset|namespace)[^;]*(?:;|\Z)|@font-face\s*\{[^{}]*(?:\}|\Z)"
+)
 _SIMPLE_SELECTOR = re.compile(r"(\*|[A-Za-z][\w-]*)?((?:[.#][\w-]+)*)\Z", re.ASCII)
 _POINTED_AT = re.compile(r":(hover|focus|active|visited|focus-within|focus-visible)\b")
 
@@ -82,26 +108,41 @@ class Styles:
 
     def of(self, element: Element) -> dict[str, str]:
         """Return the values of the properties that are followed, by name; words in small letters."""
-        found = {name: element.attributes[name] for name in FOLLOWED_PROPERTIES if name in element.attributes}
+        found = {
+            name: element.attributes[name]
+            for name in FOLLOWED_PROPERTIES
+            if name in element.attributes
+        }
         sheets = [rule.declarations for rule in self._rules if rule.applies_to(element)]
         own = _declarations(element.attributes.get("style", ""))
         for important in (False, True):
             for declarations in (*sheets, own):
-                chosen = {name: value for name, (value, is_strong) in declarations.items() if is_strong is important}
+                chosen = {
+                    name: value
+                    for name, (value, is_strong) in declarations.items()
+                    if is_strong is important
+                }
                 found |= chosen
         found = {name: value.strip() for name, value in found.items()}
         self._check_geometry(element, found)
-        return {name: value if "(" in value else value.lower() for name, value in found.items()}
+        return {
+            name: value if "(" in value else value.lower()
+            for name, value in found.items()
+        }
 
     def _check_geometry(self, element: Element, found: dict[str, str]) -> None:
         """Raise a ConfigError for a style that moves or reshapes the element; the size of the page changes nothing."""
         for name, elements in GEOMETRY_PROPERTIES.items():
             value = found.get(name, "none").strip()
-            is_meant = EVERYTHING in elements or (element.name in elements and element is not self._root)
+            is_meant = EVERYTHING in elements or (
+                element.name in elements and element is not self._root
+            )
             if is_meant and value not in ("none", "auto", *INITIAL_WORDS):
                 what = f"{element.label} with a style {name}: {shortened(value)}"
                 do = f"Write it as an attribute of the element: {name}=..., or save the drawing as plain SVG."
-                raise ConfigError(self.where, what, "styles that neither move nor reshape", do)
+                raise ConfigError(
+                    self.where, what, "styles that neither move nor reshape", do
+                )
 
     def _read_sheet(self, element: Element) -> list[Rule]:
         sheet = _HARMLESS_RULE.sub(" ", _COMMENT.sub(" ", element.text))
@@ -117,9 +158,14 @@ class Styles:
                 rules += self._read_rule(element, selector.strip(), declarations)
         return rules
 
-    def _read_rule(self, element: Element, selector: str, declarations: dict[str, tuple[str, bool]]) -> list[Rule]:
+    def _read_rule(
+        self, element: Element, selector: str, declarations: dict[str, tuple[str, bool]]
+    ) -> list[Rule]:
         """Return the rule, or none if it never applies or does not matter."""
-        matters = any(name in declarations for name in (*FOLLOWED_PROPERTIES, *GEOMETRY_PROPERTIES))
+        matters = any(
+            name in declarations
+            for name in (*FOLLOWED_PROPERTIES, *GEOMETRY_PROPERTIES)
+        )
         if not matters or _POINTED_AT.search(selector):
             return []
         found = _SIMPLE_SELECTOR.match(selector)
@@ -130,17 +176,32 @@ class Styles:
         if len(ids) > 1:
             return []
         classes = frozenset(part[1:] for part in parts if part[0] == ".")
-        return [Rule("" if found[1] in (None, "*") else found[1], classes, min(ids, default=None), declarations)]
+        return [
+            Rule(
+                "" if found[1] in (None, "*") else found[1],
+                classes,
+                min(ids, default=None),
+                declarations,
+            )
+        ]
 
     def _refuse(self, element: Element, what: str) -> NoReturn:
         do = "Write what it sets as attributes of the elements, or save the drawing as plain SVG."
-        raise ConfigError(self.where, f"{element.label} with {what}", "selectors of an element, .class or #id", do)
+        raise ConfigError(
+            self.where,
+            f"{element.label} with {what}",
+            "selectors of an element, .class or #id",
+            do,
+        )
 
 
 def _is_followed(sheet: Element) -> bool:
     """Is a <style> element CSS for what is seen on a screen?"""
     media = sheet.attributes.get("media", "all").strip().lower()
-    return sheet.attributes.get("type", "text/css").strip() in ("", "text/css") and media in ("", "all", "screen")
+    return sheet.attributes.get("type", "text/css").strip() in (
+        "",
+        "text/css",
+    ) and media in ("", "all", "screen")
 
 
 def _declarations(body: str) -> dict[str, tuple[str, bool]]:
@@ -184,7 +245,9 @@ def is_visible(inherited: dict[str, str]) -> bool:
 
 def has_dots(inherited: dict[str, str]) -> bool:
     """Is a line without length seen, as a dot of the width of the stroke?"""
-    return _is_paint(inherited.get("stroke", "none")) and inherited.get("stroke-linecap") in ("round", "square")
+    return _is_paint(inherited.get("stroke", "none")) and inherited.get(
+        "stroke-linecap"
+    ) in ("round", "square")
 
 
 def is_painted(name: str, inherited: dict[str, str]) -> bool:
@@ -196,7 +259,10 @@ def is_painted(name: str, inherited: dict[str, str]) -> bool:
     )
     if name == "line" and "stroke" in inherited:
         return has_stroke
-    has_fill = _is_paint(inherited.get("fill", "black")) and _share(inherited.get("fill-opacity", "1")) > 0.0
+    has_fill = (
+        _is_paint(inherited.get("fill", "black"))
+        and _share(inherited.get("fill-opacity", "1")) > 0.0
+    )
     return has_stroke or has_fill
 
 

@@ -27,7 +27,14 @@ from crazychoir.radio.link.firmware import Firmware
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.compressed import quaternion
 from crazychoir.radio.protocol.crtp import FORMS, HIGH_LEVEL, Packet
-from crazychoir.radio.protocol.handlers import HANDLERS, RadioHandler, emergency, idles, pose_packet, position_packet
+from crazychoir.radio.protocol.handlers import (
+    HANDLERS,
+    RadioHandler,
+    emergency,
+    idles,
+    pose_packet,
+    position_packet,
+)
 from crazychoir.radio.protocol.thrust import command_a_newton
 from crazychoir.radio.protocol.version_check import check_protocol
 from crazychoir.radio.uptime import Uptime
@@ -87,8 +94,15 @@ TRAILS, CATCHES_UP = 0.5, 1.8
 """m by which a drone may be behind the line that it flies; and of speed_limit, at which it comes to one that it is
 further from: it has not heard those before."""
 MILLI = 1e-3
-OWN = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z", "stateEstimateZ.vx", "stateEstimateZ.vy",
-       "stateEstimateZ.vz", "stateEstimateZ.quat")  # fmt: skip
+OWN = (
+    "stateEstimateZ.x",
+    "stateEstimateZ.y",
+    "stateEstimateZ.z",
+    "stateEstimateZ.vx",
+    "stateEstimateZ.vy",
+    "stateEstimateZ.vz",
+    "stateEstimateZ.quat",
+)
 WELL = ("pm.vbat", "supervisor.info")
 POSITIONING = ("bcLighthouse4", "bcDWM1000", "bcLoco", "bcFlow2", "bcFlow")
 COMMON = POSITIONING[:3]
@@ -109,25 +123,46 @@ class RadioDrone(Actor):
     command_timeout: float | None = None
 
     def __init__(
-        self, bus: Bus, config: SwarmConfig, i: int, kind: str, rate: float, contents: TableOfContents,
-        turn: Callable[[], None] = lambda: None, sights: Sights | None = None,
-    ) -> None:  # fmt: skip
-        self.bus, self.clock, self.config, self.drone, self.kind = bus, bus.clock, config, i, kind
-        self.port, self.rate, self._contents, self._turn = bus.ports[BODIES + i], rate, contents, turn
+        self,
+        bus: Bus,
+        config: SwarmConfig,
+        i: int,
+        kind: str,
+        rate: float,
+        contents: TableOfContents,
+        turn: Callable[[], None] = lambda: None,
+        sights: Sights | None = None,
+    ) -> None:
+        self.bus = bus
+        self.clock = bus.clock
+        self.config = config
+        self.drone = i
+        self.kind = kind
+        self.port = bus.ports[BODIES + i]
+        self.rate = rate
+        self._contents = contents
+        self._turn = turn
         self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
         self.seen_by_cameras = self.row.pose == "mocap"
         self.connection: Connection | None = None
-        self._opening: Connection | None = None  # its link is being opened, or it is being asked who it is
+        self._opening: Connection | None = (
+            None  # its link is being opened, or it is being asked who it is
+        )
         self._work: asyncio.Task[None] | None = None
         self.handler: RadioHandler = HANDLERS[kind](self._platform)
         self.release = ""
-        self.state_of_link, self.why = "connecting", ""
+        self.state_of_link = "connecting"
+        self.why = ""
         self.refused_plans = self.reconnected = self.malformed = 0
         self._stopped = True
-        self._cut = self._placed = self._prepared = self._arming = self._fed = self._flown_here = False
+        self._cut = self._placed = self._prepared = self._arming = self._fed = (
+            self._flown_here
+        ) = False
         self._cut_heard = False
         self._landing: XYZ | None = None
-        self._told_ns: int | None = None  # when it was told to land, and may have heard it
+        self._told_ns: int | None = (
+            None  # when it was told to land, and may have heard it
+        )
         self._landed_at = math.inf
         self._only_lands = ""
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
@@ -136,8 +171,11 @@ class RadioDrone(Actor):
         self._uptime = Uptime()
         self._well: dict[str, float] = {}
         self._spread: dict[str, float] = {}
-        self._said, self._gate = Throttle(), PoseGate()
-        self._has_flown, self._heard_at, self._jumped_at = False, -math.inf, math.inf
+        self._said = Throttle()
+        self._gate = PoseGate()
+        self._has_flown = False
+        self._heard_at = -math.inf
+        self._jumped_at = math.inf
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
@@ -147,7 +185,9 @@ class RadioDrone(Actor):
             self._take_off = TakeOff(i, sights or Sights(bus, config, here))
             self._told = RateLimit(config.radio.pose_rate)
             bus.subscribe(POSE, EYES + i, here, self._pose, RATE)
-            bus.subscribe(POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE)
+            bus.subscribe(
+                POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE
+            )
 
     # Its life -----------------------------------------------------------------------------------------------------
 
@@ -156,7 +196,14 @@ class RadioDrone(Actor):
         began = self.clock.now()
         while True:
             self.why = ""
-            connection = Connection(self.clock, self.row.uri, self._contents, self._lost, self._heard, self._turn)
+            connection = Connection(
+                self.clock,
+                self.row.uri,
+                self._contents,
+                self._lost,
+                self._heard,
+                self._turn,
+            )
             insists = asyncio.get_running_loop().create_task(self._insist(connection))
             try:
                 await self._connect(connection, began)
@@ -165,7 +212,9 @@ class RadioDrone(Actor):
                 self._failed(error, began)
             finally:
                 insists.cancel()
-                self._heard_at = max(self._heard_at, self.clock.now() - connection.silence)
+                self._heard_at = max(
+                    self._heard_at, self.clock.now() - connection.silence
+                )
                 self.connection = self._opening = None
                 await self._end_work()
                 await connection.close()
@@ -173,10 +222,14 @@ class RadioDrone(Actor):
             await self.clock.sleep(AGAIN if late and not self.flying else FIRST)
 
     async def _connect(self, connection: Connection, began: float) -> None:
-        self._opening, deadline = connection, self.config.radio.connect_deadline
+        self._opening = connection
+        deadline = self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
-        await connection.open(REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES)
-        firmware, refused = Firmware(connection), self._too_old(connection)
+        await connection.open(
+            REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES
+        )
+        firmware = Firmware(connection)
+        refused = self._too_old(connection)
         try:
             await self._begin_logs(connection)
             await self._until_told(connection)
@@ -189,15 +242,23 @@ class RadioDrone(Actor):
             await self._prepare(firmware)
         if self.why:
             raise LinkFailed(self.row.uri, self.why)
-        self.connection, self._opening, self._up_ns = connection, None, self.clock.now_ns()
+        self.connection, self._opening, self._up_ns = (
+            connection,
+            None,
+            self.clock.now_ns(),
+        )
         self.reconnected += self.state_of_link == "lost"
         self._change("up", self._only_lands)
-        self._work = asyncio.get_running_loop().create_task(self._begin_all_asked(connection))
+        self._work = asyncio.get_running_loop().create_task(
+            self._begin_all_asked(connection)
+        )
 
     def _too_old(self, connection: Connection) -> ConfigError | None:
         """Why its firmware does not know what it would be sent."""
         try:
-            check_protocol(connection.version, self.kind, self._platform, f"drone {self.drone}")
+            check_protocol(
+                connection.version, self.kind, self._platform, f"drone {self.drone}"
+            )
         except ConfigError as error:
             return error
         return None
@@ -232,8 +293,11 @@ class RadioDrone(Actor):
     def _learn_thrust(self, release: str) -> None:
         """What a newton is on board; ConfigError if that is not known."""
         if self.handler.needs_thrust:
-            given, where = self.config.radio.thrust_map, f"drone {self.drone}"
-            self.handler.thrust = command_a_newton(release, self._platform, given, where)
+            given = self.config.radio.thrust_map
+            where = f"drone {self.drone}"
+            self.handler.thrust = command_a_newton(
+                release, self._platform, given, where
+            )
 
     async def _prepare(self, firmware: Firmware) -> None:
         """What is done once, on the ground."""
@@ -254,12 +318,18 @@ class RadioDrone(Actor):
             do = "Set drift = true in [radio] if the mission bears that, or let the cameras see it."
             if self.row.uri.startswith("udp://"):
                 do += " A virtual drone gets a deck from `crazychoir virtual`, started with this swarm file."
-            raise ConfigError(f"drone {self.drone}: pose", found, f"one of {', '.join(COMMON)}", do)
+            raise ConfigError(
+                f"drone {self.drone}: pose", found, f"one of {', '.join(COMMON)}", do
+            )
 
     async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
         """Let its estimator begin here."""
-        initial = dict(zip(("initialX", "initialY", "initialZ"), p.tolist(), strict=True)) | {"initialYaw": yaw}
-        await firmware.set_all({f"kalman.{name}": value for name, value in initial.items()})
+        initial = dict(
+            zip(("initialX", "initialY", "initialZ"), p.tolist(), strict=True)
+        ) | {"initialYaw": yaw}
+        await firmware.set_all(
+            {f"kalman.{name}": value for name, value in initial.items()}
+        )
         if self.flying:
             return
         await firmware.set("kalman.resetEstimation", 1)
@@ -267,12 +337,15 @@ class RadioDrone(Actor):
         self._placed = True
 
     async def _begin_logs(self, connection: Connection) -> None:
-        rate, seconds = self.config.radio.log_rate, REOPENS
+        rate = self.config.radio.log_rate
+        seconds = REOPENS
         period = 1.0 / (max(rate, MOTION) if self.seen_by_cameras else rate)
         self._logs_ns = self.clock.now_ns()
         await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
         if not self.seen_by_cameras:
-            await connection.log("spread", SPREAD, 1.0 / SPREADS, self._take_spread, seconds)
+            await connection.log(
+                "spread", SPREAD, 1.0 / SPREADS, self._take_spread, seconds
+            )
 
     async def _begin_logs_again(self, connection: Connection) -> None:
         """It says nothing of itself any more, whatever blocks it has."""
@@ -305,7 +378,9 @@ class RadioDrone(Actor):
                 self._flown_here, self._up_ns = False, self.clock.now_ns()
             if failure := connection.failure:
                 self._say("sending", f"a packet could not be sent: {failure}")
-            if self.flying and (late := checks.link_problems(connection.latency, connection.answered)):
+            if self.flying and (
+                late := checks.link_problems(connection.latency, connection.answered)
+            ):
                 self._say("late", f"{'; '.join(late)}: what it is told comes late")
             self._feed_watchdog()
             self._go_on_landing()
@@ -323,8 +398,14 @@ class RadioDrone(Actor):
         if (more := self._due_work(connection, silence)) is not None:
             self._work = asyncio.get_running_loop().create_task(more)
 
-    def _due_work(self, connection: Connection, silence: float) -> Coroutine[Any, Any, None] | None:
-        if silence < DEGRADED and self.clock.now_ns() - max(self._own_ns, self._logs_ns) > FORGOTTEN * SECOND:
+    def _due_work(
+        self, connection: Connection, silence: float
+    ) -> Coroutine[Any, Any, None] | None:
+        if (
+            silence < DEGRADED
+            and self.clock.now_ns() - max(self._own_ns, self._logs_ns)
+            > FORGOTTEN * SECOND
+        ):
             return self._begin_logs_again(connection)
         if self.flying:
             return None
@@ -337,22 +418,33 @@ class RadioDrone(Actor):
 
     async def _end_work(self) -> None:
         """Its link is gone, and with it the answers."""
-        work, self._work = self._work, None
+        work = self._work
+        self._work = None
         if work is not None:
             work.cancel()
             await asyncio.wait([work])
-            _ = work.cancelled() or work.exception()  # whatever it was: the link has failed
+            _ = (
+                work.cancelled() or work.exception()
+            )  # whatever it was: the link has failed
 
     def _forgive(self) -> None:
         """Whoever has put its body right has had it out of the cameras' sight: it is judged anew when it takes off."""
-        if self._take_off is not None and not self.flying and self._pose.fresh() is None:
+        if (
+            self._take_off is not None
+            and not self.flying
+            and self._pose.fresh() is None
+        ):
             self._take_off.found = ""
 
     def _feed_watchdog(self) -> None:
         """The choice of [radio] watchdog: without us it is to cut its motors."""
         now_ns = self.clock.now_ns()
-        self._fed = self._fed or (self.config.radio.watchdog and self.kind == "xyz" and self.flying)
-        if self._fed and now_ns >= self._watchdog_ns:  # once begun it must go on, on the ground too
+        self._fed = self._fed or (
+            self.config.radio.watchdog and self.kind == "xyz" and self.flying
+        )
+        if (
+            self._fed and now_ns >= self._watchdog_ns
+        ):  # once begun it must go on, on the ground too
             self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])
 
@@ -363,7 +455,9 @@ class RadioDrone(Actor):
         """
         now_ns = self.clock.now_ns()
         if not self.flying or self._landing is None:
-            self._landing, self._landed_at, self._told_ns = None, math.inf, None
+            self._landing = None
+            self._landed_at = math.inf
+            self._told_ns = None
         elif now_ns >= self._landing_ns:
             self._landing_ns = now_ns + round(UNHEARD * SECOND)
             if math.isinf(self._landed_at):
@@ -379,8 +473,17 @@ class RadioDrone(Actor):
     @property
     def orphan(self) -> bool:
         """Whether it flies, this owner could tell it what to do, and nobody does."""
-        up = self.connection is not None and self.clock.now_ns() - self._up_ns > ORPHANED * SECOND
-        return up and not self._cut and self.flying and not self._flown_here and self._landing is None
+        up = (
+            self.connection is not None
+            and self.clock.now_ns() - self._up_ns > ORPHANED * SECOND
+        )
+        return (
+            up
+            and not self._cut
+            and self.flying
+            and not self._flown_here
+            and self._landing is None
+        )
 
     def _failed(self, error: Exception, began: float) -> None:
         self.problem = str(error)
@@ -390,13 +493,16 @@ class RadioDrone(Actor):
             self._change("lost", str(error))
         elif self.clock.now() - began > self.config.radio.connect_deadline:
             self._change("absent", str(error))
-        if self.state_of_link != "connecting" and self._said.due(self.clock.now(), self.state_of_link):
+        if self.state_of_link != "connecting" and self._said.due(
+            self.clock.now(), self.state_of_link
+        ):
             log.error("drone %d: %s: %s", self.drone, self.state_of_link, error)
 
     def _change(self, state: str, why: str) -> None:
         if state == "up" and self.state_of_link != "up":
             log.info("drone %d: connected, firmware %s", self.drone, self.release)
-        self.state_of_link, self.why = state, ""
+        self.state_of_link = state
+        self.why = ""
         self.problem = why
 
     problem = ""
@@ -416,13 +522,17 @@ class RadioDrone(Actor):
             return
         if isinstance(command, XYZ) and command.verb == "land":
             if self._landing is None or self.connection is None:
-                self._landing, self._landing_ns = self._landing or command, 0
+                self._landing = self._landing or command
+                self._landing_ns = 0
             return
         if self._only_lands:
             return
-        if self.connection is None or (idles(command) and (self._flies_unheard() or self._comes_down())):
+        if self.connection is None or (
+            idles(command) and (self._flies_unheard() or self._comes_down())
+        ):
             return  # it flies, and who sends may not know
-        now_ns, stops = self.clock.now_ns(), idles(command)
+        now_ns = self.clock.now_ns()
+        stops = idles(command)
         if isinstance(command, XYZ):
             if stops and now_ns < self._stop_due_ns:
                 return
@@ -436,14 +546,21 @@ class RadioDrone(Actor):
             self._arm()
         if self._take_off is not None and not stops and not self.flying:
             self._take_off.begin(self.clock.now())
-        self._stopped, self._landing, self._landed_at, self._told_ns = stops, None, math.inf, None
+        self._stopped = stops
+        self._landing = None
+        self._landed_at = math.inf
+        self._told_ns = None
         self._flown_here = self._flown_here or not (stops or self._silent())
         self._transmit(self._within_reach(command))
 
     def _flies_unheard(self) -> bool:
         """Whether it flies on, as it says, though nobody here has reached it with a command; on the floor it stands."""
         low = self.config.flight.ground + ON_THE_FLOOR
-        stands = self.place is not None and self.clock.now() - self.place[0] < LATELY and self.place[1].p[2] < low
+        stands = (
+            self.place is not None
+            and self.clock.now() - self.place[0] < LATELY
+            and self.place[1].p[2] < low
+        )
         return self.flying and not self._flown_here and not stands
 
     def _comes_down(self) -> bool:
@@ -452,18 +569,27 @@ class RadioDrone(Actor):
             return False
         if self._landed_at < math.inf:
             return self.clock.now() < self._landed_at
-        return self._silent() or self._told_ns is None or self.clock.now_ns() - self._told_ns < IN_VAIN * SECOND
+        return (
+            self._silent()
+            or self._told_ns is None
+            or self.clock.now_ns() - self._told_ns < IN_VAIN * SECOND
+        )
 
     def _silent(self) -> bool:
         return self.connection is None or self.connection.silence > DEGRADED
 
     def _within_reach(self, command: Command) -> Command:
         """A line that ends far from where the drone is gets the time for it."""
-        here = self.place[1].p if self.place is not None and self.clock.now() - self.place[0] < LATELY else None
+        here = (
+            self.place[1].p
+            if self.place is not None and self.clock.now() - self.place[0] < LATELY
+            else None
+        )
         here = self._own.p if here is None and self._own is not None else here
         if here is None or not isinstance(command, XYZ) or command.verb != "line":
             return command
-        far, fastest = math.dist(command.flat[0:3], here), CATCHES_UP * self.config.flight.speed_limit
+        far = math.dist(command.flat[0:3], here)
+        fastest = CATCHES_UP * self.config.flight.speed_limit
         if far <= TRAILS + fastest * command.flat[4]:
             return command
         return XYZ("line", np.array([*command.flat[0:4], far / fastest]))
@@ -477,10 +603,14 @@ class RadioDrone(Actor):
             self.malformed += 1
             self._say("malformed", f"not sent: {error}")
             return
-        if len(packets) == 1 and (not isinstance(command, XYZ) or command.verb == "line"):
+        if len(packets) == 1 and (
+            not isinstance(command, XYZ) or command.verb == "line"
+        ):
             connection.newest("command", packets[0])
         else:
-            connection.forget("command")  # a set-point after it would take the drone from its planner
+            connection.forget(
+                "command"
+            )  # a set-point after it would take the drone from its planner
             self._send_now(packets)
 
     def _arm(self) -> None:
@@ -498,7 +628,9 @@ class RadioDrone(Actor):
         if not self._platform.firmware.needs_arming:
             return "ready: its firmware waits for no arming"
         if self.connection is None or self._cut:
-            raise Refused(f"drone {self.drone}", self.problem or self.why or "its motors were cut")
+            raise Refused(
+                f"drone {self.drone}", self.problem or self.why or "its motors were cut"
+            )
         try:
             await Firmware(self.connection).arm()
         except LinkFailed as error:
@@ -528,18 +660,31 @@ class RadioDrone(Actor):
     def _seen(self, pose: Pose, age: float) -> None:
         """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
         if not self._gate.believes(pose, self.clock.now(), self.flying):
-            self._say("jump", "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told")
+            self._say(
+                "jump",
+                "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told",
+            )
             self._jumped_at = min(self._jumped_at, self.clock.now())
-            if self._take_off is not None and self.clock.now() - self._jumped_at > JUMPS:
+            if (
+                self._take_off is not None
+                and self.clock.now() - self._jumped_at > JUMPS
+            ):
                 self._take_off.give_up()
             return
-        self.place, self._jumped_at = (self.clock.now() - age, pose), math.inf
+        self.place = (self.clock.now() - age, pose)
+        self._jumped_at = math.inf
         if self._astray():
             return  # it lands by its own sensors
-        if age <= NEWEST and self.connection is not None and self._told.passes(self.clock.now()):
+        if (
+            age <= NEWEST
+            and self.connection is not None
+            and self._told.passes(self.clock.now())
+        ):
             watched = self._take_off is not None and self._take_off.watched
             try:
-                self.connection.newest("pose", position_packet(pose) if watched else pose_packet(pose))
+                self.connection.newest(
+                    "pose", position_packet(pose) if watched else pose_packet(pose)
+                )
             except CodecError:
                 self.malformed += 1
 
@@ -550,7 +695,9 @@ class RadioDrone(Actor):
         if self.connection is not None:
             self._do(self._begin_asked(self.connection, tuple(names), period))
 
-    async def _begin_asked(self, connection: Connection, names: tuple[str, ...], period: float) -> None:
+    async def _begin_asked(
+        self, connection: Connection, names: tuple[str, ...], period: float
+    ) -> None:
         try:
             await connection.log("asked", names, period, self._take_asked, REOPENS)
         except LinkFailed as error:
@@ -580,17 +727,23 @@ class RadioDrone(Actor):
             if self._told_ns is None:
                 return  # of a landing before this one, that has been ended since
             if result in LANDING:
-                self._landed_at = min(self._landed_at, self.clock.now() + float(self._landing.flat[4]) + LANDED)
+                self._landed_at = min(
+                    self._landed_at,
+                    self.clock.now() + float(self._landing.flat[4]) + LANDED,
+                )
                 self._send_now(self.handler.relax)
                 return
             self._landing_ns = self.clock.now_ns() + round(REFUSED * SECOND)
         if result != 0:
             self.refused_plans += 1
-            self._say("planner", f"its planner refuses command {packet.data[0]} with {result}")
+            self._say(
+                "planner", f"its planner refuses command {packet.data[0]} with {result}"
+            )
 
     def _take_own(self, values: dict[str, float], at: int) -> None:
         if self._uptime.restarted(self.clock.now(), at):
-            self.why, self._cut_heard = "it has been started again", self._cut
+            self.why = "it has been started again"
+            self._cut_heard = self._cut
             self._prepared = self._placed = self._fed = self._has_flown = False
             self.release = ""
             if self._take_off is not None:
@@ -600,13 +753,20 @@ class RadioDrone(Actor):
             return
         taken = self._uptime.taken(self.clock.now(), at)
         self._well = {name: values[name] for name in WELL}
-        self._cut_heard = self._cut_heard or (self._cut and bool(self.supervisor & checks.LOCKED))
+        self._cut_heard = self._cut_heard or (
+            self._cut and bool(self.supervisor & checks.LOCKED)
+        )
         p = MILLI * np.array([values[name] for name in OWN[0:3]])
         v = MILLI * np.array([values[name] for name in OWN[3:6]])
         p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
-        self._own, self._own_ns = State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])), self.clock.now_ns()
+        self._own, self._own_ns = (
+            State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])),
+            self.clock.now_ns(),
+        )
         latency = math.nan if self.connection is None else self.connection.latency
-        if self._take_off is not None and self._take_off.note(taken, q, self.flying, latency):
+        if self._take_off is not None and self._take_off.note(
+            taken, q, self.flying, latency
+        ):
             self.report()
         if not self.seen_by_cameras:
             self.port.publish(POSE, Pose(np.array([*p, *q])))
@@ -617,9 +777,11 @@ class RadioDrone(Actor):
         radio = self.config.radio
         if self.seen_by_cameras or (radio.origin_yaw == 0.0 and not any(radio.origin)):
             return p, v, q
-        c, s = math.cos(radio.origin_yaw), math.sin(radio.origin_yaw)
+        c = math.cos(radio.origin_yaw)
+        s = math.sin(radio.origin_yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        a, b = quaternion_of_yaw(radio.origin_yaw).tolist(), q.tolist()
+        a = quaternion_of_yaw(radio.origin_yaw).tolist()
+        b = q.tolist()
         turned = np.array(product((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])))
         return turn @ p + np.array(radio.origin), turn @ v, turned
 
@@ -627,7 +789,9 @@ class RadioDrone(Actor):
         self._spread = values
 
     def _take_asked(self, values: dict[str, float], at: int) -> None:
-        self.port.publish(TELEMETRY, {name: [float(value), 0.0] for name, value in values.items()})
+        self.port.publish(
+            TELEMETRY, {name: [float(value), 0.0] for name, value in values.items()}
+        )
 
     @property
     def supervisor(self) -> int:
@@ -643,7 +807,9 @@ class RadioDrone(Actor):
     def silence(self) -> float:
         """s since its last packet, by whatever connection; infinite before the first."""
         way = self.connection
-        return min(math.inf if way is None else way.silence, self.clock.now() - self._heard_at)
+        return min(
+            math.inf if way is None else way.silence, self.clock.now() - self._heard_at
+        )
 
     @property
     def flying(self) -> bool:
@@ -683,30 +849,54 @@ class RadioDrone(Actor):
 
     def _astray(self) -> list[str]:
         """What its last take-off has shown of the body that is taken for its own."""
-        return [self._take_off.found] if self._take_off is not None and self._take_off.found else []
+        return (
+            [self._take_off.found]
+            if self._take_off is not None and self._take_off.found
+            else []
+        )
 
     def _unseen(self) -> list[str]:
-        own = None if self._own is None else Pose(np.array([*self._own.p, *self._own.flat[6:10]]))
-        homes = {} if self._has_flown else {j: np.array(self.config.drone(j).home) for j in self.config.seen}
+        own = (
+            None
+            if self._own is None
+            else Pose(np.array([*self._own.p, *self._own.flat[6:10]]))
+        )
+        homes = (
+            {}
+            if self._has_flown
+            else {j: np.array(self.config.drone(j).home) for j in self.config.seen}
+        )
         drones = {j: Standing(home, None, None) for j, home in homes.items()}
         drones[self.drone] = Standing(homes.get(self.drone), own, self._pose.fresh())
         return before_arming(self.drone, drones)
 
     def _unsure(self) -> list[str]:
         """Of one that is to know itself where it is."""
-        return checks.spread_problems([self._spread.get(name, math.nan) for name in SPREAD])
+        return checks.spread_problems(
+            [self._spread.get(name, math.nan) for name in SPREAD]
+        )
 
     def status(self) -> LinkStatus:
         """For its agent, and who looks on."""
         way = self.connection
-        known = {} if way is None else {
-            "latency": way.latency, "answered": way.answered, "rssi": way.rssi
-        }  # fmt: skip
+        known = (
+            {}
+            if way is None
+            else {"latency": way.latency, "answered": way.answered, "rssi": way.rssi}
+        )
         return LinkStatus(
-            self.state_of_link, self.silence, battery=float(self.battery), supervisor=self.supervisor,
-            flying=self.flying, problems=self.problems(), release=self.release, refused=self.refused_plans,
-            reconnected=self.reconnected, astray="; ".join(self._astray()), **known,
-        )  # fmt: skip
+            self.state_of_link,
+            self.silence,
+            battery=float(self.battery),
+            supervisor=self.supervisor,
+            flying=self.flying,
+            problems=self.problems(),
+            release=self.release,
+            refused=self.refused_plans,
+            reconnected=self.reconnected,
+            astray="; ".join(self._astray()),
+            **known,
+        )
 
     def report(self) -> None:
         """Publish how it is."""

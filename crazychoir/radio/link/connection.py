@@ -53,12 +53,22 @@ class Connection:
     """
 
     def __init__(
-        self, clock: Clock, uri: str, contents: TableOfContents, lost: Callable[[str], None] = lambda reason: None,
-        heard: Callable[[Packet], None] = lambda packet: None, turn: Callable[[], None] = lambda: None,
-    ) -> None:  # fmt: skip
+        self,
+        clock: Clock,
+        uri: str,
+        contents: TableOfContents,
+        lost: Callable[[str], None] = lambda reason: None,
+        heard: Callable[[Packet], None] = lambda packet: None,
+        turn: Callable[[], None] = lambda: None,
+    ) -> None:
         drivers.ready()
-        self.clock, self.uri, self._lost, self._heard, self._turn = clock, uri, lost, heard, turn
-        self._loop, self._contents = asyncio.get_running_loop(), contents
+        self.clock = clock
+        self.uri = uri
+        self._lost = lost
+        self._heard = heard
+        self._turn = turn
+        self._loop = asyncio.get_running_loop()
+        self._contents = contents
         self._asked: list[tuple[Callable[[Packet], bool], asyncio.Future[Packet]]] = []
         self._opened: asyncio.Future[None] = self._loop.create_future()
         self._over = False
@@ -74,13 +84,19 @@ class Connection:
         """cflib's object, listened to; it gets its tables from the cache, and reads parameters when they are asked."""
         cf = Crazyflie()
         cf._toc_cache = contents
-        cf.mem.refresh = _unread  # it would read those of decks, too, and never end where one fails
+        cf.mem.refresh = (
+            _unread  # it would read those of decks, too, and never end where one fails
+        )
         cf.remove_port_callback(MEMORY, cf.mem._new_packet_cb)
         cf.param.request_update_of_all_params = _nothing
         cf.param.refresh_toc = MethodType(_only_contents, cf.param)
         cf.connected.add_callback(lambda uri: self._from_thread(self._is_open))
-        cf.connection_failed.add_callback(lambda uri, message: self._from_thread(self._failed, message))
-        cf.connection_lost.add_callback(lambda uri, message: self._from_thread(self._failed, message))
+        cf.connection_failed.add_callback(
+            lambda uri, message: self._from_thread(self._failed, message)
+        )
+        cf.connection_lost.add_callback(
+            lambda uri, message: self._from_thread(self._failed, message)
+        )
         cf.packet_received.add_callback(self._received)
         _without_echoes(cf)
         cf.link_statistics.uplink_rssi_updated.add_callback(self._set_rssi)
@@ -93,21 +109,29 @@ class Connection:
 
         seconds: that it gets to answer;  tables: s more for its tables, once it has.
         """
-        threading.Thread(target=self._open, name=f"{self.uri} opening", daemon=True).start()
+        threading.Thread(
+            target=self._open, name=f"{self.uri} opening", daemon=True
+        ).start()
         try:
             await self._until_open(seconds)
         except TimeoutError:
             if self._heard_ns is None or not tables:
-                raise LinkFailed(self.uri, f"{self.stage} within {seconds:.3g} s") from None
+                raise LinkFailed(
+                    self.uri, f"{self.stage} within {seconds:.3g} s"
+                ) from None
             await self._until_told(seconds, tables)
-        self._writer = Writer(self.uri, self._put, self._turn, partial(drivers.room, self.cf))
+        self._writer = Writer(
+            self.uri, self._put, self._turn, partial(drivers.room, self.cf)
+        )
         self._echoing = self._loop.create_task(self._echo())
 
     async def _until_told(self, seconds: float, tables: float) -> None:
         try:
             await self._until_open(tables)
         except TimeoutError:
-            raise LinkFailed(self.uri, f"{self.stage} within {seconds + tables:.3g} s") from None
+            raise LinkFailed(
+                self.uri, f"{self.stage} within {seconds + tables:.3g} s"
+            ) from None
 
     async def _until_open(self, seconds: float) -> None:
         async with asyncio.timeout(seconds):
@@ -167,7 +191,9 @@ class Connection:
         if self._writer is not None:
             self._writer.end()
         closed: asyncio.Future[None] = self._loop.create_future()
-        threading.Thread(target=self._close, args=(closed,), name=f"{self.uri} closing", daemon=True).start()
+        threading.Thread(
+            target=self._close, args=(closed,), name=f"{self.uri} closing", daemon=True
+        ).start()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(CLOSES):
                 await closed
@@ -187,7 +213,8 @@ class Connection:
         self._quietly(_resolve, closed)
 
     def _close_link(self) -> None:
-        link, self.cf.link = self.cf.link, None
+        link = self.cf.link
+        self.cf.link = None
         if link is not None:
             link.close()
 
@@ -217,7 +244,11 @@ class Connection:
             self._writer.forget(kind)
 
     async def ask(
-        self, packet: Packet, answers: Callable[[Packet], bool], seconds: float, again: float = AGAIN
+        self,
+        packet: Packet,
+        answers: Callable[[Packet], bool],
+        seconds: float,
+        again: float = AGAIN,
     ) -> Packet:
         """Send it until an answer comes; raises TimeoutError.
 
@@ -230,7 +261,9 @@ class Connection:
             async with asyncio.timeout(seconds):
                 while not waiting.done():
                     self.send(packet)
-                    await asyncio.wait([waiting], timeout=None if math.isinf(again) else again)
+                    await asyncio.wait(
+                        [waiting], timeout=None if math.isinf(again) else again
+                    )
                 return waiting.result()
         finally:
             self._asked.remove(entry)
@@ -238,7 +271,11 @@ class Connection:
     @property
     def silence(self) -> float:
         """s since the last packet from the drone; infinite before the first."""
-        return math.inf if self._heard_ns is None else (self.clock.now_ns() - self._heard_ns) / SECOND
+        return (
+            math.inf
+            if self._heard_ns is None
+            else (self.clock.now_ns() - self._heard_ns) / SECOND
+        )
 
     @property
     def latency(self) -> float:
@@ -255,7 +292,14 @@ class Connection:
         """Why its dongle cannot be used; empty if it can."""
         return DONGLES.failure(self.uri)
 
-    async def log(self, name: str, variables: Iterable[str], period: float, data: Data, seconds: float) -> None:
+    async def log(
+        self,
+        name: str,
+        variables: Iterable[str],
+        period: float,
+        data: Data,
+        seconds: float,
+    ) -> None:
         """Let the drone say variables every `period` s, a multiple of 0.01; LinkFailed if it does not in time."""
         if self._writer is None:
             raise LinkFailed(self.uri, f"log {name}: its link is not open")
@@ -263,19 +307,27 @@ class Connection:
         for variable in variables:
             config.add_variable(variable)
         started = self._loop.create_future()
-        config.data_received_cb.add_callback(lambda at, values, block: self._from_thread(data, values, at))
+        config.data_received_cb.add_callback(
+            lambda at, values, block: self._from_thread(data, values, at)
+        )
         config.started_cb.add_callback(partial(self._begun, started))
-        config.error_cb.add_callback(lambda block, message: self._from_thread(_fail, started, str(message)))
+        config.error_cb.add_callback(
+            lambda block, message: self._from_thread(_fail, started, str(message))
+        )
         try:
             self.cf.log.add_config(config)
         except (KeyError, AttributeError) as error:
             raise LinkFailed(self.uri, f"log {name}: {error}") from error
-        threading.Thread(target=config.start, name=f"{self.uri} log", daemon=True).start()
+        threading.Thread(
+            target=config.start, name=f"{self.uri} log", daemon=True
+        ).start()
         try:
             async with asyncio.timeout(seconds):
                 await started
         except TimeoutError:
-            raise LinkFailed(self.uri, f"log {name} was not begun within {seconds:g} s") from None
+            raise LinkFailed(
+                self.uri, f"log {name} was not begun within {seconds:g} s"
+            ) from None
 
     @property
     def failure(self) -> str:
@@ -292,9 +344,15 @@ class Connection:
     async def reset_logs(self, seconds: float) -> None:
         """Let the drone drop all its blocks; LinkFailed if it does not say so in time."""
         try:
-            await self.ask(RESET_LOGS, lambda p: p[:2] == RESET_LOGS[:2] and p.data[:1] == RESET_LOGS.data, seconds)
+            await self.ask(
+                RESET_LOGS,
+                lambda p: p[:2] == RESET_LOGS[:2] and p.data[:1] == RESET_LOGS.data,
+                seconds,
+            )
         except TimeoutError:
-            raise LinkFailed(self.uri, f"its logs were not reset within {seconds:g} s") from None
+            raise LinkFailed(
+                self.uri, f"its logs were not reset within {seconds:g} s"
+            ) from None
         self.cf.log.log_blocks = []
 
     def _to_thread(self, packet: Packet) -> None:
@@ -331,7 +389,8 @@ class Connection:
 
     def _received(self, packet: CRTPPacket) -> None:
         self._heard_ns = self.clock.now_ns()
-        port, channel = packet.port, packet.channel
+        port = packet.port
+        channel = packet.channel
         if port == LINK and channel == ECHO:
             self._trips.came(bytes(packet.data), self.clock.now())
         elif not (port == LOG and channel == LOG_DATA):
@@ -347,12 +406,18 @@ class Connection:
             self._opened.set_result(None)
 
     def _failed(self, message: str) -> None:
-        reason = message.strip().splitlines()[-1] if message.strip() else "no reason is known"
+        reason = (
+            message.strip().splitlines()[-1]
+            if message.strip()
+            else "no reason is known"
+        )
         if NOBODY in reason and self.uri.startswith("udp"):
             reason = "no virtual drone is there: start `crazychoir virtual` with this swarm file"
         if not self._opened.done():
             gone = self.dongle_failure
-            self._opened.set_exception(DongleFailed(self.uri, gone) if gone else LinkFailed(self.uri, reason))
+            self._opened.set_exception(
+                DongleFailed(self.uri, gone) if gone else LinkFailed(self.uri, reason)
+            )
         elif self._writer is not None:
             self._lost(reason)
 
@@ -389,6 +454,8 @@ def _without_echoes(cf: Crazyflie) -> None:
     cf.remove_header_callback(latency._ping_response, LINK, ECHO)
 
 
-def _only_contents(param: Any, done: Callable[[], None], contents: TableOfContents) -> None:
+def _only_contents(
+    param: Any, done: Callable[[], None], contents: TableOfContents
+) -> None:
     """In place of cflib's, which asks of each parameter whether it is persistent, one after the other."""
     TocFetcher(param.cf, ParamTocElement, PARAM, param.toc, done, contents).start()

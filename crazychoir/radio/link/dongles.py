@@ -43,7 +43,8 @@ class Dongle:
     def __init__(self, number: int, failed: Callable[[str], None]) -> None:
         self._radio = radiodriver.Crazyradio(devid=number)
         self.version: float = self._radio.version
-        self.links, self.over = 0, False
+        self.links = 0
+        self.over = False
         self._failed = failed
         self._guard, self._waiting = threading.Lock(), deque[threading.Lock]()
         self._never = threading.Event()
@@ -66,12 +67,18 @@ class Dongle:
                     if self._waiting:
                         self._waiting[0].release()
 
-    def exchange(self, channel: int, address: bytes, rate: int, data: Sequence[int]) -> Any:
+    def exchange(
+        self, channel: int, address: bytes, rate: int, data: Sequence[int]
+    ) -> Any:
         """A packet to a drone, and cflib's acknowledgement; None if the dongle answers nothing."""
         with self._turn():
-            answer = self._use(lambda radio: _exchanged(radio, channel, address, rate, data))
+            answer = self._use(
+                lambda radio: _exchanged(radio, channel, address, rate, data)
+            )
             if answer is None:
-                self._use(lambda radio: radio.set_arc(radio.arc))  # cflib keeps errors of packets for itself
+                self._use(
+                    lambda radio: radio.set_arc(radio.arc)
+                )  # cflib keeps errors of packets for itself
         if answer is None:
             self._never.wait(PAUSE)
         return answer
@@ -98,7 +105,9 @@ class Dongle:
                 self._radio.close()
 
 
-def _exchanged(radio: Any, channel: int, address: bytes, rate: int, data: Sequence[int]) -> Any:
+def _exchanged(
+    radio: Any, channel: int, address: bytes, rate: int, data: Sequence[int]
+) -> Any:
     radio.set_channel(channel)
     radio.set_address(address)
     radio.set_data_rate(rate)
@@ -109,9 +118,18 @@ class Turns:
     """One link's turns at a dongle: what cflib's driver takes for its radio."""
 
     def __init__(self, dongle: Dongle, closed: Callable[[], None]) -> None:
-        self.version, self._dongle, self._closed = dongle.version, dongle, closed
-        self._channel, self._address, self._rate = 2, bytes(5), radiodriver.Crazyradio.DR_2MPS
-        self._open, self._heard, self._vain, self._missed = True, False, 0, 0
+        self.version = dongle.version
+        self._dongle = dongle
+        self._closed = closed
+        self._channel, self._address, self._rate = (
+            2,
+            bytes(5),
+            radiodriver.Crazyradio.DR_2MPS,
+        )
+        self._open = True
+        self._heard = False
+        self._vain = 0
+        self._missed = 0
         self.ends = False
         """Whether the link is about to be closed."""
         self._never = threading.Event()
@@ -139,7 +157,12 @@ class Turns:
         after that, would take each packet for one sent again: it is asked until it acknowledges.
         """
         answer = self._exchanged(data)
-        while tuple(data) == SAFELINK and not (answer and answer.ack) and self._open and not self.ends:
+        while (
+            tuple(data) == SAFELINK
+            and not (answer and answer.ack)
+            and self._open
+            and not self.ends
+        ):
             answer = self._exchanged(data)
         return answer
 
@@ -196,7 +219,12 @@ class Dongles:
 
     def _opened(self, number: int) -> Dongle:
         try:
-            dongle = Dongle(number, lambda why: self._fails(number, f"{why}. It was pulled out, or has no power"))
+            dongle = Dongle(
+                number,
+                lambda why: self._fails(
+                    number, f"{why}. It was pulled out, or has no power"
+                ),
+            )
         except Exception as error:
             self._fails(number, f"{error}. {PLUG}")
             raise
@@ -217,7 +245,11 @@ class Dongles:
     def failure(self, uri: str) -> str:
         """Why the dongle of this uri cannot be used; empty if it can, or has not been asked for."""
         number = uri.removeprefix("radio://").partition("/")[0]
-        return self._why.get(int(number), "") if uri.startswith("radio://") and number.isdigit() else ""
+        return (
+            self._why.get(int(number), "")
+            if uri.startswith("radio://") and number.isdigit()
+            else ""
+        )
 
 
 DONGLES = Dongles()

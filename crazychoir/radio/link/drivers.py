@@ -34,13 +34,18 @@ class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
         super().__init__()
         self.needs_resending = True
 
-    def connect(self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any) -> None:
+    def connect(
+        self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any
+    ) -> None:
         """As cflib's."""
-        super().connect(uri, radio_link_statistics_callback, link_error_callback or _ignored)
+        super().connect(
+            uri, radio_link_statistics_callback, link_error_callback or _ignored
+        )
 
     def close(self) -> None:
         """Without waiting for either thread."""
-        thread, waiting = self._thread, self.in_queue
+        thread = self._thread
+        waiting = self.in_queue
         if thread is not None:
             thread._sp = True
         at = self.socket
@@ -82,7 +87,9 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
     def needs_resending(self, needs: bool) -> None:
         """Not up to the thread."""
 
-    def connect(self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any) -> None:
+    def connect(
+        self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any
+    ) -> None:
         """As cflib's, by a dongle that is shared in our way."""
         super().connect(uri, radio_link_statistics_callback, _ignored)
         self.out_queue = self._thread._out_queue = Outbox(self._radio)
@@ -103,7 +110,8 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
 
     def close(self) -> None:
         """Once its thread has ended, or has had the time to; nobody waits for packets any more."""
-        thread, turns = self._thread, self._radio
+        thread = self._thread
+        turns = self._radio
         if turns is not None:
             turns.ends = True
         if thread is not None:
@@ -133,7 +141,9 @@ OURS = {UdpDriver: LossyUdpDriver, RadioDriver: PatientRadioDriver}
 @cache
 def ready() -> None:
     """Let cflib know its drivers, ours in place of its own; once a process, as cflib adds them at each call."""
-    logging.getLogger("cflib").setLevel(logging.CRITICAL)  # what fails is said once, by who has asked for it
+    logging.getLogger("cflib").setLevel(
+        logging.CRITICAL
+    )  # what fails is said once, by who has asked for it
     cflib.crtp.init_drivers()
     radiodriver.RadioManager = DONGLES
     cflib.crtp.CLASSES[:] = [OURS.get(driver, driver) for driver in cflib.crtp.CLASSES]

@@ -33,7 +33,9 @@ class Firmware:
     async def release(self) -> str:
         """Its tag, as "2025.12"."""
         asked = Packet(PLATFORM, 1, b"\x01")
-        answer = await self._ask(asked, lambda p: p[:2] == asked[:2] and p.data[:1] == b"\x01", "its release")
+        answer = await self._ask(
+            asked, lambda p: p[:2] == asked[:2] and p.data[:1] == b"\x01", "its release"
+        )
         return answer.data[1:].split(b"\0")[0].decode(errors="replace")
 
     async def get(self, name: str) -> float:
@@ -41,32 +43,45 @@ class Firmware:
         element = self._parameter(name)
         ident = struct.pack("<H", element.ident)
         answer = await self._ask(
-            Packet(PARAM, READ, ident), lambda p: p[:2] == (PARAM, READ) and p.data[:2] == ident, f"parameter {name}"
+            Packet(PARAM, READ, ident),
+            lambda p: p[:2] == (PARAM, READ) and p.data[:2] == ident,
+            f"parameter {name}",
         )
         if len(answer.data) != 3 + struct.calcsize(element.pytype):
-            raise LinkFailed(self.connection.uri, f"parameter {name}: its firmware does not read it")
+            raise LinkFailed(
+                self.connection.uri, f"parameter {name}: its firmware does not read it"
+            )
         value: float = struct.unpack(element.pytype, answer.data[3:])[0]
         return value
 
     async def has(self, name: str) -> bool:
         """Whether it has a parameter of this name, and it is not 0."""
-        there = self.connection.cf.param.toc.get_element_by_complete_name(name) is not None
+        there = (
+            self.connection.cf.param.toc.get_element_by_complete_name(name) is not None
+        )
         return there and await self.get(name) != 0
 
     async def set(self, name: str, value: float) -> float:
         """A parameter, to this value; what the firmware has taken."""
-        element, uri = self._parameter(name), self.connection.uri
+        element = self._parameter(name)
+        uri = self.connection.uri
         if element.access == element.RO_ACCESS:
             raise LinkFailed(uri, f"parameter {name} can only be read")
         try:
             said = _packed(element.pytype, value)
         except (struct.error, OverflowError, TypeError, ValueError) as error:
             allowed = f"{_allowed(element.pytype)} ({element.ctype})"
-            raise LinkFailed(uri, f"parameter {name} = {value!r}; allowed: {allowed}") from error
+            raise LinkFailed(
+                uri, f"parameter {name} = {value!r}; allowed: {allowed}"
+            ) from error
         asked = Packet(PARAM, WRITE, struct.pack("<H", element.ident) + said)
-        answer = await self._ask(asked, partial(_taken_or_not, asked), f"parameter {name} = {value}")
+        answer = await self._ask(
+            asked, partial(_taken_or_not, asked), f"parameter {name} = {value}"
+        )
         if answer.data != asked.data:
-            raise LinkFailed(uri, f"parameter {name} = {value!r}: its firmware does not take it")
+            raise LinkFailed(
+                uri, f"parameter {name} = {value!r}: its firmware does not take it"
+            )
         return value
 
     async def set_all(self, values: Mapping[str, float]) -> None:
@@ -78,70 +93,119 @@ class Firmware:
         """Let its motors turn, or not."""
         asked = FORMS["arm"].packet(on)
         head = bytes([0x80 | asked.data[0]])
-        answer = await self._ask(asked, lambda p: p[:2] == asked[:2] and p.data[:1] == head, "arming")
+        answer = await self._ask(
+            asked, lambda p: p[:2] == asked[:2] and p.data[:1] == head, "arming"
+        )
         if answer.data[1:3] != bytes([1, on]):
-            raise LinkFailed(self.connection.uri, "its firmware refuses to arm: see its supervisor")
+            raise LinkFailed(
+                self.connection.uri, "its firmware refuses to arm: see its supervisor"
+            )
 
-    async def upload(self, memory: bytes, slot: int, pieces: int, offset: int = 0) -> None:
+    async def upload(
+        self, memory: bytes, slot: int, pieces: int, offset: int = 0
+    ) -> None:
         """A trajectory of so many pieces, as planning/upload.py makes them, to be started by its slot.
 
         offset: byte of the memory at which it begins. What does not fit is refused before anything is sent.
         """
         uri = self.connection.uri
         if not 0 <= slot < SLOTS:
-            raise LinkFailed(uri, f"trajectory {slot}: slots 0 to {SLOTS - 1} are there")
+            raise LinkFailed(
+                uri, f"trajectory {slot}: slots 0 to {SLOTS - 1} are there"
+            )
         if not 0 <= offset <= offset + len(memory) <= SIZE:
             allowed = f"{SIZE} are there: 31 pieces"
-            raise LinkFailed(uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}")
+            raise LinkFailed(
+                uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}"
+            )
         where = await self._memory()
         for start in range(0, len(memory), CHUNK):
             head = struct.pack("<BI", where, offset + start)
             asked = Packet(MEMORY, WRITE, head + memory[start : start + CHUNK])
-            answer = await self._ask(asked, partial(_written, head), f"trajectory {slot}")
+            answer = await self._ask(
+                asked, partial(_written, head), f"trajectory {slot}"
+            )
             if answer.data[5:6] != b"\0":
-                raise LinkFailed(self.connection.uri, f"trajectory {slot}: its memory does not take byte {start}")
+                raise LinkFailed(
+                    self.connection.uri,
+                    f"trajectory {slot}: its memory does not take byte {start}",
+                )
         await self.plan(FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces))
 
-    async def start(self, slot: int, timescale: float = 1.0, relative: bool = False) -> None:
+    async def start(
+        self, slot: int, timescale: float = 1.0, relative: bool = False
+    ) -> None:
         """Fly an uploaded trajectory, so many times as slow; relative: from where it is.
 
         It is said once: said again, after an answer that was lost, it would begin anew.
         """
-        await self.plan(FORMS["start_trajectory"].packet(ALL, relative, False, False, slot, timescale), math.inf)
+        await self.plan(
+            FORMS["start_trajectory"].packet(
+                ALL, relative, False, False, slot, timescale
+            ),
+            math.inf,
+        )
 
     async def _memory(self) -> int:
         """The number of the memory of trajectories among those that it has; cflib would read those of decks, too."""
-        count = await self._ask(COUNT, lambda p: p[:2] == COUNT[:2] and p.data[:1] == COUNT.data, "its memories")
+        count = await self._ask(
+            COUNT,
+            lambda p: p[:2] == COUNT[:2] and p.data[:1] == COUNT.data,
+            "its memories",
+        )
         for number in range(count.data[1] if len(count.data) > 1 else 0):
             asked = Packet(MEMORY, LISTED, bytes([2, number]))
-            answer = await self._ask(asked, partial(_details, asked), f"memory {number}")
+            answer = await self._ask(
+                asked, partial(_details, asked), f"memory {number}"
+            )
             if answer.data[2:3] == bytes([TRAJECTORIES]):
                 return number
-        raise LinkFailed(self.connection.uri, "its firmware has no memory for trajectories")
+        raise LinkFailed(
+            self.connection.uri, "its firmware has no memory for trajectories"
+        )
 
     async def plan(self, packet: Packet, again: float = AGAIN) -> None:
         """Something for the planner on board; again: s after which it is said again, infinite for what may not be."""
         answer = await self._ask(
-            packet, lambda p: p[:2] == packet[:2] and p.data[:3] == packet.data[:3], "a plan", again
+            packet,
+            lambda p: p[:2] == packet[:2] and p.data[:3] == packet.data[:3],
+            "a plan",
+            again,
         )
         if answer.data[3:4] != b"\0":
-            raise LinkFailed(self.connection.uri, f"its planner refuses ({answer.data[3]})")
+            raise LinkFailed(
+                self.connection.uri, f"its planner refuses ({answer.data[3]})"
+            )
 
     async def _ask(
-        self, packet: Packet, answers: Callable[[Packet], bool], what: str, again: float = AGAIN
+        self,
+        packet: Packet,
+        answers: Callable[[Packet], bool],
+        what: str,
+        again: float = AGAIN,
     ) -> Packet:
         try:
             return await self.connection.ask(packet, answers, DEADLINE, again)
         except TimeoutError:
-            raise LinkFailed(self.connection.uri, f"no answer about {what} within {DEADLINE:g} s") from None
+            raise LinkFailed(
+                self.connection.uri, f"no answer about {what} within {DEADLINE:g} s"
+            ) from None
 
     def _parameter(self, name: str) -> "Element":
         element = self.connection.cf.param.toc.get_element_by_complete_name(name)
         if element is None:
             toc = self.connection.cf.param.toc.toc
-            known = [f"{group}.{item}" for group, items in toc.items() for item in items]
-            near = ", ".join(difflib.get_close_matches(name, known, 3, 0.4)) or "none like it"
-            raise LinkFailed(self.connection.uri, f"its firmware has no parameter {name}; it has {near}")
+            known = [
+                f"{group}.{item}" for group, items in toc.items() for item in items
+            ]
+            near = (
+                ", ".join(difflib.get_close_matches(name, known, 3, 0.4))
+                or "none like it"
+            )
+            raise LinkFailed(
+                self.connection.uri,
+                f"its firmware has no parameter {name}; it has {near}",
+            )
         return element  # type: ignore[no-any-return]
 
 
@@ -162,8 +226,13 @@ def _allowed(kind: str) -> str:
     """The range of a kind, in words."""
     if kind[-1] in FLOATS:
         return f"finite numbers, {-FLOATS[kind[-1]]:.5g} to {FLOATS[kind[-1]]:.5g}"
-    bits, signed = 8 * struct.calcsize(kind), kind[-1].islower()
-    return f"{-(1 << bits - 1)} to {(1 << bits - 1) - 1}" if signed else f"0 to {(1 << bits) - 1}"
+    bits = 8 * struct.calcsize(kind)
+    signed = kind[-1].islower()
+    return (
+        f"{-(1 << bits - 1)} to {(1 << bits - 1) - 1}"
+        if signed
+        else f"0 to {(1 << bits) - 1}"
+    )
 
 
 def _taken_or_not(asked: Packet, packet: Packet) -> bool:

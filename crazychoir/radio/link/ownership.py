@@ -24,7 +24,9 @@ LAND_AS_OWNER = "and may fly drones: that user, or root, must land them first (C
 PREFIX = "crazychoir-"
 """How the name of each lock begins."""
 LONGEST_NAME = 107  # bytes of a name, after the zero byte that makes it abstract
-ANSWER_TIMEOUT = 0.5  # s for the owner to say its swarm; a process that is stopped does not
+ANSWER_TIMEOUT = (
+    0.5  # s for the owner to say its swarm; a process that is stopped does not
+)
 CREDENTIALS = struct.Struct("3i")  # process, user and group, as the kernel knows them
 ANSWER_SIZE = 256  # bytes
 
@@ -50,7 +52,10 @@ def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
 def _names(config: SwarmConfig, dongle: int) -> list[str]:
     """Of its locks, in an order that all keep to."""
     uris = [config.drone(i).uri for i in config.dongles[dongle]]
-    names = {f"dongle-{uri.split('/')[2]}" if uri.startswith("radio") else uri for uri in uris}
+    names = {
+        f"dongle-{uri.split('/')[2]}" if uri.startswith("radio") else uri
+        for uri in uris
+    }
     return sorted(names)
 
 
@@ -72,13 +77,20 @@ def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
             found = _owner(name) or f"it cannot be locked ({error.strerror or error})"
             raise Refused(f"dongle {dongle}", found) from None
         lock.listen()
-        answering = threading.Thread(target=_answer, args=(lock, swarm.encode()), name=f"lock {name}", daemon=True)
+        answering = threading.Thread(
+            target=_answer,
+            args=(lock, swarm.encode()),
+            name=f"lock {name}",
+            daemon=True,
+        )
         answering.start()
         try:
             yield
         finally:
             with contextlib.suppress(OSError):
-                lock.shutdown(socket.SHUT_RDWR)  # ends the wait of the thread, which holds the name
+                lock.shutdown(
+                    socket.SHUT_RDWR
+                )  # ends the wait of the thread, which holds the name
             answering.join()
 
 
@@ -111,4 +123,6 @@ def _owner(name: str) -> str | None:
     swarm = f" (swarm {said})" if re.fullmatch(r"[\w.-]+", said) else ""
     if user == os.getuid():
         return f"process {process or '?'}{swarm} has it, {LAND_FIRST}"
-    return f"process {process or '?'}{swarm} of {user_name(user)} has it, {LAND_AS_OWNER}"
+    return (
+        f"process {process or '?'}{swarm} of {user_name(user)} has it, {LAND_AS_OWNER}"
+    )

@@ -22,7 +22,8 @@ class RoundTrips:
     """Echoes of one link; from any thread, times in s of one clock."""
 
     def __init__(self) -> None:
-        self._lock, self._number = threading.Lock(), 0
+        self._lock = threading.Lock()
+        self._number = 0
         self._answered: OrderedDict[bytes, float | None] = OrderedDict()
         self._took: deque[float] = deque()
         self._sorted: list[float] = []
@@ -65,5 +66,7 @@ class RoundTrips:
     def answered(self) -> float:
         """Share of the last echoes that came back; NaN before there are two."""
         with self._lock:
-            back = [sent is None for sent in self._answered.values()][:-1]  # the last may be on its way
+            back = [sent is None for sent in self._answered.values()][
+                :-1
+            ]  # the last may be on its way
         return sum(back) / len(back) if back else math.nan

@@ -80,12 +80,20 @@ class TableOfContents:
         if not self._warned:
             self._warned = True
             do = "Set XDG_CACHE_HOME to a folder that can be written and has room."
-            log.warning("%s%s: %s: they are not kept, connecting takes longer. %s", WARNING, NAME, fault, do)
+            log.warning(
+                "%s%s: %s: they are not kept, connecting takes longer. %s",
+                WARNING,
+                NAME,
+                fault,
+                do,
+            )
 
     def forget(self, thread: int) -> None:
         """The link of this thread is closed: who waits for what it was being told asks itself."""
         with self._told:
-            self._asked = {crc: who for crc, who in self._asked.items() if who != thread}
+            self._asked = {
+                crc: who for crc, who in self._asked.items() if who != thread
+            }
             self._closed[thread] = None
             self._told.notify_all()
 
@@ -97,7 +105,14 @@ class TableOfContents:
             return decoded(file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            RecursionError,
+        ) as error:
             self._damaged.append(crc)  # waiting links look again and again
             log.warning("%s: %s: asked of the drone again", file, error)
             return None
@@ -121,13 +136,19 @@ def _file(folder: Path, crc: int) -> Path:
 
 def _check(kind: str, elements: list[Any]) -> str:
     """Return the digest of a table: a file that is damaged and still JSON is found by it."""
-    return hashlib.blake2b(json.dumps([kind, elements]).encode(), digest_size=8).hexdigest()
+    return hashlib.blake2b(
+        json.dumps([kind, elements]).encode(), digest_size=8
+    ).hexdigest()
 
 
 def encoded(contents: Contents) -> str:
     """As text."""
     elements = [element for group in contents.values() for element in group.values()]
-    kind = "param" if any(isinstance(element, ParamTocElement) for element in elements) else "log"
+    kind = (
+        "param"
+        if any(isinstance(element, ParamTocElement) for element in elements)
+        else "log"
+    )
     values = [[getattr(element, f) for f in FIELDS] for element in elements]
     return json.dumps({"kind": kind, "check": _check(kind, values), "elements": values})
 
@@ -138,7 +159,8 @@ def decoded(text: str) -> Contents:
     Whether a parameter is persistent is not kept: cflib would ask for each at every connection.
     """
     raw = json.loads(text)
-    kind, found = KINDS[raw["kind"]], Contents()
+    kind = KINDS[raw["kind"]]
+    found = Contents()
     if raw["check"] != _check(raw["kind"], raw["elements"]):
         raise ValueError("it is damaged: its digest is another")
     for values in raw["elements"]:

@@ -16,7 +16,8 @@ class Turns:
     """
 
     def __init__(self, clock: Clock, capacity: float) -> None:
-        self._clock, self._period_ns = clock, round(SECOND / capacity)
+        self._clock = clock
+        self._period_ns = round(SECOND / capacity)
         self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
 
     def turn(self) -> None:
@@ -42,10 +43,18 @@ class Writer:
     """
 
     def __init__(
-        self, name: str, send: Callable[[Packet], bool], turn: Callable[[], None] = lambda: None,
+        self,
+        name: str,
+        send: Callable[[Packet], bool],
+        turn: Callable[[], None] = lambda: None,
         room: Callable[[], bool] = lambda: True,
-    ) -> None:  # fmt: skip
-        self._send, self._turn, self._room, self._work = send, turn, room, threading.Condition()
+    ) -> None:
+        self._send, self._turn, self._room, self._work = (
+            send,
+            turn,
+            room,
+            threading.Condition(),
+        )
         self._urgent: deque[Packet] = deque()
         self._ordered: deque[Packet] = deque()
         self._newest: dict[str, Packet] = {}
@@ -54,7 +63,9 @@ class Writer:
         """Packets that have gone; those for which too many were waiting."""
         self.failure = ""
         """What the last send that failed has raised."""
-        self._thread = threading.Thread(target=self._run, name=f"{name} writer", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, name=f"{name} writer", daemon=True
+        )
         self._thread.start()
 
     def put(self, packet: Packet) -> bool:
@@ -86,7 +97,8 @@ class Writer:
 
     def failed(self) -> str:
         """What has been raised since this was asked."""
-        failure, self.failure = self.failure, ""
+        failure = self.failure
+        self.failure = ""
         return failure
 
     def end(self) -> None:
@@ -142,4 +154,6 @@ class Writer:
             if waiting and waiting[0] is packet:
                 waiting.popleft()
                 return
-        self._newest = {kind: other for kind, other in self._newest.items() if other is not packet}
+        self._newest = {
+            kind: other for kind, other in self._newest.items() if other is not packet
+        }

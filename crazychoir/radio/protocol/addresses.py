@@ -15,7 +15,12 @@ from crazychoir.radio.protocol.channels import LAST
 RADIO = re.compile(r"(radio://([^/]+)/)(\d{1,3})((?:[/?].*)?)")
 """Up to the channel, the dongle in it, the channel, and the rest."""
 _TOKENS = re.compile(
-    r'"""(?:\\.|[^\\])*?"""' r"|'''.*?'''" r'|"(?:\\.|[^"\\\n])*"' r"|'[^'\n]*'" r"|#[^\n]*", re.DOTALL
+    r'"""(?:\\.|[^\\])*?"""'
+    r"|'''.*?'''"
+    r'|"(?:\\.|[^"\\\n])*"'
+    r"|'[^'\n]*'"
+    r"|#[^\n]*",
+    re.DOTALL,
 )
 """Texts and comments of TOML, and texts of JSON."""
 _KEY = re.compile(r"""(?:^|[\s,{.])(?:uri|"uri"|'uri')\s*[=:]\s*$""")
@@ -32,12 +37,24 @@ def dongles(text: str, where: str) -> dict[str, list[str]]:
     for uri in (drone["uri"] for drone in _on_radio(_values(text, where))):
         match = RADIO.fullmatch(uri)
         if match is None:
-            allowed = "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E701"
-            raise ConfigError(f"{where}: uri", uri, allowed, "Write its channel, so that there is one to change.")
+            allowed = (
+                "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E701"
+            )
+            raise ConfigError(
+                f"{where}: uri",
+                uri,
+                allowed,
+                "Write its channel, so that there is one to change.",
+            )
         found.setdefault(_dongle(match), []).append(uri)
     if not found:
         do = "Drones of other worlds need no channel."
-        raise ConfigError(f"{where}: drones", "no uri with radio://", "at least one drone on a radio", do)
+        raise ConfigError(
+            f"{where}: drones",
+            "no uri with radio://",
+            "at least one drone on a radio",
+            do,
+        )
     return found
 
 
@@ -51,9 +68,16 @@ def with_channels(text: str, channels: Mapping[str, int], where: str) -> str:
         drone["uri"] = _on_channel(drone["uri"], channels)
     changed = _TOKENS.sub(lambda token: _token(token, channels), text)
     if _values(changed, where) != expected:
-        wanted = ", ".join(f"{channel} for dongle {dongle}" for dongle, channel in channels.items())
+        wanted = ", ".join(
+            f"{channel} for dongle {dongle}" for dongle, channel in channels.items()
+        )
         do = f"Write the channels yourself: {wanted}."
-        raise ConfigError(f"{where}: uri", "another way of writing", 'plain texts, as uri = "radio://0/80/2M"', do)
+        raise ConfigError(
+            f"{where}: uri",
+            "another way of writing",
+            'plain texts, as uri = "radio://0/80/2M"',
+            do,
+        )
     return changed
 
 
@@ -63,7 +87,11 @@ def require_writable(path: Path) -> None:
     text = read_text(path)
     with_channels(text, dict.fromkeys(dongles(text, str(path)), LAST), str(path))
     if not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)):
-        raise ConfigError(str(path), "Permission denied", "a file that can be written, in a folder that can")
+        raise ConfigError(
+            str(path),
+            "Permission denied",
+            "a file that can be written, in a folder that can",
+        )
 
 
 def write_channels(path: Path, channels: Mapping[str, int]) -> None:
@@ -77,7 +105,11 @@ def write_channels(path: Path, channels: Mapping[str, int]) -> None:
         beside.replace(path)
     except OSError as error:
         beside.unlink(missing_ok=True)
-        raise ConfigError(str(path), str(error.strerror), "a file that can be written, in a folder that can") from error
+        raise ConfigError(
+            str(path),
+            str(error.strerror),
+            "a file that can be written, in a folder that can",
+        ) from error
 
 
 def read_text(path: Path) -> str:
@@ -92,7 +124,11 @@ def _values(text: str, where: str) -> dict[str, Any]:
 def _on_radio(raw: dict[str, Any]) -> list[dict[str, Any]]:
     """The [[drones]] whose uri is one of a radio."""
     drones = raw.get("drones")
-    tables = [one for one in drones if isinstance(one, dict)] if isinstance(drones, list) else []
+    tables = (
+        [one for one in drones if isinstance(one, dict)]
+        if isinstance(drones, list)
+        else []
+    )
     return [drone for drone in tables if str(drone.get("uri")).startswith("radio://")]
 
 
@@ -111,5 +147,10 @@ def _dongle(match: re.Match[str]) -> str:
 
 def _token(token: re.Match[str], channels: Mapping[str, int]) -> str:
     """A text or a comment, with another channel if it is the value of a key uri."""
-    written, before = token[0], token.string[max(token.start() - SHOWN, 0) : token.start()]
-    return written[0] + _on_channel(written[1:-1], channels) + written[-1] if _KEY.search(before) else written
+    written = token[0]
+    before = token.string[max(token.start() - SHOWN, 0) : token.start()]
+    return (
+        written[0] + _on_channel(written[1:-1], channels) + written[-1]
+        if _KEY.search(before)
+        else written
+    )

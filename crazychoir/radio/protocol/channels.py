@@ -27,7 +27,9 @@ def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
     return tuple(sorted(parse_spans(text, where, allowed, LAST, steps=True)))
 
 
-def pick(scores: Mapping[int, Sequence[float]], k: int, spacing: int) -> tuple[int, ...]:
+def pick(
+    scores: Mapping[int, Sequence[float]], k: int, spacing: int
+) -> tuple[int, ...]:
     """The k channels, increasing, no two closer than `spacing` MHz, that maximise the least score among them.
 
         max_C  min_{c in C} s_c[0]     over  |C| = k,  |c - d| >= spacing  for c, d in C, c /= d
@@ -38,7 +40,9 @@ def pick(scores: Mapping[int, Sequence[float]], k: int, spacing: int) -> tuple[i
     """
     channels = sorted(scores)
     least = _bottleneck({c: scores[c][0] for c in channels}, k, spacing)
-    return _best_sum({c: scores[c][1] for c in channels if scores[c][0] >= least}, k, spacing)
+    return _best_sum(
+        {c: scores[c][1] for c in channels if scores[c][0] >= least}, k, spacing
+    )
 
 
 def _bottleneck(scores: Mapping[int, float], k: int, spacing: int) -> float:
@@ -48,7 +52,12 @@ def _bottleneck(scores: Mapping[int, float], k: int, spacing: int) -> float:
             return least
     most = len(_leftmost(list(scores), spacing))
     do = "Let it try more channels, or take fewer dongles or a smaller spacing."
-    raise ConfigError(f"{k} channels with {spacing} MHz between them", f"room for {most}", f"at most {most}", do)
+    raise ConfigError(
+        f"{k} channels with {spacing} MHz between them",
+        f"room for {most}",
+        f"at most {most}",
+        do,
+    )
 
 
 def _leftmost(channels: Sequence[int], spacing: int) -> list[int]:
@@ -70,9 +79,17 @@ def _best_sum(values: Mapping[int, float], k: int, spacing: int) -> tuple[int, .
     best: list[dict[int, tuple[float, tuple[int, ...]]]] = [{0: (0.0, ())}]
     for n, c in enumerate(reversed(channels), start=1):
         far = sum(d - c >= spacing for d in channels)
-        with_c = {m + 1: (values[c] + rest, (c, *those)) for m, (rest, those) in best[far].items()}
+        with_c = {
+            m + 1: (values[c] + rest, (c, *those))
+            for m, (rest, those) in best[far].items()
+        }
         without = best[n - 1]
         best.append(
-            without | {m: one for m, one in with_c.items() if m not in without or one[0] >= without[m][0]}
+            without
+            | {
+                m: one
+                for m, one in with_c.items()
+                if m not in without or one[0] >= without[m][0]
+            }
         )
     return best[-1][k][1]

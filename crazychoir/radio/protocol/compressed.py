@@ -14,7 +14,8 @@ def compressed(q: Vec) -> int:
     The largest is made positive; the others are at most 1 / sqrt 2 then.
     """
     k = int(np.argmax(np.abs(q)))
-    word, turned = k, q[k] < 0.0
+    word = k
+    turned = q[k] < 0.0
     for i in range(4):
         if i != k:
             magnitude = min(round(_MOST * abs(float(q[i])) / _HALF), _MOST)
@@ -24,7 +25,8 @@ def compressed(q: Vec) -> int:
 
 def quaternion(word: int) -> Vec:
     """(4,) [x, y, z, w] of 32 bits."""
-    q, k = np.zeros(4), word >> 30
+    q = np.zeros(4)
+    k = word >> 30
     for i in (i for i in (3, 2, 1, 0) if i != k):
         magnitude = _HALF * (word & _MOST) / _MOST
         q[i] = -magnitude if word >> _BITS & 1 else magnitude

@@ -36,7 +36,9 @@ class Packet(NamedTuple):
 def parse(datagram: bytes) -> Packet:
     """The packet of a datagram; CodecError for an empty one and for one that no radio carries."""
     if not 1 <= len(datagram) <= 1 + MOST:
-        raise CodecError(f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + MOST}.")
+        raise CodecError(
+            f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + MOST}."
+        )
     return Packet(datagram[0] >> 4, datagram[0] & 0b11, bytes(datagram[1:]))
 
 
@@ -61,21 +63,30 @@ class Form:
     @cached_property
     def layout(self) -> struct.Struct:
         """Of the fields."""
-        return struct.Struct("<" + "".join(field.split(":")[1] for field in self.fields.split()))
+        return struct.Struct(
+            "<" + "".join(field.split(":")[1] for field in self.fields.split())
+        )
 
     def packet(self, *values: Any) -> Packet:
         """The packet with these values, in the order of the fields; CodecError for one that does not fit."""
         try:
-            return Packet(self.port, self.channel, self.head + self.layout.pack(*values))
+            return Packet(
+                self.port, self.channel, self.head + self.layout.pack(*values)
+            )
         except struct.error as error:
-            raise CodecError(f"CRTP {self.name}: {error}; its fields: {self.fields}.") from error
+            raise CodecError(
+                f"CRTP {self.name}: {error}; its fields: {self.fields}."
+            ) from error
 
     def values(self, packet: Packet) -> tuple[Any, ...]:
         """The values of the fields; CodecError for a packet of another length, at which a firmware would reset."""
         body = packet.data[len(self.head) :]
         if len(body) != self.layout.size:
-            found, allowed = len(packet.data), len(self.head) + self.layout.size
-            raise CodecError(f"CRTP {self.name}: {found} bytes; allowed: {allowed}, {self.fields}.")
+            found = len(packet.data)
+            allowed = len(self.head) + self.layout.size
+            raise CodecError(
+                f"CRTP {self.name}: {found} bytes; allowed: {allowed}, {self.fields}."
+            )
         return self.layout.unpack(body)
 
 
@@ -91,7 +102,13 @@ FORMS: Final = _forms(
     ("z_distance_legacy", SETPOINT, 0, b"\x02", "roll:f pitch:f yaw_rate:f z:f"),
     ("hover_legacy", SETPOINT, 0, b"\x05", "vx:f vy:f yaw_rate:f z:f"),
     ("altitude_hold", SETPOINT, 0, b"\x04", "roll:f pitch:f yaw_rate:f vz:f"),
-    ("full_state", SETPOINT, 0, b"\x06", "x:h y:h z:h vx:h vy:h vz:h ax:h ay:h az:h q:I p:h q_rate:h r:h"),
+    (
+        "full_state",
+        SETPOINT,
+        0,
+        b"\x06",
+        "x:h y:h z:h vx:h vy:h vz:h ax:h ay:h az:h q:I p:h q_rate:h r:h",
+    ),
     ("velocity_world", SETPOINT, 0, b"\x08", "vx:f vy:f vz:f yaw_rate:f"),
     ("z_distance", SETPOINT, 0, b"\x09", "roll:f pitch:f yaw_rate:f z:f"),
     ("hover", SETPOINT, 0, b"\x0a", "vx:f vy:f yaw_rate:f z:f"),
@@ -101,16 +118,70 @@ FORMS: Final = _forms(
     # The planner on board: m, rad, s; `group` is a mask, 0 is all.
     ("group_mask", HIGH_LEVEL, 0, b"\x00", "group:B"),
     ("planner_stop", HIGH_LEVEL, 0, b"\x03", "group:B"),
-    ("go_to_legacy", HIGH_LEVEL, 0, b"\x04", "group:B relative:B x:f y:f z:f yaw:f duration:f"),
-    ("start_trajectory_legacy", HIGH_LEVEL, 0, b"\x05", "group:B relative:B reversed:B id:B timescale:f"),
-    ("define_trajectory", HIGH_LEVEL, 0, b"\x06", "id:B location:B type:B offset:I pieces:B"),
-    ("take_off", HIGH_LEVEL, 0, b"\x07", "group:B height:f yaw:f keep_yaw:? duration:f"),
+    (
+        "go_to_legacy",
+        HIGH_LEVEL,
+        0,
+        b"\x04",
+        "group:B relative:B x:f y:f z:f yaw:f duration:f",
+    ),
+    (
+        "start_trajectory_legacy",
+        HIGH_LEVEL,
+        0,
+        b"\x05",
+        "group:B relative:B reversed:B id:B timescale:f",
+    ),
+    (
+        "define_trajectory",
+        HIGH_LEVEL,
+        0,
+        b"\x06",
+        "id:B location:B type:B offset:I pieces:B",
+    ),
+    (
+        "take_off",
+        HIGH_LEVEL,
+        0,
+        b"\x07",
+        "group:B height:f yaw:f keep_yaw:? duration:f",
+    ),
     ("land", HIGH_LEVEL, 0, b"\x08", "group:B height:f yaw:f keep_yaw:? duration:f"),
-    ("take_off_with_velocity", HIGH_LEVEL, 0, b"\x09", "group:B height:f relative:? yaw:f keep_yaw:? speed:f"),
-    ("land_with_velocity", HIGH_LEVEL, 0, b"\x0a", "group:B height:f relative:? yaw:f keep_yaw:? speed:f"),
-    ("spiral", HIGH_LEVEL, 0, b"\x0b", "group:B sideways:B clockwise:B angle:f r0:f r1:f climb:f duration:f"),
-    ("go_to", HIGH_LEVEL, 0, b"\x0c", "group:B relative:B linear:B x:f y:f z:f yaw:f duration:f"),
-    ("start_trajectory", HIGH_LEVEL, 0, b"\x0d", "group:B relative:B relative_yaw:B reversed:B id:B timescale:f"),
+    (
+        "take_off_with_velocity",
+        HIGH_LEVEL,
+        0,
+        b"\x09",
+        "group:B height:f relative:? yaw:f keep_yaw:? speed:f",
+    ),
+    (
+        "land_with_velocity",
+        HIGH_LEVEL,
+        0,
+        b"\x0a",
+        "group:B height:f relative:? yaw:f keep_yaw:? speed:f",
+    ),
+    (
+        "spiral",
+        HIGH_LEVEL,
+        0,
+        b"\x0b",
+        "group:B sideways:B clockwise:B angle:f r0:f r1:f climb:f duration:f",
+    ),
+    (
+        "go_to",
+        HIGH_LEVEL,
+        0,
+        b"\x0c",
+        "group:B relative:B linear:B x:f y:f z:f yaw:f duration:f",
+    ),
+    (
+        "start_trajectory",
+        HIGH_LEVEL,
+        0,
+        b"\x0d",
+        "group:B relative:B relative_yaw:B reversed:B id:B timescale:f",
+    ),
     # What is measured outside: m, quaternions [x, y, z, w].
     ("external_position", LOCALIZATION, 0, b"", "x:f y:f z:f"),
     ("emergency_stop", LOCALIZATION, 1, b"\x03", ""),
@@ -128,8 +199,17 @@ FORMS: Final = _forms(
 )
 """By name. Logs, parameters and memories, whose packets have lists in them, are read where they are served."""
 SINCE: Final = {
-    "go_to": 8, "spiral": 8, "velocity_world": 9, "z_distance": 9, "hover": 9, "start_trajectory": 10,
-    "arm": 12, "recover": 12, "supervisor_stop": 12, "supervisor_watchdog": 12, "supervisor_info": 12,
-}  # fmt: skip
+    "go_to": 8,
+    "spiral": 8,
+    "velocity_world": 9,
+    "z_distance": 9,
+    "hover": 9,
+    "start_trajectory": 10,
+    "arm": 12,
+    "recover": 12,
+    "supervisor_stop": 12,
+    "supervisor_watchdog": 12,
+    "supervisor_info": 12,
+}
 """Version of the protocol from which on firmware knows a form, by cflib 0.1.34, which asks for none of
 the others."""

@@ -17,7 +17,11 @@ from crazychoir.radio.protocol.compressed import compressed
 from crazychoir.radio.protocol.crtp import FORMS, Packet
 from crazychoir.simulation.motor_level.motor_control import BASE_THRUST
 from crazychoir.simulation.onboard.planner import body_rates
-from crazychoir.simulation.onboard.units import FULL, roll_pitch_yaw_rate_raw, thrust_raw
+from crazychoir.simulation.onboard.units import (
+    FULL,
+    roll_pitch_yaw_rate_raw,
+    thrust_raw,
+)
 from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Pose, Vel
 
 ALL = 0
@@ -37,8 +41,11 @@ class RadioHandler:
     """Whether it must know what a newton is on board."""
 
     def __init__(self, platform: Platform, thrust: float = 0.0) -> None:
-        self.platform, self.thrust = platform, thrust
-        self._streamed_last = True  # somebody before us may have, and be it by cflib's close_link
+        self.platform = platform
+        self.thrust = thrust
+        self._streamed_last = (
+            True  # somebody before us may have, and be it by cflib's close_link
+        )
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -48,12 +55,20 @@ class RadioHandler:
     def packets(self, command: Any) -> list[Packet]:
         """What says this command; CodecError for what is no number, and for what no packet holds."""
         if not np.all(np.isfinite(command.flat)):
-            raise CodecError(f"{type(command).__name__} {command.flat.tolist()}: finite numbers are allowed.")
-        return self.planned(command) if isinstance(command, XYZ) else self.setpoint(command)
+            raise CodecError(
+                f"{type(command).__name__} {command.flat.tolist()}: finite numbers are allowed."
+            )
+        return (
+            self.planned(command)
+            if isinstance(command, XYZ)
+            else self.setpoint(command)
+        )
 
     def setpoint(self, command: Any) -> list[Packet]:
         """What says a command of its kind, which the firmware holds until the next one, 0.5 s at most."""
-        raise CodecError(f"{type(command).__name__} for a drone that is sent {self.kind}.")
+        raise CodecError(
+            f"{type(command).__name__} for a drone that is sent {self.kind}."
+        )
 
     def planned(self, command: XYZ) -> list[Packet]:
         """What says this to the planner on board; after set-points it is told then that they have ended (`relax`).
@@ -62,7 +77,10 @@ class RadioHandler:
         One that is to land flies: it is told of their end by itself, once its planner has answered.
         """
         relax = self.relax
-        ends = command.verb in ("land", "stop")  # said again with each: the first may be lost
+        ends = command.verb in (
+            "land",
+            "stop",
+        )  # said again with each: the first may be lost
         self._streamed_last = self._streamed_last and ends
         x, y, z, yaw, duration = command.flat.tolist()
         match command.verb:
@@ -71,13 +89,18 @@ class RadioHandler:
                 return [*before, FORMS["planner_stop"].packet(ALL), *relax]
             case "go_to" | "line":
                 line = int(command.verb == "line")
-                return [FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration), *relax]
+                return [
+                    FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration),
+                    *relax,
+                ]
             case "take_off" if duration > 0.0:
                 return [FORMS["take_off"].packet(ALL, z, yaw, False, duration), *relax]
             case "land" if duration > 0.0:
                 return [FORMS["land"].packet(ALL, z, yaw, False, duration)]
         plans = "stop, go_to, line, and take_off and land, which take some time"
-        raise CodecError(f"no plan {command.verb!r} of {duration:g} s; there are {plans}.")
+        raise CodecError(
+            f"no plan {command.verb!r} of {duration:g} s; there are {plans}."
+        )
 
     @property
     def relax(self) -> list[Packet]:
@@ -99,14 +122,21 @@ class _Thrust(RadioHandler):
     @property
     def parameters(self) -> dict[str, float]:
         """The modes of roll, pitch and yaw."""
-        return {"flightmode.stabModeRoll": self.angles, "flightmode.stabModePitch": self.angles,
-                "flightmode.stabModeYaw": 0}  # fmt: skip
+        return {
+            "flightmode.stabModeRoll": self.angles,
+            "flightmode.stabModePitch": self.angles,
+            "flightmode.stabModeYaw": 0,
+        }
 
     def setpoint(self, command: FPQR | FRPY) -> list[Packet]:
         """One; its thrust is held 2 s."""
         thrust, roll, pitch, yaw_rate = command.flat.tolist()
         raw = round(min(max(self.thrust * thrust, 0.0), FULL))
-        return self._streamed(FORMS[self.form].packet(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), raw))
+        return self._streamed(
+            FORMS[self.form].packet(
+                *roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), raw
+            )
+        )
 
 
 class RadioHandlerFPQR(_Thrust):
@@ -118,7 +148,8 @@ class RadioHandlerFPQR(_Thrust):
 class RadioHandlerFRPY(_Thrust):
     """Thrust, roll, pitch and yaw rate: what a drone whose link fails can fly on with, level, for 2 s."""
 
-    kind, angles = "frpy", 1
+    kind = "frpy"
+    angles = 1
 
 
 class _OnBoard(RadioHandler):
@@ -134,7 +165,8 @@ class _OnBoard(RadioHandler):
 class RadioHandlerVel(_OnBoard):
     """Velocity in the world and yaw rate; and the end of them."""
 
-    kind, form = "vel", "velocity_world"
+    kind = "vel"
+    form = "velocity_world"
 
     def setpoint(self, command: Vel) -> list[Packet]:
         """One."""
@@ -145,30 +177,45 @@ class RadioHandlerVel(_OnBoard):
 class RadioHandlerXYZ(_OnBoard):
     """Places, for the planner on board."""
 
-    kind, form = "xyz", "go_to"
+    kind = "xyz"
+    form = "go_to"
 
 
 class RadioHandlerFullState(_OnBoard):
     """A flat output, with the attitude and body rates that follow from it; and the end of them."""
 
-    kind, form = "fullstate", "full_state"
+    kind = "fullstate"
+    form = "full_state"
 
     def setpoint(self, command: FullState) -> list[Packet]:
         """One, in thousandths."""
         s = command.flat
-        a, j, yaw = tuple(s[6:9]), tuple(s[9:12]), float(s[12])
+        a = tuple(s[6:9])
+        j = tuple(s[9:12])
+        yaw = float(s[12])
         axes = flat_attitude((a[0], a[1], a[2] + GRAVITY), yaw)
-        q, w = quaternion(np.array(axes).T), body_rates(a, j, yaw, float(s[13]))
+        q = quaternion(np.array(axes).T)
+        w = body_rates(a, j, yaw, float(s[13]))
         milli = [round(1e3 * float(x)) for x in (*s[0:9], *w)]
         if max(map(abs, milli)) > LARGEST:
             found = [x / 1e3 for x in milli]
-            raise CodecError(f"full state {found}: {LARGEST / 1e3:g} m, m/s, m/s2 and rad/s are allowed at most.")
-        return self._streamed(FORMS[self.form].packet(*milli[:9], compressed(np.array(q)), *milli[9:]))
+            raise CodecError(
+                f"full state {found}: {LARGEST / 1e3:g} m, m/s, m/s2 and rad/s are allowed at most."
+            )
+        return self._streamed(
+            FORMS[self.form].packet(*milli[:9], compressed(np.array(q)), *milli[9:])
+        )
 
 
 HANDLERS: dict[str, type[RadioHandler]] = {
     handler.kind: handler
-    for handler in (RadioHandlerFPQR, RadioHandlerFRPY, RadioHandlerVel, RadioHandlerXYZ, RadioHandlerFullState)
+    for handler in (
+        RadioHandlerFPQR,
+        RadioHandlerFRPY,
+        RadioHandlerVel,
+        RadioHandlerXYZ,
+        RadioHandlerFullState,
+    )
 }
 """By what a drone is sent."""
 

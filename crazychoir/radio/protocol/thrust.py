@@ -14,7 +14,9 @@ the other: releases between may have either, and so may a development build, who
 OLDEST = (2017, 1)
 
 
-def command_a_newton(release: str, platform: Platform, given: float | None, where: str) -> float:
+def command_a_newton(
+    release: str, platform: Platform, given: float | None, where: str
+) -> float:
     """Thrust command a newton, all motors together.
 
     release: as the firmware says it, "2025.12" or, of a build so many commits later, "2025.12.1 +3";  given: that of
@@ -25,17 +27,29 @@ def command_a_newton(release: str, platform: Platform, given: float | None, wher
         return given
     found = re.match(r"(\d{4})\.(\d{1,2})\b", release)
     number = (int(found[1]), int(found[2])) if found else (0, 0)
-    linear, old = thrust_raw(1.0, platform.firmware), platform.firmware.old_thrust_map
+    linear = thrust_raw(1.0, platform.firmware)
+    old = platform.firmware.old_thrust_map
     if number >= OLDEST and 1 <= number[1] <= 12:
         if number >= LINEAR_SINCE:
             return linear
-        if number <= MEASURED_UNTIL and re.fullmatch(r"[\d.]+", release) and old is not None:
+        if (
+            number <= MEASURED_UNTIL
+            and re.fullmatch(r"[\d.]+", release)
+            and old is not None
+        ):
             return old
-    since, until = _text(LINEAR_SINCE), _text(MEASURED_UNTIL)
-    releases = f"{since} or newer" if old is None else f"{since} or newer, or a release until {until}"
+    since = _text(LINEAR_SINCE)
+    until = _text(MEASURED_UNTIL)
+    releases = (
+        f"{since} or newer"
+        if old is None
+        else f"{since} or newer, or a release until {until}"
+    )
     allowed = f"{releases}, by which the thrust of {platform.name} is known"
     do = "Write newer firmware, or send vel or xyz, or set thrust_map in [radio], the command a newton as you measure "
-    do += f"it, of all drones of the file; of this one it is {linear:.0f} since {since}."
+    do += (
+        f"it, of all drones of the file; of this one it is {linear:.0f} since {since}."
+    )
     raise ConfigError(f"{where}: firmware", release or "no release", allowed, do)
 
 

@@ -15,10 +15,14 @@ def check_protocol(version: int, kind: str, platform: Platform, where: str) -> N
     if not missing:
         return
     form = max(missing, key=SINCE.__getitem__)
-    others = ", ".join(other for other in HANDLERS if not _missing(version, other, platform))
+    others = ", ".join(
+        other for other in HANDLERS if not _missing(version, other, platform)
+    )
     found = f"version {version}" if version >= 0 else "no version"
     allowed = f"{SINCE[form]} or newer, for {form} (sender {kind} on {platform.name})"
-    do = "Write newer firmware" + (f", or choose another sender in [control]: {others}." if others else ".")
+    do = "Write newer firmware" + (
+        f", or choose another sender in [control]: {others}." if others else "."
+    )
     raise ConfigError(f"{where}: protocol of its firmware", found, allowed, do)
 
 

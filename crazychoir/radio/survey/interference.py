@@ -53,7 +53,8 @@ class Uses:
     """
 
     def __init__(self, on: float, off: float, seed: int) -> None:
-        self.on, self.off = on, off
+        self.on = on
+        self.off = off
         self._draw = np.random.default_rng(seed)
         self._starts_on = bool(self._draw.random() < self.share)
         self._switches = np.zeros(0)
@@ -74,19 +75,26 @@ class Uses:
 
     def _extend(self) -> None:
         """64 switches more; an even number, so that each lot begins as the first."""
-        means = np.tile([self.on, self.off] if self._starts_on else [self.off, self.on], 32)
+        means = np.tile(
+            [self.on, self.off] if self._starts_on else [self.off, self.on], 32
+        )
         end = self._switches[-1] if len(self._switches) else 0.0
-        self._switches = np.append(self._switches, end + np.cumsum(self._draw.exponential(means)))
+        self._switches = np.append(
+            self._switches, end + np.cumsum(self._draw.exponential(means))
+        )
 
 
-def frames(times: Vec, share: float, length: float, draw: np.random.Generator) -> Active:
+def frames(
+    times: Vec, share: float, length: float, draw: np.random.Generator
+) -> Active:
     """(n,) whether a frame is on the air: frames and gaps of exponential length, as long as the times reach.
 
     share: of the time that frames take, below 1;  length: s of a frame, on average.
     """
     gap = length * (1.0 - share) / share
     on = bool(draw.random() < share)
-    span, count = times[-1] - times[0], 16
+    span = times[-1] - times[0]
+    count = 16
     means = [length, gap] if on else [gap, length]
     switches = np.zeros(0)
     while len(switches) == 0 or switches[-1] < span:
@@ -125,7 +133,11 @@ class Network:
         """Frames and beacons."""
         beacons = draw.random(len(times)) < BEACONS
         used = self.uses.at(times)
-        return np.where(used, frames(times, self.load, self.frame, draw), beacons) if used.any() else beacons
+        return (
+            np.where(used, frames(times, self.load, self.frame, draw), beacons)
+            if used.any()
+            else beacons
+        )
 
 
 @dataclass(frozen=True)

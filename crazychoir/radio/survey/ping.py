@@ -54,14 +54,24 @@ def require_uri(uri: str) -> str:
         raise ConfigError("uri", uri, allowed, error.do) from None
 
 
-def ping(uris: Sequence[str], now: Callable[[], float], count: int = 100, deadline: float = 20.0) -> list[Echoes]:
+def ping(
+    uris: Sequence[str],
+    now: Callable[[], float],
+    count: int = 100,
+    deadline: float = 20.0,
+) -> list[Echoes]:
     """Send `count` echoes to each, to all at once, each after the answer to the last; s until it ends at the latest.
 
     Each link has a thread, which is gone in the end; of one that cflib does not give back the error says so.
     """
     found: dict[str, Echoes] = {}
     end = now() + deadline
-    threads = [threading.Thread(target=_collect, args=(found, uri, now, count, end), daemon=True) for uri in uris]
+    threads = [
+        threading.Thread(
+            target=_collect, args=(found, uri, now, count, end), daemon=True
+        )
+        for uri in uris
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -70,11 +80,15 @@ def ping(uris: Sequence[str], now: Callable[[], float], count: int = 100, deadli
     return [found.get(uri, Echoes(uri, 0, (), hangs)) for uri in uris]
 
 
-def _collect(found: dict[str, Echoes], uri: str, now: Callable[[], float], count: int, end: float) -> None:
+def _collect(
+    found: dict[str, Echoes], uri: str, now: Callable[[], float], count: int, end: float
+) -> None:
     try:
         found[uri] = _ping(uri, now, count, end)
     except Exception as error:  # noqa: BLE001 - cflib raises nothing more special
-        found[uri] = Echoes(uri, 0, (), f"{error}. {PLUG}" if uri.startswith("radio:") else str(error))
+        found[uri] = Echoes(
+            uri, 0, (), f"{error}. {PLUG}" if uri.startswith("radio:") else str(error)
+        )
 
 
 def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
@@ -84,7 +98,9 @@ def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
         link.connect(uri, None, errors.append)
         return _exchange(link, uri, now, count, end, errors)
     finally:
-        with contextlib.suppress(AttributeError):  # of cflib's radio link, if it has not come to start its thread
+        with contextlib.suppress(
+            AttributeError
+        ):  # of cflib's radio link, if it has not come to start its thread
             link.close()
 
 
@@ -95,7 +111,14 @@ def _link(uri: str) -> Any:
     return UdpDriver() if uri.startswith("udp:") else RadioDriver()
 
 
-def _exchange(link: Any, uri: str, now: Callable[[], float], count: int, end: float, errors: Sequence[str]) -> Echoes:
+def _exchange(
+    link: Any,
+    uri: str,
+    now: Callable[[], float],
+    count: int,
+    end: float,
+    errors: Sequence[str],
+) -> Echoes:
     """Echo after echo; `errors` grows as the link finds them."""
     sent = 0
     took: list[float] = []
@@ -130,9 +153,14 @@ def _echo(number: int) -> Any:
 def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) -> bool:
     """Wait for this echo; whatever else comes is passed over, late echoes too."""
     expected = (LINK, ECHO, FORM.pack(0, number))
-    while (left := until - now()) > 0.0:  # cflib takes 0 for not at all, and less for ever
+    while (
+        left := until - now()
+    ) > 0.0:  # cflib takes 0 for not at all, and less for ever
         packet = link.receive_packet(left)
-        if packet is not None and (packet.port, packet.channel, bytes(packet.data)) == expected:
+        if (
+            packet is not None
+            and (packet.port, packet.channel, bytes(packet.data)) == expected
+        ):
             return True
     return False
 

@@ -14,7 +14,13 @@ from itertools import product
 import numpy as np
 
 from crazychoir.radio.protocol.channels import WIFI
-from crazychoir.radio.survey.interference import Bluetooth, Jammer, Network, Source, Uses
+from crazychoir.radio.survey.interference import (
+    Bluetooth,
+    Jammer,
+    Network,
+    Source,
+    Uses,
+)
 from crazychoir.radio.survey.survey import Sample
 from crazychoir.types import Mat, Vec
 
@@ -57,7 +63,9 @@ class Room:
     def heard(self, channel: int) -> list[tuple[Source, float]]:
         """Those that a receiver on this channel hears at all, each with its power there, in mW."""
         levels = [(source, source.level(channel)) for source in self.sources]
-        return [(source, _power(level)) for source, level in levels if level > NEGLIGIBLE]
+        return [
+            (source, _power(level)) for source, level in levels if level > NEGLIGIBLE
+        ]
 
     def expected(self, channel: int, in_use: bool = False) -> float:
         """True share of acknowledged packets, without retries; in the long run, or while everything is in use.
@@ -66,11 +74,16 @@ class Room:
         over all that the signal flickers.
         """
         heard = self.heard(channel)
-        sent = np.array(list(product((False, True), repeat=len(heard))), bool).reshape(2 ** len(heard), len(heard))
+        sent = np.array(list(product((False, True), repeat=len(heard))), bool).reshape(
+            2 ** len(heard), len(heard)
+        )
         shares = np.array([source.share(channel, in_use) for source, _ in heard])
         chances = np.where(sent, shares, 1.0 - shares).prod(axis=1)
         noise = _power(NOISE) + sent @ np.array([power for _, power in heard])
-        through = success(_powers(self.signal[channel] + FLICKER * NODES) / noise[:, None]) @ WEIGHTS
+        through = (
+            success(_powers(self.signal[channel] + FLICKER * NODES) / noise[:, None])
+            @ WEIGHTS
+        )
         return float(chances @ through)
 
 
@@ -78,18 +91,23 @@ class SimulatedRadio:
     """The probe: time passes as packets are sent."""
 
     def __init__(self, room: Room, seed: int) -> None:
-        self.room, self.now, self.channel = room, 0.0, -1
+        self.room = room
+        self.now = 0.0
+        self.channel = -1
         self._heard = {c: room.heard(c) for c in room.signal}
         self._draw = np.random.default_rng(seed)
 
     def measure(self, channel: int, packets: int, retries: int) -> Sample:
         """As Probe; each packet has time for all its attempts, whether it needs them or not."""
         if channel != self.channel:
-            self.channel, self.now = channel, self.now + HOP
+            self.channel = channel
+            self.now = self.now + HOP
         period = USB + USB_JITTER + retries * ATTEMPT
         starts = self.now + period * np.arange(packets)
         self.now += period * packets
-        signal = _powers(self.room.signal[channel] + FLICKER * self._draw.standard_normal(packets))[:, None]
+        signal = _powers(
+            self.room.signal[channel] + FLICKER * self._draw.standard_normal(packets)
+        )[:, None]
         times = starts[:, None] + ATTEMPT * np.arange(retries + 1)
         noise = self._noise(channel, times)
         came = self._draw.random(times.shape) < success(signal / noise)
@@ -112,11 +130,16 @@ def random_room(seed: int, channels: Sequence[int]) -> Room:
     """A link of some metres among one to seven networks, up to two Bluetooth devices and two jammers."""
     draw = np.random.default_rng(seed)
     networks = [_network(draw) for _ in range(draw.integers(1, 8))]
-    phones = [Bluetooth(draw.uniform(-75.0, -45.0), draw.uniform(0.1, 0.5)) for _ in range(draw.integers(0, 3))]
+    phones = [
+        Bluetooth(draw.uniform(-75.0, -45.0), draw.uniform(0.1, 0.5))
+        for _ in range(draw.integers(0, 3))
+    ]
     jammers = [_jammer(draw) for _ in range(draw.integers(0, 3))]
     strength = draw.uniform(-65.0, -45.0)
     gains = _gains(np.array(channels, float), draw)
-    signal = {c: float(strength + gain) for c, gain in zip(channels, gains, strict=True)}
+    signal = {
+        c: float(strength + gain) for c, gain in zip(channels, gains, strict=True)
+    }
     return Room(signal, (*networks, *phones, *jammers))
 
 
@@ -124,9 +147,12 @@ def _network(draw: np.random.Generator) -> Network:
     """On one of the three channels that do not overlap, or, two times in five, anywhere from 1 to 13."""
     number = draw.choice(list(WIFI)) if draw.random() < 0.6 else draw.integers(1, 14)
     return Network(
-        middle=7.0 + 5.0 * float(number), power=draw.uniform(-75.0, -40.0), load=draw.uniform(0.1, 0.8),
-        frame=draw.uniform(0.0003, 0.0025), uses=_uses(draw),
-    )  # fmt: skip
+        middle=7.0 + 5.0 * float(number),
+        power=draw.uniform(-75.0, -40.0),
+        load=draw.uniform(0.1, 0.8),
+        frame=draw.uniform(0.0003, 0.0025),
+        uses=_uses(draw),
+    )
 
 
 def _jammer(draw: np.random.Generator) -> Jammer:
@@ -134,18 +160,25 @@ def _jammer(draw: np.random.Generator) -> Jammer:
 
 
 def _uses(draw: np.random.Generator) -> Uses:
-    return Uses(draw.uniform(2.0, 20.0), draw.uniform(1.0, 60.0), int(draw.integers(2**32)))
+    return Uses(
+        draw.uniform(2.0, 20.0), draw.uniform(1.0, 60.0), int(draw.integers(2**32))
+    )
 
 
 def _gains(channels: Vec, draw: np.random.Generator) -> Vec:
     """dB by channel: the direct way and its reflections add up or cancel, by frequency.
 
-        h(f) = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) sum_m a_m exp(-2 pi i f t_m)
+    h(f) = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) sum_m a_m exp(-2 pi i f t_m)
     """
-    amplitudes = (draw.standard_normal(ECHOES) + 1j * draw.standard_normal(ECHOES)) / np.sqrt(2.0 * ECHOES)
+    amplitudes = (
+        draw.standard_normal(ECHOES) + 1j * draw.standard_normal(ECHOES)
+    ) / np.sqrt(2.0 * ECHOES)
     delays = draw.uniform(0.0, SPREAD, ECHOES)
     turns = np.exp(-2j * np.pi * np.outer((2400.0 + channels) * 1e6, delays))
-    h = np.sqrt(DIRECT / (DIRECT + 1.0)) + np.sqrt(1.0 / (DIRECT + 1.0)) * turns @ amplitudes
+    h = (
+        np.sqrt(DIRECT / (DIRECT + 1.0))
+        + np.sqrt(1.0 / (DIRECT + 1.0)) * turns @ amplitudes
+    )
     return np.asarray(20.0 * np.log10(np.abs(h)))
 
 

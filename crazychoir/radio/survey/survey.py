@@ -86,8 +86,16 @@ class Survey:
     packets: of each kind, without and with retries, a visit;  seed: of the order.
     """
 
-    def __init__(self, channels: Sequence[int], passes: int = PASSES, packets: int = PACKETS, seed: int = 0) -> None:
-        self.channels, self.passes, self.packets = tuple(channels), passes, packets
+    def __init__(
+        self,
+        channels: Sequence[int],
+        passes: int = PASSES,
+        packets: int = PACKETS,
+        seed: int = 0,
+    ) -> None:
+        self.channels = tuple(channels)
+        self.passes = passes
+        self.packets = packets
         self._order = random.Random(seed)  # noqa: S311 - of visits
         self._single: dict[int, list[Sample]] = defaultdict(list)
         self._retried: dict[int, list[Sample]] = defaultdict(list)
@@ -105,10 +113,13 @@ class Survey:
 
     def measured(self) -> list[Measured]:
         """Of the channels that were visited, increasing."""
-        return [self._of(channel) for channel in self.channels if channel in self._single]
+        return [
+            self._of(channel) for channel in self.channels if channel in self._single
+        ]
 
     def _of(self, channel: int) -> Measured:
-        single, retried = self._single[channel], self._retried[channel]
+        single = self._single[channel]
+        retried = self._retried[channel]
         came = np.concatenate([sample.acknowledged for sample in retried])
         tries = np.concatenate([sample.retries for sample in retried])[came]
         took = np.concatenate([sample.round_trip for sample in retried])[came]
@@ -116,20 +127,31 @@ class Survey:
         heard = rssi[~np.isnan(rssi)]
         counts = np.bincount(tries, minlength=RETRIES + 1)
         return Measured(
-            channel, tuple(float(np.mean(sample.acknowledged)) for sample in single),
+            channel,
+            tuple(float(np.mean(sample.acknowledged)) for sample in single),
             (*(int(n) for n in counts), int(np.sum(~came))),
-            (float(np.median(took)), float(np.percentile(took, 95))) if len(took) else None,
+            (float(np.median(took)), float(np.percentile(took, 95)))
+            if len(took)
+            else None,
             (float(np.mean(heard)), float(np.std(heard))) if len(heard) else None,
-        )  # fmt: skip
+        )
 
     def pick(self, k: int, spacing: int) -> tuple[int, ...]:
         """The k channels of the best worst pass that have the spacing; see channels.pick."""
-        return pick({row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing)
+        return pick(
+            {row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing
+        )
 
 
-def survey(found: Survey, probe: Probe, watch: Callable[[Survey, Visit], None] = lambda found, visit: None) -> None:
+def survey(
+    found: Survey,
+    probe: Probe,
+    watch: Callable[[Survey, Visit], None] = lambda found, visit: None,
+) -> None:
     """Measure all that it wants to know; `watch` is called after each visit."""
     for visit in found.visits():
         single = probe.measure(visit.channel, found.packets, 0)
-        found.take(visit.channel, single, probe.measure(visit.channel, found.packets, RETRIES))
+        found.take(
+            visit.channel, single, probe.measure(visit.channel, found.packets, RETRIES)
+        )
         watch(found, visit)

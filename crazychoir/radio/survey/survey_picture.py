@@ -18,7 +18,10 @@ BAND = "#f0f0f0"
 
 
 def draw_survey(
-    rows: Sequence[Measured], chosen: Sequence[int], path: str | Path, expected: Mapping[int, float] | None = None
+    rows: Sequence[Measured],
+    chosen: Sequence[int],
+    path: str | Path,
+    expected: Mapping[int, float] | None = None,
 ) -> None:
     """Write a PNG (or what the suffix of `path` says): above, the share of acknowledged packets by channel, from the
     worst pass to the best, and the mean; below, how strong the drone hears the dongle.
@@ -39,29 +42,55 @@ def draw_survey(
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     below.set_xlabel("channel (2400 MHz + channel)")
-    low, high = rows[0].channel - 2, rows[-1].channel + 2
+    low = rows[0].channel - 2
+    high = rows[-1].channel + 2
     below.set_xlim(low, high)
     _name_bands(above, low, high)
     figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=8)
     save_figure(figure, path, bbox_inches="tight")
 
 
-def _draw_rates(axes: "Axes", rows: Sequence[Measured], chosen: Sequence[int], expected: Mapping[int, float]) -> None:
+def _draw_rates(
+    axes: "Axes",
+    rows: Sequence[Measured],
+    chosen: Sequence[int],
+    expected: Mapping[int, float],
+) -> None:
     """A bar a channel; the labels of the picked ones below it."""
     for colour, label, those in _by_choice(rows, chosen):
         at = [row.channel for row in those]
-        low, high = [100.0 * row.worst for row in those], [100.0 * max(row.passes) for row in those]
+        low = [100.0 * row.worst for row in those]
+        high = [100.0 * max(row.passes) for row in those]
         axes.vlines(at, low, high, color=colour, linewidth=2.4, alpha=0.45)
-        axes.plot(at, [100.0 * row.mean for row in those], "o", color=colour, markersize=3.6, label=label)
+        axes.plot(
+            at,
+            [100.0 * row.mean for row in those],
+            "o",
+            color=colour,
+            markersize=3.6,
+            label=label,
+        )
         axes.plot(at, low, "_", color=colour, markersize=5.5, markeredgewidth=1.6)
     if expected:
         at = sorted(expected)
-        axes.plot(at, [100.0 * expected[c] for c in at], color=INK, linewidth=0.8, label="truth of the model")
+        axes.plot(
+            at,
+            [100.0 * expected[c] for c in at],
+            color=INK,
+            linewidth=0.8,
+            label="truth of the model",
+        )
     for channel in chosen:
         axes.annotate(
-            str(channel), (channel, 101.5), ha="center", va="bottom", color=TAKEN, fontsize=8, weight="bold",
+            str(channel),
+            (channel, 101.5),
+            ha="center",
+            va="bottom",
+            color=TAKEN,
+            fontsize=8,
+            weight="bold",
             annotation_clip=False,
-        )  # fmt: skip
+        )
     axes.set_ylim(-3.0, 111.0)
     axes.set_yticks(range(0, 101, 20))
     axes.set_ylabel("acknowledged [%]\nworst, mean, best pass")
@@ -72,11 +101,22 @@ def _draw_rssi(axes: "Axes", rows: Sequence[Measured], chosen: Sequence[int]) ->
         heard = [(row.channel, *row.rssi) for row in those if row.rssi is not None]
         if heard:
             at, mean, std = zip(*heard, strict=True)
-            axes.errorbar(at, mean, yerr=std, fmt="o", color=colour, markersize=3.2, elinewidth=1.2, capsize=0.0)
+            axes.errorbar(
+                at,
+                mean,
+                yerr=std,
+                fmt="o",
+                color=colour,
+                markersize=3.2,
+                elinewidth=1.2,
+                capsize=0.0,
+            )
     axes.set_ylabel("rssi [dBm]\nmean ± std")
 
 
-def _by_choice(rows: Sequence[Measured], chosen: Sequence[int]) -> list[tuple[str, str, list[Measured]]]:
+def _by_choice(
+    rows: Sequence[Measured], chosen: Sequence[int]
+) -> list[tuple[str, str, list[Measured]]]:
     """Colour, label and rows: of the others, and of the picked ones."""
     free = [row for row in rows if row.channel not in chosen]
     taken = [row for row in rows if row.channel in chosen]
@@ -86,7 +126,9 @@ def _by_choice(rows: Sequence[Measured], chosen: Sequence[int]) -> list[tuple[st
 def _draw_bands(axes: "Axes") -> None:
     """Where WiFi may be."""
     for middle in WIFI.values():
-        axes.axvspan(middle - WIFI_HALF, middle + WIFI_HALF, color=BAND, zorder=0, linewidth=0)
+        axes.axvspan(
+            middle - WIFI_HALF, middle + WIFI_HALF, color=BAND, zorder=0, linewidth=0
+        )
 
 
 def _name_bands(axes: "Axes", low: int, high: int) -> None:
@@ -94,4 +136,12 @@ def _name_bands(axes: "Axes", low: int, high: int) -> None:
     for number, middle in WIFI.items():
         name = f"WiFi {number}, {frequency(middle)} MHz"
         if low < middle < high:
-            axes.text(middle, 113.0, name, ha="center", va="bottom", fontsize=7.5, color="#606060")
+            axes.text(
+                middle,
+                113.0,
+                name,
+                ha="center",
+                va="bottom",
+                fontsize=7.5,
+                color="#606060",
+            )

@@ -36,14 +36,19 @@ class CrazyradioProbe:
     """
 
     def __init__(self, radio: Any, home: int, now: Callable[[], float]) -> None:
-        self.radio, self.home, self.now = radio, home, now
+        self.radio = radio
+        self.home = home
+        self.now = now
         self._at = home
 
     def __enter__(self) -> Self:
         try:
             self._tune(self.home)
             if not self._says(NO_SAFELINK):
-                raise Refused(f"drone on channel {self.home}", f"no answer. Is it on, and is that its uri? {RESTART}")
+                raise Refused(
+                    f"drone on channel {self.home}",
+                    f"no answer. Is it on, and is that its uri? {RESTART}",
+                )
         except BaseException:
             self.radio.close()
             raise
@@ -65,7 +70,9 @@ class CrazyradioProbe:
             np.array([ack.ack for ack, _ in answers], bool),
             np.array([min(ack.retry, retries) for ack, _ in answers], int),
             np.array([seconds for _, seconds in answers], float),
-            np.array([rssi(ack.data) if ack.ack else np.nan for ack, _ in answers], float),
+            np.array(
+                [rssi(ack.data) if ack.ack else np.nan for ack, _ in answers], float
+            ),
         )
 
     def _timed(self) -> tuple[Any, float]:
@@ -87,8 +94,13 @@ class CrazyradioProbe:
             if self._says(NULL):  # it went, and only its answer was lost
                 self._at = channel
                 return
-        places = f"channel {self._at}, where it was, nor on {channel}, where it was to go"
-        raise Refused("drone", f"no answer on {places}. {RESTART} Then leave out --channels where nothing passes.")
+        places = (
+            f"channel {self._at}, where it was, nor on {channel}, where it was to go"
+        )
+        raise Refused(
+            "drone",
+            f"no answer on {places}. {RESTART} Then leave out --channels where nothing passes.",
+        )
 
     def _tune(self, channel: int) -> None:
         self._set(self.radio.set_arc, PATIENT)
@@ -124,7 +136,11 @@ def rssi(data: Sequence[int]) -> float:
 def open_probe(uri: str, now: Callable[[], float]) -> CrazyradioProbe:
     """The dongle and the drone of a uri; ConfigError for what is none, Refused without a dongle."""
     if not uri.startswith(RADIO):
-        raise ConfigError("uri", uri, "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E7E7")
+        raise ConfigError(
+            "uri",
+            uri,
+            "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E7E7",
+        )
     uri = str(parse_uri(uri, "uri", serials=True))
     from cflib.crtp.radiodriver import RadioDriver
     from cflib.drivers.crazyradio import Crazyradio

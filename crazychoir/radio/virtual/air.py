@@ -25,14 +25,18 @@ class Dongle:
     capacity: exchanges a second, None: by the number of its drones.
     """
 
-    def __init__(self, clock: Clock, drones: Sequence[int], capacity: float | None = None) -> None:
-        self.clock, self.drones = clock, tuple(drones)
+    def __init__(
+        self, clock: Clock, drones: Sequence[int], capacity: float | None = None
+    ) -> None:
+        self.clock = clock
+        self.drones = tuple(drones)
         self.capacity = capacity or (ALONE if len(self.drones) == 1 else CAPACITY)
         self.exchanges = self.refused = 0
         self._up: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
         self._down: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
         self._turns = deque(self.drones)
-        self._busy, self._free_ns = False, 0
+        self._busy = False
+        self._free_ns = 0
 
     def up(self, drone: int, deliver: Deliver) -> bool:
         """Let a packet wait for its way to this drone; False: too many wait."""
@@ -55,7 +59,9 @@ class Dongle:
         """The next exchange, which begins when the last one has ended, and not before this time."""
         self._busy = True
         self._free_ns = max(least_ns, self._free_ns) + round(SECOND / self.capacity)
-        self.clock.call_at(self._free_ns, self._exchange, priority=MESSAGE, drone=self.drones[0])
+        self.clock.call_at(
+            self._free_ns, self._exchange, priority=MESSAGE, drone=self.drones[0]
+        )
 
     def _exchange(self) -> None:
         """Serve the next drone that has anything: what goes down has been waiting before what goes up has come."""
@@ -65,7 +71,9 @@ class Dongle:
             self._turns.rotate(-1)
             if self._up[drone] or self._down[drone]:
                 break
-        carried = [queue.popleft() for queue in (self._down[drone], self._up[drone]) if queue]
+        carried = [
+            queue.popleft() for queue in (self._down[drone], self._up[drone]) if queue
+        ]
         self.exchanges += 1
         for deliver in carried:
             deliver()
@@ -79,8 +87,18 @@ class Air:
     up, down: packets that have come through;  lost: those that have not.
     """
 
-    def __init__(self, clock: Clock, drone: int, faults: Faults, dongle: Dongle | None = None, seed: int = 0) -> None:
-        self.clock, self.drone, self.dongle, self.faults = clock, drone, dongle, faults
+    def __init__(
+        self,
+        clock: Clock,
+        drone: int,
+        faults: Faults,
+        dongle: Dongle | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.clock = clock
+        self.drone = drone
+        self.dongle = dongle
+        self.faults = faults
         self.up = self.down = self.lost = 0
         self._draw = random.Random(f"{seed} {drone}")  # noqa: S311 - of a simulated loss
 

@@ -25,7 +25,9 @@ Question = dict[str, Any]
 Answer = Callable[[Question], Any]
 
 
-def seen(states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]) -> dict[str, Any]:
+def seen(
+    states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]
+) -> dict[str, Any]:
     """{name: (7,) p m, q} as the cameras take it: some bodies lost, elsewhere, turned, or taken for each other."""
     bodies: dict[str, Any] = {}
     for i, name in names.items():
@@ -33,7 +35,12 @@ def seen(states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: di
         other = int(fault.swap) if fault.swap >= 0.0 else i
         if not fault.pose_lost and len(bodies) < MOST:
             state = states[rows[other]]
-            bodies[name] = np.array([*(state[:3] + np.array(fault.offset)), *_turned(state[6:10], fault.turned)])
+            bodies[name] = np.array(
+                [
+                    *(state[:3] + np.array(fault.offset)),
+                    *_turned(state[6:10], fault.turned),
+                ]
+            )
     return bodies
 
 
@@ -45,7 +52,11 @@ def _turned(q: Vec, yaw: float) -> Any:
 
 def _short(text: str) -> str:
     """A text that may repeat a long question."""
-    return text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}"
+    return (
+        text
+        if len(text) <= SHOWN
+        else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}"
+    )
 
 
 def _packed(answer: Any) -> bytes:
@@ -53,14 +64,21 @@ def _packed(answer: Any) -> bytes:
     packed = json.dumps(plain(answer)).encode()
     if len(packed) <= LARGEST:
         return packed
-    return json.dumps({"error": f"the answer has {len(packed)} bytes; a datagram has {LARGEST} at most."}).encode()
+    return json.dumps(
+        {
+            "error": f"the answer has {len(packed)} bytes; a datagram has {LARGEST} at most."
+        }
+    ).encode()
 
 
 class Cameras:
     """The port of the poses: who has sent ASK lately gets frames; who sends JSON gets an answer."""
 
     def __init__(self, clock: Clock, at: Address, answer: Answer) -> None:
-        self.clock, self.at, self._answer, self.frames = clock, at, answer, 0
+        self.clock = clock
+        self.at = at
+        self._answer = answer
+        self.frames = 0
         self._watchers: dict[Address, int] = {}
         self._socket: socket.socket | None = None
 
@@ -80,7 +98,9 @@ class Cameras:
     def watched(self) -> bool:
         """Does anybody want frames?"""
         now_ns = self.clock.now_ns()
-        self._watchers = {who: until for who, until in self._watchers.items() if until > now_ns}
+        self._watchers = {
+            who: until for who, until in self._watchers.items() if until > now_ns
+        }
         return bool(self._watchers)
 
     def show(self, time: float, bodies: dict[str, Any]) -> None:
@@ -103,7 +123,10 @@ class Cameras:
             if not isinstance(question, dict):
                 raise CodecError(f"a question: {data[:40]!r}; allowed: a JSON object.")
             return self._answer(question)
-        except (ValueError, RecursionError) as error:  # CrazyChoirErrors of wrong values are ValueErrors, too
+        except (
+            ValueError,
+            RecursionError,
+        ) as error:  # CrazyChoirErrors of wrong values are ValueErrors, too
             return {"error": _short(str(error))}
         except CrazyChoirError as error:
             return {"error": _short(str(error))}

@@ -26,24 +26,48 @@ def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *arc: float)
     return on.spiral(angle, r0, r1, climb, duration, bool(sideways), bool(clockwise))
 
 
-def _take_off(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
+def _take_off(
+    on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float
+) -> int:
     return on.take_off(height, duration, None if keep else yaw)
 
 
-def _land(on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float) -> int:
+def _land(
+    on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float
+) -> int:
     return on.land(height, duration, None if keep else yaw)
 
 
-def _rise(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
+def _rise(
+    on: Onboard,
+    group: int,
+    height: float,
+    relative: bool,
+    yaw: float,
+    keep: bool,
+    speed: float,
+) -> int:
     here = _height(on)
     goal = here + height if relative else height
-    return on.take_off(goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw)
+    return on.take_off(
+        goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw
+    )
 
 
-def _sink(on: Onboard, group: int, height: float, relative: bool, yaw: float, keep: bool, speed: float) -> int:
+def _sink(
+    on: Onboard,
+    group: int,
+    height: float,
+    relative: bool,
+    yaw: float,
+    keep: bool,
+    speed: float,
+) -> int:
     here = _height(on)
     goal = here - height if relative else height
-    return on.land(goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw)
+    return on.land(
+        goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw
+    )
 
 
 def _height(on: Onboard) -> float:
@@ -56,11 +80,23 @@ def _go_to(on: Onboard, group: int, relative: int, linear: int, *goal: float) ->
     return on.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
 
 
-def _start(on: Onboard, group: int, relative: int, rel_yaw: int, reverse: int, slot: int, timescale: float) -> int:
-    return on.start_trajectory(slot, timescale, bool(relative), bool(rel_yaw), bool(reverse))
+def _start(
+    on: Onboard,
+    group: int,
+    relative: int,
+    rel_yaw: int,
+    reverse: int,
+    slot: int,
+    timescale: float,
+) -> int:
+    return on.start_trajectory(
+        slot, timescale, bool(relative), bool(rel_yaw), bool(reverse)
+    )
 
 
-def _define(on: Onboard, slot: int, location: int, kind: int, offset: int, pieces: int) -> int:
+def _define(
+    on: Onboard, slot: int, location: int, kind: int, offset: int, pieces: int
+) -> int:
     known = location == 1 and kind in (0, 1)
     return on.define_trajectory(slot, offset, pieces, kind == 1) if known else UNKNOWN
 
@@ -86,7 +122,9 @@ def _hover(on: Onboard, vx: float, vy: float, rate: float, z: float) -> None:
     on.hover(vx, vy, RADIANS * rate, z)
 
 
-def manual(on: Onboard, roll: float, pitch: float, yaw: float, thrust: float, rates: int) -> None:
+def manual(
+    on: Onboard, roll: float, pitch: float, yaw: float, thrust: float, rates: int
+) -> None:
     """deg or deg/s, pitch nose up;  thrust: 0 to 65535."""
     newtons = thrust / 65535.0 * 4.0 * on.firmware.thrust_max
     on.manual(newtons, RADIANS * roll, -RADIANS * pitch, RADIANS * yaw, rates == 1)
@@ -97,10 +135,16 @@ def _done(taken: bool) -> None:
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
-    "rpyt": lambda on, roll, pitch, yaw, thrust: _done(on.rpyt_raw(roll, pitch, yaw, thrust)),
+    "rpyt": lambda on, roll, pitch, yaw, thrust: _done(
+        on.rpyt_raw(roll, pitch, yaw, thrust)
+    ),
     "stop": lambda on: _done(on.stop_setpoint()),
-    "velocity_world_legacy": lambda on, vx, vy, vz, rate: _velocity(on, vx, vy, vz, -rate),
-    "z_distance_legacy": lambda on, roll, pitch, rate, z: _tilted(on, roll, pitch, -rate, z),
+    "velocity_world_legacy": lambda on, vx, vy, vz, rate: _velocity(
+        on, vx, vy, vz, -rate
+    ),
+    "z_distance_legacy": lambda on, roll, pitch, rate, z: _tilted(
+        on, roll, pitch, -rate, z
+    ),
     "hover_legacy": lambda on, vx, vy, rate, z: _hover(on, vx, vy, -rate, z),
     "altitude_hold": _climb,
     "full_state": _full_state,
@@ -118,9 +162,13 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "land_with_velocity": _sink,
     "spiral": _spiral,
     "go_to": _go_to,
-    "go_to_legacy": lambda on, group, relative, *goal: _go_to(on, group, relative, 0, *goal),
+    "go_to_legacy": lambda on, group, relative, *goal: _go_to(
+        on, group, relative, 0, *goal
+    ),
     "start_trajectory": _start,
-    "start_trajectory_legacy": lambda on, group, relative, *rest: _start(on, group, relative, 0, *rest),
+    "start_trajectory_legacy": lambda on, group, relative, *rest: _start(
+        on, group, relative, 0, *rest
+    ),
     "emergency_stop": lambda on: on.emergency_stop(),
     "emergency_stop_watchdog": lambda on: on.emergency_stop_watchdog(),
     "supervisor_stop": lambda on: on.emergency_stop(),

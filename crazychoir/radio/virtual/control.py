@@ -13,7 +13,12 @@ LARGEST = 65_507  # bytes
 TRIES = 3
 
 
-def ask(question: dict[str, Any], host: str = "127.0.0.1", port: int = 19849, deadline: float = 1.0) -> dict[str, Any]:
+def ask(
+    question: dict[str, Any],
+    host: str = "127.0.0.1",
+    port: int = 19849,
+    deadline: float = 1.0,
+) -> dict[str, Any]:
     """The answer of the server whose cameras are at this port.
 
     question: {"ask": "state"}, {"ask": "faults"} or {"faults": {"3": {"loss": 0.3}, "all": {"delay": 0.02}}}.
@@ -27,7 +32,11 @@ def ask(question: dict[str, Any], host: str = "127.0.0.1", port: int = 19849, de
         more = answer.pop("more", False)
         while more:
             last = int(list(answer["drones"])[-1])
-            part = _part(door, {**question, "after": last}, f"virtual Crazyflies at {host}:{port}")
+            part = _part(
+                door,
+                {**question, "after": last},
+                f"virtual Crazyflies at {host}:{port}",
+            )
             answer["drones"] |= part["drones"]
             more = part.get("more", False) and bool(part["drones"])
         return answer
@@ -38,22 +47,33 @@ def _part(door: socket.socket, question: dict[str, Any], who: str) -> dict[str, 
     asked = json.dumps(question).encode()
     if len(asked) > LARGEST:
         do = "Ask for fewer drones at once, or name them as 3,4 with one table for all."
-        raise Refused(who, f"a question of {len(asked)} bytes; a datagram has {LARGEST} at most. {do}")
+        raise Refused(
+            who,
+            f"a question of {len(asked)} bytes; a datagram has {LARGEST} at most. {do}",
+        )
     for _ in range(TRIES):
         try:
             door.send(asked)
             answer = _heard(door)
-            while answer.get("after") != question.get("after") and "error" not in answer:
+            while (
+                answer.get("after") != question.get("after") and "error" not in answer
+            ):
                 answer = _heard(door)
         except OSError:
             continue
         except ValueError as error:
-            raise Refused(who, f"what answers there says no JSON: {error}. Is it `crazychoir virtual`?") from error
+            raise Refused(
+                who,
+                f"what answers there says no JSON: {error}. Is it `crazychoir virtual`?",
+            ) from error
         if "error" in answer:
             raise Refused(who, answer["error"])
         answer.pop("after", None)
         return answer
-    raise Refused(who, "nobody answers. Start `crazychoir virtual`, or name its first port by --port.")
+    raise Refused(
+        who,
+        "nobody answers. Start `crazychoir virtual`, or name its first port by --port.",
+    )
 
 
 def _heard(door: socket.socket) -> dict[str, Any]:

@@ -82,14 +82,24 @@ class VirtualCrazyflie:
     """
 
     def __init__(
-        self, onboard: Onboard, identity: Identity | None = None,
+        self,
+        onboard: Onboard,
+        identity: Identity | None = None,
         truth: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
-    ) -> None:  # fmt: skip
-        self.onboard, self.identity, self.truth = onboard, Identity() if identity is None else identity, truth
-        self.kept, self.starts, self.received, self.sent = Kept(), 0, 0, 0
-        self.positioned, self.flows = POSITIONING in self.identity.decks, FLOW in self.identity.decks
+    ) -> None:
+        self.onboard = onboard
+        self.identity = Identity() if identity is None else identity
+        self.truth = truth
+        self.kept = Kept()
+        self.starts = 0
+        self.received = 0
+        self.sent = 0
+        self.positioned = POSITIONING in self.identity.decks
+        self.flows = FLOW in self.identity.decks
         self.rates = (0.0, 0.0)
-        self._counted, self._deaf_until, self._heard = (0, 0, 0), 0, 0
+        self._counted = (0, 0, 0)
+        self._deaf_until = 0
+        self._heard = 0
         self._start()
 
     @property
@@ -108,31 +118,53 @@ class VirtualCrazyflie:
         return self.uptime < self._deaf_until
 
     def _start(self) -> None:
-        me, on = self.identity, self.onboard
+        me = self.identity
+        on = self.onboard
         logs, parameters = names()
         self.starts += 1
         self.power = Power()
-        levels = {"pm.lowVoltage": on.firmware.low, "pm.criticalLowVoltage": on.firmware.critical}
-        of_platform = (replace(e, boot=levels[e.full]) if e.full in levels else e for e in parameters)
+        levels = {
+            "pm.lowVoltage": on.firmware.low,
+            "pm.criticalLowVoltage": on.firmware.critical,
+        }
+        of_platform = (
+            replace(e, boot=levels[e.full]) if e.full in levels else e
+            for e in parameters
+        )
         self.parameters = Parameters(on, tuple(of_platform), self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
         self.memories = Memories(on, self.kept.memories, me.number)
-        self.flight = Flight(on, me.number, me.release, me.device, self.parameters.read, self.parameters.set)
+        self.flight = Flight(
+            on,
+            me.number,
+            me.release,
+            me.device,
+            self.parameters.read,
+            self.parameters.set,
+        )
         more = readings(self)
-        served = tuple(entry for entry in logs if entry.full in TABLE or entry.full in more)
-        self.logs = Logs(served, lambda name: more[name]() if name in more else on.log(name))
+        served = tuple(
+            entry for entry in logs if entry.full in TABLE or entry.full in more
+        )
+        self.logs = Logs(
+            served, lambda name: more[name]() if name in more else on.log(name)
+        )
         self._said: list[Packet] = []
         self.say("SYS: ----------------------------\n")
-        self.say(f"SYS: {me.device} is up and running!\nSYS: Build {me.release} (virtual)\n")
+        self.say(
+            f"SYS: {me.device} is up and running!\nSYS: Build {me.release} (virtual)\n"
+        )
 
     def restart(self, why: str = "") -> None:
         """Switch it off and on; why: what the firmware says of it."""
         counted = self.flight.zeros, self.flight.malformed, self.flight.unknown
         refuses = self.flight.refuses
         self.onboard.restart()
-        self.rates, self._counted = (0.0, 0.0), (0, self.received, self.sent)
-        self._deaf_until, self._heard = BOOT, 0
+        self.rates = (0.0, 0.0)
+        self._counted = (0, self.received, self.sent)
+        self._deaf_until = BOOT
+        self._heard = 0
         self._start()
         self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
         self.refuse_arming(refuses)
@@ -141,7 +173,14 @@ class VirtualCrazyflie:
             self.say("SYS: The system resumed after a failed assert [WARNING]\n")
 
     def _fail(self, where: str, error: Exception) -> None:
-        log.error("%s: %s: %s: %s", self.identity.name, where, type(error).__name__, error, exc_info=error)
+        log.error(
+            "%s: %s: %s: %s",
+            self.identity.name,
+            where,
+            type(error).__name__,
+            error,
+            exc_info=error,
+        )
         self.restart(f"{where} has failed")
 
     def refuse_arming(self, refuses: bool) -> None:
@@ -156,7 +195,8 @@ class VirtualCrazyflie:
         """The answers to a packet; none while it starts, and none to one at which it restarts."""
         if self.booting:
             return
-        self.received, self._heard = self.received + 1, self.uptime
+        self.received = self.received + 1
+        self._heard = self.uptime
         try:
             for answer in self._take(packet):
                 self.sent += 1
@@ -165,7 +205,9 @@ class VirtualCrazyflie:
             self.restart(str(error))
             return
         except Exception as error:  # noqa: BLE001 - what one drone cannot bear must not end the others
-            self._fail(f"a packet of port {packet.port}, channel {packet.channel}", error)
+            self._fail(
+                f"a packet of port {packet.port}, channel {packet.channel}", error
+            )
             return
         if self.parameters.read("system.doAssert"):
             self.restart("the parameter system.doAssert")
@@ -203,7 +245,8 @@ class VirtualCrazyflie:
             return
         if self.logs.running and now - self._heard > SILENCE:
             self.logs.blocks.clear()
-        said, self._said = self._said, []
+        said = self._said
+        self._said = []
         yield from said
         yield from self.logs.due(now)
 
@@ -221,7 +264,10 @@ class VirtualCrazyflie:
         then, received, sent = self._counted
         if now - then >= 1000:
             seconds = 1e-3 * (now - then)
-            self.rates = ((self.received - received) / seconds, (self.sent - sent) / seconds)
+            self.rates = (
+                (self.received - received) / seconds,
+                (self.sent - sent) / seconds,
+            )
             self._counted = (now, self.received, self.sent)
 
     def say(self, text: str) -> None:

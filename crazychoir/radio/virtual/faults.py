@@ -39,7 +39,9 @@ class Knob:
         return numbers[0] if self.size == 1 else numbers
 
     def _fits(self, one: Any) -> bool:
-        number = isinstance(one, int | float) and (one == 0 or self.low <= one <= self.high)
+        number = isinstance(one, int | float) and (
+            one == 0 or self.low <= one <= self.high
+        )
         return number and (not self.whole or one == int(one))
 
 
@@ -51,7 +53,9 @@ KNOBS = {
     "loss": Knob(0, 1, "probability that a packet is lost, each way"),
     "delay": Knob(0, 10, "s that a packet is late, each way"),
     "silent": _switch("nothing passes its link, either way; its port stays open"),
-    "off": _switch("it is switched off: its port is closed, its motors stand; 0 starts it again"),
+    "off": _switch(
+        "it is switched off: its port is closed, its motors stand; 0 starts it again"
+    ),
     "refuse_arming": _switch("its checks before flight fail"),
     "voltage": Knob(3, 4.2, "V of its battery at rest, held there; 0: as it is"),
     "tumble": _switch("its body is turned over, and held so"),
@@ -60,10 +64,21 @@ KNOBS = {
     "reboot": _switch("1 restarts it where it lies, once"),
     "deck_lost": _switch("its deck does not see the lighthouses"),
     "pose_lost": _switch("the cameras do not see it"),
-    "offset": Knob(-10, 10, "m along x, y, z by which the cameras see it elsewhere", size=3),
-    "turned": Knob(-math.pi, math.pi, "rad about its z by which its body is put on, or defined, the wrong way round"),
-    "swap": Knob(-1, 9999, "the drone that the cameras take for it, and the other way round; -1: none", whole=True),
-}  # fmt: skip
+    "offset": Knob(
+        -10, 10, "m along x, y, z by which the cameras see it elsewhere", size=3
+    ),
+    "turned": Knob(
+        -math.pi,
+        math.pi,
+        "rad about its z by which its body is put on, or defined, the wrong way round",
+    ),
+    "swap": Knob(
+        -1,
+        9999,
+        "the drone that the cameras take for it, and the other way round; -1: none",
+        whole=True,
+    ),
+}
 
 
 @dataclass
@@ -97,5 +112,7 @@ def checked(wanted: Mapping[str, Any], ids: Sequence[int]) -> dict[str, Value]:
             raise ConfigError("fault", name, ", ".join(KNOBS))
         found[name] = KNOBS[name].checked(name, value)
     if "swap" in found and found["swap"] not in (-1.0, *ids):
-        raise ConfigError("fault swap", found["swap"], f"-1, or one of {', '.join(map(str, ids))}")
+        raise ConfigError(
+            "fault swap", found["swap"], f"-1, or one of {', '.join(map(str, ids))}"
+        )
     return found

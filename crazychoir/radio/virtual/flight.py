@@ -32,7 +32,14 @@ EMULATED = 3
 UNCHECKED = ("position", "stop")
 """Set-points whose length the firmware does not look at."""
 _POSE, _POSITION = struct.Struct("<BhhhI"), struct.Struct("<Bhhh")
-PLANS = ("take_off", "take_off_with_velocity", "go_to", "go_to_legacy", "spiral", "start_trajectory")
+PLANS = (
+    "take_off",
+    "take_off_with_velocity",
+    "go_to",
+    "go_to_legacy",
+    "spiral",
+    "start_trajectory",
+)
 """By which the planner on board flies, unless a set-point holds control."""
 CAN_ARM = 1
 """Bit of the supervisor's information."""
@@ -53,16 +60,28 @@ class Flight:
     """
 
     def __init__(
-        self, onboard: Onboard, number: int, firmware: str, device: str, read: Callable[[str], float],
+        self,
+        onboard: Onboard,
+        number: int,
+        firmware: str,
+        device: str,
+        read: Callable[[str], float],
         write: Callable[[str, float], None],
-    ) -> None:  # fmt: skip
-        self.onboard, self.number, self.firmware, self.device = onboard, number, firmware, device
-        self.read, self.write = read, write
+    ) -> None:
+        self.onboard = onboard
+        self.number = number
+        self.firmware = firmware
+        self.device = device
+        self.read = read
+        self.write = write
         self._forms: dict[tuple[int, int, int], Form] = {}
         for form in FORMS.values():
-            self._forms[form.port, form.channel, form.head[0] if form.head else -1] = form
+            self._forms[form.port, form.channel, form.head[0] if form.head else -1] = (
+                form
+            )
         self.zeros = self.malformed = self.unknown = self.poses = 0
-        self.last, self.refuses = "", False
+        self.last = ""
+        self.refuses = False
         self.external: tuple[float, ...] = ()
         self.planned_at: int | None = None
 
@@ -73,7 +92,9 @@ class Flight:
         if port == PLATFORM:
             yield from self._platform(packet)
         elif port == LOCALIZATION and (channel, command) == (1, SHORT_LPP):
-            yield Packet(port, channel, data[:2].ljust(2, b"\0") + b"\0")  # nobody is there to send it on
+            yield Packet(
+                port, channel, data[:2].ljust(2, b"\0") + b"\0"
+            )  # nobody is there to send it on
         elif port == LOCALIZATION and (channel, command) == (1, PACKED_POSE):
             self._packed(data[1:], _POSE)
         elif port == LOCALIZATION and channel == POSITIONS:
@@ -87,7 +108,12 @@ class Flight:
         port, channel, data = packet
         answer = self._obey(packet)
         if port == HIGH_LEVEL:
-            yield Packet(port, channel, data[:3].ljust(3, b"\0") + bytes([UNKNOWN if answer is None else answer]))
+            yield Packet(
+                port,
+                channel,
+                data[:3].ljust(3, b"\0")
+                + bytes([UNKNOWN if answer is None else answer]),
+            )
         elif answer is not None and port == SUPERVISOR:
             yield Packet(port, channel, bytes([0x80 | data[0]]) + answer)
         elif answer is not None and port == LOCALIZATION:
@@ -98,7 +124,9 @@ class Flight:
         forms, (port, channel, data) = self._forms, packet
         if port == SUPERVISOR and channel == 0:
             return self._asked(data)
-        form = forms.get((port, channel, data[0] if data else -1)) or forms.get((port, channel, -1))
+        form = forms.get((port, channel, data[0] if data else -1)) or forms.get(
+            (port, channel, -1)
+        )
         if form is None:
             return self._nobody_knows(packet)
         try:
@@ -108,7 +136,11 @@ class Flight:
         if port in (COMMANDER, SETPOINT) and channel == 0:
             self.last = form.name
             self.zeros += form.name == "rpyt" and not any(values)
-        if port == HIGH_LEVEL and form.name not in ("group_mask", "define_trajectory") and not self._meant(values[0]):
+        if (
+            port == HIGH_LEVEL
+            and form.name not in ("group_mask", "define_trajectory")
+            and not self._meant(values[0])
+        ):
             return 0
         if form.name in PLANS:
             self.planned_at = int(self.onboard.record["tick"])
@@ -146,7 +178,11 @@ class Flight:
         if len(data) != 1 or not 1 <= data[0] <= 12:
             self.unknown += 1
             return None
-        return self.info.to_bytes(2, "little") if data[0] == 12 else bytes([self.info >> data[0] - 1 & 1])
+        return (
+            self.info.to_bytes(2, "little")
+            if data[0] == 12
+            else bytes([self.info >> data[0] - 1 & 1])
+        )
 
     def arm(self, wanted: bool) -> bytes:
         """Whether it is done, and whether it is armed then."""
@@ -168,7 +204,9 @@ class Flight:
             answer = self._obey(packet) if data[0] in (1, 2) else None
             yield packet if answer is None else Packet(port, channel, data[:1] + answer)
         else:
-            self.unknown += 1  # the channel of an application on board, of which there is none
+            self.unknown += (
+                1  # the channel of an application on board, of which there is none
+            )
 
     def _version(self, command: bytes) -> Iterator[Packet]:
         match command:
@@ -183,17 +221,21 @@ class Flight:
 
     def pose(self, p: Any, q: Any) -> None:
         """From outside: m, quaternion."""
-        self.poses, self.external = self.poses + 1, (*p, *q)
+        self.poses = self.poses + 1
+        self.external = (*p, *q)
         self.onboard.external_pose(np.array(p, float), np.array(q, float))
 
     def position(self, p: Any) -> None:
         """From outside: m."""
-        self.poses, self.external = self.poses + 1, tuple(p)
+        self.poses = self.poses + 1
+        self.external = tuple(p)
         self.onboard.external_position(np.array(p, float))
 
     def _packed(self, body: bytes, layout: struct.Struct) -> None:
         """Of several drones in one packet, each by its number; its own counts."""
-        for number, x, y, z, *q in layout.iter_unpack(body[: len(body) // layout.size * layout.size]):
+        for number, x, y, z, *q in layout.iter_unpack(
+            body[: len(body) // layout.size * layout.size]
+        ):
             if number == self.number:
                 p = (x * MILLI, y * MILLI, z * MILLI)
                 if q:
@@ -211,11 +253,21 @@ class Flight:
             allowed = f"allowed for {count} more channels: {9 + 2 * count}"
             raise Assertion(f"CRTP emulated receiver: {len(body)} bytes; {allowed}.")
         roll, pitch, yaw, thrust, *more = struct.unpack(f"<{4 + count}H", body[1:])
-        self.last, rates = "receiver", bool(more) and more[0] < 1500
-        turn, read = [(1500 - stick) / 500.0 for stick in (roll, pitch, yaw)], self.read
-        names = ("cppm.rateRoll", "cppm.ratePitch") if rates else ("cppm.angRoll", "cppm.angPitch")
-        r, p, w = turn[0] * read(names[0]), turn[1] * read(names[1]), turn[2] * read("cppm.rateYaw")
-        manual(self.onboard, r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates))
+        self.last = "receiver"
+        rates = bool(more) and more[0] < 1500
+        turn = [(1500 - stick) / 500.0 for stick in (roll, pitch, yaw)]
+        read = self.read
+        names = (
+            ("cppm.rateRoll", "cppm.ratePitch")
+            if rates
+            else ("cppm.angRoll", "cppm.angPitch")
+        )
+        r = turn[0] * read(names[0])
+        p = turn[1] * read(names[1])
+        w = turn[2] * read("cppm.rateYaw")
+        manual(
+            self.onboard, r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates)
+        )
 
 
 def _group_mask(me: Flight, group: int) -> int:

@@ -61,7 +61,8 @@ class Logs:
         if packet.channel == TOC:
             yield from self.toc.take(packet.data)
         elif packet.channel == SETTINGS and packet.data:
-            command, rest = packet.data[0], packet.data[1:]
+            command = packet.data[0]
+            rest = packet.data[1:]
             number = rest[0] if rest else 0
             error = self._do(command, number, rest[1:], now)
             yield Packet(LOG, SETTINGS, bytes([command, number, error]))
@@ -77,8 +78,13 @@ class Logs:
                 yield self._data(number, block, now)
 
     def _data(self, number: int, block: Block, now: int) -> Packet:
-        values = b"".join(value_of(letter, self.read(name) if name else 0.0) for name, letter in block.variables)
-        return Packet(LOG, DATA, bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values)
+        values = b"".join(
+            value_of(letter, self.read(name) if name else 0.0)
+            for name, letter in block.variables
+        )
+        return Packet(
+            LOG, DATA, bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values
+        )
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
         if command == RESET:
@@ -98,8 +104,14 @@ class Logs:
         elif command == STOP:
             block.period = 0
         else:
-            period = 10 * int.from_bytes(rest[:1], "little") if command == START else int.from_bytes(rest[:2], "little")
-            block.once, block.period, block.due = not period, period or block.period, now + period
+            period = (
+                10 * int.from_bytes(rest[:1], "little")
+                if command == START
+                else int.from_bytes(rest[:2], "little")
+            )
+            block.once = not period
+            block.period = period or block.period
+            block.due = now + period
         return OK
 
     def _create(self, number: int) -> int:
@@ -123,7 +135,9 @@ class Logs:
                 return ENOMEM
             if index != BY_ADDRESS and index >= len(self.toc.entries):
                 return ENOENT
-            block.variables.append(("" if index == BY_ADDRESS else self.toc.entries[index].full, letter))
+            block.variables.append(
+                ("" if index == BY_ADDRESS else self.toc.entries[index].full, letter)
+            )
         return OK
 
 
@@ -141,7 +155,15 @@ def value_of(letter: str, value: float) -> bytes:
     if letter == "e":
         return struct.pack("<e", min(max(value, -HALF_FLOAT), HALF_FLOAT))
     if letter == "f":
-        return struct.pack("<f", value if abs(value) <= FLOAT or not math.isfinite(value) else 0.0)
+        return struct.pack(
+            "<f", value if abs(value) <= FLOAT or not math.isfinite(value) else 0.0
+        )
     bits = 8 * struct.calcsize(letter)
-    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if letter.islower() else (0, (1 << bits) - 1)
-    return whole(value, low, high).to_bytes(bits // 8, "little", signed=letter.islower())
+    low, high = (
+        (-(1 << bits - 1), (1 << bits - 1) - 1)
+        if letter.islower()
+        else (0, (1 << bits) - 1)
+    )
+    return whole(value, low, high).to_bytes(
+        bits // 8, "little", signed=letter.islower()
+    )

@@ -11,7 +11,15 @@ INFO, READ, WRITE = range(3)
 """Channels."""
 COUNT, ABOUT = 1, 2
 """Commands of INFO."""
-EEPROM, LEDS, TRAJECTORY, LIGHTHOUSE, TESTER, TIMINGS, DECKS = 0x00, 0x10, 0x12, 0x14, 0x15, 0x17, 0x19
+EEPROM, LEDS, TRAJECTORY, LIGHTHOUSE, TESTER, TIMINGS, DECKS = (
+    0x00,
+    0x10,
+    0x12,
+    0x14,
+    0x15,
+    0x17,
+    0x19,
+)
 """Types. There is none of 1-wire, which clients would read at each connect."""
 DECK_VERSION = 3
 OK, EIO = 0, 5
@@ -38,13 +46,20 @@ class Memory(Protocol):
 class Bytes:
     """One that keeps what is written. content: at the beginning, all of it, changed in place."""
 
-    def __init__(self, kind: int, content: bytearray | memoryview, size: int | None = None) -> None:
-        self.kind, self.content = kind, content
+    def __init__(
+        self, kind: int, content: bytearray | memoryview, size: int | None = None
+    ) -> None:
+        self.kind = kind
+        self.content = content
         self.size = len(content) if size is None else size
 
     def read(self, address: int, length: int) -> bytes | None:
         """What lies there."""
-        return bytes(self.content[address : address + length]) if address + length <= len(self.content) else None
+        return (
+            bytes(self.content[address : address + length])
+            if address + length <= len(self.content)
+            else None
+        )
 
     def write(self, address: int, data: bytes) -> bool:
         """Put it there."""
@@ -57,7 +72,8 @@ class Bytes:
 class Tester:
     """The firmware's test of memories: each byte is the lowest byte of its address. errors: wrong bytes written."""
 
-    kind, size = TESTER, 0x1000
+    kind = TESTER
+    size = 0x1000
 
     def __init__(self) -> None:
         self.errors = 0
@@ -72,9 +88,13 @@ class Tester:
         return True
 
 
-def configured(channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7) -> bytearray:
+def configured(
+    channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7
+) -> bytearray:
     """The EEPROM of a drone: its radio's channel, data rate and address, no trim, and their checksum."""
-    image = b"0xBC" + struct.pack("<BBBffBI", 1, channel, speed, 0.0, 0.0, address >> 32, address & 0xFFFFFFFF)
+    image = b"0xBC" + struct.pack(
+        "<BBBffBI", 1, channel, speed, 0.0, 0.0, address >> 32, address & 0xFFFFFFFF
+    )
     return bytearray((image + bytes([sum(image) % 256])).ljust(8192, b"\0"))
 
 
@@ -84,12 +104,20 @@ class Memories:
     kept: what survives restarts, by type.
     """
 
-    def __init__(self, onboard: Onboard, kept: dict[int, bytearray] | None = None, number: int = 0xE7) -> None:
+    def __init__(
+        self,
+        onboard: Onboard,
+        kept: dict[int, bytearray] | None = None,
+        number: int = 0xE7,
+    ) -> None:
         kept = {} if kept is None else kept
         self.tester = Tester()
         trajectories = onboard.memory.data
         self.all: tuple[Memory, ...] = (
-            Bytes(EEPROM, kept.setdefault(EEPROM, configured(address=0xE7E7E7E700 | number))),
+            Bytes(
+                EEPROM,
+                kept.setdefault(EEPROM, configured(address=0xE7E7E7E700 | number)),
+            ),
             Bytes(LEDS, bytearray(24)),
             Bytes(TRAJECTORY, trajectories),
             self.tester,
@@ -105,8 +133,13 @@ class Memories:
             yield from self._about(data)
         elif packet.channel in (READ, WRITE) and len(data) > _WHERE.size:
             number, address = _WHERE.unpack_from(data)
-            body, reads = data[_WHERE.size :], packet.channel == READ
-            found = self._read(number, address, body[0]) if reads else self._write(number, address, body)
+            body = data[_WHERE.size :]
+            reads = packet.channel == READ
+            found = (
+                self._read(number, address, body[0])
+                if reads
+                else self._write(number, address, body)
+            )
             answer = bytes([EIO]) if found is None else bytes([OK]) + found
             yield Packet(MEMORY, packet.channel, data[: _WHERE.size] + answer)
 
@@ -120,7 +153,15 @@ class Memories:
             yield Packet(MEMORY, INFO, _ABOUT.pack(ABOUT, number, kind, size))
 
     def _read(self, number: int, address: int, length: int) -> bytes | None:
-        return self.all[number].read(address, length) if number < len(self.all) and length <= MOST else None
+        return (
+            self.all[number].read(address, length)
+            if number < len(self.all) and length <= MOST
+            else None
+        )
 
     def _write(self, number: int, address: int, data: bytes) -> bytes | None:
-        return b"" if number < len(self.all) and self.all[number].write(address, data) else None
+        return (
+            b""
+            if number < len(self.all) and self.all[number].write(address, data)
+            else None
+        )

@@ -13,7 +13,17 @@ from crazychoir.simulation.onboard.parameters import RESET_ESTIMATION, TABLE
 TOC, READ, WRITE, MISC = range(4)
 """Channels."""
 OK, ENOENT, EACCES, EINVAL = 0, 2, 13, 22
-SET_BY_NAME, UPDATED, EXTENDED_V1, STORE, STATE, CLEAR, DEFAULT_V1, EXTENDED, DEFAULT = range(9)
+(
+    SET_BY_NAME,
+    UPDATED,
+    EXTENDED_V1,
+    STORE,
+    STATE,
+    CLEAR,
+    DEFAULT_V1,
+    EXTENDED,
+    DEFAULT,
+) = range(9)
 """Commands of MISC."""
 PERSISTENT = 1
 NOT_STORED, STORED = 0, 1
@@ -22,13 +32,22 @@ NOT_STORED, STORED = 0, 1
 class Parameters:
     """Values by name; `stored` survives a restart, as on the drone's own memory."""
 
-    def __init__(self, onboard: Onboard, entries: tuple[Entry, ...], stored: dict[str, float] | None = None) -> None:
-        self.onboard, self.toc = onboard, Toc(PARAM, entries, PARAM_TYPES)
+    def __init__(
+        self,
+        onboard: Onboard,
+        entries: tuple[Entry, ...],
+        stored: dict[str, float] | None = None,
+    ) -> None:
+        self.onboard = onboard
+        self.toc = Toc(PARAM, entries, PARAM_TYPES)
         self.values = {entry.full: entry.boot for entry in entries}
         self.stored = {} if stored is None else stored
         self._channels: tuple[Callable[[bytes], Iterator[Packet]], ...] = (
-            self.toc.take, self._read, self._write, self._misc,
-        )  # fmt: skip
+            self.toc.take,
+            self._read,
+            self._write,
+            self._misc,
+        )
         for entry in entries:
             if not entry.read_only and entry.full in self.stored:
                 self.set(entry.full, self.stored[entry.full])
@@ -54,11 +73,19 @@ class Parameters:
 
     def _found(self, data: bytes) -> Entry | None:
         k = int.from_bytes(data[:2], "little")
-        return self.toc.entries[k] if len(data) >= 2 and k < len(self.toc.entries) else None
+        return (
+            self.toc.entries[k]
+            if len(data) >= 2 and k < len(self.toc.entries)
+            else None
+        )
 
     def _read(self, data: bytes) -> Iterator[Packet]:
         entry = self._found(data)
-        body = bytes([ENOENT]) if entry is None else bytes([OK]) + packed(entry, self.get(entry))
+        body = (
+            bytes([ENOENT])
+            if entry is None
+            else bytes([OK]) + packed(entry, self.get(entry))
+        )
         yield Packet(PARAM, READ, data[:2] + body)
 
     def _write(self, data: bytes) -> Iterator[Packet]:
@@ -85,28 +112,49 @@ class Parameters:
         self.set(entry.full, value)
 
     def _misc(self, data: bytes) -> Iterator[Packet]:
-        command, body = data[:1], data[1:]
+        command = data[:1]
+        body = data[1:]
         match command[0] if command else -1:
             case 0:
                 yield from self._by_name(body)
             case 2 | 7:
                 entry = self._found(body)
                 known = entry is not None and entry.persistent
-                answer = bytes([ENOENT]) if entry is None else bytes([OK, PERSISTENT * known])
-                yield Packet(PARAM, MISC, command + body[:2] + (answer if command[0] == EXTENDED else answer[-1:]))
+                answer = (
+                    bytes([ENOENT])
+                    if entry is None
+                    else bytes([OK, PERSISTENT * known])
+                )
+                yield Packet(
+                    PARAM,
+                    MISC,
+                    command
+                    + body[:2]
+                    + (answer if command[0] == EXTENDED else answer[-1:]),
+                )
             case 3 | 5:
-                yield Packet(PARAM, MISC, command + body[:2] + bytes([self._keep(body, command[0] == STORE)]))
+                yield Packet(
+                    PARAM,
+                    MISC,
+                    command + body[:2] + bytes([self._keep(body, command[0] == STORE)]),
+                )
             case 4:
                 yield Packet(PARAM, MISC, command + body[:2] + self._kept(body))
             case 6 | 8:
-                yield Packet(PARAM, MISC, command + body[:2] + self._boot(body, command[0] == DEFAULT))
+                yield Packet(
+                    PARAM,
+                    MISC,
+                    command + body[:2] + self._boot(body, command[0] == DEFAULT),
+                )
 
     def _by_name(self, body: bytes) -> Iterator[Packet]:
         """Names, type and value; the answer has the error in place of the last two, nothing answers a lack of names."""
         parts = body.split(b"\0", 2)
         if len(parts) == 3:
             names = b"\0".join(parts[:2]) + b"\0"
-            yield Packet(PARAM, MISC, bytes([SET_BY_NAME]) + names + bytes([self._named(parts)]))
+            yield Packet(
+                PARAM, MISC, bytes([SET_BY_NAME]) + names + bytes([self._named(parts)])
+            )
             yield from self._done()
 
     def _named(self, parts: list[bytes]) -> int:

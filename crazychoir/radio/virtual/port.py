@@ -53,7 +53,9 @@ class Port:
     """Where clients reach a drone. malformed: datagrams that are no packets;  client: who has sent last."""
 
     def __init__(self, drone: VirtualCrazyflie, air: Air, at: Address) -> None:
-        self.drone, self.air, self.at = drone, air, at
+        self.drone = drone
+        self.air = air
+        self.at = at
         self.malformed = 0
         self.client: Address | None = None
         self._socket: socket.socket | None = None
@@ -70,7 +72,8 @@ class Port:
         if self._socket is not None:
             asyncio.get_running_loop().remove_reader(self._socket)
             self._socket.close()
-            self._socket, self.client = None, None
+            self._socket = None
+            self.client = None
 
     def look(self) -> None:
         """Be open where the drone is on and has started, closed elsewhere."""
@@ -106,11 +109,14 @@ class Port:
         if self.client is None:
             self._unheard = [*self._unheard[-99:], packet]
             return
-        unheard, self._unheard = self._unheard, []
+        unheard = self._unheard
+        self._unheard = []
         for one in (*unheard, packet):
             self.air.sink(partial(self._leave, one, self.client))
 
     def _leave(self, packet: Packet, to: Address) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # the system has no room, or nobody is there: lost, as on the air
+            with contextlib.suppress(
+                OSError
+            ):  # the system has no room, or nobody is there: lost, as on the air
                 self._socket.sendto(packet.framed(), to)

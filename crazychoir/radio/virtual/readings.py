@@ -80,7 +80,10 @@ def _linked(me: Parts) -> Readings:
         "memTst.errCntW": lambda: float(me.memories.tester.errors),
         "supervisor.info": lambda: float(me.flight.info),
         **{f"locSrv.{name}": lambda k=k: said(k) for name, k in external.items()},  # type: ignore[misc]
-        **{f"ext_pos.{name.upper()}": lambda k=k: said(k) for name, k in list(external.items())[:3]},  # type: ignore[misc]
+        **{
+            f"ext_pos.{name.upper()}": lambda k=k: said(k)  # type: ignore[misc]
+            for name, k in list(external.items())[:3]
+        },
     }
 
 
@@ -88,9 +91,13 @@ def _sensed(me: Parts) -> Readings:
     on = me.onboard
     return {
         "baro.asl": lambda: on.estimate.p[2],
-        "baro.pressure": lambda: 1013.25 * max(1.0 - 2.25577e-5 * on.estimate.p[2], 0.0) ** 5.25588,
+        "baro.pressure": lambda: (
+            1013.25 * max(1.0 - 2.25577e-5 * on.estimate.p[2], 0.0) ** 5.25588
+        ),
         "baro.temp": lambda: 25.0,
-        "supervisor.accNorm": lambda: math.hypot(on.log("acc.x"), on.log("acc.y"), on.log("acc.z")),
+        "supervisor.accNorm": lambda: math.hypot(
+            on.log("acc.x"), on.log("acc.y"), on.log("acc.z")
+        ),
         "sys.testLogParam": lambda: me.parameters.read("system.testLogParam"),
         "stabilizer.intToOut": lambda: 1000.0,
         "stabilizer.rtStab": lambda: 1000.0,
@@ -112,12 +119,20 @@ def _thought(me: Parts) -> Readings:
     degree = math.pi / 180.0
     return {
         "stateEstimateZ.quat": turned,
-        **{f"stateEstimateZ.rate{name}": scaled(f"gyro.{axis}", 1000.0 * degree) for name, axis in rates.items()},
-        **{f"ctrltargetZ.{name}": scaled(f"ctrltarget.{name}", 1000.0) for name in axes},
+        **{
+            f"stateEstimateZ.rate{name}": scaled(f"gyro.{axis}", 1000.0 * degree)
+            for name, axis in rates.items()
+        },
+        **{
+            f"ctrltargetZ.{name}": scaled(f"ctrltarget.{name}", 1000.0) for name in axes
+        },
         "controller.actuatorThrust": scaled("controller.cmd_thrust", 1.0),
         "controller.accelz": scaled("stateEstimate.az", GRAVITY),
         "controller.ctr_yaw": scaled("controller.cmd_yaw", 1.0),
-        **{f"controller.r_{name.lower()}": scaled(f"gyro.{axis}", degree) for name, axis in rates.items()},
+        **{
+            f"controller.r_{name.lower()}": scaled(f"gyro.{axis}", degree)
+            for name, axis in rates.items()
+        },
     }
 
 
@@ -128,13 +143,18 @@ def _decks(me: Parts) -> Readings:
         return NOTHING_NEAR if "bcMultiranger" in me.decks else 0.0
 
     def height() -> float:
-        return 1000.0 * me.truth()[2] if {"bcFlow2", "bcZRanger2"} & set(me.decks) else 0.0
+        return (
+            1000.0 * me.truth()[2] if {"bcFlow2", "bcZRanger2"} & set(me.decks) else 0.0
+        )
 
     def seen(k: int) -> float:
         return me.truth()[k] if me.positioned else 0.0
 
     return {
-        **{f"range.{side}": lambda side=side: far(side) for side in ("front", "back", "left", "right", "up")},  # type: ignore[misc]
+        **{
+            f"range.{side}": lambda side=side: far(side)  # type: ignore[misc]
+            for side in ("front", "back", "left", "right", "up")
+        },
         "range.zrange": height,
         **{f"lighthouse.{axis}": lambda k=k: seen(k) for k, axis in enumerate("xyz")},  # type: ignore[misc]
         "lighthouse.status": lambda: LH_OK * me.positioned,

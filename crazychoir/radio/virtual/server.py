@@ -48,16 +48,27 @@ class VirtualServer(Actor):
     name = "virtual"
 
     def __init__(
-        self, clock: Clock, world: CrazyflieWorld, seats: Sequence[Seat], poses: Address,
-        dongles: Sequence[Dongle] = (), seed: int = 0,
-    ) -> None:  # fmt: skip
-        self.clock, self.world, self.seats, self.behind, self.busy_ns = clock, world, tuple(seats), 0, 0
+        self,
+        clock: Clock,
+        world: CrazyflieWorld,
+        seats: Sequence[Seat],
+        poses: Address,
+        dongles: Sequence[Dongle] = (),
+        seed: int = 0,
+    ) -> None:
+        self.clock = clock
+        self.world = world
+        self.seats = tuple(seats)
+        self.behind = 0
+        self.busy_ns = 0
         self.dongles = tuple(dongles)
         shared = {i: dongle for dongle in self.dongles for i in dongle.drones}
         self.faults = {seat.id: Faults() for seat in self.seats}
         self.ports = {
             seat.id: Port(
-                self._drone(seat), Air(clock, seat.id, self.faults[seat.id], shared.get(seat.id), seed), seat.at
+                self._drone(seat),
+                Air(clock, seat.id, self.faults[seat.id], shared.get(seat.id), seed),
+                seat.at,
             )
             for seat in self.seats
         }
@@ -67,12 +78,19 @@ class VirtualServer(Actor):
 
     def _drone(self, seat: Seat) -> VirtualCrazyflie:
         """Switched on where it stands, which it does not know yet."""
-        row, onboard = self.world.row[seat.id], self.world.onboard[seat.id]
+        row = self.world.row[seat.id]
+        onboard = self.world.onboard[seat.id]
         onboard.place((0.0, 0.0, 0.0), 0.0)
         identity = Identity(
-            f"virtual drone {seat.id}", seat.number, seat.release, seat.device, seat.decks
+            f"virtual drone {seat.id}",
+            seat.number,
+            seat.release,
+            seat.device,
+            seat.decks,
         )
-        return VirtualCrazyflie(onboard, identity, lambda: self.world.states[row, :3].tolist())
+        return VirtualCrazyflie(
+            onboard, identity, lambda: self.world.states[row, :3].tolist()
+        )
 
     @property
     def drones(self) -> dict[int, VirtualCrazyflie]:
@@ -102,7 +120,8 @@ class VirtualServer(Actor):
                 due_ns += step_ns
             late = (self.clock.now_ns() - due_ns) // step_ns
             if late > BEHIND:
-                self.behind, due_ns = self.behind + late, due_ns + late * step_ns
+                self.behind = self.behind + late
+                due_ns = due_ns + late * step_ns
             self.busy_ns += self.clock.now_ns() - began_ns
 
     def step(self, time: float) -> None:
@@ -117,7 +136,9 @@ class VirtualServer(Actor):
             for packet in port.drone.pass_time():
                 port.say(packet)
         if self.cameras.watched:
-            self.cameras.show(time, seen(self.world.states, self.world.row, self.faults, self._names))
+            self.cameras.show(
+                time, seen(self.world.states, self.world.row, self.faults, self._names)
+            )
 
     def _hold(self) -> None:
         """What faults hold as it is: batteries, and bodies on their backs."""
@@ -125,7 +146,12 @@ class VirtualServer(Actor):
             if fault.tumble:
                 overturn(self.world.states[self.world.row[i]])
             if fault.voltage > 0.0:
-                self.world.charge_to(i, charge_of(fault.voltage, self.world.platforms[self.world.row[i]].battery))
+                self.world.charge_to(
+                    i,
+                    charge_of(
+                        fault.voltage, self.world.platforms[self.world.row[i]].battery
+                    ),
+                )
 
     def _start_anew(self) -> None:
         """Reset drones whose model has failed, and no others; one whose body is nowhere stands at home then."""
@@ -139,11 +165,16 @@ class VirtualServer(Actor):
         for i, port in self.ports.items():
             if self.faults[i].deck_lost:
                 continue
-            state, onboard = self.world.states[self.world.row[i]], port.drone.onboard
+            state = self.world.states[self.world.row[i]]
+            onboard = port.drone.onboard
             if port.drone.flows:
-                onboard.measured_velocity(state[3:6] + self._error(FLOW_NOISE), FLOW_NOISE)
+                onboard.measured_velocity(
+                    state[3:6] + self._error(FLOW_NOISE), FLOW_NOISE
+                )
             if port.drone.positioned:
-                onboard.external_pose(state[:3] + self._error(DECK_NOISE), state[6:10].copy())
+                onboard.external_pose(
+                    state[:3] + self._error(DECK_NOISE), state[6:10].copy()
+                )
 
     def _error(self, std: float) -> Any:
         return np.array([self._noise.gauss(0.0, std) for _ in range(3)])
@@ -166,7 +197,9 @@ class VirtualServer(Actor):
         allowed = '{"ask": "state"}, {"ask": "faults"}, {"faults": {id: {name: value}}}'
         raise CodecError(f"a question: {dict(question)}; allowed: {allowed}.")
 
-    def _part(self, question: Mapping[str, Any], row_of: Callable[[int], Any]) -> dict[str, Any]:
+    def _part(
+        self, question: Mapping[str, Any], row_of: Callable[[int], Any]
+    ) -> dict[str, Any]:
         """As many drones as a datagram holds, of those that follow the one named by "after", and whether more follow.
 
         The answer repeats "after", so that it is told from the answer to another question.
@@ -183,13 +216,23 @@ class VirtualServer(Actor):
                 break
             drones[i] = row
         said = {} if after is None else {"after": after}
-        return {"drones": drones, **said, **({"more": True} if len(drones) < len(left) else {})}
+        return {
+            "drones": drones,
+            **said,
+            **({"more": True} if len(drones) < len(left) else {}),
+        }
 
     def _set(self, wanted: Any) -> None:
         """All of them, or none."""
-        if not isinstance(wanted, dict) or not all(isinstance(row, dict) for row in wanted.values()):
+        if not isinstance(wanted, dict) or not all(
+            isinstance(row, dict) for row in wanted.values()
+        ):
             raise ConfigError("faults", wanted, "{id: {name: value}}")
-        found = [(i, checked(row, tuple(self.ports))) for who, row in wanted.items() for i in self._who(who)]
+        found = [
+            (i, checked(row, tuple(self.ports)))
+            for who, row in wanted.items()
+            for i in self._who(who)
+        ]
         for i, row in found:
             for name, value in row.items():
                 self._put(i, name, value)
@@ -199,16 +242,23 @@ class VirtualServer(Actor):
         if who == "all":
             return list(self.ports)
         names = {str(i): i for i in self.ports}
-        words = [word.strip().lstrip("0") or "0" for word in who.split(",") if word.strip()]
+        words = [
+            word.strip().lstrip("0") or "0" for word in who.split(",") if word.strip()
+        ]
         unknown = [word for word in words if word not in names]
         if unknown or not words:
             there = [*names][:SHOWN]
             left = [f"and {len(names) - SHOWN} more"] if len(names) > SHOWN else []
-            raise ConfigError("faults: drone", ", ".join(unknown)[:SHOWN], ", ".join(["all", *there, *left]))
+            raise ConfigError(
+                "faults: drone",
+                ", ".join(unknown)[:SHOWN],
+                ", ".join(["all", *there, *left]),
+            )
         return [names[word] for word in dict.fromkeys(words)]
 
     def _put(self, i: int, name: str, value: Any) -> None:
-        drone, fault = self.ports[i].drone, self.faults[i]
+        drone = self.ports[i].drone
+        fault = self.faults[i]
         if name == "reboot":
             if value:
                 drone.restart()
@@ -225,7 +275,9 @@ class VirtualServer(Actor):
             elif name == "off" and changed:
                 drone.restart()
         if name in ("motor", "off"):
-            self.world.turn(i, [not fault.off and k + 1 != fault.motor for k in range(4)])
+            self.world.turn(
+                i, [not fault.off and k + 1 != fault.motor for k in range(4)]
+            )
 
     def _carry_home(self, i: int) -> None:
         self.world.restore(i)
@@ -237,26 +289,48 @@ class VirtualServer(Actor):
             if k in self.faults and (old := int(self.faults[k].swap)) >= 0:
                 self.faults[k].swap = self.faults[old].swap = -1.0
         if j >= 0 and i != j:
-            self.faults[i].swap, self.faults[j].swap = float(j), float(i)
+            self.faults[i].swap = float(j)
+            self.faults[j].swap = float(i)
 
     def state(self, i: int) -> dict[str, Any]:
         """The truth about a drone, and what it has been told."""
-        port, row, world = self.ports[i], self.world.row[i], self.world
-        drone, x, record = port.drone, self.world.states[self.world.row[i]], self.world.onboard[i].record
+        port = self.ports[i]
+        row = self.world.row[i]
+        world = self.world
+        drone = port.drone
+        x = self.world.states[self.world.row[i]]
+        record = self.world.onboard[i].record
         up = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2)
         return {
-            "p": x[:3].tolist(), "v": x[3:6].tolist(), "q": x[6:10].tolist(), "yaw": float(yaw_of(x[6:10])),
+            "p": x[:3].tolist(),
+            "v": x[3:6].tolist(),
+            "q": x[6:10].tolist(),
+            "yaw": float(yaw_of(x[6:10])),
             "estimate": [float(record[axis]) for axis in ("x", "y", "z")],
-            "supervisor": "off" if self.faults[i].off else drone.onboard.state, "info": drone.flight.info,
-            "motors": [float(share) for share in record["motors"]], "vbat": world.vbat(i),
-            "zeros": drone.flight.zeros, "last": drone.flight.last, "poses": drone.flight.poses,
-            "crashed": world.harm(i), "tumbled": bool(up < 0.5), "resting": world.resting(i),
-            "client": None if port.client is None else f"{port.client[0]}:{port.client[1]}", "at": list(port.at),
-            "up": port.air.up, "down": port.air.down, "lost": port.air.lost, "starts": drone.starts,
-            "malformed": port.malformed + drone.flight.malformed, "unknown": drone.flight.unknown,
-            "uptime": drone.uptime, "impact": float(world.impact[row]),
+            "supervisor": "off" if self.faults[i].off else drone.onboard.state,
+            "info": drone.flight.info,
+            "motors": [float(share) for share in record["motors"]],
+            "vbat": world.vbat(i),
+            "zeros": drone.flight.zeros,
+            "last": drone.flight.last,
+            "poses": drone.flight.poses,
+            "crashed": world.harm(i),
+            "tumbled": bool(up < 0.5),
+            "resting": world.resting(i),
+            "client": None
+            if port.client is None
+            else f"{port.client[0]}:{port.client[1]}",
+            "at": list(port.at),
+            "up": port.air.up,
+            "down": port.air.down,
+            "lost": port.air.lost,
+            "starts": drone.starts,
+            "malformed": port.malformed + drone.flight.malformed,
+            "unknown": drone.flight.unknown,
+            "uptime": drone.uptime,
+            "impact": float(world.impact[row]),
             "led": int(drone.parameters.read("led.bitmask")),
-        }  # fmt: skip
+        }
 
     def report(self) -> dict[str, Any]:
         """What became of each drone, and of the machine."""
@@ -283,7 +357,10 @@ class VirtualServer(Actor):
 def charge_of(volts: float, battery: Any) -> float:
     """The charge, 0 to 1, at which a cell at rest has so many V; not empty."""
     x = (volts - battery.empty) / (battery.full - battery.empty)
-    return max(float(np.interp(x, OPEN_CIRCUIT, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT)))), LEAST_CHARGE)
+    return max(
+        float(np.interp(x, OPEN_CIRCUIT, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT)))),
+        LEAST_CHARGE,
+    )
 
 
 def overturn(x: Vec) -> None:

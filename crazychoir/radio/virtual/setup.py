@@ -61,14 +61,17 @@ class Hall:
 
     def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
         """The drones at home, of their platforms, with the swarm's [motors] and the thrust map of a release."""
-        config, drones = self.config, self.drones
+        config = self.config
+        drones = self.drones
         return CrazyflieWorld.of(
             WorldSetup(
                 ids=tuple(drone.id for drone in drones),
                 uris=tuple(drone.uri for drone in drones),
                 homes=tuple(drone.home for drone in drones),
                 yaws=tuple(drone.yaw for drone in drones),
-                platforms=tuple(released(platform(drone.platform), release) for drone in drones),
+                platforms=tuple(
+                    released(platform(drone.platform), release) for drone in drones
+                ),
                 options=msgspec.to_builtins(config.motors),
                 wind=config.motors.wind,
                 seed=seed,
@@ -79,15 +82,26 @@ class Hall:
         )
 
 
-def on_a_grid(n: int, port: int, decks: Sequence[str] | None, release: str = RELEASE) -> Hall:
+def on_a_grid(
+    n: int, port: int, decks: Sequence[str] | None, release: str = RELEASE
+) -> Hall:
     """n drones on a square grid on the floor, at one port after the other."""
     config = default_swarm(n)
-    drones = tuple(msgspec.structs.replace(drone, platform="cf21") for drone in config.drones)
+    drones = tuple(
+        msgspec.structs.replace(drone, platform="cf21") for drone in config.drones
+    )
     places = [(drone, (HOST, port + k)) for k, drone in enumerate(drones)]
-    return Hall(config, drones, _seats(config, places, DECKS if decks is None else decks, release), (HOST, port - 1))
+    return Hall(
+        config,
+        drones,
+        _seats(config, places, DECKS if decks is None else decks, release),
+        (HOST, port - 1),
+    )
 
 
-def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RELEASE) -> Hall:
+def of_swarm(
+    config: SwarmConfig, decks: Sequence[str] | None, release: str = RELEASE
+) -> Hall:
     """The drones of a swarm whose uri is udp:// on this machine, at the ports that their uris name."""
     places = []
     for drone in config.drones:
@@ -97,7 +111,12 @@ def of_swarm(config: SwarmConfig, decks: Sequence[str] | None, release: str = RE
     if not places:
         uris = ", ".join(sorted({drone.uri for drone in config.drones}))
         do = 'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own.'
-        raise ConfigError("virtual Crazyflies: uris of the swarm", uris, "udp://HOST:PORT on this machine", do)
+        raise ConfigError(
+            "virtual Crazyflies: uris of the swarm",
+            uris,
+            "udp://HOST:PORT on this machine",
+            do,
+        )
     if len(places) > MOST:
         do = "Serve the others by another file, or on another machine."
         allowed = f"at most {MOST} at once: cameras see no more"
@@ -118,21 +137,31 @@ def _ours(host: str) -> bool:
 
 
 def _seats(
-    config: SwarmConfig, places: Sequence[tuple[Drone, tuple[str, int]]], decks: Sequence[str] | None, release: str
+    config: SwarmConfig,
+    places: Sequence[tuple[Drone, tuple[str, int]]],
+    decks: Sequence[str] | None,
+    release: str,
 ) -> tuple[Seat, ...]:
     seen = {config.body_name(i) for i in config.seen}
 
     def body(drone: Drone) -> str:
         name = config.body_name(drone.id)
-        return "" if name in seen and drone.id not in config.seen else name  # it is the name of another drone's body
+        return (
+            "" if name in seen and drone.id not in config.seen else name
+        )  # it is the name of another drone's body
 
     return tuple(
         Seat(
-            drone.id, at, body(drone), (ADDRESS + drone.id) % 256,
-            _decks(drone) if decks is None else tuple(decks), release, device_of(platform(drone.platform)),
+            drone.id,
+            at,
+            body(drone),
+            (ADDRESS + drone.id) % 256,
+            _decks(drone) if decks is None else tuple(decks),
+            release,
+            device_of(platform(drone.platform)),
         )
         for drone, at in places
-    )  # fmt: skip
+    )
 
 
 def _decks(drone: Drone) -> tuple[str, ...]:
@@ -146,19 +175,28 @@ def known_decks(text: str) -> tuple[str, ...]:
     found = () if text == "none" else tuple(text.split(","))
     for name in found:
         if name not in there:
-            raise ConfigError("--deck", name, f"none, or of {', '.join(there)}; {POSITIONING} knows where it is")
+            raise ConfigError(
+                "--deck",
+                name,
+                f"none, or of {', '.join(there)}; {POSITIONING} knows where it is",
+            )
     return found
 
 
 def released(base: Platform, release: str) -> Platform:
     """With the thrust map of a release, of a year and a month, if it is known; another text: the newest."""
-    found, old = re.match(r"(\d{4})\.(\d{1,2})", release), base.firmware.old_thrust_map
+    found = re.match(r"(\d{4})\.(\d{1,2})", release)
+    old = base.firmware.old_thrust_map
     if not found or (int(found[1]), int(found[2])) > MEASURED_UNTIL or old is None:
         return base
-    return replace(base, firmware=replace(base.firmware, thrust_max=65535.0 / old / 4.0))
+    return replace(
+        base, firmware=replace(base.firmware, thrust_max=65535.0 / old / 4.0)
+    )
 
 
-def groups(hall: Hall, text: str | None, each: int | None) -> list[tuple[tuple[int, ...], float | None]]:
+def groups(
+    hall: Hall, text: str | None, each: int | None
+) -> list[tuple[tuple[int, ...], float | None]]:
     """The drones of each dongle and its capacity if the swarm file states one.
 
     text: as "0,1|2,3";  each: so many a dongle;  without both: those of the swarm file, of a grid none.
@@ -168,18 +206,37 @@ def groups(hall: Hall, text: str | None, each: int | None) -> list[tuple[tuple[i
         return [(group, None) for group in _told(text, ids)]
     if each is not None:
         return [(ids[k : k + each], None) for k in range(0, len(ids), each)]
-    rows = {row.dongle: row.capacity or hall.config.radio.capacity for row in hall.config.radio.dongles}
-    found = {k: tuple(i for i in group if i in ids) for k, group in hall.config.dongles.items()}
-    shared = {k: rows.get(k, hall.config.radio.capacity) for k, group in found.items() if len(group) > 1}
+    rows = {
+        row.dongle: row.capacity or hall.config.radio.capacity
+        for row in hall.config.radio.dongles
+    }
+    found = {
+        k: tuple(i for i in group if i in ids)
+        for k, group in hall.config.dongles.items()
+    }
+    shared = {
+        k: rows.get(k, hall.config.radio.capacity)
+        for k, group in found.items()
+        if len(group) > 1
+    }
     return [(group, shared.get(k)) for k, group in found.items() if group]
 
 
 def _told(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:
-    allowed = f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
-    found = [tuple(parse_spans(group, "--dongles", allowed, repeats=False)) for group in text.split("|")]
+    allowed = (
+        f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
+    )
+    found = [
+        tuple(parse_spans(group, "--dongles", allowed, repeats=False))
+        for group in text.split("|")
+    ]
     named = [i for group in found for i in group]
     for i in named:
         if i not in ids or named.count(i) > 1:
-            do = f"There is no drone {i}." if i not in ids else f"Drone {i} is there {named.count(i)} times."
+            do = (
+                f"There is no drone {i}."
+                if i not in ids
+                else f"Drone {i} is there {named.count(i)} times."
+            )
             raise ConfigError("--dongles", text, allowed, do)
     return found

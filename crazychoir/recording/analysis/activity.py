@@ -59,7 +59,11 @@ class Work:
         """A CSV file, a row a span, with the stops that were done in it."""
         rows = ["drone,begin_s,end_s,phase,task,stops"]
         for span in self.spans:
-            done = " ".join(s.label for s in self.stops if s.drone == span.drone and span.begin <= s.t < span.end)
+            done = " ".join(
+                s.label
+                for s in self.stops
+                if s.drone == span.drone and span.begin <= s.t < span.end
+            )
             words = (span.phase, span.task, done.replace(SIGNS["delivery"], "-"))
             texts = ",".join('"' + word.replace('"', '""') + '"' for word in words)
             rows.append(f"{span.drone},{span.begin:.3f},{span.end:.3f},{texts}")
@@ -71,14 +75,19 @@ def work_of(path: Path, began: float) -> Work:
     said: dict[int, list[tuple[float, str, str]]] = {}
     served: dict[int, list[str]] = {}
     for message in told(path, (STATUS.name, RESULT.name)):
-        values, drone = message.values(), message.source.drone
+        values = message.values()
+        drone = message.source.drone
         if message.source.topic == RESULT.name:
             served[drone] = _labels(json.loads(values["json"]))
         else:
             t = message.came_ns / SECOND - began
             said.setdefault(drone, []).append((t, values["phase"], values["task"]))
-    spans = tuple(span for drone, rows in sorted(said.items()) for span in _spans(drone, rows))
-    stops = tuple(s for drone in sorted(said) for s in _stops(drone, spans, served.get(drone, [])))
+    spans = tuple(
+        span for drone, rows in sorted(said.items()) for span in _spans(drone, rows)
+    )
+    stops = tuple(
+        s for drone in sorted(said) for s in _stops(drone, spans, served.get(drone, []))
+    )
     return Work(spans, stops)
 
 
@@ -86,7 +95,10 @@ def _spans(drone: int, rows: list[tuple[float, str, str]]) -> list[Span]:
     """Rows (t s, phase, task) in order of time, those that say the same joined."""
     begins = [k for k, row in enumerate(rows) if k == 0 or row[1:] != rows[k - 1][1:]]
     ends = [*begins[1:], len(rows) - 1]
-    return [Span(drone, rows[a][0], rows[b][0], *rows[a][1:]) for a, b in zip(begins, ends, strict=True)]
+    return [
+        Span(drone, rows[a][0], rows[b][0], *rows[a][1:])
+        for a, b in zip(begins, ends, strict=True)
+    ]
 
 
 def _stops(drone: int, spans: tuple[Span, ...], served: list[str]) -> list[Stop]:
@@ -98,7 +110,9 @@ def _stops(drone: int, spans: tuple[Span, ...], served: list[str]) -> list[Stop]
         count = COUNT.search(span.task)
         while count is not None and len(found) < int(count[1]):
             k = len(found)
-            found.append(Stop(drone, span.begin, served[k] if k < len(served) else f"({k + 1})"))
+            found.append(
+                Stop(drone, span.begin, served[k] if k < len(served) else f"({k + 1})")
+            )
     return found
 
 
@@ -108,7 +122,10 @@ def _labels(result: Any) -> list[str]:
     A mission of the user may say something else by the same names.
     """
     try:
-        served = [f"{SIGNS.get(stop['kind'], '')}{stop['task']}" for stop in result.get("served", ())]
+        served = [
+            f"{SIGNS.get(stop['kind'], '')}{stop['task']}"
+            for stop in result.get("served", ())
+        ]
         return served or [str(task) for task, *_ in result.get("done", ())]
     except (AttributeError, TypeError, KeyError, ValueError):
         return []

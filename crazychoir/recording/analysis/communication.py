@@ -52,21 +52,37 @@ class Talk:
     def write(self, path: Path) -> None:
         """The rates as a CSV file."""
         header = ",".join(["t_s", *(f"{name}_1_s" for name in COUNTERS)])
-        np.savetxt(path, np.column_stack([self.t, self.rates]), "%.3f", ",", header=header, comments="")
+        np.savetxt(
+            path,
+            np.column_stack([self.t, self.rates]),
+            "%.3f",
+            ",",
+            header=header,
+            comments="",
+        )
 
     def write_rounds(self, path: Path) -> None:
         """The rounds as a CSV file."""
         rows = ["channel,round,different_messages,spread"]
         for channel in self.channels:
-            spread = np.full(len(channel.rounds), np.nan) if channel.spread is None else channel.spread
+            spread = (
+                np.full(len(channel.rounds), np.nan)
+                if channel.spread is None
+                else channel.spread
+            )
             name = json.dumps(channel.name)
-            for k, number, far in zip(channel.rounds, channel.different, spread, strict=True):
+            for k, number, far in zip(
+                channel.rounds, channel.different, spread, strict=True
+            ):
                 rows.append(f"{name},{k:.0f},{number:.0f},{far:.6g}")
         path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
     def write_history(self, path: Path) -> None:
         """The planning of all drones as a CSV file."""
-        rows = [np.column_stack([np.full(len(own), i), own]) for i, own in sorted(self.history.items())]
+        rows = [
+            np.column_stack([np.full(len(own), i), own])
+            for i, own in sorted(self.history.items())
+        ]
         table = np.vstack(rows) if rows else np.zeros((0, 4))
         formats = ("%d", "%d", "%.6f", "%.6f")
         header = f"drone,round,relaxed_{self.unit},cost_{self.unit}"
@@ -80,21 +96,37 @@ def talk_of(path: Path, began: float) -> Talk:
     history: dict[int, Mat] = {}
     unit = "m"
     for message in told(path, (STATUS.name, ROUND.name, RESULT.name)):
-        values, drone = message.values(), message.source.drone
+        values = message.values()
+        drone = message.source.drone
         if message.source.topic == RESULT.name:
             result = json.loads(values["json"])
             changes = _planned(result)
             if changes is not None:
                 history[drone] = changes
                 objective = result.get("objective")
-                unit = "s" if isinstance(objective, list) and objective[:1] == [MAKESPAN] else "m"
+                unit = (
+                    "s"
+                    if isinstance(objective, list) and objective[:1] == [MAKESPAN]
+                    else "m"
+                )
         elif message.source.topic == STATUS.name:
-            row = (message.came_ns / SECOND - began, *(float(values[name]) for name in COUNTERS))
+            row = (
+                message.came_ns / SECOND - began,
+                *(float(values[name]) for name in COUNTERS),
+            )
             counted.setdefault(drone, []).append(row)
         elif values["kind"] in WITH_CONTENT:
-            said.setdefault(values["channel"], {}).setdefault(values["round"], {}).setdefault(drone, values["json"])
+            said.setdefault(values["channel"], {}).setdefault(
+                values["round"], {}
+            ).setdefault(drone, values["json"])
     t, rates = _rates([np.array(rows) for rows in counted.values()])
-    return Talk(t, rates, tuple(_channel(name, rounds) for name, rounds in said.items()), history, unit)
+    return Talk(
+        t,
+        rates,
+        tuple(_channel(name, rounds) for name, rounds in said.items()),
+        history,
+        unit,
+    )
 
 
 def _planned(result: Any) -> Mat | None:
@@ -110,11 +142,14 @@ def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:
     """From rows [t, counters] of each drone, which says them now and then: a drone that is not heard yet has none."""
     if not counted:
         return np.zeros(0), np.zeros((0, len(COUNTERS)))
-    first, last = min(rows[0, 0] for rows in counted), max(rows[-1, 0] for rows in counted)
+    first = min(rows[0, 0] for rows in counted)
+    last = max(rows[-1, 0] for rows in counted)
     at = np.arange(first, last + 1e-9, STEP)
     total = np.zeros((len(at), len(COUNTERS)))
     for rows in map(_growing, counted):
-        total += np.column_stack([np.interp(at, rows[:, 0], rows[:, n + 1]) for n in range(len(COUNTERS))])
+        total += np.column_stack(
+            [np.interp(at, rows[:, 0], rows[:, n + 1]) for n in range(len(COUNTERS))]
+        )
     return at[1:], np.diff(total, axis=0) / STEP
 
 
@@ -123,7 +158,9 @@ def _growing(rows: Mat) -> Mat:
     steps = np.diff(rows[:, 1:], axis=0)
     anew = (steps < 0.0).any(axis=1)
     steps[anew] = rows[1:, 1:][anew]
-    return np.column_stack([rows[:, 0], np.cumsum(np.vstack([rows[:1, 1:], steps]), axis=0)])
+    return np.column_stack(
+        [rows[:, 0], np.cumsum(np.vstack([rows[:1, 1:], steps]), axis=0)]
+    )
 
 
 def _channel(name: str, rounds: Mapping[int, Mapping[int, str]]) -> Channel:
@@ -131,7 +168,12 @@ def _channel(name: str, rounds: Mapping[int, Mapping[int, str]]) -> Channel:
     different = np.array([len(set(rounds[k].values())) for k in ks], dtype=float)
     spread = [_spread(rounds[k]) for k in ks]
     known = [far for far in spread if far is not None]
-    return Channel(name, np.array(ks, dtype=float), different, np.array(known) if len(known) == len(ks) else None)
+    return Channel(
+        name,
+        np.array(ks, dtype=float),
+        different,
+        np.array(known) if len(known) == len(ks) else None,
+    )
 
 
 def _spread(messages: Mapping[int, str]) -> float | None:

@@ -50,7 +50,11 @@ def first_difference(one: Path, other: Path) -> Difference | None:
 
 
 def _same(a: Told, b: Told) -> bool:
-    return (a.came_ns, a.born_ns, a.data) == (b.came_ns, b.born_ns, b.data) and a.source == b.source
+    return (a.came_ns, a.born_ns, a.data) == (
+        b.came_ns,
+        b.born_ns,
+        b.data,
+    ) and a.source == b.source
 
 
 def _alone(there: Told, first: str, second: str) -> Difference:
@@ -62,10 +66,15 @@ def _difference(a: Told, b: Told) -> Difference:
     """What is another in two messages that stand at the same place."""
     t = min(a.came_ns, b.came_ns) / SECOND
     if a.source != b.source:
-        return Difference(t, a.source.name, "order of messages", a.source.name, b.source.name)
+        return Difference(
+            t, a.source.name, "order of messages", a.source.name, b.source.name
+        )
     if a.data == b.data:
-        return Difference(t, a.source.name, TIME, *(f"{x.came_ns / SECOND:.9f} s" for x in (a, b)))
-    first, second = a.values(), b.values()
+        return Difference(
+            t, a.source.name, TIME, *(f"{x.came_ns / SECOND:.9f} s" for x in (a, b))
+        )
+    first = a.values()
+    second = b.values()
     for path, value in first.items():
         if str(value) != str(second[path]):  # as texts: NaN is NaN
             return Difference(t, a.source.name, path, value, second[path])

@@ -18,10 +18,26 @@ UNSEEN = "unseen"
 JOINED = 0.15
 """s: places that are further apart in time are not joined by a line."""
 COLUMNS = (
-    "t_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "vx_m_s", "vy_m_s", "vz_m_s",
-    "wx_rad_s", "wy_rad_s", "wz_rad_s",
-    "reference_x_m", "reference_y_m", "reference_z_m", "tracking_error_m", "estimation_error_m",
-)  # fmt: skip
+    "t_s",
+    "x_m",
+    "y_m",
+    "z_m",
+    "qx",
+    "qy",
+    "qz",
+    "qw",
+    "vx_m_s",
+    "vy_m_s",
+    "vz_m_s",
+    "wx_rad_s",
+    "wy_rad_s",
+    "wz_rad_s",
+    "reference_x_m",
+    "reference_y_m",
+    "reference_z_m",
+    "tracking_error_m",
+    "estimation_error_m",
+)
 
 
 @dataclass(frozen=True)
@@ -66,7 +82,11 @@ class Track:
             "flown_m": float(np.linalg.norm(np.diff(self.p, axis=0), axis=1).sum()),
             "highest_m": float(self.p[:, 2].max()),
             "fastest_m_s": float(np.linalg.norm(self.v, axis=1).max()),
-            "compared_s": float(np.sum(np.diff(self.t)[np.isfinite(self.tracking[1:] + self.tracking[:-1])])),
+            "compared_s": float(
+                np.sum(
+                    np.diff(self.t)[np.isfinite(self.tracking[1:] + self.tracking[:-1])]
+                )
+            ),
             "tracking_rmse_m": rms(self.tracking),
             "tracking_max_m": _greatest(self.tracking),
             "estimation_rmse_m": rms(self.estimation),
@@ -74,8 +94,24 @@ class Track:
 
     def write(self, path: Path) -> None:
         """A CSV file, a row a time, nan where there is nothing."""
-        parts = (self.t, self.p, self.q, self.v, self.w, self.reference, self.tracking, self.estimation)
-        np.savetxt(path, np.column_stack(parts), fmt="%.6f", delimiter=",", header=",".join(COLUMNS), comments="")
+        parts = (
+            self.t,
+            self.p,
+            self.q,
+            self.v,
+            self.w,
+            self.reference,
+            self.tracking,
+            self.estimation,
+        )
+        np.savetxt(
+            path,
+            np.column_stack(parts),
+            fmt="%.6f",
+            delimiter=",",
+            header=",".join(COLUMNS),
+            comments="",
+        )
 
 
 @dataclass(frozen=True)
@@ -103,9 +139,17 @@ def flight_of(recording: Recording) -> Flight:
     tracks = [_track(recording, i, source) for i, source in sources.items() if source]
     if not tracks:
         return Flight((), np.zeros(0), np.zeros(0))
-    times = np.arange(min(track.t[0] for track in tracks), max(track.t[-1] for track in tracks), 1.0 / TRUTH.rate)
+    times = np.arange(
+        min(track.t[0] for track in tracks),
+        max(track.t[-1] for track in tracks),
+        1.0 / TRUTH.rate,
+    )
     places = np.array([joined(track.t, track.p, times) for track in tracks])
-    return Flight(tuple(tracks), times, np.array([_nearest(places[:, k]) for k in range(len(times))]))
+    return Flight(
+        tuple(tracks),
+        times,
+        np.array([_nearest(places[:, k]) for k in range(len(times))]),
+    )
 
 
 def joined(t: Vec, x: Mat, at: Vec) -> Mat:
@@ -141,9 +185,13 @@ def _source(recording: Recording, i: int) -> str:
 def _track(recording: Recording, i: int, source: str) -> Track:
     began = recording.seconds[0]
     t, x = _in_order(recording.of(i, source), began)
-    p, q, v_b, w = x[:, 0:3], x[:, 3:7], x[:, 7:10], x[:, 10:13]
+    p = x[:, 0:3]
+    q = x[:, 3:7]
+    v_b = x[:, 7:10]
+    w = x[:, 10:13]
     reference, estimate = (
-        joined(*_in_order(recording.of(i, name), began), t)[:, :3] for name in (REFERENCE.name, STATE.name)
+        joined(*_in_order(recording.of(i, name), began), t)[:, :3]
+        for name in (REFERENCE.name, STATE.name)
     )
     if source == STATE.name:
         estimate = np.full_like(p, np.nan)

@@ -24,11 +24,24 @@ NAMED = len(COLOURS)
 """Drones that a legend names; more of them are told by a scale of colours."""
 FORMATS = ("png", "pdf")
 STYLE: Any = {
-    "font.size": 8, "axes.labelsize": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7,
-    "axes.linewidth": 0.6, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-    "axes.axisbelow": True, "grid.color": "#e6e6e6", "grid.linewidth": 0.5, "lines.linewidth": 1.0,
-    "legend.frameon": False, "legend.handlelength": 2.2, "legend.columnspacing": 1.2, "pdf.fonttype": 42,
-}  # fmt: skip
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e6e6",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.0,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "legend.columnspacing": 1.2,
+    "pdf.fonttype": 42,
+}
 Pictures = dict[str, tuple[float, "Callable[[Figure], None]"]]
 """By name: the height in inches, and what draws it."""
 Reasons = dict[str, str]
@@ -71,7 +84,9 @@ def of_flight(flight: Flight) -> tuple[Pictures, Reasons]:
         missing["tracking"] = "no reference while it was known where a drone was"
     if flight.tracks and not np.isfinite(flight.separation).any():
         missing["separation"] = "no two drones at one time"
-    return {name: picture for name, picture in all_pictures.items() if name not in missing}, missing
+    return {
+        name: picture for name, picture in all_pictures.items() if name not in missing
+    }, missing
 
 
 def _draw_top(figure: "Figure", flight: Flight) -> None:
@@ -125,9 +140,15 @@ def _draw_separation(figure: "Figure", flight: Flight) -> None:
     axes.plot(flight.times, flight.separation, color=COLOURS[0])
     axes.axhline(TOUCHING, color=COLOURS[1], linestyle=DASHES[1], linewidth=0.8)
     axes.annotate(
-        f"may touch: {TOUCHING:g} m", (flight.times[-1], TOUCHING), xytext=(0, 2), textcoords="offset points",
-        ha="right", va="bottom", color=COLOURS[1], fontsize=7,
-    )  # fmt: skip
+        f"may touch: {TOUCHING:g} m",
+        (flight.times[-1], TOUCHING),
+        xytext=(0, 2),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        color=COLOURS[1],
+        fontsize=7,
+    )
     axes.set_ylim(bottom=0.0)
     along_time(axes, float(flight.times[-1]), "least distance of two [m]")
 
@@ -146,7 +167,11 @@ def lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
 
 def looks(n: int) -> list[dict[str, Any]]:
     """Of the lines of n drones; dashes show what lies below a line."""
-    told: Any = zip(COLOURS[:n], cycle(DASHES), strict=False) if n <= NAMED else zip(scale(n), n * ["-"], strict=True)
+    told: Any = (
+        zip(COLOURS[:n], cycle(DASHES), strict=False)
+        if n <= NAMED
+        else zip(scale(n), n * ["-"], strict=True)
+    )
     return [{"color": colour, "linestyle": dash} for colour, dash in told]
 
 
@@ -160,35 +185,73 @@ def scale(n: int) -> Mat:
 
 def _reference(flight: Flight) -> str:
     """The name of the band, if there is one."""
-    return "reference" if any(np.isfinite(track.reference).any() for track in flight.tracks) else ""
+    return (
+        "reference"
+        if any(np.isfinite(track.reference).any() for track in flight.tracks)
+        else ""
+    )
 
 
-def name(figure: "Figure", flight: Flight, band: str = "", started: bool = False, pad: float = 0.02) -> None:
+def name(
+    figure: "Figure",
+    flight: Flight,
+    band: str = "",
+    started: bool = False,
+    pad: float = 0.02,
+) -> None:
     """Say which line is which, and what the band is. Who is shown by its own state, not by truth, is marked."""
     own = [track.source == STATE.name for track in flight.tracks]
     marks = [" (state)" if one else "" for one in own]
-    names = [f"{track.drone}{mark}" for track, mark in zip(flight.tracks, marks, strict=True)]
-    note = "" if len(own) <= NAMED or not any(own) else " (state)" if all(own) else " (some: state)"
+    names = [
+        f"{track.drone}{mark}" for track, mark in zip(flight.tracks, marks, strict=True)
+    ]
+    note = (
+        ""
+        if len(own) <= NAMED or not any(own)
+        else " (state)"
+        if all(own)
+        else " (some: state)"
+    )
     name_drones(figure, names, f"drone{note}", band, started, pad)
 
 
 def name_drones(
-    figure: "Figure", names: Sequence[str], label: str = "drone", band: str = "", started: bool = False,
+    figure: "Figure",
+    names: Sequence[str],
+    label: str = "drone",
+    band: str = "",
+    started: bool = False,
     pad: float = 0.02,
-) -> None:  # fmt: skip
+) -> None:
     """By a legend above, or, of many, by a scale of colours with this label."""
     from matplotlib.lines import Line2D
 
     handles = []
     if len(names) <= NAMED:
         styles = zip(names, looks(len(names)), strict=True)
-        handles += [Line2D([], [], label=f"drone {one}", **style) for one, style in styles]
+        handles += [
+            Line2D([], [], label=f"drone {one}", **style) for one, style in styles
+        ]
     if band:
         handles.append(Line2D([], [], label=band, **BAND))
     if started:
-        handles.append(Line2D([], [], label="start", color=INK, marker="o", linestyle="", markersize=3.5))
+        handles.append(
+            Line2D(
+                [],
+                [],
+                label="start",
+                color=INK,
+                marker="o",
+                linestyle="",
+                markersize=3.5,
+            )
+        )
     if handles:
-        figure.legend(handles=handles, loc="outside upper center", ncols=4 if max(map(len, names)) < 6 else 3)
+        figure.legend(
+            handles=handles,
+            loc="outside upper center",
+            ncols=4 if max(map(len, names)) < 6 else 3,
+        )
     if len(names) > NAMED:
         _draw_scale(figure, names, label, pad)
 
@@ -200,7 +263,9 @@ def _draw_scale(figure: "Figure", names: Sequence[str], label: str, pad: float) 
     n = len(names)
     norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
     mappable = ScalarMappable(norm, ListedColormap(list(scale(n))))
-    bar = figure.colorbar(mappable, ax=figure.axes[0], label=label, fraction=0.04, pad=pad)
+    bar = figure.colorbar(
+        mappable, ax=figure.axes[0], label=label, fraction=0.04, pad=pad
+    )
     marks = np.unique(np.linspace(0, n - 1, min(n, 6)).round().astype(int))
     bar.set_ticks(marks.tolist(), labels=[names[k].split()[0] for k in marks])
     bar.ax.minorticks_off()

@@ -10,15 +10,29 @@ from crazychoir.optimization.picture import COLOURS, DASHES, INK
 from crazychoir.recording.analysis.activity import ON_GROUND, Work
 from crazychoir.recording.analysis.communication import COUNTERS, Talk
 from crazychoir.recording.analysis.figures import Flight
-from crazychoir.recording.analysis.plots import BAND, Pictures, Reasons, along_time, lines, looks, name, name_drones
+from crazychoir.recording.analysis.plots import (
+    BAND,
+    Pictures,
+    Reasons,
+    along_time,
+    lines,
+    looks,
+    name,
+    name_drones,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PHASES = {
-    ON_GROUND: "#e0e0e0", "taking off": "#56B4E9", "mission": "#0072B2", "hovering": "#F0E442",
-    "returning": "#CC79A7", "landing": "#009E73", "stopped": "#D55E00",
-}  # fmt: skip
+    ON_GROUND: "#e0e0e0",
+    "taking off": "#56B4E9",
+    "mission": "#0072B2",
+    "hovering": "#F0E442",
+    "returning": "#CC79A7",
+    "landing": "#009E73",
+    "stopped": "#D55E00",
+}
 """Okabe and Ito's, and a grey; in print they differ in lightness, too."""
 MOST_LABELLED = 60
 """Stops with their names beside the bars; more would cover each other."""
@@ -39,9 +53,14 @@ def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
     pictures: Pictures = {}
     missing: Reasons = {}
     if work.flown:
-        pictures["tasks"] = (max(1.6, 0.75 + 0.27 * len(work.drones)), partial(_draw_tasks, work=work))
+        pictures["tasks"] = (
+            max(1.6, 0.75 + 0.27 * len(work.drones)),
+            partial(_draw_tasks, work=work),
+        )
     else:
-        missing["tasks"] = "nobody has left the ground" if work.spans else "no status of any drone"
+        missing["tasks"] = (
+            "nobody has left the ground" if work.spans else "no status of any drone"
+        )
     if len(talk.t):
         pictures["messages"] = (2.0, partial(_draw_messages, talk=talk))
     else:
@@ -54,25 +73,41 @@ def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
     elif talk.channels:
         pictures["convergence"] = (2.0, partial(_draw_rounds, talk=talk))
     else:
-        missing["convergence"] = "no result with planned routes, no law with truth or state, no rounds"
+        missing["convergence"] = (
+            "no result with planned routes, no law with truth or state, no rounds"
+        )
     return pictures, missing
 
 
 def law_times(work: Work) -> dict[int, tuple[float, float]]:
     """s in which each drone flew by a law."""
-    spans = {i: [span for span in work.spans if span.drone == i and span.task == LAW] for i in work.drones}
+    spans = {
+        i: [span for span in work.spans if span.drone == i and span.task == LAW]
+        for i in work.drones
+    }
     return {i: (of[0].begin, of[-1].end) for i, of in spans.items() if of}
 
 
 def _draw_tasks(figure: "Figure", work: Work) -> None:
     """A bar a drone, in the colours of its phases; a mark where it was done with a stop, with the stop's name."""
-    axes, rows = figure.add_subplot(), {i: -k for k, i in enumerate(work.drones)}
+    axes = figure.add_subplot()
+    rows = {i: -k for k, i in enumerate(work.drones)}
     for span in work.spans:
-        bar: Any = {"color": PHASES.get(span.phase, INK), "height": 0.5, "linewidth": 0.0}
+        bar: Any = {
+            "color": PHASES.get(span.phase, INK),
+            "height": 0.5,
+            "linewidth": 0.0,
+        }
         axes.barh(rows[span.drone], span.end - span.begin, left=span.begin, **bar)
     for stop in work.stops:
         row = rows[stop.drone]
-        axes.plot([stop.t, stop.t], [row - 0.25, row + 0.33], color="black", linewidth=0.7, solid_capstyle="butt")
+        axes.plot(
+            [stop.t, stop.t],
+            [row - 0.25, row + 0.33],
+            color="black",
+            linewidth=0.7,
+            solid_capstyle="butt",
+        )
     last = max(span.end for span in work.spans)
     if len(work.stops) <= MOST_LABELLED:
         _name_stops(axes, work, rows, last)
@@ -80,7 +115,9 @@ def _draw_tasks(figure: "Figure", work: Work) -> None:
     axes.set_ylim(min(rows.values()) - 0.65, 0.85)
     axes.grid(visible=False, axis="y")
     along_time(axes, last, "drone")
-    seen = [phase for phase in PHASES if any(span.phase == phase for span in work.spans)]
+    seen = [
+        phase for phase in PHASES if any(span.phase == phase for span in work.spans)
+    ]
     _name_phases(figure, seen, bool(work.stops))
 
 
@@ -88,12 +125,15 @@ def _name_stops(axes: Any, work: Work, rows: dict[int, int], last: float) -> Non
     """Above the bar, or below it where the name before would be covered."""
     ends: dict[int, float] = {}
     for stop in work.stops:
-        row, half = rows[stop.drone], 0.5 * LETTER * last * len(stop.label)
+        row = rows[stop.drone]
+        half = 0.5 * LETTER * last * len(stop.label)
         above = stop.t - half >= ends.get(stop.drone, 0.0)
         if above:
             ends[stop.drone] = stop.t + half
         y, to = (row + 0.33, "bottom") if above else (row - 0.27, "top")
-        axes.text(stop.t, y, stop.label, fontsize=5.5, color="black", ha="center", va=to)
+        axes.text(
+            stop.t, y, stop.label, fontsize=5.5, color="black", ha="center", va=to
+        )
 
 
 def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
@@ -104,13 +144,19 @@ def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
     if stopped:
         mark: Any = {"color": "black", "marker": "|", "linestyle": "", "markersize": 6}
         handles.append(Line2D([], [], label="stop done", **mark))
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, handlelength=1.2)
+    figure.legend(
+        handles=handles, loc="outside upper center", ncols=3, handlelength=1.2
+    )
 
 
 def _draw_messages(figure: "Figure", talk: Talk) -> None:
     axes = figure.add_subplot()
-    for label, rate, colour, dash in zip(COUNTERS, talk.rates.T, COLOURS, DASHES, strict=False):
-        axes.plot(talk.t, rate, color=colour, linestyle=dash, label=SAID.get(label, label))
+    for label, rate, colour, dash in zip(
+        COUNTERS, talk.rates.T, COLOURS, DASHES, strict=False
+    ):
+        axes.plot(
+            talk.t, rate, color=colour, linestyle=dash, label=SAID.get(label, label)
+        )
     axes.set_ylim(bottom=0.0)
     along_time(axes, float(talk.t[-1]), "messages of all [1/s]")
     figure.legend(loc="outside upper center", ncols=3)
@@ -120,7 +166,9 @@ def _draw_history(figure: "Figure", talk: Talk) -> None:
     """What each drone knew in each round: the value of the relaxation, and the cost of the best plan."""
     axes = figure.add_subplot()
     last = max(float(own[-1, 0]) for own in talk.history.values())
-    for line, (_, own) in zip(looks(len(talk.history)), sorted(talk.history.items()), strict=True):
+    for line, (_, own) in zip(
+        looks(len(talk.history)), sorted(talk.history.items()), strict=True
+    ):
         rounds = np.append(own[:, 0], last + 1)
         axes.step(rounds, np.append(own[:, 1], own[-1, 1]), where="post", **line)
         axes.step(rounds, np.append(own[:, 2], own[-1, 2]), where="post", **BAND)
@@ -132,7 +180,9 @@ def _draw_history(figure: "Figure", talk: Talk) -> None:
 
 def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
     """How far each drone is from where its law has ended, on a logarithmic axis."""
-    axes, times, last = figure.add_subplot(), law_times(work), 0.0
+    axes = figure.add_subplot()
+    times = law_times(work)
+    last = 0.0
     for line, track in lines(flight):
         if track.drone not in times:
             continue
@@ -141,7 +191,11 @@ def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
         if np.any(during):
             p = track.p[during]
             there = p[track.t[during] >= end - END].mean(axis=0)
-            axes.semilogy(track.t[during] - begin, np.maximum(np.linalg.norm(p - there, axis=1), LEAST), **line)
+            axes.semilogy(
+                track.t[during] - begin,
+                np.maximum(np.linalg.norm(p - there, axis=1), LEAST),
+                **line,
+            )
             last = max(last, end - begin)
     along_time(axes, last, "distance from end [m]")
     axes.set_xlabel("$t$ since the law began [s]")
@@ -151,7 +205,9 @@ def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
 def _draw_rounds(figure: "Figure", talk: Talk) -> None:
     """How messages of a round come to agree: by their spread, where all are numbers; else how many are different."""
     axes = figure.add_subplot()
-    chosen = sorted(talk.channels, key=lambda channel: -len(channel.rounds))[:MOST_CHANNELS]
+    chosen = sorted(talk.channels, key=lambda channel: -len(channel.rounds))[
+        :MOST_CHANNELS
+    ]
     numbers = all(channel.spread is not None for channel in chosen)
     for channel, colour, dash in zip(chosen, COLOURS, DASHES, strict=False):
         look: Any = {"color": colour, "linestyle": dash, "label": channel.name}
@@ -160,7 +216,9 @@ def _draw_rounds(figure: "Figure", talk: Talk) -> None:
         else:
             axes.step(channel.rounds, channel.different, where="mid", **look)
     if not numbers:
-        axes.set_ylim(0.0, max(float(channel.different.max()) for channel in chosen) + 0.5)
+        axes.set_ylim(
+            0.0, max(float(channel.different.max()) for channel in chosen) + 0.5
+        )
     axes.set_xlabel("round")
     axes.set_ylabel("distance from the mean" if numbers else "different messages")
     figure.legend(loc="outside upper center", ncols=2)

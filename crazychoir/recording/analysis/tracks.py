@@ -18,9 +18,14 @@ Ways = Mapping[int, Sequence[Sequence[float]]]
 
 
 def draw_tracks(
-    results: Mapping[int, Mapping[str, Any]], path: str | Path, *, leaders: Collection[int] = (),
-    edges: Iterable[tuple[int, int]] = (), marks: Mapping[str, Vec] | None = None, title: str = "",
-) -> None:  # fmt: skip
+    results: Mapping[int, Mapping[str, Any]],
+    path: str | Path,
+    *,
+    leaders: Collection[int] = (),
+    edges: Iterable[tuple[int, int]] = (),
+    marks: Mapping[str, Vec] | None = None,
+    title: str = "",
+) -> None:
     """Write a PNG (or what the suffix of `path` says): the room from above, in m.
 
     results: of all drones, as `picture(config, results, path)` gets them: result["track"] is (n, 4) = t s, p m, world,
@@ -31,21 +36,52 @@ def draw_tracks(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    tracks: dict[int, Mat] = {i: np.asarray(r["track"])[:, 1:3] for i, r in results.items() if len(r.get("track", ()))}
+    tracks: dict[int, Mat] = {
+        i: np.asarray(r["track"])[:, 1:3]
+        for i, r in results.items()
+        if len(r.get("track", ()))
+    }
     figure = Figure(figsize=(4.6, 4.2), dpi=130, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for i, j in edges:
         if i in tracks and j in tracks:
-            axes.plot(*np.array([tracks[i][-1], tracks[j][-1]]).T, color="#dddddd", linewidth=0.8, zorder=1)
+            axes.plot(
+                *np.array([tracks[i][-1], tracks[j][-1]]).T,
+                color="#dddddd",
+                linewidth=0.8,
+                zorder=1,
+            )
     for i, track in tracks.items():
         colour, mark = (LEADER, "s") if i in leaders else (COLOURS[0], "o")
         axes.plot(*track.T, color=colour, linewidth=0.9, alpha=0.8, zorder=2)
-        axes.plot(*track[0], mark, color=colour, markersize=4.5, markerfacecolor="white", zorder=3)
+        axes.plot(
+            *track[0],
+            mark,
+            color=colour,
+            markersize=4.5,
+            markerfacecolor="white",
+            zorder=3,
+        )
         axes.plot(*track[-1], mark, color=colour, markersize=4.5, zorder=4)
-        axes.annotate(str(i), track[-1], xytext=(3, 3), textcoords="offset points", fontsize=6, color=INK, zorder=5)
+        axes.annotate(
+            str(i),
+            track[-1],
+            xytext=(3, 3),
+            textcoords="offset points",
+            fontsize=6,
+            color=INK,
+            zorder=5,
+        )
     for colour, (name, places) in zip(COLOURS[2:], (marks or {}).items(), strict=False):
-        axes.plot(*np.atleast_2d(places)[:, :2].T, "x", color=colour, markersize=5, label=name, zorder=5)
+        axes.plot(
+            *np.atleast_2d(places)[:, :2].T,
+            "x",
+            color=colour,
+            markersize=5,
+            label=name,
+            zorder=5,
+        )
     _name(axes, leaders, tracks, bool(marks))
     axes.set_aspect("equal")
     axes.margins(0.08)
@@ -54,25 +90,42 @@ def draw_tracks(
     save_figure(figure, path)
 
 
-def _name(axes: "Axes", leaders: Collection[int], tracks: Collection[int], marked: bool) -> None:
+def _name(
+    axes: "Axes", leaders: Collection[int], tracks: Collection[int], marked: bool
+) -> None:
     """Say what the marks mean, above the picture."""
     from matplotlib.lines import Line2D
 
     def mark(label: str, kind: str, colour: str, fill: str | None = None) -> Line2D:
-        return Line2D([], [], label=label, marker=kind, color=colour, markersize=4.5, markerfacecolor=fill or colour)
+        return Line2D(
+            [],
+            [],
+            label=label,
+            marker=kind,
+            color=colour,
+            markersize=4.5,
+            markerfacecolor=fill or colour,
+        )
 
     handles: list[Any] = [mark("start", "o", COLOURS[0], "white")]
     handles.append(mark("follower" if leaders else "end", "o", COLOURS[0]))
     if any(i in tracks for i in leaders):
         handles.append(mark("leader", "s", LEADER))
     handles += axes.get_legend_handles_labels()[0] if marked else []
-    axes.figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7)
+    axes.figure.legend(
+        handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7
+    )
 
 
 def draw_ways(
-    path: str | Path, ways: Ways, beside: Mapping[int, Any], label: str, goals: Mapping[int, Point] | None = None,
-    seen: Ways | None = None, target: Point | None = None,
-) -> None:  # fmt: skip
+    path: str | Path,
+    ways: Ways,
+    beside: Mapping[int, Any],
+    label: str,
+    goals: Mapping[int, Point] | None = None,
+    seen: Ways | None = None,
+    target: Point | None = None,
+) -> None:
     """Write a PNG (or what the suffix of `path` says).
 
     Left: ways, rows [t s, x, y, .. m], from their dots;  goals: crosses, (2,) m or more;  seen: ways of others, grey;
@@ -85,15 +138,28 @@ def draw_ways(
     FigureCanvasAgg(figure)
     above, right = figure.subplots(1, 2)
     for other in (seen or {}).values():
-        above.plot(*np.array(other)[:, 1:3].T, color=GREY, linewidth=0.9, linestyle=(0, (1, 1.2)))
+        above.plot(
+            *np.array(other)[:, 1:3].T,
+            color=GREY,
+            linewidth=0.9,
+            linestyle=(0, (1, 1.2)),
+        )
         above.plot(*other[-1][1:3], "s", color=GREY, markersize=4)
     for i, way in ways.items():
-        rows, look = np.array(way), _look(i)
+        rows = np.array(way)
+        look = _look(i)
         above.plot(rows[:, 1], rows[:, 2], **look, label=f"drone {i}")
         above.plot(rows[0, 1], rows[0, 2], "o", color=look["color"], markersize=3.5)
         right.plot(rows[: len(beside[i]), 0], beside[i], **look)
     for i, place in (goals or {}).items():
-        above.plot(place[0], place[1], "x", color=_look(i)["color"], markersize=7, markeredgewidth=1.6)
+        above.plot(
+            place[0],
+            place[1],
+            "x",
+            color=_look(i)["color"],
+            markersize=7,
+            markeredgewidth=1.6,
+        )
     if target is not None:
         above.plot(target[0], target[1], "*", color=INK, markersize=9)
     above.set_aspect("equal", adjustable="datalim")
@@ -106,7 +172,11 @@ def draw_ways(
 
 
 def _look(i: int) -> dict[str, Any]:
-    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)], "linewidth": 1.3}
+    return {
+        "color": COLOURS[i % len(COLOURS)],
+        "linestyle": DASHES[i % len(DASHES)],
+        "linewidth": 1.3,
+    }
 
 
 def _tidy(axes: "Axes") -> None:

@@ -16,8 +16,15 @@ from typing import Any, Final
 HEAD: Final = b"\x00\x01\x00\x00"
 """Of every message: CDR, little-endian, no options."""
 NUMBERS: Final = {
-    "bool": "?", "uint8": "B", "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
-}  # fmt: skip
+    "bool": "?",
+    "uint8": "B",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
 """Types of numbers, with their letters of `struct`."""
 RULE: Final = "=" * 80
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])? +(\w+)")
@@ -43,7 +50,10 @@ class Leaf:
 def schema(name: str, definitions: Definitions) -> str:
     """The text that makes a file self-describing: a message's definition, then of each message that it is made of."""
     parts = [definitions[name]]
-    parts += [f"{RULE}\nMSG: {other}\n{definitions[other]}" for other in _needed(name, definitions)]
+    parts += [
+        f"{RULE}\nMSG: {other}\n{definitions[other]}"
+        for other in _needed(name, definitions)
+    ]
     return "\n".join(parts)
 
 
@@ -60,7 +70,9 @@ def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf
         if kind in definitions:
             yield from leaves(kind, definitions, f"{path}{field}.")
         else:
-            yield Leaf(path + field, kind, (int(count) if count else None) if brackets else 1)
+            yield Leaf(
+                path + field, kind, (int(count) if count else None) if brackets else 1
+            )
 
 
 class Layout:
@@ -70,27 +82,42 @@ class Layout:
     not given. They stand before the first field whose length differs from message to message.
     """
 
-    def __init__(self, fields: Sequence[Leaf], constants: Mapping[str, str | None]) -> None:
-        front = list(takewhile(lambda leaf: leaf.fixed or leaf.path in constants, fields))
-        form, end, count = "<4s", 0, 0
-        self._constants: list[tuple[int, bytes]] = []  # what stands before the value of that number, the last one first
+    def __init__(
+        self, fields: Sequence[Leaf], constants: Mapping[str, str | None]
+    ) -> None:
+        front = list(
+            takewhile(lambda leaf: leaf.fixed or leaf.path in constants, fields)
+        )
+        form = "<4s"
+        end = 0
+        count = 0
+        self._constants: list[
+            tuple[int, bytes]
+        ] = []  # what stands before the value of that number, the last one first
         for leaf in front:
-            pad, width = -end % _width(leaf.type), _width(leaf.type)
-            text, numbers = constants.get(leaf.path), leaf.count or 0
+            pad = -end % _width(leaf.type)
+            width = _width(leaf.type)
+            text = constants.get(leaf.path)
+            numbers = leaf.count or 0
             if text is not None:
                 content = _content(text)
                 content = struct.pack("<I", len(content)) + content
                 self._constants.insert(0, (count, content))
-                letters, size = f"{len(content)}s", len(content)
+                letters = f"{len(content)}s"
+                size = len(content)
             elif leaf.path in constants:
                 letters = f"{numbers * width}x"
                 size = numbers * width
             else:
-                letters, size = numbers * NUMBERS[leaf.type], numbers * width
+                letters = numbers * NUMBERS[leaf.type]
+                size = numbers * width
                 count += numbers
-            form, end = f"{form}{pad}x{letters}", end + pad + size
+            form = f"{form}{pad}x{letters}"
+            end = end + pad + size
         self._constants.append((0, HEAD))
-        self._front, self._rest, self._values = struct.Struct(form), list(fields[len(front) :]), count
+        self._front = struct.Struct(form)
+        self._rest = list(fields[len(front) :])
+        self._values = count
         self._read = struct.Struct(re.sub(r"(\d+)s", r"\1x", form))
 
     def pack(self, values: Sequence[Any]) -> bytes:
@@ -162,7 +189,9 @@ def _append(message: bytearray, leaf: Leaf, value: Any) -> None:
 
 
 def _number(message: bytearray, kind: str, value: Any) -> None:
-    message += bytes(-(len(message) - 4) % _width(kind)) + struct.pack(f"<{NUMBERS[kind]}", value)
+    message += bytes(-(len(message) - 4) % _width(kind)) + struct.pack(
+        f"<{NUMBERS[kind]}", value
+    )
 
 
 def _content(text: str) -> bytes:

@@ -30,13 +30,29 @@ class Values:
         layout, make = self._known.get(source) or self._find(source)
         if layout is not None:
             return make(layout.numbers(message.data)[STAMP:])
-        return make([value for name, value in message.values().items() if not name.startswith(NEEDLESS)])
+        return make(
+            [
+                value
+                for name, value in message.values().items()
+                if not name.startswith(NEEDLESS)
+            ]
+        )
 
     def _find(self, source: Source) -> Reader:
         found = BY_TYPE.get(source.type)
         if found is None or found.value is None or found.schema != source.schema:
             do = "Use the version that recorded it."
-            raise ConfigError(str(self._path), f"another {source.type} for {source.name}", "those of this version", do)
-        fixed = all(leaf.fixed for leaf in found.leaves if not leaf.path.startswith(NEEDLESS))
-        reader = self._known[source] = (found.layout(source.drone) if fixed else None, found.value)
+            raise ConfigError(
+                str(self._path),
+                f"another {source.type} for {source.name}",
+                "those of this version",
+                do,
+            )
+        fixed = all(
+            leaf.fixed for leaf in found.leaves if not leaf.path.startswith(NEEDLESS)
+        )
+        reader = self._known[source] = (
+            found.layout(source.drone) if fixed else None,
+            found.value,
+        )
         return reader

@@ -66,8 +66,16 @@ class RecordingFile:
     `write` and `close` may be called from any thread.
     """
 
-    def __init__(self, path: Path, about: Mapping[str, str], swarm: str, durable: bool, mission: str = "") -> None:
-        self.path, self.durable = path, durable
+    def __init__(
+        self,
+        path: Path,
+        about: Mapping[str, str],
+        swarm: str,
+        durable: bool,
+        mission: str = "",
+    ) -> None:
+        self.path = path
+        self.durable = durable
         self.written = 0
         """Messages in the file."""
         self.lost = 0
@@ -87,12 +95,15 @@ class RecordingFile:
             self._writer.attachment(MISSION_FILE, "text/x-python", mission.encode())
         if not self._put(sync=durable):
             self.close()
-            raise ConfigError("--record", str(path), "a disk with room", problem=self.error)
+            raise ConfigError(
+                "--record", str(path), "a disk with room", problem=self.error
+            )
 
     def write(self, entries: Sequence[Entry]) -> None:
         """Add these as chunks of their own; where that fails, and once it has failed, they are lost."""
         with self._turn:
-            before, count = self.written, len(entries)
+            before = self.written
+            count = len(entries)
             if count and self._fd >= 0 and not self.error:
                 try:
                     self._add(entries)
@@ -110,7 +121,12 @@ class RecordingFile:
             if self._fd < 0:
                 return
             if self.written and not self.error:
-                said = {"lost": str(self.lost), "missed": str(self.missed), "ended": UNKNOWN, **(outcome or {})}
+                said = {
+                    "lost": str(self.lost),
+                    "missed": str(self.missed),
+                    "ended": UNKNOWN,
+                    **(outcome or {}),
+                }
                 self._writer.metadata(OUTCOME, readable_texts(said))
                 self._writer.finish()
                 self._put(sync=self.durable)
@@ -129,7 +145,8 @@ class RecordingFile:
             size += len(entry.data)
             if size > LARGEST:
                 self._writer.chunk(messages)
-                messages, size = [], 0
+                messages = []
+                size = 0
         if messages:
             self._writer.chunk(messages)
         now_ns = entries[-1].came_ns
@@ -141,9 +158,13 @@ class RecordingFile:
     def _channel(self, series: Series) -> int:
         kind = series.message.type
         if kind not in self._schemas:
-            self._schemas[kind] = self._writer.schema(kind, SchemaEncoding.ROS2, series.message.schema)
+            self._schemas[kind] = self._writer.schema(
+                kind, SchemaEncoding.ROS2, series.message.schema
+            )
         told = {"drone": str(series.drone), "topic": series.topic}
-        return self._writer.channel(series.name, MessageEncoding.CDR, self._schemas[kind], told)
+        return self._writer.channel(
+            series.name, MessageEncoding.CDR, self._schemas[kind], told
+        )
 
     def _put(self, sync: bool) -> bool:
         """Hand over what is whole; what fits only in part is cut off again: the file ends with a whole chunk."""
@@ -164,7 +185,11 @@ class RecordingFile:
 def check_path(path: Path) -> None:
     """Refuse, before anything is done, a name that no reader would take."""
     if path.suffix != SUFFIX:
-        raise ConfigError("--record", str(path), f"a new file whose name ends in {SUFFIX}, for example flight{SUFFIX}")
+        raise ConfigError(
+            "--record",
+            str(path),
+            f"a new file whose name ends in {SUFFIX}, for example flight{SUFFIX}",
+        )
 
 
 def _create(path: Path) -> int:
@@ -174,9 +199,18 @@ def _create(path: Path) -> int:
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
     except FileExistsError as error:
         if not path.exists():
-            raise ConfigError("--record", str(path), "a file in a folder", problem="its folder is a file") from error
+            raise ConfigError(
+                "--record",
+                str(path),
+                "a file in a folder",
+                problem="its folder is a file",
+            ) from error
         do = "A recording is never written over: name another, or remove that one."
-        raise ConfigError("--record", str(path), "a new file", do, problem="there is one already") from error
+        raise ConfigError(
+            "--record", str(path), "a new file", do, problem="there is one already"
+        ) from error
     except OSError as error:
         do = "Name a file in a folder of yours."
-        raise ConfigError("--record", str(path), "a file that can be made", do, str(error.strerror)) from error
+        raise ConfigError(
+            "--record", str(path), "a file that can be made", do, str(error.strerror)
+        ) from error

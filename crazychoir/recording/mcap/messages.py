@@ -20,7 +20,18 @@ from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, schema
 from crazychoir.recording.mcap.definitions import DEFINITIONS
 from crazychoir.recording.mcap.odometry import odometry, state_of
 from crazychoir.runtime.clock import SECOND
-from crazychoir.team.rounds import AHEAD, CREDIT, DATA, FIN, FIN_TOO, GONE, KIND_BITS, KINDS, REPEAT, WANT
+from crazychoir.team.rounds import (
+    AHEAD,
+    CREDIT,
+    DATA,
+    FIN,
+    FIN_TOO,
+    GONE,
+    KIND_BITS,
+    KINDS,
+    REPEAT,
+    WANT,
+)
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -44,9 +55,15 @@ from crazychoir.types import (
 WAY = 25
 """Numbers of a row of a plan's way."""
 KIND_NAMES = {
-    DATA: "data", REPEAT: "repeat", AHEAD: "ahead", WANT: "want", CREDIT: "credit", FIN: "fin", FIN_TOO: "fin too",
+    DATA: "data",
+    REPEAT: "repeat",
+    AHEAD: "ahead",
+    WANT: "want",
+    CREDIT: "credit",
+    FIN: "fin",
+    FIN_TOO: "fin too",
     GONE: "gone",
-}  # fmt: skip
+}
 """What a message of a round says."""
 
 
@@ -99,9 +116,11 @@ class Message:
 @cache
 def _layout(message: Message, drone: int) -> Layout:
     constants = {
-        "header.frame_id": "world", "child_frame_id": f"drone{drone}",
-        "pose.covariance": None, "twist.covariance": None,
-    }  # fmt: skip
+        "header.frame_id": "world",
+        "child_frame_id": f"drone{drone}",
+        "pose.covariance": None,
+        "twist.covariance": None,
+    }
     return Layout(message.leaves, constants)
 
 
@@ -110,7 +129,8 @@ Pack = Callable[[Any, int], bytes]
 
 def packer(message: Message, drone: int) -> Pack:
     """The function that makes a message of a value of this drone that was born at that time, in ns."""
-    pack, values = message.layout(drone).pack, message.values
+    pack = message.layout(drone).pack
+    values = message.values
     if not message.stamped:
         return lambda value, born_ns: pack(values(value))
     return lambda value, born_ns: pack((*divmod(born_ns, SECOND), *values(value)))
@@ -124,7 +144,14 @@ def in_json(value: Any) -> str:
 def exchanged(message: Exchanged) -> tuple[Any, ...]:
     """The fields of crazychoir_msgs/Round."""
     to, k, flags, channel, payload = message
-    return to, k, flags >> KIND_BITS, KIND_NAMES[flags & KINDS], channel, _content(payload)
+    return (
+        to,
+        k,
+        flags >> KIND_BITS,
+        KIND_NAMES[flags & KINDS],
+        channel,
+        _content(payload),
+    )
 
 
 @lru_cache(maxsize=64)  # one payload goes to all neighbours
@@ -144,7 +171,9 @@ def _said(x: Sequence[Any]) -> Any:
 def _plan(raw: Mapping[str, Any]) -> Plan:
     way, offer = (_vec(raw[name]).reshape(-1, WAY) for name in ("way", "offer"))
     agreed = {int(i): number for i, number in raw["agreed"].items()}
-    return Plan(way, raw["since"], offer, raw["due"], raw["number"], agreed, _vec(raw["awaits"]))
+    return Plan(
+        way, raw["since"], offer, raw["due"], raw["number"], agreed, _vec(raw["awaits"])
+    )
 
 
 def _array(name: str, kind: Callable[[Vec], Any]) -> Message:
@@ -154,32 +183,40 @@ def _array(name: str, kind: Callable[[Vec], Any]) -> Message:
 
 def _record(name: str, kind: Callable[..., Any]) -> Message:
     """Of a type whose fields are the message's."""
-    return Message(name, lambda value: [getattr(value, n) for n in value.__struct_fields__], lambda x: kind(*x))
+    return Message(
+        name,
+        lambda value: [getattr(value, n) for n in value.__struct_fields__],
+        lambda x: kind(*x),
+    )
 
 
 MESSAGES: dict[Any, Message] = {
     Pose: _array("geometry_msgs/PoseStamped", Pose),
     State: Message("nav_msgs/Odometry", odometry, state_of),
     Acceleration: Message(
-        "crazychoir_msgs/Acceleration", lambda wanted: (*wanted.a.tolist(), wanted.yaw),
+        "crazychoir_msgs/Acceleration",
+        lambda wanted: (*wanted.a.tolist(), wanted.yaw),
         lambda x: Acceleration(_vec(x[:3]), x[3]),
     ),
     FullState: _array("crazychoir_msgs/FullState", FullState),
     Goto: Message(
-        "crazychoir_msgs/Goto", lambda wanted: (*map(float, wanted.p), wanted.yaw, wanted.duration),
+        "crazychoir_msgs/Goto",
+        lambda wanted: (*map(float, wanted.p), wanted.yaw, wanted.duration),
         lambda x: Goto(_vec(x[:3]), x[3], x[4]),
     ),
     FPQR: _array("crazychoir_msgs/FPQR", FPQR),
     FRPY: _array("crazychoir_msgs/FRPY", FRPY),
     Vel: _array("crazychoir_msgs/Vel", Vel),
     Velocity: Message(
-        "crazychoir_msgs/Velocity", lambda wanted: (*wanted.v.tolist(), wanted.yaw),
+        "crazychoir_msgs/Velocity",
+        lambda wanted: (*wanted.v.tolist(), wanted.yaw),
         lambda x: Velocity(_vec(x[:3]), x[3]),
     ),
     Acc: _array("crazychoir_msgs/Acc", Acc),
     Drive: _array("crazychoir_msgs/Drive", Drive),
     XYZ: Message(
-        "crazychoir_msgs/XYZ", lambda command: (command.verb, *command.flat.tolist()),
+        "crazychoir_msgs/XYZ",
+        lambda command: (command.verb, *command.flat.tolist()),
         lambda x: XYZ(x[0], _vec(x[1:])),
     ),
     LinkStatus: _record("crazychoir_msgs/LinkStatus", LinkStatus),
@@ -189,7 +226,7 @@ MESSAGES: dict[Any, Message] = {
     Plan: Message("crazychoir_msgs/Value", lambda plan: (in_json(plan),), _said),
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),), _said),
     Exchanged: Message("crazychoir_msgs/Round", exchanged),
-}  # fmt: skip
+}
 """By the type of a value; any other value is written as a dictionary is."""
 
 

@@ -15,7 +15,9 @@ def odometry(state: State) -> list[float]:
     v_b: (3,) m/s, body;  v: (3,) m/s, world. Plain numbers: a compiled law takes longer to be called.
     """
     x, y, z, vx, vy, vz, a, b, c, d, p, q, r = state.flat.tolist()
-    tx, ty, tz = 2.0 * (b * vz - c * vy), 2.0 * (c * vx - a * vz), 2.0 * (a * vy - b * vx)
+    tx = 2.0 * (b * vz - c * vy)
+    ty = 2.0 * (c * vx - a * vz)
+    tz = 2.0 * (a * vy - b * vx)
     forward = vx - d * tx + b * tz - c * ty
     left = vy - d * ty + c * tx - a * tz
     up = vz - d * tz + a * ty - b * tx
@@ -36,6 +38,7 @@ def into_world(q: Mat, v_b: Mat) -> Mat:
 
     q: (n, 4), unit;  v_b: (n, 3), body.  Returns (n, 3), world.
     """
-    u, twice = q[:, :3], 2.0 * np.cross(q[:, :3], v_b)
+    u = q[:, :3]
+    twice = 2.0 * np.cross(q[:, :3], v_b)
     v: Mat = v_b + q[:, 3:] * twice + np.cross(u, twice)
     return v

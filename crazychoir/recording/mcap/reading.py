@@ -93,14 +93,18 @@ class Recording:
 
     def of(self, drone: int, topic: str) -> Values:
         """The values of a topic; none if it was not recorded."""
-        return self.topics.get((drone, topic), Values(np.zeros(0), np.zeros(0), np.zeros((0, 0))))
+        return self.topics.get(
+            (drone, topic), Values(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
+        )
 
 
 def read(path: Path, topics: tuple[str, ...]) -> Recording:
     """The recording of these topics; raises ConfigError for what is none, or has none of them."""
     recording = _whole(path, topics)
     if not recording.topics:
-        raise ConfigError(str(path), f"no {' and no '.join(topics)} of any drone", FLIGHT, DO)
+        raise ConfigError(
+            str(path), f"no {' and no '.join(topics)} of any drone", FLIGHT, DO
+        )
     return recording
 
 
@@ -111,7 +115,12 @@ def header(path: Path) -> Recording:
     """
     recording = _whole(path, ())
     if not recording.chunks:
-        raise ConfigError(str(path), f"no message: it was {recording.fault or 'ended in order'}", FLIGHT, DO)
+        raise ConfigError(
+            str(path),
+            f"no message: it was {recording.fault or 'ended in order'}",
+            FLIGHT,
+            DO,
+        )
     return recording
 
 
@@ -124,7 +133,9 @@ def _whole(path: Path, topics: tuple[str, ...]) -> Recording:
 
 
 def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
-    recording, found, whole = Recording(path), _Series(path, topics), Records(content)
+    recording = Recording(path)
+    found = _Series(path, topics)
+    whole = Records(content)
     for opcode, body in whole:
         try:
             _take(recording, found, opcode, body)
@@ -133,7 +144,8 @@ def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
         except Exception:  # noqa: BLE001 - whatever is wrong with a record, what lies before it counts
             whole.spoilt()
             break
-    recording.topics, recording.fault = found.values(), whole.fault
+    recording.topics = found.values()
+    recording.fault = whole.fault
     return recording
 
 
@@ -145,7 +157,9 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
                 recording.about = told.metadata
             elif told.name == OUTCOME:
                 recording.outcome = told.metadata
-                recording.lost, recording.missed = (int(told.metadata.get(name, 0)) for name in ("lost", "missed"))
+                recording.lost, recording.missed = (
+                    int(told.metadata.get(name, 0)) for name in ("lost", "missed")
+                )
         case Opcode.ATTACHMENT:
             attached = Attachment.read(stream(body))
             if attached.name == SWARM_FILE:
@@ -153,7 +167,9 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
             elif attached.name == MISSION_FILE:
                 recording.mission = attached.data.decode(errors="replace")
         case Opcode.CHUNK:
-            recording.chunks += any(kind == Opcode.MESSAGE for kind, _ in records_of(body))
+            recording.chunks += any(
+                kind == Opcode.MESSAGE for kind, _ in records_of(body)
+            )
             if found.topics:
                 found.add(body)
 
@@ -174,15 +190,21 @@ class _Columns:
 
     def values(self) -> Values:
         """All of them; of at least one message."""
-        times, n = np.frombuffer(self._times).reshape(-1, 2), len(self)
-        return Values(times[:, 0], times[:, 1], np.frombuffer(self._numbers).reshape(n, len(self._numbers) // n))
+        times = np.frombuffer(self._times).reshape(-1, 2)
+        n = len(self)
+        return Values(
+            times[:, 0],
+            times[:, 1],
+            np.frombuffer(self._numbers).reshape(n, len(self._numbers) // n),
+        )
 
 
 class _Series:
     """What chunks hold of some topics."""
 
     def __init__(self, path: Path, topics: tuple[str, ...]) -> None:
-        self._path, self.topics = path, topics
+        self._path = path
+        self.topics = topics
         self._schemas: dict[int, Schema] = {}
         self._keys: dict[int, tuple[int, str]] = {}
         self._layouts: dict[int, Layout] = {}
@@ -202,22 +224,31 @@ class _Series:
 
     def values(self) -> dict[tuple[int, str], Values]:
         """By (drone, topic)."""
-        return {self._keys[channel]: rows.values() for channel, rows in sorted(self._found.items()) if len(rows)}
+        return {
+            self._keys[channel]: rows.values()
+            for channel, rows in sorted(self._found.items())
+            if len(rows)
+        }
 
     def _hear(self, body: bytes) -> None:
         channel, _, came_ns, born_ns = MESSAGE.unpack_from(body)
         layout = self._layouts.get(channel)
         if layout is not None:
-            self._found[channel].add(came_ns, born_ns, layout.numbers(body[MESSAGE.size :])[STAMP:])
+            self._found[channel].add(
+                came_ns, born_ns, layout.numbers(body[MESSAGE.size :])[STAMP:]
+            )
 
     def _open(self, channel: Channel) -> None:
         topic = channel.metadata.get("topic", "")
         if topic not in self.topics or channel.id in self._layouts:
             return
-        message, schema = MESSAGES[usual(BY_NAME[topic])], self._schemas[channel.schema_id]
+        message = MESSAGES[usual(BY_NAME[topic])]
+        schema = self._schemas[channel.schema_id]
         if (schema.name, schema.data.decode()) != (message.type, message.schema):
             do = "Plot it with the version that recorded it."
-            raise ConfigError(str(self._path), f"another {schema.name} for {topic}", message.type, do)
+            raise ConfigError(
+                str(self._path), f"another {schema.name} for {topic}", message.type, do
+            )
         drone = int(channel.metadata["drone"])
         self._keys[channel.id], self._found[channel.id] = (drone, topic), _Columns()
         self._layouts[channel.id] = message.layout(drone)

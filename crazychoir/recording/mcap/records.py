@@ -36,21 +36,31 @@ def opened(path: Path) -> Iterator[mmap.mmap]:
         with path.open("rb") as file:
             first = file.read(len(MCAP0_MAGIC))
             if first != MCAP0_MAGIC:
-                found = "an empty file" if not first else f"a file that begins with {first!r}"
+                found = (
+                    "an empty file"
+                    if not first
+                    else f"a file that begins with {first!r}"
+                )
                 raise ConfigError(str(path), found, "an MCAP file", DO)
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
-        raise ConfigError(str(path), str(error.strerror), "a file that can be read", DO) from error
+        raise ConfigError(
+            str(path), str(error.strerror), "a file that can be read", DO
+        ) from error
     with content:
         yield content
 
 
 def of_another_program(path: Path) -> ConfigError:
     """The error of an MCAP file that does not say what was flown."""
-    return ConfigError(str(path), "an MCAP file of another program", "one of crazychoir", DO)
+    return ConfigError(
+        str(path), "an MCAP file of another program", "one of crazychoir", DO
+    )
 
 
-def records(content: mmap.mmap | bytes, at: int = len(MCAP0_MAGIC)) -> Iterator[tuple[int, bytes]]:
+def records(
+    content: mmap.mmap | bytes, at: int = len(MCAP0_MAGIC)
+) -> Iterator[tuple[int, bytes]]:
     """(opcode, body) of every record that is whole."""
     while at + _RECORD.size <= len(content):
         opcode, length = _RECORD.unpack_from(content, at)
@@ -81,7 +91,8 @@ class Records:
 
     def __init__(self, content: mmap.mmap | bytes) -> None:
         self._content = content
-        self.at, self.fault = 0, "not read to its end"
+        self.at = 0
+        self.fault = "not read to its end"
 
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
         after = len(MCAP0_MAGIC)
@@ -126,7 +137,9 @@ def _unpacked(chunk: bytes) -> bytes:
     """The records of a chunk; raises what it likes where they are spoilt."""
     packed = Chunk.read(stream(chunk))
     if packed.compression not in COMPRESSIONS:
-        raise UnknownCompression(f"compressed by {packed.compression!r}, where zstd, lz4 and nothing are read")
+        raise UnknownCompression(
+            f"compressed by {packed.compression!r}, where zstd, lz4 and nothing are read"
+        )
     unpacked, length = get_chunk_data_stream(packed, validate_crc=True)
     return unpacked.read(length)
 

@@ -11,7 +11,14 @@ from mcap.records import Channel, Schema
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.cdr import Leaf, definitions_of, leaves, unpacked
-from crazychoir.recording.mcap.records import DO, MESSAGE, Records, opened, records_of, stream
+from crazychoir.recording.mcap.records import (
+    DO,
+    MESSAGE,
+    Records,
+    opened,
+    records_of,
+    stream,
+)
 
 
 @dataclass(frozen=True)
@@ -59,25 +66,35 @@ class Messages:
     """
 
     def __init__(self, path: Path, topics: Collection[str] | None = None) -> None:
-        self.path, self.topics, self.fault = path, topics, "not read"
+        self.path = path
+        self.topics = topics
+        self.fault = "not read"
 
     def __iter__(self) -> Iterator[Told]:
         with opened(self.path) as content:
-            whole, sources, schemas = Records(content), dict[int, Source](), dict[int, Schema]()
+            whole = Records(content)
+            sources = dict[int, Source]()
+            schemas = dict[int, Schema]()
             for opcode, body in whole:
                 if opcode == Opcode.CHUNK:
                     yield from self._of_chunk(body, sources, schemas)
             self.fault = whole.fault
 
-    def _of_chunk(self, chunk: bytes, sources: dict[int, Source], schemas: dict[int, Schema]) -> Iterator[Told]:
+    def _of_chunk(
+        self, chunk: bytes, sources: dict[int, Source], schemas: dict[int, Schema]
+    ) -> Iterator[Told]:
         """What it tells, after those sources and schemas, to which it adds its own."""
         for opcode, record in records_of(chunk):
             match opcode:
                 case Opcode.MESSAGE:
                     channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
                     if channel not in sources:
-                        raise ConfigError(str(self.path), f"a message of channel {channel}, which is not there",
-                                          "messages of channels that the file names before", DO)  # fmt: skip
+                        raise ConfigError(
+                            str(self.path),
+                            f"a message of channel {channel}, which is not there",
+                            "messages of channels that the file names before",
+                            DO,
+                        )
                     source = sources[channel]
                     if self.topics is None or source.topic in self.topics:
                         yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
@@ -97,7 +114,10 @@ def told(path: Path, topics: Collection[str] | None = None) -> Messages:
 def _source(path: Path, channel: Channel, schemas: dict[int, Schema]) -> Source:
     try:
         schema = schemas[channel.schema_id]
-        drone, topic = int(channel.metadata["drone"]), channel.metadata["topic"]
+        drone = int(channel.metadata["drone"])
+        topic = channel.metadata["topic"]
     except (KeyError, ValueError):
-        raise ConfigError(str(path), f"channel {channel.topic} of another program", "a recording", DO) from None
+        raise ConfigError(
+            str(path), f"channel {channel.topic} of another program", "a recording", DO
+        ) from None
     return Source(drone, topic, schema.name, schema.data.decode())

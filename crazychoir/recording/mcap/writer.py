@@ -61,7 +61,8 @@ class Writer:
 
     def take(self) -> bytes:
         """What was made since the last call."""
-        parts, self._parts = self._parts, []
+        parts = self._parts
+        self._parts = []
         return b"".join(parts)
 
     def begin(self, profile: str, library: str) -> None:
@@ -79,7 +80,9 @@ class Writer:
         """A file within the file."""
         at = self._end
         length = self._record(Attachment(0, 0, name, media_type, data))
-        self._attachments.append(AttachmentIndex(at, length, 0, 0, len(data), name, media_type))
+        self._attachments.append(
+            AttachmentIndex(at, length, 0, 0, len(data), name, media_type)
+        )
 
     def schema(self, name: str, encoding: str, text: str) -> int:
         """A type of messages; returns its number."""
@@ -88,7 +91,9 @@ class Writer:
         schema.write(self._new)
         return schema.id
 
-    def channel(self, topic: str, encoding: str, schema: int, told: Mapping[str, str]) -> int:
+    def channel(
+        self, topic: str, encoding: str, schema: int, told: Mapping[str, str]
+    ) -> int:
         """A series of messages of a schema; returns its number."""
         channel = Channel(len(self._channels) + 1, topic, encoding, dict(told), schema)
         self._channels.append(channel)
@@ -98,10 +103,16 @@ class Writer:
     def chunk(self, messages: Sequence[Timed]) -> None:
         """These messages, at least one."""
         parts = [self._new.end()]
-        at, index = len(parts[0]), dict[int, list[int]]()
+        at = len(parts[0])
+        index = dict[int, list[int]]()
         for channel, came_ns, born_ns, data in messages:
             size = len(data)
-            parts += (_MESSAGE.pack(Opcode.MESSAGE, _REST + size, channel, 0, came_ns, born_ns), data)
+            parts += (
+                _MESSAGE.pack(
+                    Opcode.MESSAGE, _REST + size, channel, 0, came_ns, born_ns
+                ),
+                data,
+            )
             places = index.get(channel)
             if places is None:
                 places = index[channel] = []
@@ -111,28 +122,61 @@ class Writer:
         came = [message[1] for message in messages]
         self._chunk(content, min(came), max(came), index)
 
-    def _chunk(self, content: bytes, first_ns: int, last_ns: int, index: Mapping[int, list[int]]) -> None:
-        packed, begin = zstandard.compress(content), self._end
-        length = self._record(ChunkRecord(COMPRESSION, packed, last_ns, first_ns, zlib.crc32(content), len(content)))
-        indexed, offsets = self._end, {}
+    def _chunk(
+        self,
+        content: bytes,
+        first_ns: int,
+        last_ns: int,
+        index: Mapping[int, list[int]],
+    ) -> None:
+        packed = zstandard.compress(content)
+        begin = self._end
+        length = self._record(
+            ChunkRecord(
+                COMPRESSION,
+                packed,
+                last_ns,
+                first_ns,
+                zlib.crc32(content),
+                len(content),
+            )
+        )
+        indexed = self._end
+        offsets = {}
         for channel, places in index.items():
             offsets[channel] = self._end
             self._counts[channel] = self._counts.get(channel, 0) + len(places) // 2
-            head = _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(places), channel, 8 * len(places))
+            head = _INDEX.pack(
+                Opcode.MESSAGE_INDEX, 6 + 8 * len(places), channel, 8 * len(places)
+            )
             self._add(head + struct.pack(f"<{len(places)}Q", *places))
-        self._chunks.append(ChunkIndex(
-            length, begin, COMPRESSION, len(packed), last_ns, self._end - indexed, offsets, first_ns, len(content)
-        ))  # fmt: skip
+        self._chunks.append(
+            ChunkIndex(
+                length,
+                begin,
+                COMPRESSION,
+                len(packed),
+                last_ns,
+                self._end - indexed,
+                offsets,
+                first_ns,
+                len(content),
+            )
+        )
 
     def finish(self) -> None:
         """The end of the data, what is where in it, footer and magic."""
         self._record(DataEnd(0))
-        start, summary = self._end, RecordBuilder()
+        start = self._end
+        summary = RecordBuilder()
         groups: dict[Opcode, Sequence[McapRecord]] = {
-            Opcode.SCHEMA: self._schemas, Opcode.CHANNEL: self._channels, Opcode.STATISTICS: [self._statistics()],
-            Opcode.CHUNK_INDEX: self._chunks, Opcode.ATTACHMENT_INDEX: self._attachments,
+            Opcode.SCHEMA: self._schemas,
+            Opcode.CHANNEL: self._channels,
+            Opcode.STATISTICS: [self._statistics()],
+            Opcode.CHUNK_INDEX: self._chunks,
+            Opcode.ATTACHMENT_INDEX: self._attachments,
             Opcode.METADATA_INDEX: self._metadata,
-        }  # fmt: skip
+        }
         offsets = []
         for opcode, records in groups.items():
             at = summary.count
@@ -143,7 +187,9 @@ class Writer:
         for offset in offsets:
             offset.write(summary)
         data = summary.end()
-        crc = zlib.crc32(_FOOTER.pack(Opcode.FOOTER, 20, start, offsets_start), zlib.crc32(data))
+        crc = zlib.crc32(
+            _FOOTER.pack(Opcode.FOOTER, 20, start, offsets_start), zlib.crc32(data)
+        )
         self._add(data)
         self._record(Footer(start, offsets_start, crc))
         self._add(MCAP0_MAGIC)
@@ -152,11 +198,16 @@ class Writer:
         first = min((chunk.message_start_time for chunk in self._chunks), default=0)
         last = max((chunk.message_end_time for chunk in self._chunks), default=0)
         return Statistics(
-            attachment_count=len(self._attachments), channel_count=len(self._channels),
-            channel_message_counts=self._counts, chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()), message_end_time=last, message_start_time=first,
-            metadata_count=len(self._metadata), schema_count=len(self._schemas),
-        )  # fmt: skip
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=self._counts,
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            message_end_time=last,
+            message_start_time=first,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
 
     def _record(self, record: McapRecord) -> int:
         """Its length in the file."""

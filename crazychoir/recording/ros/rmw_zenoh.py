@@ -68,7 +68,12 @@ class Publisher:
         try:
             import xxhash
         except ImportError as error:
-            raise ConfigError("crazychoir ros", "no package xxhash", "that of the extra ros2", _INSTALL) from error
+            raise ConfigError(
+                "crazychoir ros",
+                "no package xxhash",
+                "that of the extra ros2",
+                _INSTALL,
+            ) from error
         number: int = xxhash.xxh3_128_intdigest(self.token.encode())
         return number.to_bytes(GID, "little")
 

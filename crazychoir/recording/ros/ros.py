@@ -69,13 +69,17 @@ def for_ros(message: Told, truths: frozenset[int]) -> list[Said]:
 def pose(reference: Told) -> bytes:
     """geometry_msgs/PoseStamped of a reference: its place, level, with its yaw."""
     x = _numbers(reference, MESSAGES[FullState].layout(reference.source.drone))
-    return _layout(POSE, "").pack((*x[:5], 0.0, 0.0, math.sin(0.5 * x[14]), math.cos(0.5 * x[14])))
+    return _layout(POSE, "").pack(
+        (*x[:5], 0.0, 0.0, math.sin(0.5 * x[14]), math.cos(0.5 * x[14]))
+    )
 
 
 def transform(odometry: Told) -> bytes:
     """tf2_msgs/TFMessage of an Odometry: world -> drone."""
     x = _numbers(odometry, MESSAGES[State].layout(odometry.source.drone))
-    return _layout("geometry_msgs/TransformStamped", f"drone{odometry.source.drone}", 1).pack((1, *x[:9]))
+    return _layout(
+        "geometry_msgs/TransformStamped", f"drone{odometry.source.drone}", 1
+    ).pack((1, *x[:9]))
 
 
 def _numbers(message: Told, layout: Layout) -> Numbers:
@@ -92,4 +96,6 @@ def _layout(name: str, child: str, count: int | None = None) -> Layout:
     """Of a message in the world's frame; count: of a sequence of so many of them, one here."""
     constants = {"header.frame_id": "world", "child_frame_id": child}
     fields = list(leaves(name, ROS))
-    return Layout(fields if count is None else [Leaf("count", "uint32"), *fields], constants)
+    return Layout(
+        fields if count is None else [Leaf("count", "uint32"), *fields], constants
+    )

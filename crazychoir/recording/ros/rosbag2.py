@@ -53,7 +53,9 @@ class Bag:
             if made:
                 self.folder.rmdir()
             do = "A bag is never written over: name another folder, or remove that one."
-            raise ConfigError("--rosbag2", str(self.folder), "a new folder", do, str(error.strerror)) from error
+            raise ConfigError(
+                "--rosbag2", str(self.folder), "a new folder", do, str(error.strerror)
+            ) from error
         self._writer, self._schemas = Writer(), dict[str, int]()
         self._waiting: list[Timed] = []
         self._bytes = 0
@@ -97,34 +99,48 @@ class Bag:
 
     def _open(self, said: Said) -> Channel:
         if said.type not in self._schemas:
-            self._schemas[said.type] = self._writer.schema(said.type, SchemaEncoding.ROS2, said.schema)
+            self._schemas[said.type] = self._writer.schema(
+                said.type, SchemaEncoding.ROS2, said.schema
+            )
         told = {"offered_qos_profiles": ""}
-        number = self._writer.channel(said.topic, MessageEncoding.CDR, self._schemas[said.type], told)
+        number = self._writer.channel(
+            said.topic, MessageEncoding.CDR, self._schemas[said.type], told
+        )
         channel = self.channels[said.topic] = Channel(number, said.type)
         return channel
 
     def _flush(self) -> None:
         if self._waiting:
             self._writer.chunk(self._waiting)
-            self._waiting, self._bytes = [], 0
+            self._waiting = []
+            self._bytes = 0
             self._file.write(self._writer.take())
 
     def _metadata(self) -> str:
         """JSON, which YAML is too."""
         times = {
             "duration": {"nanoseconds": self.last_ns - self.first_ns},
-            "starting_time": {"nanoseconds_since_epoch": self.first_ns}, "message_count": self.count,
-        }  # fmt: skip
+            "starting_time": {"nanoseconds_since_epoch": self.first_ns},
+            "message_count": self.count,
+        }
         form = {"serialization_format": "cdr", "offered_qos_profiles": ""}
         topics = [
-            {"topic_metadata": {"name": name, "type": channel.type, **form}, "message_count": channel.count}
+            {
+                "topic_metadata": {"name": name, "type": channel.type, **form},
+                "message_count": channel.count,
+            }
             for name, channel in self.channels.items()
         ]
         about = {
-            "version": BAG_VERSION, "storage_identifier": "mcap", **times, "topics_with_message_count": topics,
-            "compression_format": "", "compression_mode": "", "relative_file_paths": [self.path.name],
+            "version": BAG_VERSION,
+            "storage_identifier": "mcap",
+            **times,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self.path.name],
             "files": [{"path": self.path.name, **times}],
-        }  # fmt: skip
+        }
         return json.dumps({"rosbag2_bagfile_information": about}, indent=2) + "\n"
 
 
@@ -139,7 +155,13 @@ def convert(path: Path, folder: Path) -> Bag:
         bag.close()
     except OSError as error:
         do = "Make room, or name a folder on another disk."
-        raise ConfigError("--rosbag2", str(folder), "a folder that can be written", do, str(error.strerror)) from error
+        raise ConfigError(
+            "--rosbag2",
+            str(folder),
+            "a folder that can be written",
+            do,
+            str(error.strerror),
+        ) from error
     finally:
         if not bag.whole:
             bag.discard()

@@ -49,7 +49,10 @@ Places = Mapping[int, tuple[State, int]]
 
 def pose(state: State, born_ns: int) -> bytes:
     """geometry_msgs/PoseStamped."""
-    return _packed("geometry_msgs/PoseStamped", [(*_header(born_ns), *state.p.tolist(), *state.q.tolist())])
+    return _packed(
+        "geometry_msgs/PoseStamped",
+        [(*_header(born_ns), *state.p.tolist(), *state.q.tolist())],
+    )
 
 
 def path(places: Sequence[Vec], born_ns: int) -> bytes:
@@ -63,7 +66,10 @@ def path(places: Sequence[Vec], born_ns: int) -> bytes:
 
 def transforms(places: Places) -> bytes:
     """tf2_msgs/TFMessage: world -> drone3."""
-    rows = [(*_header(ns), f"drone{i}", *x.p.tolist(), *x.q.tolist()) for i, (x, ns) in sorted(places.items())]
+    rows = [
+        (*_header(ns), f"drone{i}", *x.p.tolist(), *x.q.tolist())
+        for i, (x, ns) in sorted(places.items())
+    ]
     return _packed("geometry_msgs/TransformStamped", rows, counted=True)
 
 
@@ -72,7 +78,17 @@ def markers(places: Places, gone: Iterable[int] = ()) -> bytes:
     rows = []
     for i, (state, ns) in sorted(places.items()):
         rows.append(_marker(i, "drones", SPHERE, state.p, BALL, "", ns))
-        rows.append(_marker(i, "names", TEXT, state.p + np.array([0.0, 0.0, BALL]), LETTERS, str(i), ns))
+        rows.append(
+            _marker(
+                i,
+                "names",
+                TEXT,
+                state.p + np.array([0.0, 0.0, BALL]),
+                LETTERS,
+                str(i),
+                ns,
+            )
+        )
     for i in gone:
         for space, kind in (("drones", SPHERE), ("names", TEXT)):
             rows.append(_marker(i, space, kind, np.zeros(3), BALL, "", 0, DELETE))
@@ -80,19 +96,42 @@ def markers(places: Places, gone: Iterable[int] = ()) -> bytes:
 
 
 def _marker(
-    i: int, space: str, kind: int, p: Vec, size: float, text: str, born_ns: int, action: int = ADD
+    i: int,
+    space: str,
+    kind: int,
+    p: Vec,
+    size: float,
+    text: str,
+    born_ns: int,
+    action: int = ADD,
 ) -> tuple[object, ...]:
     place = (*p.tolist(), 0.0, 0.0, 0.0, 1.0)
     looks = (size, size, size, (0.0, 0.447, 0.698, 1.0), 1, 0, False)
     nothing: tuple[object, ...] = ([], [], "", 0, 0, "", "", [], [])
-    return (*_header(born_ns), space, i, kind, action, *place, *looks, *nothing, text, "", "", [], False)
+    return (
+        *_header(born_ns),
+        space,
+        i,
+        kind,
+        action,
+        *place,
+        *looks,
+        *nothing,
+        text,
+        "",
+        "",
+        [],
+        False,
+    )
 
 
 def _header(born_ns: int) -> tuple[int, int, str]:
     return (*divmod(born_ns, SECOND), FRAME)
 
 
-def _packed(name: str, rows: Sequence[Sequence[object]], counted: bool = False) -> bytes:
+def _packed(
+    name: str, rows: Sequence[Sequence[object]], counted: bool = False
+) -> bytes:
     """Messages of that name one after the other; counted: as a sequence."""
     fields = len(rows) * list(leaves(name, FORMS))
     values = [x for row in rows for x in row]

@@ -41,7 +41,9 @@ class Bound:
     def excess(self, robot: int, column: Column) -> float:
         """What a plan with this column costs above the bound, at least: its reduced cost beyond the robot's least."""
         own = [column.length, -self.reward] if column.tasks else [column.length]
-        return math.fsum([*own, -self.least[robot], *(-self.prices[j] for j in column.tasks)])
+        return math.fsum(
+            [*own, -self.least[robot], *(-self.prices[j] for j in column.tasks)]
+        )
 
 
 def least_robots(bound: Bound, member: Member) -> Exchange[int]:
@@ -58,29 +60,46 @@ def least_robots(bound: Bound, member: Member) -> Exchange[int]:
     refusal = member.local.tasks.refusal
     must = bound.value - math.fsum(refusal[np.isfinite(refusal)])
     longest = max(told.values())
-    return max(0, math.ceil(must / longest - ROUNDING)) if longest > 0.0 and bound.exact else 0
+    return (
+        max(0, math.ceil(must / longest - ROUNDING))
+        if longest > 0.0 and bound.exact
+        else 0
+    )
 
 
-def improve(bound: Bound, member: Member, pool: Pool, pi: Vec, batch: int, mu: float = 0.0) -> Exchange[bool]:
+def improve(
+    bound: Bound, member: Member, pool: Pool, pi: Vec, batch: int, mu: float = 0.0
+) -> Exchange[bool]:
     """Price at pi and mu, flood what is not yet in the pool; keep the better bound; returns whether anybody had more.
 
     The sum is rounded once (fsum over values that all have heard), so that all robots find the same bound.
     """
-    known = yield from flood(member.place.robot, _priced(member, pool, pi, batch, mu), member.place.diameter)
+    known = yield from flood(
+        member.place.robot, _priced(member, pool, pi, batch, mu), member.place.diameter
+    )
     told = {i: known[i] for i in member.alike}
     saved = [len(member.alike[i]) * least for i, (least, _, _) in told.items()]
     value = math.fsum([bound.robots * mu, *pi, *saved])
     bound.exact = all(complete for _, complete, _ in told.values())
     if value > bound.value:
-        bound.value, bound.prices, bound.reward = value, pi, mu
+        bound.value = value
+        bound.prices = pi
+        bound.reward = mu
         bound.least = {i: least for i, (least, _, _) in told.items()}
     return sum(pool.add(i, unpacked(news)) for i, (_, _, news) in told.items()) > 0
 
 
-def _priced(member: Member, pool: Pool, pi: Vec, batch: int, mu: float) -> list[Any] | None:
+def _priced(
+    member: Member, pool: Pool, pi: Vec, batch: int, mu: float
+) -> list[Any] | None:
     """least_i, whether the table is complete, and columns of i; None of a robot that another one speaks for."""
     if not member.speaks:
         return None
-    robot, table = member.place.robot, member.table
-    columns = [c for c in table.cheapest(pi, batch, 0.0, mu) if c.tasks and not pool.has(robot, c)]
+    robot = member.place.robot
+    table = member.table
+    columns = [
+        c
+        for c in table.cheapest(pi, batch, 0.0, mu)
+        if c.tasks and not pool.has(robot, c)
+    ]
     return [table.least(pi, mu), table.complete, packed(columns)]

@@ -14,7 +14,12 @@ from crazychoir.types import Ints, Vec
 
 
 def reoptimize(
-    robots: Mapping[int, LocalProblem], routes: Stops, cluster: Cluster, penalty: Vec, steps: int, seed: int
+    robots: Mapping[int, LocalProblem],
+    routes: Stops,
+    cluster: Cluster,
+    penalty: Vec,
+    steps: int,
+    seed: int,
 ) -> dict[int, list[int]]:
     """The routes of the cluster's robots that the search finds from the present ones.
 
@@ -26,7 +31,10 @@ def reoptimize(
     present = [[inner[s] for s in routes.get(i, ())] for i in cluster.robots]
     objective = robots[cluster.robots[0]].objective
     found = search(fleet, present, penalty[chosen], steps, seed, objective=objective)
-    return {i: renamed(stops, chosen, len(penalty)) for i, stops in zip(cluster.robots, found.routes, strict=True)}
+    return {
+        i: renamed(stops, chosen, len(penalty))
+        for i, stops in zip(cluster.robots, found.routes, strict=True)
+    }
 
 
 def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
@@ -38,13 +46,22 @@ def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
     reach: m, at least any way. Each trip serves a task, so that there are at most 3M + N ways; a robot in flight that
     stays there saves its way home, at most reach.
     """
-    one, n = next(iter(robots.values())), len(robots)
-    tasks, ways = one.tasks, (3 * len(one.tasks) + 2 * n) * reach
+    one = next(iter(robots.values()))
+    n = len(robots)
+    tasks = one.tasks
+    ways = (3 * len(one.tasks) + 2 * n) * reach
     saved = 1.0 + ways + n * max(r.fixed for r in robots.values())
     saved += math.fsum(tasks.refusal[np.isfinite(tasks.refusal)])
     if MAKESPAN in one.objective:
-        opens = max(float(tasks.earliest.max(initial=0.0)), *(max(r.window[0], r.start_time) for r in robots.values()))
-        saved += opens + math.fsum(tasks.service) + ways / min(r.speed for r in robots.values())
+        opens = max(
+            float(tasks.earliest.max(initial=0.0)),
+            *(max(r.window[0], r.start_time) for r in robots.values()),
+        )
+        saved += (
+            opens
+            + math.fsum(tasks.service)
+            + ways / min(r.speed for r in robots.values())
+        )
     return saved
 
 
@@ -57,7 +74,8 @@ def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
         return 0.0, 0.0
     m = len(local.tasks)
     chosen = np.array(tasks_of(stops, m), dtype=np.int64)
-    inner, vehicle = _inner(chosen, m), restricted(local, chosen).vehicle
+    inner = _inner(chosen, m)
+    vehicle = restricted(local, chosen).vehicle
     route = [inner[s] for s in stops]
     fixed = 0.0 if VEHICLES in local.objective else vehicle.fixed
     return vehicle.length(route) + fixed, vehicle.finish(route)

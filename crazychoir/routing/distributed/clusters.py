@@ -42,11 +42,18 @@ class Neighbors:
         stops = np.vstack([tasks.pickup, tasks.delivery])
         starts = np.array([_start(robots[i]) for i in self.robots])
         self._between, self._out = _ways(stops, stops), _ways(starts, stops)
-        can = np.array([robots[i].capable & (tasks.load <= robots[i].capacity) for i in self.robots])
+        can = np.array(
+            [
+                robots[i].capable & (tasks.load <= robots[i].capacity)
+                for i in self.robots
+            ]
+        )
         alone = self._out[:, : self.m] + self._out[:, self.m :]
         self._alone = np.where(can, alone, np.inf)  # (N, M)
 
-    def draw(self, routes: Stops, most: tuple[int, int], leaders: int, seed: Sequence[int]) -> list[Cluster]:
+    def draw(
+        self, routes: Stops, most: tuple[int, int], leaders: int, seed: Sequence[int]
+    ) -> list[Cluster]:
         """A partition of the robots into clusters of at most most[0] robots and most[1] tasks, each with some leaders.
 
         Robots in random order gather those nearest to them, by `nearness` with noise, and in numbers that are drawn
@@ -57,19 +64,41 @@ class Neighbors:
         share = random.uniform(0.5, 1.0)
         room = max(2, round(share * most[0])), max(2, round(share * most[1]))
         size = [len(tasks_of(routes.get(i, ()), self.m)) for i in self.robots]
-        far = self.nearness(routes) * random.uniform(0.5, 1.5, size=(len(size), len(size)))
-        groups = _gathered(far, size, room, [int(k) for k in random.permutation(len(size))])
-        nearest = {j: int(np.argmin(self._alone[:, j])) for j in unserved(routes, self.m)}
+        far = self.nearness(routes) * random.uniform(
+            0.5, 1.5, size=(len(size), len(size))
+        )
+        groups = _gathered(
+            far, size, room, [int(k) for k in random.permutation(len(size))]
+        )
+        nearest = {
+            j: int(np.argmin(self._alone[:, j])) for j in unserved(routes, self.m)
+        }
         return [
-            self._cluster(group, routes, nearest, random.permutation(len(group))[:leaders].tolist()) for group in groups
+            self._cluster(
+                group,
+                routes,
+                nearest,
+                random.permutation(len(group))[:leaders].tolist(),
+            )
+            for group in groups
         ]
 
-    def _cluster(self, group: list[int], routes: Stops, nearest: dict[int, int], leaders: list[int]) -> Cluster:
+    def _cluster(
+        self,
+        group: list[int],
+        routes: Stops,
+        nearest: dict[int, int],
+        leaders: list[int],
+    ) -> Cluster:
         ids = [self.robots[k] for k in group]
         tasks = {j for i in ids for j in tasks_of(routes.get(i, ()), self.m)} | {
             j for j, k in nearest.items() if k in group
         }
-        return Cluster(tuple(sorted(ids)), tuple(sorted(tasks)), tuple(sorted(ids[k] for k in leaders)))
+        return Cluster(
+            tuple(sorted(ids)),
+            tuple(sorted(tasks)),
+            tuple(sorted(ids[k] for k in leaders)),
+        )
 
     def nearness(self, routes: Stops) -> Mat:
         """(N, N) m, small for robots whose routes lie along each other, rows by increasing id.
@@ -78,28 +107,46 @@ class Neighbors:
 
         The nodes of a robot are its stops and its start; starts are compared with stops only.
         """
-        stops = [np.array([s for s in routes.get(i, ()) if s < 2 * self.m], np.int64) for i in self.robots]
-        to_route = np.array([_least(self._between[:, own], out) for own, out in zip(stops, self._out, strict=True)])
-        one_way = np.array([self._mean_way(to_route, stops, a) for a in range(len(stops))])
+        stops = [
+            np.array([s for s in routes.get(i, ()) if s < 2 * self.m], np.int64)
+            for i in self.robots
+        ]
+        to_route = np.array(
+            [
+                _least(self._between[:, own], out)
+                for own, out in zip(stops, self._out, strict=True)
+            ]
+        )
+        one_way = np.array(
+            [self._mean_way(to_route, stops, a) for a in range(len(stops))]
+        )
         return np.asarray(np.minimum(one_way, one_way.T))
 
     def _mean_way(self, to_route: Mat, stops: list[Ints], a: int) -> Vec:
         """(N,) mean over the nodes of robot a of the way to each route; to_route: (N, 2M)."""
-        start = np.array([self._out[a, own].min() if len(own) else np.inf for own in stops])
+        start = np.array(
+            [self._out[a, own].min() if len(own) else np.inf for own in stops]
+        )
         if not len(stops[a]):
             return np.where(np.isfinite(start), start, to_route.max())
         ways = to_route[:, stops[a]]
         start = np.where(np.isfinite(start), start, ways.min(axis=1))
         # Running sums are added from left to right on every machine, other sums are not; all must draw alike.
-        return np.asarray(np.column_stack([start, ways]).cumsum(axis=1)[:, -1] / (len(stops[a]) + 1))
+        return np.asarray(
+            np.column_stack([start, ways]).cumsum(axis=1)[:, -1] / (len(stops[a]) + 1)
+        )
 
 
-def _gathered(far: Mat, size: list[int], room: tuple[int, int], order: list[int]) -> list[list[int]]:
+def _gathered(
+    far: Mat, size: list[int], room: tuple[int, int], order: list[int]
+) -> list[list[int]]:
     """Groups of rows; the first of `order` that is free gathers the nearest free ones while there is room."""
-    free, groups = list(order), []
+    free = list(order)
+    groups = []
     while free:
         first = free[0]
-        group, tasks = [first], size[first]
+        group = [first]
+        tasks = size[first]
         for k in sorted(free[1:], key=lambda k: (far[first, k], k)):
             if len(group) < room[0] and tasks + size[k] <= room[1]:
                 group.append(k)
@@ -120,4 +167,8 @@ def _ways(a: Mat, b: Mat) -> Mat:
 
 
 def _least(to_stops: Mat, to_start: Vec) -> Vec:
-    return np.asarray(np.minimum(to_stops.min(axis=1), to_start)) if to_stops.shape[1] else to_start
+    return (
+        np.asarray(np.minimum(to_stops.min(axis=1), to_start))
+        if to_stops.shape[1]
+        else to_start
+    )

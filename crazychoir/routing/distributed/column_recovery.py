@@ -36,8 +36,10 @@ class ColumnRecovery:
     """
 
     def __init__(self, member: Member, prices: PriceRounds) -> None:
-        self._member, self._prices = member, prices
-        self._i, self._diameter = member.place.robot, member.place.diameter
+        self._member = member
+        self._prices = prices
+        self._i = member.place.robot
+        self._diameter = member.place.diameter
         self._pool = Pool(len(member.local.tasks))
         self._bound = Bound(prices=prices.mean_price)
 
@@ -50,17 +52,24 @@ class ColumnRecovery:
     def _start(self) -> Exchange[Vec]:
         self._member.report(phase="columns")
         own = packed([c for _, c in sorted(self._prices.active.items())])
-        known = yield from flood(self._i, [own, self._prices.mean_price.tolist()], self._diameter)
+        known = yield from flood(
+            self._i, [own, self._prices.mean_price.tolist()], self._diameter
+        )
         for robot, (columns, _) in known.items():
             self._pool.add(robot, unpacked(columns))
         return _mean([mu for _, mu in known.values()])
 
     def _generate(self, pi: Vec) -> Exchange[None]:
-        member, bound = self._member, self._bound
+        member = self._member
+        bound = self._bound
         for _ in range(member.settings.passes):
-            new = yield from improve(bound, member, self._pool, pi, member.settings.batch)
+            new = yield from improve(
+                bound, member, self._pool, pi, member.settings.batch
+            )
             relaxed = self._pool.relax(member.unserved)
-            known = yield from flood(self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter)
+            known = yield from flood(
+                self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter
+            )
             value = min(v for v, _ in known.values())
             if not new or value - bound.value <= member.tolerance(value):
                 return

@@ -38,7 +38,9 @@ class ColumnProgram:
     """
 
     def __init__(self, table: RouteTable, penalty: Vec, robot: int = 0) -> None:
-        self._table, self._penalty, self._where = table, penalty, f"robot {robot}: local problem"
+        self._table = table
+        self._penalty = penalty
+        self._where = f"robot {robot}: local problem"
         self._rows = np.unique(table.task)
         self._row_of = {int(j): r for r, j in enumerate(self._rows)}
         self._columns: dict[Column, None] = {Column(0.0, ()): None}
@@ -51,22 +53,39 @@ class ColumnProgram:
         count = len(rows)
         if count:
             self._highs.changeRowsBounds(
-                count, np.arange(count, dtype=np.int32), y[rows], np.full(count, highspy.kHighsInf)
+                count,
+                np.arange(count, dtype=np.int32),
+                y[rows],
+                np.full(count, highspy.kHighsInf),
             )
         solution = self._generate()
         weights = np.array(solution.col_value)
         mu = np.where(y > 0, self._penalty, 0.0)
-        mu[rows] = np.clip(np.array(solution.row_dual)[:count], 0.0, self._penalty[rows])
+        mu[rows] = np.clip(
+            np.array(solution.row_dual)[:count], 0.0, self._penalty[rows]
+        )
         violation = np.maximum(y, 0.0)
         violation[rows] = weights[:count]
         unservable = np.setdiff1d(np.arange(len(y)), rows)
-        value = self._highs.getObjectiveValue() + float(self._penalty[unservable] @ violation[unservable])
-        active = [c for c, w in zip(self._columns, weights[count:], strict=True) if w > TOLERANCE and c.tasks]
+        value = self._highs.getObjectiveValue() + float(
+            self._penalty[unservable] @ violation[unservable]
+        )
+        active = [
+            c
+            for c, w in zip(self._columns, weights[count:], strict=True)
+            if w > TOLERANCE and c.tasks
+        ]
         return LocalSolution(value, mu, violation, active)
 
     def _build(self) -> None:
         for _ in self._rows:
-            self._highs.addRow(-highspy.kHighsInf, highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
+            self._highs.addRow(
+                -highspy.kHighsInf,
+                highspy.kHighsInf,
+                0,
+                np.array([], np.int32),
+                np.array([]),
+            )
         self._highs.addRow(1.0, 1.0, 0, np.array([], np.int32), np.array([]))
         for r, j in enumerate(self._rows):
             self._add(float(self._penalty[j]), [r])
@@ -82,13 +101,18 @@ class ColumnProgram:
             dual = np.array(solution.row_dual)
             prices = np.zeros_like(self._penalty)
             prices[self._rows] = dual[:-1]
-            cheap = self._table.cheapest(prices, BATCH, below=float(dual[-1]) - TOLERANCE)
+            cheap = self._table.cheapest(
+                prices, BATCH, below=float(dual[-1]) - TOLERANCE
+            )
             new = [column for column in cheap if column not in self._columns]
             if not new:
                 return solution
             for column in new:
                 self._columns[column] = None
-                self._add(column.length, [*(self._row_of[j] for j in column.tasks), len(self._rows)])
+                self._add(
+                    column.length,
+                    [*(self._row_of[j] for j in column.tasks), len(self._rows)],
+                )
 
     def _run(self) -> highspy.HighsSolution:
         self._highs.run()
@@ -98,4 +122,11 @@ class ColumnProgram:
         return self._highs.getSolution()
 
     def _add(self, cost: float, rows: list[int]) -> None:
-        self._highs.addCol(cost, 0.0, highspy.kHighsInf, len(rows), np.array(rows, np.int32), np.ones(len(rows)))
+        self._highs.addCol(
+            cost,
+            0.0,
+            highspy.kHighsInf,
+            len(rows),
+            np.array(rows, np.int32),
+            np.ones(len(rows)),
+        )

@@ -9,8 +9,18 @@ import numpy as np
 from crazychoir.errors import SolverError
 from crazychoir.optimization.rounds.agreement import best_offer, flood
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.cluster_problem import flown, most_saved, renamed, reoptimize
-from crazychoir.routing.distributed.clusters import Cluster, Neighbors, tasks_of, unserved
+from crazychoir.routing.distributed.cluster_problem import (
+    flown,
+    most_saved,
+    renamed,
+    reoptimize,
+)
+from crazychoir.routing.distributed.clusters import (
+    Cluster,
+    Neighbors,
+    tasks_of,
+    unserved,
+)
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.large_bound import LargeBound
 from crazychoir.routing.distributed.member import Member
@@ -50,8 +60,11 @@ class DistributedColumns:
     """
 
     def __init__(self, member: Member) -> None:
-        self._member, self._i, self._diameter = member, member.place.robot, member.place.diameter
-        self._m, self._refusal = len(member.local.tasks), member.local.tasks.refusal
+        self._member = member
+        self._i = member.place.robot
+        self._diameter = member.place.diameter
+        self._m = len(member.local.tasks)
+        self._refusal = member.local.tasks.refusal
         self._robots: dict[int, LocalProblem] = {}
         self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
         self.routes: dict[int, list[int]] = {}
@@ -75,11 +88,16 @@ class DistributedColumns:
     def _bounded(self) -> Exchange[Assignment]:
         """The plan in force; with a bound if `prove`, where lengths are what is minimised, and no priority."""
         member = self._member
-        if not member.settings.prove or MAKESPAN in member.local.objective or (member.local.tasks.priority > 0).any():
+        if (
+            not member.settings.prove
+            or MAKESPAN in member.local.objective
+            or (member.local.tasks.priority > 0).any()
+        ):
             return self._assignment(None)
         weight = member.vehicle_weight
         plan = [
-            (i, Column(weight + self._flown(i, tuple(self.routes[i]))[0], tasks)) for i, tasks in self._sets().items()
+            (i, Column(weight + self._flown(i, tuple(self.routes[i]))[0], tasks))
+            for i, tasks in self._sets().items()
         ]
         large = LargeBound(member, plan)
         yield from large.run()
@@ -88,7 +106,11 @@ class DistributedColumns:
     @property
     def _left_out(self) -> Vec:
         """(M,): what the search pays for a task left out: its refusal, or more than any plan could save by it."""
-        return np.where(np.isfinite(self._refusal), self._refusal, most_saved(self._robots, self._member.reach))
+        return np.where(
+            np.isfinite(self._refusal),
+            self._refusal,
+            most_saved(self._robots, self._member.reach),
+        )
 
     def _relax(self) -> Exchange[Gossip | None]:
         """Column generation, if lengths are what is minimised, and every robot can list its routes."""
@@ -98,9 +120,13 @@ class DistributedColumns:
         servable = yield from flood(self._i, len(member.local.servable), self._diameter)
         if max(servable.values()) > member.settings.most_listed:
             return None
-        complete = yield from flood(self._i, not member.speaks or member.table.complete, self._diameter)
+        complete = yield from flood(
+            self._i, not member.speaks or member.table.complete, self._diameter
+        )
         if not all(complete.values()):
-            vars(member).pop("table", None)  # no bound follows from tables that are cut, and they are large
+            vars(member).pop(
+                "table", None
+            )  # no bound follows from tables that are cut, and they are large
             return None
         gossip = Gossip(self._member)
         yield from gossip.run()
@@ -113,8 +139,17 @@ class DistributedColumns:
         settings = self._member.settings
         mine = None
         if self._i < settings.starters:
-            everybody = Cluster(tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,))
-            routes = reoptimize(self._robots, {}, everybody, self._left_out, settings.first_steps, self._i)
+            everybody = Cluster(
+                tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,)
+            )
+            routes = reoptimize(
+                self._robots,
+                {},
+                everybody,
+                self._left_out,
+                settings.first_steps,
+                self._i,
+            )
             mine = [self._worth(routes), self._i, _flat(routes)]
         best = yield from best_offer(mine, self._diameter)
         if best is None:
@@ -129,7 +164,8 @@ class DistributedColumns:
         self._member.kind = "plans"
         fitting = settings.cluster_rounds // max(1, self._diameter)
         passes = max(settings.least_passes, min(settings.most_passes, fitting))
-        near, still = Neighbors(self._robots), 0
+        near = Neighbors(self._robots)
+        still = 0
         for k in range(passes):
             missing = self._worth(self.routes)[0]
             cost = self._weighed()
@@ -137,11 +173,17 @@ class DistributedColumns:
             if met or still == settings.still_passes:
                 return
             clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
-            offers = yield from flood(self._i, self._lead(clusters, settings.steps // passes, k), self._diameter)
+            offers = yield from flood(
+                self._i,
+                self._lead(clusters, settings.steps // passes, k),
+                self._diameter,
+            )
             still = 0 if self._accept(clusters, offers) else still + 1
             self._member.report(cost=self._shown_cost())
 
-    def _lead(self, clusters: Sequence[Cluster], steps: int, k: int) -> list[Any] | None:
+    def _lead(
+        self, clusters: Sequence[Cluster], steps: int, k: int
+    ) -> list[Any] | None:
         """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
         own = next((c for c in clusters if self._i in c.leaders), None)
         if own is None or not own.tasks:
@@ -158,7 +200,11 @@ class DistributedColumns:
         """Take over the best offer of each cluster; returns whether there was any."""
         better = False
         for cluster in clusters:
-            made = [(list(offers[i][0]), i) for i in cluster.leaders if offers[i] is not None]
+            made = [
+                (list(offers[i][0]), i)
+                for i in cluster.leaders
+                if offers[i] is not None
+            ]
             if made:
                 self.routes.update(_unflat(offers[min(made)[1]][1]))
                 better = True
@@ -185,11 +231,19 @@ class DistributedColumns:
         """The routes of the proof's plan, where it is better than the one in force."""
         if proof.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
-            raise SolverError(f"infeasible: no plan serves every task; {why} (robot {self._i})", "infeasible")
+            raise SolverError(
+                f"infeasible: no plan serves every task; {why} (robot {self._i})",
+                "infeasible",
+            )
         if proof.best is None:
             return
-        weight, vehicles = self._member.vehicle_weight, len(proof.best.routes)
-        worth = [vehicles, proof.best.cost - weight * vehicles] if weight else [proof.best.cost]
+        weight = self._member.vehicle_weight
+        vehicles = len(proof.best.routes)
+        worth = (
+            [vehicles, proof.best.cost - weight * vehicles]
+            if weight
+            else [proof.best.cost]
+        )
         if not _better([0, *worth], self._worth(self.routes)):
             return
         for i in self._robots:
@@ -199,10 +253,14 @@ class DistributedColumns:
         """Stops of the shortest route of robot i that serves exactly these."""
         chosen = np.array(tasks, dtype=np.int64)
         vehicle = restricted(self._robots[i], chosen).vehicle
-        stops, _ = shortest_route(vehicle, range(len(tasks)), self._member.local.objective)
+        stops, _ = shortest_route(
+            vehicle, range(len(tasks)), self._member.local.objective
+        )
         return renamed(stops, chosen, self._m)
 
-    def _assignment(self, bound: float | None, relaxation: str | None = None) -> Assignment:
+    def _assignment(
+        self, bound: float | None, relaxation: str | None = None
+    ) -> Assignment:
         left = self._missing()
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
@@ -217,13 +275,19 @@ class DistributedColumns:
         sets = {i: tuple(tasks_of(stops, self._m)) for i, stops in self.routes.items()}
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
 
-    def _worth(self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None) -> list[float]:
+    def _worth(
+        self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None
+    ) -> list[float]:
         """By what plans are compared: how many tasks are missing that must be served, then what is minimised, in order.
 
         The first of these is with the refusals. Of what is left out only `tasks` count, all if None.
         """
         left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
-        flights = [self._flown(i, tuple(stops)) for i, stops in sorted(routes.items()) if len(stops)]
+        flights = [
+            self._flown(i, tuple(stops))
+            for i, stops in sorted(routes.items())
+            if len(stops)
+        ]
         value = {
             TOTAL: math.fsum(length for length, _ in flights),
             MAKESPAN: max((finish for _, finish in flights), default=0.0),
@@ -232,7 +296,11 @@ class DistributedColumns:
         first, *rest = (value[name] for name in self._member.local.objective)
         refusals = self._refusal[left]
         refused = np.isfinite(refusals)
-        return [float(np.count_nonzero(~refused)), first + math.fsum(refusals[refused]), *rest]
+        return [
+            float(np.count_nonzero(~refused)),
+            first + math.fsum(refusals[refused]),
+            *rest,
+        ]
 
     def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
         if (i, stops) not in self._costs:
@@ -242,7 +310,9 @@ class DistributedColumns:
 
 def _better(new: Sequence[float], old: Sequence[float]) -> bool:
     """Whether `new` is less at the first place where they differ."""
-    return next((a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False)
+    return next(
+        (a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False
+    )
 
 
 def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:
@@ -250,7 +320,11 @@ def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:
     ids = sorted(routes)
     stops = [s for i in ids for s in routes[i]]
     sizes = [len(routes[i]) for i in ids]
-    return [np.array(ids, np.int32), np.array(sizes, np.int32), np.array(stops, np.int32)]
+    return [
+        np.array(ids, np.int32),
+        np.array(sizes, np.int32),
+        np.array(stops, np.int32),
+    ]
 
 
 def _unflat(parts: Sequence[Any]) -> dict[int, list[int]]:

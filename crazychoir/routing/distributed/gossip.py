@@ -34,8 +34,11 @@ class Gossip:
     """
 
     def __init__(self, member: Member) -> None:
-        self._member, self._i = member, member.place.robot
-        self.master = Master(member.unserved, SPREAD, {i: len(same) for i, same in member.alike.items()})
+        self._member = member
+        self._i = member.place.robot
+        self.master = Master(
+            member.unserved, SPREAD, {i: len(same) for i, same in member.alike.items()}
+        )
         self.pool = Pool(len(member.local.tasks))
         self.bound = Bound()
         self._told: set[Any] = set()
@@ -62,7 +65,9 @@ class Gossip:
         for _ in range(settings.passes):
             best = yield from self._spread(best)
             value, pi, used, reward = yield from self._agree(best)
-            news = yield from improve(self.bound, self._member, self.pool, pi, settings.batch, reward)
+            news = yield from improve(
+                self.bound, self._member, self.pool, pi, settings.batch, reward
+            )
             if not news or value - self.bound.value <= self._member.tolerance(value):
                 break
             for robot, column in self.pool.items():
@@ -77,7 +82,9 @@ class Gossip:
             self._member.kind = "bases"
             heard = yield [self._latest, self._news()]
             learned = self._learn([news for _, news in heard.values()])
-            self._latest = max([self._latest, *(int(latest) for latest, _ in heard.values())])
+            self._latest = max(
+                [self._latest, *(int(latest) for latest, _ in heard.values())]
+            )
             if learned:
                 size = len(self.master)
                 best = self._priced()
@@ -101,11 +108,16 @@ class Gossip:
 
     def _priced(self) -> Relaxation:
         """The relaxation after own pricing, until no own column has a negative reduced cost."""
-        member, batch = self._member, self._member.settings.batch
+        member = self._member
+        batch = self._member.settings.batch
         while True:
             best = self.master.relax()
             below = self.master.sigma(self._i) - TOLERANCE
-            own = member.table.cheapest(best.prices, batch, below, best.reward) if member.speaks else []
+            own = (
+                member.table.cheapest(best.prices, batch, below, best.reward)
+                if member.speaks
+                else []
+            )
             if not self.master.add(self._i, own):
                 member.report(relaxed=float(best.value))
                 return best

@@ -48,7 +48,9 @@ class InsertionBids:
     def scores(self, path: Stops) -> Vec:
         """(M,) of the tasks that are not in the route."""
         tours = self._tours(path)
-        growth = np.array([self._cheapest(tours, j)[0] for j in range(len(self._worth))])
+        growth = np.array(
+            [self._cheapest(tours, j)[0] for j in range(len(self._worth))]
+        )
         growth[tours.at >= 0] = np.inf
         scores = self._worth - growth
         return np.where(self._must | (scores > 0.0), scores, -np.inf)
@@ -60,7 +62,9 @@ class InsertionBids:
         if cost == np.inf:
             raise SolverError(f"a route with task {task}", "infeasible")
         insert(self._fleet, tours, 0, task, first, second)
-        return tuple(np.minimum(tours.stop[0, 1 : tours.stops[0] + 1], self._end).tolist())
+        return tuple(
+            np.minimum(tours.stop[0, 1 : tours.stops[0] + 1], self._end).tolist()
+        )
 
     def _cheapest(self, tours: Tours, j: int) -> Any:
         return cheapest(self._fleet, tours, self._extra, j, 0, ANYWHERE, ANYWHERE)
@@ -76,13 +80,19 @@ def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
 
     Raises SolverError, at every robot alike, where a task that must be served is left to nobody.
     """
-    place, tasks, bidder = member.place, len(member.local.tasks), InsertionBids(member.local)
+    place = member.place
+    tasks = len(member.local.tasks)
+    bidder = InsertionBids(member.local)
     member.report(phase="bids")
     member.kind = "bids"
     if method == "auction":
-        bundle = yield from sequential_auction(place.robot, bidder, tasks, place.diameter)
+        bundle = yield from sequential_auction(
+            place.robot, bidder, tasks, place.diameter
+        )
     else:
-        bundle = yield from _rounds_of(CBBA(place.robot, bidder, range(place.robots), tasks, place.diameter))
+        bundle = yield from _rounds_of(
+            CBBA(place.robot, bidder, range(place.robots), tasks, place.diameter)
+        )
     missing = [j for j in bundle.open_tasks if np.isinf(member.local.tasks.refusal[j])]
     if missing:
         names = ", ".join(map(str, missing))

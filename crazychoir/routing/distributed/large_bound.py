@@ -13,7 +13,10 @@ from crazychoir.routing.distributed.member import Member
 from crazychoir.routing.distributed.packing import packed, unpacked
 from crazychoir.routing.pricing.bidirectional_pricing import Halves
 from crazychoir.routing.pricing.labels import MOST_TASKS
-from crazychoir.routing.pricing.reduced_cost import least_reduced_cost, relaxed_reduced_cost
+from crazychoir.routing.pricing.reduced_cost import (
+    least_reduced_cost,
+    relaxed_reduced_cost,
+)
 from crazychoir.routing.pricing.route_table import Column
 from crazychoir.types import Vec
 
@@ -47,7 +50,8 @@ class LargeBound:
     """
 
     def __init__(self, member: Member, plan: Sequence[tuple[int, Column]]) -> None:
-        self._member, self._i = member, member.place.robot
+        self._member = member
+        self._i = member.place.robot
         speaker = {i: same[0] for same in member.alike.values() for i in same}
         self._plan = [(speaker[i], column) for i, column in plan]
         self._halves: Halves | None = None
@@ -56,24 +60,43 @@ class LargeBound:
 
     def run(self) -> Exchange[None]:
         """Passes; all robots end in the same round with the same value."""
-        member, settings = self._member, self._member.settings
+        member = self._member
+        settings = self._member.settings
         member.report(phase="bound")
         member.kind = "columns"
         self._halves = self._listed()
-        master = Master(member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()})
+        master = Master(
+            member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()}
+        )
         for robot, column in self._plan:
             master.add(robot, [column])
-        best, centre, pi, drawn = -np.inf, self._start(), self._start(), True
+        best = -np.inf
+        centre = self._start()
+        pi = self._start()
+        drawn = True
         for _ in range(settings.passes * 2):
             known = yield from flood(self._i, self._priced(pi), member.place.diameter)
             told = {i: known[i] for i in member.alike}
             if any(least == -np.inf for least, _, _ in told.values()):
                 break
-            value = math.fsum([*pi, *(len(member.alike[i]) * least for i, (least, _, _) in told.items())])
-            self.relaxation = None if all(exact for _, exact, _ in told.values()) else NG_ROUTE
+            value = math.fsum(
+                [
+                    *pi,
+                    *(
+                        len(member.alike[i]) * least
+                        for i, (least, _, _) in told.items()
+                    ),
+                ]
+            )
+            self.relaxation = (
+                None if all(exact for _, exact, _ in told.values()) else NG_ROUTE
+            )
             if value > best:
-                best, centre = value, pi
-            new = sum(master.add(i, unpacked(columns)) for i, (_, _, columns) in told.items())
+                best = value
+                centre = pi
+            new = sum(
+                master.add(i, unpacked(columns)) for i, (_, _, columns) in told.items()
+            )
             if not new and not drawn:
                 break
             relaxed, prices = yield from self._agree(master)
@@ -86,8 +109,13 @@ class LargeBound:
 
     def _listed(self) -> Halves | None:
         """All halves of own routes, where they are not too many."""
-        member, vehicle = self._member, self._member.local.vehicle
-        if not (member.speaks and Halves.fits(vehicle) and len(vehicle.servable) <= MOST_TASKS):
+        member = self._member
+        vehicle = self._member.local.vehicle
+        if not (
+            member.speaks
+            and Halves.fits(vehicle)
+            and len(vehicle.servable) <= MOST_TASKS
+        ):
             return None
         halves = Halves(vehicle, HALF * member.settings.most_labels)
         return halves if halves.complete else None
@@ -107,7 +135,9 @@ class LargeBound:
         member = self._member
         if not member.speaks:
             return None
-        vehicle, batch, most = member.local.vehicle, member.settings.batch, member.settings.most_labels // 3
+        vehicle = member.local.vehicle
+        batch = member.settings.batch
+        most = member.settings.most_labels // 3
         if self._halves is not None:
             columns = self._halves.cheapest(pi, batch, 0.0)
             values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
@@ -124,5 +154,7 @@ class LargeBound:
         if self._i < self._member.settings.searchers:
             relaxed = master.relax()
             own = [relaxed.value, self._i, relaxed.prices]
-        value, _, prices = (yield from best_offer(own, self._member.place.diameter)) or [np.inf, 0, self._start()]
+        value, _, prices = (
+            yield from best_offer(own, self._member.place.diameter)
+        ) or [np.inf, 0, self._start()]
         return float(value), np.asarray(prices)

@@ -16,8 +16,14 @@ GOLDEN = 0.6180339887498949
 STATUS = highspy.HighsModelStatus
 NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
 """Where a search over x in [0, 1] says so, there is no choice."""
-REACHED = (STATUS.kOptimal, *NONE, STATUS.kSolutionLimit, STATUS.kIterationLimit, STATUS.kObjectiveBound,
-           STATUS.kObjectiveTarget)  # fmt: skip
+REACHED = (
+    STATUS.kOptimal,
+    *NONE,
+    STATUS.kSolutionLimit,
+    STATUS.kIterationLimit,
+    STATUS.kObjectiveBound,
+    STATUS.kObjectiveTarget,
+)
 """Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
 ROUNDED = 1e-6
 """Of a number of columns: as much above a whole number is that number."""
@@ -65,7 +71,10 @@ class Pool:
 
     def items(self) -> list[tuple[int, Column]]:
         """(robot, column), in the order (robot, tasks)."""
-        return [(robot, Column(self._length[robot, tasks], tasks)) for robot, tasks in sorted(self._length)]
+        return [
+            (robot, Column(self._length[robot, tasks], tasks))
+            for robot, tasks in sorted(self._length)
+        ]
 
     def add(self, robot: int, columns: Iterable[Column]) -> int:
         """Take columns of a robot; returns how many are new or shorter than known."""
@@ -103,23 +112,45 @@ class Master:
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
-    def __init__(self, penalty: Vec, spread: float = 0.0, number: Mapping[int, int] | None = None) -> None:
-        self._spread, self._penalty, self._number = spread, penalty, number or {}
-        self._highs, self._tasks = quiet_highs(), len(penalty)
+    def __init__(
+        self, penalty: Vec, spread: float = 0.0, number: Mapping[int, int] | None = None
+    ) -> None:
+        self._spread = spread
+        self._penalty = penalty
+        self._number = number or {}
+        self._highs = quiet_highs()
+        self._tasks = len(penalty)
         self._columns: list[tuple[int, Column]] = []
         self._index: dict[Key, int] = {}
         self._row: dict[int, int] = {}
         self._count: tuple[int, int] | None = None
         for j, price in enumerate(penalty):
-            self._highs.addRow(self._raised(j), highspy.kHighsInf, 0, np.array([], np.int32), np.array([]))
-            self._highs.addCol(float(price), 0.0, highspy.kHighsInf, 1, np.array([j], np.int32), np.ones(1))
+            self._highs.addRow(
+                self._raised(j),
+                highspy.kHighsInf,
+                0,
+                np.array([], np.int32),
+                np.array([]),
+            )
+            self._highs.addCol(
+                float(price),
+                0.0,
+                highspy.kHighsInf,
+                1,
+                np.array([j], np.int32),
+                np.ones(1),
+            )
 
     def __len__(self) -> int:
         return len(self._columns)
 
     def add(self, robot: int, columns: Iterable[Column]) -> int:
         """Take columns of a robot; returns how many are new or shorter than known."""
-        new = [column for column in columns if column.tasks and self._is_news(robot, column)]
+        new = [
+            column
+            for column in columns
+            if column.tasks and self._is_news(robot, column)
+        ]
         if new:
             self._append(self._row_of(robot), new)
         return len(new)
@@ -137,7 +168,9 @@ class Master:
         if robot not in self._row:
             self._row[robot] = self._highs.getNumRow()
             most = self._raised(self._tasks + robot, self._number.get(robot, 1))
-            self._highs.addRow(-highspy.kHighsInf, most, 0, np.array([], np.int32), np.array([]))
+            self._highs.addRow(
+                -highspy.kHighsInf, most, 0, np.array([], np.int32), np.array([])
+            )
         return self._row[robot]
 
     def _raised(self, row: int, number: int = 1) -> float:
@@ -149,17 +182,25 @@ class Master:
         rows = [[*column.tasks, *common] for column in columns]
         starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
         index = np.array([r for column in rows for r in column], dtype=np.int32)
-        n, cost = len(columns), np.array([column.length for column in columns])
+        n = len(columns)
+        cost = np.array([column.length for column in columns])
         free = np.full(n, highspy.kHighsInf)
-        self._highs.addCols(n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index)))
+        self._highs.addCols(
+            n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index))
+        )
 
     def at_least(self, robots: int, reward: float) -> None:
         """Ask for `robots` = n columns in all, each that is missing at the cost `reward` = f in m; once."""
-        row, n = self._highs.getNumRow(), len(self)
+        row = self._highs.getNumRow()
+        n = len(self)
         self._count = row, robots
         index = np.arange(self._tasks, self._tasks + n, dtype=np.int32)
-        self._highs.addRow(self._raised(row, robots), highspy.kHighsInf, n, index, np.ones(n))
-        self._highs.addCol(reward, 0.0, highspy.kHighsInf, 1, np.array([row], np.int32), np.ones(1))
+        self._highs.addRow(
+            self._raised(row, robots), highspy.kHighsInf, n, index, np.ones(n)
+        )
+        self._highs.addCol(
+            reward, 0.0, highspy.kHighsInf, 1, np.array([row], np.int32), np.ones(1)
+        )
         self._columns.append((-1, Column(reward, ())))  # keeps its place
 
     def relax(self) -> Relaxation:
@@ -169,12 +210,18 @@ class Master:
         if status != highspy.HighsModelStatus.kOptimal:
             raise SolverError("restricted master, relaxed", status.name)
         dual = np.array(self._highs.getSolution().row_dual)
-        self._sigma = {robot: min(0.0, float(dual[row])) for robot, row in self._row.items()}
+        self._sigma = {
+            robot: min(0.0, float(dual[row])) for robot, row in self._row.items()
+        }
         prices = np.clip(dual[: self._tasks], 0.0, self._penalty)
-        saved = [self._number.get(robot, 1) * sigma for robot, sigma in self._sigma.items()]
+        saved = [
+            self._number.get(robot, 1) * sigma for robot, sigma in self._sigma.items()
+        ]
         row, robots = self._count or (0, 0)
         reward = max(0.0, float(dual[row])) if self._count else 0.0
-        return Relaxation(math.fsum([*prices, *saved, robots * reward]), prices, self._used, reward)
+        return Relaxation(
+            math.fsum([*prices, *saved, robots * reward]), prices, self._used, reward
+        )
 
     def sigma(self, robot: int) -> float:
         """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""
@@ -184,19 +231,32 @@ class Master:
     def basis(self) -> list[tuple[int, Column]]:
         """Columns of the last basis, in the order of their arrival."""
         _, basic = self._highs.getBasicVariables()
-        basis = [self._columns[int(k) - self._tasks] for k in np.sort(basic) if k >= self._tasks]
+        basis = [
+            self._columns[int(k) - self._tasks]
+            for k in np.sort(basic)
+            if k >= self._tasks
+        ]
         return [(robot, column) for robot, column in basis if column.tasks]
 
     @property
     def _used(self) -> float:
         x = self._highs.getSolution().col_value[self._tasks :]
-        return math.fsum(part for part, (_, column) in zip(x, self._columns, strict=True) if column.tasks)
+        return math.fsum(
+            part
+            for part, (_, column) in zip(x, self._columns, strict=True)
+            if column.tasks
+        )
 
 
 def partition(
-    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, known: Routes | None = None,
-    alike: Mapping[int, Sequence[int]] | None = None, most: int | None = None,
-) -> Partition:  # fmt: skip
+    columns: list[tuple[int, Column]],
+    tasks: int,
+    seed: int,
+    nodes: int,
+    known: Routes | None = None,
+    alike: Mapping[int, Sequence[int]] | None = None,
+    most: int | None = None,
+) -> Partition:
     """The cheapest choice of columns that serves each task exactly once.
 
         min  sum length_c x_c
@@ -210,26 +270,48 @@ def partition(
     number = {robot: len(robots) for robot, robots in same.items()}
     start = None
     if known is not None:
-        start = np.array([float(any(known.get(i) == c.tasks for i in same[robot])) for robot, c in columns])
+        start = np.array(
+            [
+                float(any(known.get(i) == c.tasks for i in same[robot]))
+                for robot, c in columns
+            ]
+        )
     highs = _searched(_model(columns, tasks, seed, number, most), nodes, start)
-    if highs.getModelStatus() not in REACHED:  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
+    if (
+        highs.getModelStatus() not in REACHED
+    ):  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
         highs = _model(columns, tasks, seed, number, most)
         highs.setOptionValue("presolve", "off")
         highs = _searched(highs, nodes, None)
-    status, info = highs.getModelStatus(), highs.getInfo()
+    status = highs.getModelStatus()
+    info = highs.getInfo()
     if status not in REACHED:
         raise SolverError(f"set partitioning of {len(columns)} columns", status.name)
-    if info.primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
-        return Partition(np.inf, {}, np.inf if not columns or status in NONE else -np.inf)
-    chosen = [c for c, x in zip(columns, highs.getSolution().col_value, strict=True) if x > 0.5]
+    if info.primal_solution_status != int(
+        highspy.SolutionStatus.kSolutionStatusFeasible
+    ):
+        return Partition(
+            np.inf, {}, np.inf if not columns or status in NONE else -np.inf
+        )
+    chosen = [
+        c
+        for c, x in zip(columns, highs.getSolution().col_value, strict=True)
+        if x > 0.5
+    ]
     cost = sum(column.length for _, column in chosen)
     return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
 
 
 def fewest(
-    columns: list[tuple[int, Column]], tasks: int, seed: int, nodes: int, weight: float, least: int,
-    known: Routes | None = None, alike: Mapping[int, Sequence[int]] | None = None,
-) -> Partition:  # fmt: skip
+    columns: list[tuple[int, Column]],
+    tasks: int,
+    seed: int,
+    nodes: int,
+    weight: float,
+    least: int,
+    known: Routes | None = None,
+    alike: Mapping[int, Sequence[int]] | None = None,
+) -> Partition:
     """The choice of the fewest columns, of those the shortest, that serves each task exactly once.
 
         n* = min sum_c x_c,    then  min sum (length_c - weight) x_c  s.t.  sum_c x_c <= n*
@@ -246,8 +328,13 @@ def fewest(
             return few
         known = few.routes
         count = len(known)
-        least = max(least, math.ceil(few.bound - ROUNDED)) if few.bound > -np.inf else least
-    light = [(robot, Column(column.length - weight, column.tasks)) for robot, column in columns]
+        least = (
+            max(least, math.ceil(few.bound - ROUNDED)) if few.bound > -np.inf else least
+        )
+    light = [
+        (robot, Column(column.length - weight, column.tasks))
+        for robot, column in columns
+    ]
     found = partition(light, tasks, seed, nodes, known, alike, count)
     if found.cost == np.inf:
         return Partition(np.inf, {}, np.inf if found.bound == np.inf else -np.inf)
@@ -263,7 +350,9 @@ def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Hi
     """After branch and bound over binary columns."""
     n = highs.getNumCol()
     index = np.arange(n, dtype=np.int32)
-    highs.changeColsIntegrality(n, index, np.full(n, int(highspy.HighsVarType.kInteger), np.uint8))
+    highs.changeColsIntegrality(
+        n, index, np.full(n, int(highspy.HighsVarType.kInteger), np.uint8)
+    )
     highs.setOptionValue("mip_rel_gap", 0.0)
     highs.setOptionValue("mip_max_nodes", nodes)
     if start is not None:
@@ -272,17 +361,24 @@ def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Hi
     return highs
 
 
-def _shared_out(chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]) -> Routes:
+def _shared_out(
+    chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]
+) -> Routes:
     """Each column to a robot of its own."""
     free = {robot: iter(robots) for robot, robots in same.items()}
     return {next(free[robot]): column.tasks for robot, column in chosen}
 
 
 def _model(
-    columns: list[tuple[int, Column]], tasks: int, seed: int, number: Mapping[int, int], most: int | None
+    columns: list[tuple[int, Column]],
+    tasks: int,
+    seed: int,
+    number: Mapping[int, int],
+    most: int | None,
 ) -> highspy.Highs:
     """Rows: tasks = 1, robots in use <= number, all columns <= most; columns in the given order, 0 <= x <= 1."""
-    highs, robots = quiet_highs(seed), sorted(number)
+    highs = quiet_highs(seed)
+    robots = sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])
     for _ in range(tasks):
@@ -296,6 +392,9 @@ def _model(
     rows = [[*column.tasks, row_of[robot], *last] for robot, column in columns]
     starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
     index = np.array([r for column in rows for r in column], dtype=np.int32)
-    n, cost = len(columns), np.array([column.length for _, column in columns])
-    highs.addCols(n, cost, np.zeros(n), np.ones(n), len(index), starts, index, np.ones(len(index)))
+    n = len(columns)
+    cost = np.array([column.length for _, column in columns])
+    highs.addCols(
+        n, cost, np.zeros(n), np.ones(n), len(index), starts, index, np.ones(len(index))
+    )
     return highs

@@ -127,15 +127,21 @@ class Member:
 
     def tolerance(self, value: float) -> float:
         """m, below which values of the relaxations differ by rounding: relative, of the lengths in the value alone."""
-        lengths = math.remainder(value, self.vehicle_weight) if self.vehicle_weight else value
+        lengths = (
+            math.remainder(value, self.vehicle_weight) if self.vehicle_weight else value
+        )
         return self.settings.tolerance * max(1.0, abs(lengths))
 
     def least_vehicles(self, bound: float) -> int:
         """How many vehicles leave in every plan, by a bound of it, where vehicles are counted first.
 
-            W n + T >= bound,   T <= W / 2    =>    n >= bound / W - 1/2
+        W n + T >= bound,   T <= W / 2    =>    n >= bound / W - 1/2
         """
-        return max(0, math.ceil(bound / self.vehicle_weight - 0.5)) if bound > -math.inf else 0
+        return (
+            max(0, math.ceil(bound / self.vehicle_weight - 0.5))
+            if bound > -math.inf
+            else 0
+        )
 
     @property
     def speaks(self) -> bool:
@@ -145,7 +151,8 @@ class Member:
     @cached_property
     def table(self) -> RouteTable:
         """All routes of this robot; made at the first use."""
-        vehicle, most = self.local.vehicle, self.settings.most_labels
+        vehicle = self.local.vehicle
+        most = self.settings.most_labels
         if not (vehicle.timed or np.isfinite(vehicle.farthest)):
             most //= 3  # without limits each task trebles their number: more labels are wasted
         return RouteTable(vehicle, most, self.local.objective)
@@ -159,7 +166,9 @@ class Member:
         A task at a still higher price stays unserved in the relaxations: the bound is weaker then, never wrong. Plans
         are not compared by it.
         """
-        return np.full(len(self.local.tasks), self.fixed + self.settings.penalty * self.reach)
+        return np.full(
+            len(self.local.tasks), self.fixed + self.settings.penalty * self.reach
+        )
 
     @cached_property
     def unserved(self) -> Vec:
@@ -174,15 +183,22 @@ class Member:
         Where goods hardly move it is a part of the diagonal of where they are; 1 m if all are in one place.
         """
         tasks = self.local.tasks
-        moved = 2.0 * float(np.linalg.norm(tasks.pickup - tasks.delivery, axis=1).mean())
-        spread = float(np.linalg.norm(np.ptp(np.vstack([tasks.pickup, tasks.delivery]), axis=0)))
+        moved = 2.0 * float(
+            np.linalg.norm(tasks.pickup - tasks.delivery, axis=1).mean()
+        )
+        spread = float(
+            np.linalg.norm(np.ptp(np.vstack([tasks.pickup, tasks.delivery]), axis=0))
+        )
         return max(moved, spread / 4.0) or 1.0
 
     def fingerprint(self, method: str) -> str:
         """Hash of all that the team must have in common."""
-        local, place = self.local, self.place
+        local = self.local
+        place = self.place
         common = [local.tasks.to_json(), local.objective]
-        return sha256([common, method, asdict(self.settings), place.robots, place.diameter])
+        return sha256(
+            [common, method, asdict(self.settings), place.robots, place.diameter]
+        )
 
     def report(self, **news: object) -> None:
         """Replace fields of `progress`."""
@@ -192,5 +208,13 @@ class Member:
 def reach(local: LocalProblem) -> float:
     """m, at least any way of the robot between two places: the diagonal of all, or the longest of its matrix."""
     own = [point for point in (local.home, local.start, local.end) if point is not None]
-    diagonal = float(np.linalg.norm(np.ptp(np.vstack([local.tasks.pickup, local.tasks.delivery, *own]), axis=0)))
-    return diagonal if local.distance is None else max(diagonal, float(local.distance.max()))
+    diagonal = float(
+        np.linalg.norm(
+            np.ptp(np.vstack([local.tasks.pickup, local.tasks.delivery, *own]), axis=0)
+        )
+    )
+    return (
+        diagonal
+        if local.distance is None
+        else max(diagonal, float(local.distance.max()))
+    )

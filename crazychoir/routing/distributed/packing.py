@@ -13,11 +13,18 @@ def packed(columns: Sequence[Column]) -> list[Any]:
     """Lengths (K,), numbers of tasks (K,), and all tasks in a row: arrays cross the codec in no time."""
     tasks = [j for column in columns for j in column.tasks]
     sizes = [len(column.tasks) for column in columns]
-    return [np.array([c.length for c in columns], dtype=float), np.array(sizes, np.int16), np.array(tasks, np.int16)]
+    return [
+        np.array([c.length for c in columns], dtype=float),
+        np.array(sizes, np.int16),
+        np.array(tasks, np.int16),
+    ]
 
 
 def unpacked(parts: Sequence[Any]) -> list[Column]:
     """What `packed` packed."""
     lengths, sizes, tasks = (part.tolist() for part in parts)
     ends = list(accumulate(sizes))
-    return [Column(length, tuple(tasks[end - n : end])) for length, n, end in zip(lengths, sizes, ends, strict=True)]
+    return [
+        Column(length, tuple(tasks[end - n : end]))
+        for length, n, end in zip(lengths, sizes, ends, strict=True)
+    ]

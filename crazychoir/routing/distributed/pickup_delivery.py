@@ -63,12 +63,16 @@ class PickupDelivery(Program[Solution]):
         settings: Settings | None = None,
     ) -> None:
         if method not in METHODS:
-            raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
+            raise ConfigError(
+                "method", method, ", ".join(METHODS), "Choose one of them."
+            )
         if method in BY_PRICES:
             _require_prices(local, method)
         if method in BY_CLAIMS:
             _require_service(local, method)
-        place = Place(local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of))
+        place = Place(
+            local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of)
+        )
         self._member = Member(local, place, settings or Settings())
         self._method = method
         self.history: list[tuple[int, float | None, float | None]] = []
@@ -79,7 +83,10 @@ class PickupDelivery(Program[Solution]):
     def solution(self) -> Solution:
         """What this robot knows of the plan; only when `done`."""
         if not self.done:
-            raise SolverError(f"robot {self._member.place.robot}: {self._method}", f"not done in round {self.k}")
+            raise SolverError(
+                f"robot {self._member.place.robot}: {self._method}",
+                f"not done in round {self.k}",
+            )
         return self.result
 
     @property
@@ -92,7 +99,9 @@ class PickupDelivery(Program[Solution]):
         member = self._member
         member.report(round=self.k + 1)
         size = len(encode(self.message())) * len(member.place.neighbors)
-        member.bytes_by_kind[member.kind] = member.bytes_by_kind.get(member.kind, 0) + size
+        member.bytes_by_kind[member.kind] = (
+            member.bytes_by_kind.get(member.kind, 0) + size
+        )
         super().step(heard)
         now = member.progress
         if not self.history or (now.relaxed, now.cost) != self.history[-1][1:]:
@@ -105,18 +114,24 @@ class PickupDelivery(Program[Solution]):
             assignment = yield from DistributedColumns(self._member).run()
             return (yield from self._confirm(assignment, distributed_columns.DISCLOSED))
         if self._method in insertion_bids.METHODS:
-            assignment = yield from insertion_bids.insertion_plan(self._member, self._method)
+            assignment = yield from insertion_bids.insertion_plan(
+                self._member, self._method
+            )
             return (yield from self._confirm(assignment, insertion_bids.DISCLOSED))
         self._member.kind = "prices"
         prices = PriceRounds(self._member)
         yield from prices.run()
         if self._method == "resource-columns":
             self._member.kind = "columns"
-            assignment, disclosed = (yield from ColumnRecovery(self._member, prices).run()), DISCLOSED
+            assignment = yield from ColumnRecovery(self._member, prices).run()
+            disclosed = DISCLOSED
         else:
             self._member.kind = "claims"
-            recovery = ResourceRecovery(self._member, prices, by_share=self._method == "resource-argmax")
-            assignment, disclosed = (yield from recovery.run()), recovery.disclosed
+            recovery = ResourceRecovery(
+                self._member, prices, by_share=self._method == "resource-argmax"
+            )
+            assignment = yield from recovery.run()
+            disclosed = recovery.disclosed
         return (yield from self._confirm(assignment, disclosed))
 
     def _hello(self) -> Exchange[None]:
@@ -132,32 +147,58 @@ class PickupDelivery(Program[Solution]):
                 "Start all agents with the same instance file and options.",
             )
 
-    def _confirm(self, assignment: Assignment, disclosed: tuple[str, ...]) -> Exchange[Solution]:
+    def _confirm(
+        self, assignment: Assignment, disclosed: tuple[str, ...]
+    ) -> Exchange[Solution]:
         """Flood lengths and hashes of the routes, then the plan's hash; all must be equal."""
-        member, place = self._member, self._member.place
+        member = self._member
+        place = self._member.place
         member.report(phase="confirm", violation=0.0)
         member.kind = "plans"
         nodes, length = self._own_route(assignment)
-        vehicle, objective = member.local.vehicle, member.local.objective
+        vehicle = member.local.vehicle
+        objective = member.local.objective
         finish = vehicle.finish(nodes) if MAKESPAN in objective else None
-        route = Route.from_nodes(place.robot, nodes, len(member.local.tasks), length, finish)
+        route = Route.from_nodes(
+            place.robot, nodes, len(member.local.tasks), length, finish
+        )
         fixed = 0.0 if member.vehicle_weight else vehicle.fixed
-        amount = finish if objective[0] == MAKESPAN else length + fixed if nodes else 0.0
-        known = yield from flood(place.robot, [amount, route.digest if nodes else "", route.tasks], place.diameter)
+        amount = (
+            finish if objective[0] == MAKESPAN else length + fixed if nodes else 0.0
+        )
+        known = yield from flood(
+            place.robot,
+            [amount, route.digest if nodes else "", route.tasks],
+            place.diameter,
+        )
         amounts = [float(value) for value, _, _ in known.values()]
         served = [j for _, _, tasks in known.values() for j in tasks]
-        refused = np.setdiff1d(np.arange(len(member.local.tasks)), np.array(served, dtype=np.int64))
+        refused = np.setdiff1d(
+            np.arange(len(member.local.tasks)), np.array(served, dtype=np.int64)
+        )
         penalties = math.fsum(member.local.tasks.penalty[refused])
         twice = sorted({j for j in served if served.count(j) > 1})
         if twice or penalties == math.inf:
-            what = f"task(s) {twice} are served twice" if twice else "a task that must be served is left out"
-            raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {what}")
-        cost = (max(amounts) if objective[0] == MAKESPAN else sum(amounts, 0.0)) + penalties
+            what = (
+                f"task(s) {twice} are served twice"
+                if twice
+                else "a task that must be served is left out"
+            )
+            raise SolverError(
+                f"robot {place.robot}: confirmation",
+                f"different plans at the robots: {what}",
+            )
+        cost = (
+            max(amounts) if objective[0] == MAKESPAN else sum(amounts, 0.0)
+        ) + penalties
         vehicles = sum(1 for _, text, _ in known.values() if text)
         digest = digest_of({i: text for i, (_, text, _) in known.items() if text})
         heard = yield from flood(place.robot, digest, place.diameter)
         if any(other != digest for other in heard.values()):
-            raise SolverError(f"robot {place.robot}: confirmation", f"different plans at the robots: {heard}")
+            raise SolverError(
+                f"robot {place.robot}: confirmation",
+                f"different plans at the robots: {heard}",
+            )
         member.report(phase="done", cost=cost)
         bound, vehicles_bound = self._bound(assignment, cost, vehicles)
         return Solution(
@@ -175,7 +216,9 @@ class PickupDelivery(Program[Solution]):
             vehicles_bound=vehicles_bound,
         )
 
-    def _bound(self, assignment: Assignment, cost: float, vehicles: int) -> tuple[float | None, int | None]:
+    def _bound(
+        self, assignment: Assignment, cost: float, vehicles: int
+    ) -> tuple[float | None, int | None]:
         """What is proven of the cost: nothing where prices add up what counts otherwise; and of the number of vehicles,
         where they are counted first. The bound of the cost is then that of plans with so few vehicles, and there is
         none for a plan that may have more.
@@ -183,8 +226,13 @@ class PickupDelivery(Program[Solution]):
         A sum of finishing times is no makespan, and refusals weighed by priority are no cost. Only rounding is clipped:
         a bound above the cost of a plan is none, and neither is any other of its kind; all robots see it alike.
         """
-        local, tolerance = self._member.local, ROUNDING * self._member.settings.tolerance
-        if assignment.lower_bound is None or local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
+        local = self._member.local
+        tolerance = ROUNDING * self._member.settings.tolerance
+        if (
+            assignment.lower_bound is None
+            or local.objective[0] == MAKESPAN
+            or (local.tasks.priority > 0).any()
+        ):
             return None, None
         weight = self._member.vehicle_weight
         bound = assignment.lower_bound - weight * vehicles
@@ -200,7 +248,9 @@ class PickupDelivery(Program[Solution]):
         """Stops and length in m of this robot's route."""
         local = self._member.local
         if assignment.stops is None:
-            return shortest_route(local.vehicle, assignment.routes.get(local.robot, ()), local.objective)
+            return shortest_route(
+                local.vehicle, assignment.routes.get(local.robot, ()), local.objective
+            )
         stops = list(assignment.stops.get(local.robot, ()))
         return stops, local.vehicle.length(stops) if stops else 0.0
 
@@ -209,11 +259,15 @@ def _require_prices(local: LocalProblem, method: str) -> None:
     """ConfigError where prices add up what counts otherwise: a sum of finishing times is no makespan, and refusals
     weighed by priority leave no room for what routes cost.
     """
-    found = "makespan first" if local.objective[0] == MAKESPAN else "tasks with priorities"
+    found = (
+        "makespan first" if local.objective[0] == MAKESPAN else "tasks with priorities"
+    )
     if local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
         able = [name for name in METHODS if name not in BY_PRICES]
         allowed = f"the total first and no priorities, as prices of tasks add up; or the methods {', '.join(able)}"
-        raise ConfigError(f"method {method}", found, allowed, "Take columns, or change the instance.")
+        raise ConfigError(
+            f"method {method}", found, allowed, "Take columns, or change the instance."
+        )
 
 
 def _require_service(local: LocalProblem, method: str) -> None:
@@ -223,4 +277,9 @@ def _require_service(local: LocalProblem, method: str) -> None:
         able = [name for name in METHODS if name not in BY_CLAIMS]
         found = f"a finite penalty of task(s) {', '.join(map(str, refusable))}, which may be refused"
         allowed = f"tasks that must all be served; or the methods {', '.join(able)}"
-        raise ConfigError(f"method {method}", found, allowed, "Take columns, or leave the penalties out.")
+        raise ConfigError(
+            f"method {method}",
+            found,
+            allowed,
+            "Take columns, or leave the penalties out.",
+        )

@@ -40,29 +40,52 @@ def solve_in_loop(
 
 def warm(problem: LocalProblem, method: str = METHODS[0]) -> None:
     """Compile the kernels that a solution of such a problem will need, or load them, before a clock starts; once."""
-    _warm(method, problem.objective, 2 if problem.vehicle.timed or problem.vehicle.trips > 1 else 1)
+    _warm(
+        method,
+        problem.objective,
+        2 if problem.vehicle.timed or problem.vehicle.trips > 1 else 1,
+    )
 
 
 @cache
 def _warm(method: str, objective: tuple[str, ...], trips: int) -> None:
     """Solve a small instance; messages pass the codec, as arrays that have arrived are another type for a kernel."""
     changes = {"objective": list(objective), "recharge": trips}
-    small = Instance.parse(random_instance(2, 4, seed=0, route_length_limit=60.0).to_json() | changes)
-    solve_in_loop(small, {0: [1], 1: [0]}, method, carry=lambda message: decode(encode(message)))
+    small = Instance.parse(
+        random_instance(2, 4, seed=0, route_length_limit=60.0).to_json() | changes
+    )
+    solve_in_loop(
+        small, {0: [1], 1: [0]}, method, carry=lambda message: decode(encode(message))
+    )
 
 
 def team(
-    instance: Instance, graph: Graph, method: str = METHODS[0], settings: Settings | None = None
+    instance: Instance,
+    graph: Graph,
+    method: str = METHODS[0],
+    settings: Settings | None = None,
 ) -> dict[int, PickupDelivery]:
     """One PickupDelivery a robot; each sees its own part of the instance only."""
     span = diameter(graph)
     if sorted(graph) != list(range(instance.robots)):
-        raise ConfigError("graph", sorted(graph), f"the robots 0 to {instance.robots - 1} of {instance.name}")
-    return {i: member(instance, graph, i, span, method, settings) for i in range(instance.robots)}
+        raise ConfigError(
+            "graph",
+            sorted(graph),
+            f"the robots 0 to {instance.robots - 1} of {instance.name}",
+        )
+    return {
+        i: member(instance, graph, i, span, method, settings)
+        for i in range(instance.robots)
+    }
 
 
 def member(
-    instance: Instance, graph: Graph, i: int, span: int, method: str = METHODS[0], settings: Settings | None = None
+    instance: Instance,
+    graph: Graph,
+    i: int,
+    span: int,
+    method: str = METHODS[0],
+    settings: Settings | None = None,
 ) -> PickupDelivery:
     """Robot i of the team, with its own part of the instance; span: the diameter of the graph."""
     return PickupDelivery(
@@ -82,14 +105,24 @@ def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
     Raises SolverError if the robots' digests differ, or if the routes are not those of the digest.
     """
     parts = list(solutions)
-    plan = instance.plan({route.robot: route for part in parts for route in part.routes}.values())
+    plan = instance.plan(
+        {route.robot: route for part in parts for route in part.routes}.values()
+    )
     for digest in [part.plan_digest for part in parts]:
         if digest != plan.digest:
-            raise SolverError("joining the robots' routes", f"digest {digest[:12]} announced, {plan.digest[:12]} found")
+            raise SolverError(
+                "joining the robots' routes",
+                f"digest {digest[:12]} announced, {plan.digest[:12]} found",
+            )
     sent = Counter[str]()
     for part in parts:
         sent.update(part.bytes_by_kind)
-    return replace(parts[0], routes=plan.routes, feasible=not check(instance, plan), bytes_by_kind=dict(sent))
+    return replace(
+        parts[0],
+        routes=plan.routes,
+        feasible=not check(instance, plan),
+        bytes_by_kind=dict(sent),
+    )
 
 
 def diameter(graph: Graph) -> int:
@@ -97,12 +130,17 @@ def diameter(graph: Graph) -> int:
     for i in sorted(graph):
         for j in graph[i]:
             if j not in graph or i not in graph[j]:
-                raise ConfigError(f"graph[{i}]", f"the one-way edge {i} -> {j}", "edges that both ends list")
+                raise ConfigError(
+                    f"graph[{i}]",
+                    f"the one-way edge {i} -> {j}",
+                    "edges that both ends list",
+                )
     return max(_eccentricity(graph, i) for i in sorted(graph))
 
 
 def _eccentricity(graph: Graph, source: int) -> int:
-    hops, queue = {source: 0}, [source]
+    hops = {source: 0}
+    queue = [source]
     for i in queue:
         for j in graph[i]:
             if j not in hops:
@@ -110,5 +148,10 @@ def _eccentricity(graph: Graph, source: int) -> int:
                 queue.append(j)
     if len(hops) < len(graph):
         missing = [j for j in sorted(graph) if j not in hops]
-        raise ConfigError("graph", f"no path from {source} to {missing}", "a connected graph", "Add edges.")
+        raise ConfigError(
+            "graph",
+            f"no path from {source} to {missing}",
+            "a connected graph",
+            "Add edges.",
+        )
     return max(hops.values())

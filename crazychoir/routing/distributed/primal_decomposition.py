@@ -37,7 +37,9 @@ class PriceRounds:
         """The rounds; returns when all robots stop."""
         member = self._member
         program = ColumnProgram(member.table, member.unserved, member.local.robot)
-        window, worst, change = max(1, member.place.diameter), 0.0, 1.0
+        window = max(1, member.place.diameter)
+        worst = 0.0
+        change = 1.0
         for k in range(member.settings.price_rounds):
             mu = self._price(program, k)
             if k % window == 0:
@@ -63,6 +65,8 @@ class PriceRounds:
         flow = np.zeros_like(mu)
         for j, other in sorted(heard.items()):
             flow += member.place.weight(j) * (mu - np.asarray(other))
-        size = member.settings.step / (member.scale * (k + 1) ** member.settings.exponent)
+        size = member.settings.step / (
+            member.scale * (k + 1) ** member.settings.exponent
+        )
         self.y = self.y - size * flow
         return float(np.abs(size * flow).max())

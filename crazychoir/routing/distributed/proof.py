@@ -54,11 +54,18 @@ class Proof:
     Raises SolverError if there is no plan, or if a plan arrives damaged.
     """
 
-    def __init__(self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None) -> None:
-        self._member, self._pool, self._bound, self.best = member, pool, bound, best
-        self._i, self._diameter = member.place.robot, member.place.diameter
+    def __init__(
+        self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None
+    ) -> None:
+        self._member = member
+        self._pool = pool
+        self._bound = bound
+        self.best = best
+        self._i = member.place.robot
+        self._diameter = member.place.diameter
         self._tolerance = member.tolerance(bound.value)
-        self._none, self._exhausted = False, False
+        self._none = False
+        self._exhausted = False
         self.proven = bound.value
 
     def run(self) -> Exchange[Assignment]:
@@ -66,7 +73,10 @@ class Proof:
         yield from self.search()
         if self.best is None:
             why, status = self._failure()
-            raise SolverError(f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)", status)
+            raise SolverError(
+                f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)",
+                status,
+            )
         return Assignment(self.best.routes, self.proven if self._bound.exact else None)
 
     @property
@@ -84,7 +94,9 @@ class Proof:
         settings = self._member.settings
         self._member.report(phase="plan")
         self._member.kind = "columns"
-        gap = min(settings.first_gap * max(1.0, abs(self._bound.value)), self._own_gap())
+        gap = min(
+            settings.first_gap * max(1.0, abs(self._bound.value)), self._own_gap()
+        )
         for _ in range(settings.passes):
             near = self._near(gap)
             if (yield from self._is_more(near, most)):
@@ -92,15 +104,25 @@ class Proof:
             self._exhausted = yield from self._widen(near)
             found = yield from self._agree(gap)
             if found is not None:
-                self.proven = max(self.proven, min(found.searched, self._bound.value + gap))
-                self.best = found if self.best is None or found.cost < self.best.cost else self.best
+                self.proven = max(
+                    self.proven, min(found.searched, self._bound.value + gap)
+                )
+                self.best = (
+                    found
+                    if self.best is None or found.cost < self.best.cost
+                    else self.best
+                )
             if self.closed or self._exhausted or self._own_gap() <= gap:
                 return
             gap = min(2.0 * gap, self._own_gap())
 
     def _own_gap(self) -> float:
         """Columns beyond it are not part of a better plan than the best."""
-        return np.inf if self.best is None else self.best.cost - self._bound.value + self._tolerance
+        return (
+            np.inf
+            if self.best is None
+            else self.best.cost - self._bound.value + self._tolerance
+        )
 
     def _failure(self) -> tuple[str, str]:
         """Why there is no plan, and the status."""
@@ -128,8 +150,11 @@ class Proof:
 
     def _widen(self, near: Ints) -> Exchange[bool]:
         """Flood the columns `near`, a part at a time; returns whether no robot has any beyond."""
-        member, settings = self._member, self._member.settings
-        most = max(1, min(settings.most_shared, settings.most_relayed // member.place.robots))
+        member = self._member
+        settings = self._member.settings
+        most = max(
+            1, min(settings.most_shared, settings.most_relayed // member.place.robots)
+        )
         columns = [member.table.column(int(c)) for c in near]
         exhausted = not member.speaks or len(near) == len(member.table)
         fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
@@ -150,9 +175,18 @@ class Proof:
             return None
         cost, robot, routes, searched, digest = best
         if sha256(routes) != digest:
-            raise SolverError(f"robot {self._i}: the plan of robot {robot}", "damaged: its hash differs")
-        self._member.report(cost=float(cost) - self._member.vehicle_weight * len(routes))
-        return Offer(float(cost), {int(i): tuple(int(j) for j in tasks) for i, tasks in routes}, float(searched))
+            raise SolverError(
+                f"robot {self._i}: the plan of robot {robot}",
+                "damaged: its hash differs",
+            )
+        self._member.report(
+            cost=float(cost) - self._member.vehicle_weight * len(routes)
+        )
+        return Offer(
+            float(cost),
+            {int(i): tuple(int(j) for j in tasks) for i, tasks in routes},
+            float(searched),
+        )
 
     def _search(self, gap: float) -> list[Any] | None:
         """Own offer: cost, robot, routes, searched bound, hash; a cost of inf says that there is no plan.
@@ -160,30 +194,53 @@ class Proof:
         A large search is left to a few robots: the others offer nothing, nor do those that were cut without a plan.
         """
         settings = self._member.settings
-        useful = [(i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap]
+        useful = [
+            (i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap
+        ]
         if len(useful) > settings.small and self._i >= settings.searchers:
             return None
         refusals = self._refusals()
         useful += refusals
-        known = None if self.best is None else self._with_refusals(self.best.routes, refusals)
+        known = (
+            None
+            if self.best is None
+            else self._with_refusals(self.best.routes, refusals)
+        )
         nodes = settings.proof_nodes if settings.prove else settings.nodes
-        weight, tasks = self._member.vehicle_weight, len(self._member.local.tasks)
+        weight = self._member.vehicle_weight
+        tasks = len(self._member.local.tasks)
         if weight:
             least = self._member.least_vehicles(self._bound.value)
-            found = fewest(useful, tasks, self._i, nodes, weight, least, known, self._member.alike)
+            found = fewest(
+                useful, tasks, self._i, nodes, weight, least, known, self._member.alike
+            )
         else:
             found = partition(useful, tasks, self._i, nodes, known, self._member.alike)
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots
-        routes = [[robot, list(tasks)] for robot, tasks in sorted(found.routes.items()) if robot < robots]
+        routes = [
+            [robot, list(tasks)]
+            for robot, tasks in sorted(found.routes.items())
+            if robot < robots
+        ]
         return [found.cost, self._i, routes, found.bound, sha256(routes)]
 
     def _refusals(self) -> list[tuple[int, Column]]:
         """Tasks that may be refused, each as the column of a robot that does not exist, N + j."""
-        refusal, n = self._member.local.tasks.refusal, self._member.place.robots
-        return [(n + int(j), Column(float(refusal[j]), (int(j),))) for j in np.flatnonzero(np.isfinite(refusal))]
+        refusal = self._member.local.tasks.refusal
+        n = self._member.place.robots
+        return [
+            (n + int(j), Column(float(refusal[j]), (int(j),)))
+            for j in np.flatnonzero(np.isfinite(refusal))
+        ]
 
-    def _with_refusals(self, routes: Routes, refusals: list[tuple[int, Column]]) -> Routes:
+    def _with_refusals(
+        self, routes: Routes, refusals: list[tuple[int, Column]]
+    ) -> Routes:
         served = {j for tasks in routes.values() for j in tasks}
-        return routes | {robot: column.tasks for robot, column in refusals if column.tasks[0] not in served}
+        return routes | {
+            robot: column.tasks
+            for robot, column in refusals
+            if column.tasks[0] not in served
+        }

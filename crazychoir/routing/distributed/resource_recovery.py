@@ -34,15 +34,22 @@ class ResourceRecovery:
     """
 
     def __init__(self, member: Member, prices: PriceRounds, by_share: bool) -> None:
-        self._member, self._prices, self._by_share = member, prices, by_share
+        self._member = member
+        self._prices = prices
+        self._by_share = by_share
         self._i = member.place.robot
         self._urgency = np.zeros(len(member.local.tasks))
 
     @property
     def disclosed(self) -> tuple[str, ...]:
         """What the robots told each other."""
-        claims = ("task prices", "largest change of a share", "claims (task, robot)", "least reduced costs",
-                  "whether its routes could be listed")  # fmt: skip
+        claims = (
+            "task prices",
+            "largest change of a share",
+            "claims (task, robot)",
+            "least reduced costs",
+            "whether its routes could be listed",
+        )
         return (*claims, "largest share of each task") if self._by_share else claims
 
     def run(self) -> Exchange[Assignment]:
@@ -65,16 +72,24 @@ class ResourceRecovery:
     def _claim(self, attempt: int) -> Exchange[Ints]:
         """Owner of each task, -1 for none."""
         owner = np.full(len(self._urgency), -1)
-        wanted, last = self._prices.y > POSITIVE, False
+        wanted = self._prices.y > POSITIVE
+        last = False
         while (owner < 0).any():
-            bids = {j: [self._amount(j, attempt), self._i] for j in self._choice(owner, wanted)}
+            bids = {
+                j: [self._amount(j, attempt), self._i]
+                for j in self._choice(owner, wanted)
+            }
             won = yield from highest_bids(bids, self._member.place.diameter)
-            kept = yield from self._kept(owner, {j: robot for j, (_, robot) in won.items()})
+            kept = yield from self._kept(
+                owner, {j: robot for j, (_, robot) in won.items()}
+            )
             for j, robot in kept.items():
                 owner[j] = robot
             if not kept and last:
                 break
-            wanted, last = np.ones_like(wanted), True  # at every robot alike, whatever its own shares were
+            # at every robot alike, whatever its own shares were
+            wanted = np.ones_like(wanted)
+            last = True
         return owner
 
     def _kept(self, owner: Ints, won: dict[int, int]) -> Exchange[dict[int, int]]:
@@ -82,13 +97,18 @@ class ResourceRecovery:
         if self._member.local.vehicle.metric:
             return won
         mine = np.array([won.get(j) == self._i for j in range(len(owner))])
-        told = yield from flood(self._i, self._choice(owner, mine), self._member.place.diameter)
+        told = yield from flood(
+            self._i, self._choice(owner, mine), self._member.place.diameter
+        )
         return {j: robot for robot, tasks in told.items() for j in tasks}
 
     def _choice(self, owner: Ints, wanted: npt.NDArray[np.bool_]) -> list[int]:
         """The open tasks, of those wanted, that this robot serves best together with those that it keeps."""
-        mine, free = owner == self._i, owner < 0
-        large = 1.0 + float(self._member.penalty.sum()) + self._member.table.length.max()  # also where all points meet
+        mine = owner == self._i
+        free = owner < 0
+        large = (
+            1.0 + float(self._member.penalty.sum()) + self._member.table.length.max()
+        )  # also where all points meet
         share = np.clip(self._prices.y, 0.0, 1.0)
         urgency = (len(owner) + 1.0) ** np.minimum(self._urgency, 3.0)
         worth = np.where(free & wanted, large * (1.0 + share) * urgency, -np.inf)
@@ -103,10 +123,15 @@ class ResourceRecovery:
 
     def _bound(self) -> Exchange[float | None]:
         """sum_j pi_j + sum_i min(0, least reduced cost of i at pi), pi the mean of the robots' mean prices."""
-        place, table = self._member.place, self._member.table
-        known = yield from flood(self._i, self._prices.mean_price.tolist(), place.diameter)
+        place = self._member.place
+        table = self._member.table
+        known = yield from flood(
+            self._i, self._prices.mean_price.tolist(), place.diameter
+        )
         pi: Vec = np.mean(np.array(list(known.values())), axis=0)
-        least = yield from flood(self._i, [min(0.0, table.least(pi)), table.complete], place.diameter)
+        least = yield from flood(
+            self._i, [min(0.0, table.least(pi)), table.complete], place.diameter
+        )
         if not all(complete for _, complete in least.values()):
             return None
         return math.fsum([*pi, *(value for value, _ in least.values())])

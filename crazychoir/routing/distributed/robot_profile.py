@@ -12,7 +12,9 @@ from crazychoir.routing.distributed.member import Member, reach
 from crazychoir.routing.instance.instance import PUBLIC, LocalProblem, Tasks, kinds
 from crazychoir.types import Ints
 
-TOLD = tuple(f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC)
+TOLD = tuple(
+    f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC
+)
 """What the flood tells of each robot."""
 MOST_BYTES = 300_000
 """Of introductions in one flood: of robots with matrices of their own only some speak at a time."""
@@ -20,13 +22,20 @@ MOST_BYTES = 300_000
 
 def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
     """The problems of all robots, by id: where each is, what it can carry, how far it can go, what it is capable of."""
-    local, place = member.local, member.place
+    local = member.local
+    place = member.place
     member.kind = "introductions"
-    at_once = place.robots if local.distance is None else max(1, MOST_BYTES // local.distance.nbytes)
+    at_once = (
+        place.robots
+        if local.distance is None
+        else max(1, MOST_BYTES // local.distance.nbytes)
+    )
     known: dict[int, LocalProblem] = {}
     for first in range(0, place.robots, at_once):
         turn = range(first, min(first + at_once, place.robots))
-        told = yield from flood(place.robot, _told(local) if place.robot in turn else None, place.diameter)
+        told = yield from flood(
+            place.robot, _told(local) if place.robot in turn else None, place.diameter
+        )
         known |= {i: _understood(local, i, told[i]) for i in turn}
     member.fixed = max(robot.fixed for robot in known.values())
     member.reach = max(reach(robot) for robot in known.values())
@@ -36,25 +45,37 @@ def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
 
 def restricted(local: LocalProblem, chosen: Ints) -> LocalProblem:
     """The same robot, where there are no tasks but `chosen`, (K,) increasing."""
-    tasks, m = local.tasks, len(local.tasks)
-    stops, nodes = np.concatenate([chosen, m + chosen]), np.concatenate([chosen, m + chosen, [2 * m]])
+    tasks = local.tasks
+    m = len(local.tasks)
+    stops = np.concatenate([chosen, m + chosen])
+    nodes = np.concatenate([chosen, m + chosen, [2 * m]])
     few = Tasks(
-        pickup=tasks.pickup[chosen], delivery=tasks.delivery[chosen], load=tasks.load[chosen],
-        service=tasks.service[stops], earliest=tasks.earliest[stops], latest=tasks.latest[stops],
-        penalty=tasks.penalty[chosen], priority=tasks.priority[chosen], span=tasks.span,
-    )  # fmt: skip
+        pickup=tasks.pickup[chosen],
+        delivery=tasks.delivery[chosen],
+        load=tasks.load[chosen],
+        service=tasks.service[stops],
+        earliest=tasks.earliest[stops],
+        latest=tasks.latest[stops],
+        penalty=tasks.penalty[chosen],
+        priority=tasks.priority[chosen],
+        span=tasks.span,
+    )
     return replace(
         local,
         tasks=few,
         capable=local.capable[chosen],
         aboard=None if local.aboard is None else local.aboard[chosen],
-        distance=None if local.distance is None else local.distance[np.ix_(nodes, nodes)],
+        distance=None
+        if local.distance is None
+        else local.distance[np.ix_(nodes, nodes)],
     )
 
 
 def _told(local: LocalProblem) -> dict[str, Any]:
     """The fields that differ from their defaults, as plain values."""
-    own = {f.name: getattr(local, f.name) for f in fields(local) if f.name not in PUBLIC}
+    own = {
+        f.name: getattr(local, f.name) for f in fields(local) if f.name not in PUBLIC
+    }
     return {name: _plain(value) for name, value in own.items() if value is not None}
 
 
@@ -66,7 +87,11 @@ def _plain(value: Any) -> Any:
 
 def _understood(own: LocalProblem, robot: int, told: Mapping[str, Any]) -> LocalProblem:
     masks = {name: _mask(told[name]) for name in ("capable", "aboard") if name in told}
-    absent = {f.name: f.default for f in fields(own) if f.name not in (*PUBLIC, *told) and f.name not in PUBLIC}
+    absent = {
+        f.name: f.default
+        for f in fields(own)
+        if f.name not in (*PUBLIC, *told) and f.name not in PUBLIC
+    }
     window = (float(told["window"][0]), float(told["window"][1]))
     return replace(own, **{**absent, **told, **masks, "robot": robot, "window": window})
 

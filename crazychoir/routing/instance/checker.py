@@ -30,7 +30,10 @@ def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
     served: dict[int, int] = {}
     for route in plan.routes:
         if 0 <= route.robot < len(team):
-            found.extend(f"robot {route.robot}: {wrong}" for wrong in _route(team[route.robot], route))
+            found.extend(
+                f"robot {route.robot}: {wrong}"
+                for wrong in _route(team[route.robot], route)
+            )
         for stop in route.stops:
             if stop.kind == "delivery":
                 served[stop.task] = served.get(stop.task, 0) + 1
@@ -43,8 +46,15 @@ def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
 
 def cost_of(instance: Instance, plan: Plan) -> float:
     """The first objective of the plan as flown, with the penalties of the tasks that nobody delivers."""
-    served = [stop.task for route in plan.routes for stop in route.stops if stop.kind == "delivery"]
-    penalties = sum(float(p) for task, p in enumerate(instance.tasks.penalty) if task not in served)
+    served = [
+        stop.task
+        for route in plan.routes
+        for stop in route.stops
+        if stop.kind == "delivery"
+    ]
+    penalties = sum(
+        float(p) for task, p in enumerate(instance.tasks.penalty) if task not in served
+    )
     known = [route for route in plan.routes if 0 <= route.robot < len(instance.home)]
     flights = [_fly(instance.local(route.robot), route) for route in known]
     if instance.objective[0] == "makespan":
@@ -92,13 +102,16 @@ class _Flight:
         tasks = self.robot.tasks
         self.time = max(self.time, float(tasks.earliest[stop]))
         if self.time > tasks.latest[stop] + TOLERANCE:
-            self.wrong.append(f"begins the {name} at {self.time:.6f} s, its window ends at {tasks.latest[stop]:g} s")
+            self.wrong.append(
+                f"begins the {name} at {self.time:.6f} s, its window ends at {tasks.latest[stop]:g} s"
+            )
         self.time += float(tasks.service[stop])
 
     def end_trip(self) -> None:
         if self.trip > self.limit + TOLERANCE:
             self.wrong.append(f"flies {self.trip:.6f} m, limit {self.limit:g} m")
-        self.trip, self.limit = 0.0, self.robot.limit
+        self.trip = 0.0
+        self.limit = self.robot.limit
 
 
 def _fly(robot: LocalProblem, route: Route) -> _Flight:
@@ -106,22 +119,29 @@ def _fly(robot: LocalProblem, route: Route) -> _Flight:
     m = len(robot.tasks.load)
     begin = max(robot.start_time, robot.window[0])
     flight = _Flight(robot, begin, robot.limit if robot.left is None else robot.left)
-    at, trips = "start", 1
+    at = "start"
+    trips = 1
     for stop in route.stops:
         if stop.kind == "recharge":
             flight.move(_way(robot, at, "end"))
             flight.end_trip()
-            at, trips = "end", trips + 1
+            at = "end"
+            trips = trips + 1
         elif 0 <= stop.task < m:
             there = f"{stop.kind} {stop.task}"
             flight.move(_way(robot, at, there))
-            flight.serve(stop.task if stop.kind == "pickup" else m + stop.task, f"{stop.kind} of task {stop.task}")
+            flight.serve(
+                stop.task if stop.kind == "pickup" else m + stop.task,
+                f"{stop.kind} of task {stop.task}",
+            )
             at = there
     if not robot.open_tour:
         flight.move(_way(robot, at, "end"))
     flight.end_trip()
     if flight.time > robot.window[1] + TOLERANCE:
-        flight.wrong.append(f"is done at {flight.time:.6f} s, its window ends at {robot.window[1]:g} s")
+        flight.wrong.append(
+            f"is done at {flight.time:.6f} s, its window ends at {robot.window[1]:g} s"
+        )
     if trips > robot.trips:
         flight.wrong.append(f"makes {trips} trips, at most {robot.trips}")
     return flight
@@ -140,7 +160,9 @@ def _point(robot: LocalProblem, place: str) -> list[float]:
     if place in ("start", "end"):
         return list(robot.home if place == "start" or robot.end is None else robot.end)
     kind, task = place.split()
-    return list((robot.tasks.pickup if kind == "pickup" else robot.tasks.delivery)[int(task)])
+    return list(
+        (robot.tasks.pickup if kind == "pickup" else robot.tasks.delivery)[int(task)]
+    )
 
 
 def _row(robot: LocalProblem, place: str) -> int:
@@ -153,7 +175,11 @@ def _row(robot: LocalProblem, place: str) -> int:
 
 def _stops(robot: LocalProblem, route: Route) -> Iterator[str]:
     """What is wrong with the order of the stops and the load."""
-    on_board = [j for j in range(len(robot.tasks.load)) if robot.aboard is not None and robot.aboard[j]]
+    on_board = [
+        j
+        for j in range(len(robot.tasks.load))
+        if robot.aboard is not None and robot.aboard[j]
+    ]
     for stop in route.stops:
         if stop.kind == "recharge":
             if on_board:
@@ -177,6 +203,8 @@ def _loading(robot: LocalProblem, on_board: list[int]) -> Iterator[str]:
     task = on_board[-1]
     if not robot.capable[task]:
         yield f"is not capable of task {task}"
-    held = math.fsum([robot.initial_load, *(float(robot.tasks.load[j]) for j in on_board)])
+    held = math.fsum(
+        [robot.initial_load, *(float(robot.tasks.load[j]) for j in on_board)]
+    )
     if held > robot.capacity + TOLERANCE:
         yield f"carries {held:g} after picking up task {task}, capacity {robot.capacity:g}"

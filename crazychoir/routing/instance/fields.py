@@ -18,19 +18,49 @@ from crazychoir.types import Mat, Vec
 
 REQUIRED = ("home", "pickup", "delivery", "load", "capacity")
 OPTIONAL = (
-    "route_length_limit", "capability", "end", "open_tours", "distance", "speed", "service_time", "time_windows",
-    "release", "initial_load", "penalty", "priority", "objective", "recharge", "fixed_cost",
-)  # fmt: skip
+    "route_length_limit",
+    "capability",
+    "end",
+    "open_tours",
+    "distance",
+    "speed",
+    "service_time",
+    "time_windows",
+    "release",
+    "initial_load",
+    "penalty",
+    "priority",
+    "objective",
+    "recharge",
+    "fixed_cost",
+)
 COUNTS = {"N": "home", "M": "load"}
 """Keys that repeat the length of a list; they must agree with it."""
 ANNOTATIONS = (
-    "name", "note", "source", "seed", "cost", "optimum", "status", "assignment",
-    "lp_set_cover_bound", "max_tasks_in_any_feasible_route", "enumerated_up_to",
-)  # fmt: skip
+    "name",
+    "note",
+    "source",
+    "seed",
+    "cost",
+    "optimum",
+    "status",
+    "assignment",
+    "lp_set_cover_bound",
+    "max_tasks_in_any_feasible_route",
+    "enumerated_up_to",
+)
 """Keys that describe an instance without being part of it: accepted and ignored."""
-LIKE_THIS = "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
+LIKE_THIS = (
+    "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
+)
 MOST_TRIPS, MOST_LEVEL = 1000, 1000
-LIKE = {"pickup": "load", "delivery": "load", "home": "home", "capacity": "home", "load": "load"}
+LIKE = {
+    "pickup": "load",
+    "delivery": "load",
+    "home": "home",
+    "capacity": "home",
+    "load": "load",
+}
 """The key whose length a list must have."""
 
 
@@ -50,7 +80,12 @@ def read(path: str | Path) -> tuple[dict[str, Any], list[str]]:
         found = f"no JSON ({error})" if text.strip() else "an empty file"
         raise InstanceError(str(path), found, allowed, LIKE_THIS) from None
     if not isinstance(raw, dict):
-        raise InstanceError(str(path), type(raw).__name__, "one JSON object {...}", "Put the keys into braces.")
+        raise InstanceError(
+            str(path),
+            type(raw).__name__,
+            "one JSON object {...}",
+            "Put the keys into braces.",
+        )
     return raw, []
 
 
@@ -58,7 +93,12 @@ def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise InstanceError(f"{where}: {key}", "the key twice", "each key once", "Delete one of them.")
+            raise InstanceError(
+                f"{where}: {key}",
+                "the key twice",
+                "each key once",
+                "Delete one of them.",
+            )
         found[key] = value
     return found
 
@@ -67,15 +107,24 @@ class Fields:
     """The fields of one instance, checked as they are taken."""
 
     def __init__(self, raw: dict[str, Any], where: str) -> None:
-        self._raw, self._where = raw, where
+        self._raw = raw
+        self._where = where
         known = [*REQUIRED, *OPTIONAL, *COUNTS, *ANNOTATIONS]
         for key in raw:
             if key not in known:
-                allowed = ", ".join([*REQUIRED, *OPTIONAL]) + "; as annotations " + ", ".join([*COUNTS, *ANNOTATIONS])
-                raise self._error(key, "an unknown key", allowed, "Correct or delete it.")
+                allowed = (
+                    ", ".join([*REQUIRED, *OPTIONAL])
+                    + "; as annotations "
+                    + ", ".join([*COUNTS, *ANNOTATIONS])
+                )
+                raise self._error(
+                    key, "an unknown key", allowed, "Correct or delete it."
+                )
         for key in REQUIRED:
             if key not in raw:
-                raise self._error(key, "nothing", f"the keys {', '.join(REQUIRED)}", "Add it.")
+                raise self._error(
+                    key, "nothing", f"the keys {', '.join(REQUIRED)}", "Add it."
+                )
         self._check_counts()
 
     def points(self, key: str) -> Mat:
@@ -84,14 +133,22 @@ class Fields:
         home = self._list("home")
         wanted = len(home[0]) if isinstance(home[0], list) else 0
         if wanted not in (2, 3):
-            raise self._error("home[0]", home[0], "a point of 2 or 3 numbers", "Give x, y or x, y, z in metres.")
+            raise self._error(
+                "home[0]",
+                home[0],
+                "a point of 2 or 3 numbers",
+                "Give x, y or x, y, z in metres.",
+            )
         return self._points(key, rows, wanted)
 
     def _points(self, key: str, rows: list[Any], wanted: int) -> Mat:
         for r, row in enumerate(rows):
             if not isinstance(row, list) or len(row) != wanted:
                 raise self._error(
-                    f"{key}[{r}]", row, f"a list of {wanted} numbers, as home[0]", "All points share one dimension."
+                    f"{key}[{r}]",
+                    row,
+                    f"a list of {wanted} numbers, as home[0]",
+                    "All points share one dimension.",
                 )
             for c, value in enumerate(row):
                 self._number(f"{key}[{r}][{c}]", value, least=-FARTHEST, most=FARTHEST)
@@ -130,20 +187,45 @@ class Fields:
         value = self._raw.get(key)
         if value is None:
             return 1
-        if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= MOST_TRIPS:
-            raise self._error(key, value, f"a whole number of trips from 1 to {MOST_TRIPS}", "Write a number.")
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int)
+            or not 1 <= value <= MOST_TRIPS
+        ):
+            raise self._error(
+                key,
+                value,
+                f"a whole number of trips from 1 to {MOST_TRIPS}",
+                "Write a number.",
+            )
         if value > 1 and self.flag("open_tours"):
-            raise self._error(key, value, "1 in open tours", "Who recharges must come back: delete open_tours.")
+            raise self._error(
+                key,
+                value,
+                "1 in open tours",
+                "Who recharges must come back: delete open_tours.",
+            )
         return value
 
-    def objective(self, key: str, allowed: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    def objective(
+        self, key: str, allowed: Sequence[tuple[str, ...]]
+    ) -> tuple[str, ...]:
         """One of `allowed`; the first where the key is absent or null."""
         value = self._raw.get(key)
         if value is None:
             return allowed[0]
-        names = (value,) if isinstance(value, str) else tuple(value) if isinstance(value, list) else ()
+        names = (
+            (value,)
+            if isinstance(value, str)
+            else tuple(value)
+            if isinstance(value, list)
+            else ()
+        )
         if names not in allowed:
-            listed = "; ".join(json.dumps(list(names) if len(names) > 1 else names[0]) for names in allowed)
+            listed = "; ".join(
+                json.dumps(list(names) if len(names) > 1 else names[0])
+                for names in allowed
+            )
             raise self._error(key, value, listed, "Choose one.")
         return names
 
@@ -154,11 +236,21 @@ class Fields:
             return None
         for other in ("distance", "open_tours"):
             if self._raw.get(other):
-                raise self._error(key, "an end", f"none beside {other}", "Delete one of the two.")
+                raise self._error(
+                    key, "an end", f"none beside {other}", "Delete one of the two."
+                )
         home = self._raw["home"]
         if not isinstance(rows, list) or len(rows) != len(home):
-            raise self._error(key, _size(rows), f"{len(home)} points or nulls, one a robot", "Add or delete entries.")
-        filled = [at_home if row is None else row for row, at_home in zip(rows, home, strict=True)]
+            raise self._error(
+                key,
+                _size(rows),
+                f"{len(home)} points or nulls, one a robot",
+                "Add or delete entries.",
+            )
+        filled = [
+            at_home if row is None else row
+            for row, at_home in zip(rows, home, strict=True)
+        ]
         return self._points(key, filled, len(home[0]))
 
     def matrices(self, key: str) -> npt.NDArray[np.float64] | None:
@@ -166,28 +258,42 @@ class Fields:
         rows = self._raw.get(key)
         if rows is None:
             return None
-        robots, size = len(self._raw["home"]), len(self._raw["home"]) + 2 * len(self._raw["load"])
+        robots = len(self._raw["home"])
+        size = len(self._raw["home"]) + 2 * len(self._raw["load"])
         first = rows[0] if isinstance(rows, list) and rows else None
         if not (isinstance(first, list) and first and isinstance(first[0], list)):
             return self._matrix(key, rows, size)
         if len(rows) != robots:
-            raise self._error(key, _size(rows), f"{robots} matrices, one a robot, or one", "Add or delete matrices.")
-        return np.array([self._matrix(f"{key}[{i}]", matrix, size) for i, matrix in enumerate(rows)])
+            raise self._error(
+                key,
+                _size(rows),
+                f"{robots} matrices, one a robot, or one",
+                "Add or delete matrices.",
+            )
+        return np.array(
+            [self._matrix(f"{key}[{i}]", matrix, size) for i, matrix in enumerate(rows)]
+        )
 
     def _matrix(self, key: str, rows: object, size: int) -> Mat:
         wanted = f"{size} numbers: homes, pickups, deliveries"
         if not isinstance(rows, list) or len(rows) != size:
-            raise self._error(key, _size(rows), f"{size} rows of {wanted}", "Add or delete rows.")
+            raise self._error(
+                key, _size(rows), f"{size} rows of {wanted}", "Add or delete rows."
+            )
         for r, row in enumerate(rows):
             if not isinstance(row, list) or len(row) != size:
-                raise self._error(f"{key}[{r}]", _size(row), wanted, "Add or delete entries.")
+                raise self._error(
+                    f"{key}[{r}]", _size(row), wanted, "Add or delete entries."
+                )
             for c, value in enumerate(row):
                 self._number(f"{key}[{r}][{c}]", value, most=FARTHEST)
         return np.array(rows, dtype=float)
 
     def speeds(self, key: str) -> Vec:
         """(N,) m/s; 1 where the key is absent or null."""
-        return self._each(key, len(self._raw["home"]), 1.0, least=SLOWEST, most=FARTHEST)
+        return self._each(
+            key, len(self._raw["home"]), 1.0, least=SLOWEST, most=FARTHEST
+        )
 
     def times(self, key: str) -> Vec:
         """(M,) s; 0 where the key is absent or null."""
@@ -195,95 +301,171 @@ class Fields:
 
     def service(self) -> Vec:
         """(2M,) s, pickups, then deliveries."""
-        key, m = "service_time", len(self._raw["load"])
+        key = "service_time"
+        m = len(self._raw["load"])
         value = self._raw.get(key)
         if isinstance(value, list):
-            raise self._error(key, _size(value), "a number, or an object of pickup and delivery", "Name the stops.")
+            raise self._error(
+                key,
+                _size(value),
+                "a number, or an object of pickup and delivery",
+                "Name the stops.",
+            )
         if not isinstance(value, dict):
             return self._each(key, 2 * m, 0.0, most=LATEST)
         self._known(key, value, ("pickup", "delivery"))
         return np.concatenate(
-            [self._each(f"{key}.{part}", m, 0.0, most=LATEST, value=value.get(part)) for part in ("pickup", "delivery")]
+            [
+                self._each(f"{key}.{part}", m, 0.0, most=LATEST, value=value.get(part))
+                for part in ("pickup", "delivery")
+            ]
         )
 
     def windows(self, part: str) -> Mat:
         """(n, 2) s of pickups, deliveries or homes: from, to; 0, inf where there is none."""
-        key, count = f"time_windows.{part}", len(self._raw["home" if part == "home" else "load"])
+        key = f"time_windows.{part}"
+        count = len(self._raw["home" if part == "home" else "load"])
         given = self._raw.get("time_windows")
         if given is None:
             given = {}
         if not isinstance(given, dict):
-            raise self._error("time_windows", given, "an object of pickup, delivery and home", "Put it into braces.")
+            raise self._error(
+                "time_windows",
+                given,
+                "an object of pickup, delivery and home",
+                "Put it into braces.",
+            )
         self._known("time_windows", given, ("pickup", "delivery", "home"))
         rows = given.get(part)
         if rows is None:
             return np.tile([0.0, math.inf], (count, 1))
         if not isinstance(rows, list) or len(rows) != count:
-            raise self._error(key, _size(rows), f"{count} windows [from, to] or nulls", "Add or delete entries.")
-        return np.array([self._window(f"{key}[{r}]", row) for r, row in enumerate(rows)])
+            raise self._error(
+                key,
+                _size(rows),
+                f"{count} windows [from, to] or nulls",
+                "Add or delete entries.",
+            )
+        return np.array(
+            [self._window(f"{key}[{r}]", row) for r, row in enumerate(rows)]
+        )
 
     def _window(self, key: str, row: object) -> tuple[float, float]:
         if row is None:
             return 0.0, math.inf
         if not isinstance(row, list) or len(row) != 2:
-            raise self._error(key, row, "[from, to] in seconds, or null", "Write two numbers; to may be null.")
+            raise self._error(
+                key,
+                row,
+                "[from, to] in seconds, or null",
+                "Write two numbers; to may be null.",
+            )
         self._number(f"{key}[0]", row[0], most=LATEST)
         if row[1] is None:
             return float(row[0]), math.inf
         self._number(f"{key}[1]", row[1], most=LATEST)
         if row[1] < row[0]:
-            raise self._error(key, row, "[from, to] with to not before from", "Mend one of the two.")
+            raise self._error(
+                key, row, "[from, to] with to not before from", "Mend one of the two."
+            )
         return float(row[0]), float(row[1])
 
     def part_of(self, key: str, capacity: Vec) -> Vec:
         """(N,), each at most the capacity; 0 where the key is absent or null."""
         part = self._each(key, len(capacity), 0.0, most=MOST)
         for r in np.flatnonzero(part > capacity):
-            raise self._error(f"{key}[{r}]", float(part[r]), f"at most {capacity[r]:g}, its capacity", "Mend one.")
+            raise self._error(
+                f"{key}[{r}]",
+                float(part[r]),
+                f"at most {capacity[r]:g}, its capacity",
+                "Mend one.",
+            )
         return part
 
     def penalties(self, key: str) -> Vec:
         """(M,), inf where it is null: the task must be served."""
-        rows, count = self._raw.get(key), len(self._raw["load"])
+        rows = self._raw.get(key)
+        count = len(self._raw["load"])
         if rows is None:
             return np.full(count, math.inf)
         if not isinstance(rows, list) or len(rows) != count:
-            raise self._error(key, _size(rows), f"{count} numbers or nulls, one a task", "Add or delete entries.")
+            raise self._error(
+                key,
+                _size(rows),
+                f"{count} numbers or nulls, one a task",
+                "Add or delete entries.",
+            )
         for r, value in enumerate(rows):
             if value is not None:
                 self._number(f"{key}[{r}]", value, most=MOST)
-        return np.array([math.inf if value is None else value for value in rows], dtype=float)
+        return np.array(
+            [math.inf if value is None else value for value in rows], dtype=float
+        )
 
     def levels(self, key: str) -> npt.NDArray[np.int64]:
         """(M,) whole numbers, 0 where the key is absent or null."""
-        rows, count = self._raw.get(key), len(self._raw["load"])
+        rows = self._raw.get(key)
+        count = len(self._raw["load"])
         if rows is None:
             return np.zeros(count, dtype=np.int64)
         if not isinstance(rows, list) or len(rows) != count:
-            raise self._error(key, _size(rows), f"{count} whole numbers, one a task", "Add or delete entries.")
+            raise self._error(
+                key,
+                _size(rows),
+                f"{count} whole numbers, one a task",
+                "Add or delete entries.",
+            )
         for r, value in enumerate(rows):
-            if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MOST_LEVEL:
-                raise self._error(f"{key}[{r}]", value, f"a whole number from 0 to {MOST_LEVEL}", "Write one.")
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int)
+                or not 0 <= value <= MOST_LEVEL
+            ):
+                raise self._error(
+                    f"{key}[{r}]",
+                    value,
+                    f"a whole number from 0 to {MOST_LEVEL}",
+                    "Write one.",
+                )
         return np.array(rows, dtype=np.int64)
 
     def mask(self, key: str) -> npt.NDArray[np.bool_]:
         """(N, M) booleans, all true where the key is absent or null."""
-        n, m = len(self._raw["home"]), len(self._raw["load"])
+        n = len(self._raw["home"])
+        m = len(self._raw["load"])
         rows = self._raw.get(key)
         if rows is None:
             return np.ones((n, m), dtype=bool)
         if not isinstance(rows, list) or len(rows) != n:
-            raise self._error(key, _size(rows), f"{n} rows, one a robot (as many as home)", "Add or delete rows.")
+            raise self._error(
+                key,
+                _size(rows),
+                f"{n} rows, one a robot (as many as home)",
+                "Add or delete rows.",
+            )
         for r, row in enumerate(rows):
             if not isinstance(row, list) or len(row) != m:
-                raise self._error(f"{key}[{r}]", _size(row), f"{m} booleans, one a task", "Add or delete entries.")
+                raise self._error(
+                    f"{key}[{r}]",
+                    _size(row),
+                    f"{m} booleans, one a task",
+                    "Add or delete entries.",
+                )
             for c, value in enumerate(row):
                 if not isinstance(value, bool):
-                    raise self._error(f"{key}[{r}][{c}]", value, "true or false", "Write a boolean.")
+                    raise self._error(
+                        f"{key}[{r}][{c}]", value, "true or false", "Write a boolean."
+                    )
         return np.array(rows, dtype=bool)
 
     def _each(
-        self, key: str, count: int, default: float, least: float = 0.0, most: float = 0.0, value: Any = None
+        self,
+        key: str,
+        count: int,
+        default: float,
+        least: float = 0.0,
+        most: float = 0.0,
+        value: Any = None,
     ) -> Vec:
         """(count,): one number for all, or a list of them; `default` where the key is absent or null."""
         value = self._raw.get(key) if value is None else value
@@ -293,7 +475,12 @@ class Fields:
             self._number(key, value, least, most)
             return np.full(count, float(value))
         if len(value) != count:
-            raise self._error(key, _size(value), f"one number, or {count} of them", "Add or delete entries.")
+            raise self._error(
+                key,
+                _size(value),
+                f"one number, or {count} of them",
+                "Add or delete entries.",
+            )
         for r, number in enumerate(value):
             self._number(f"{key}[{r}]", number, least, most)
         return np.array(value, dtype=float)
@@ -301,31 +488,68 @@ class Fields:
     def _known(self, key: str, given: dict[str, Any], allowed: Sequence[str]) -> None:
         for name in given:
             if name not in allowed:
-                raise self._error(f"{key}.{name}", "an unknown key", ", ".join(allowed), "Correct or delete it.")
+                raise self._error(
+                    f"{key}.{name}",
+                    "an unknown key",
+                    ", ".join(allowed),
+                    "Correct or delete it.",
+                )
 
     def _list(self, key: str) -> list[Any]:
-        values, like = self._raw[key], LIKE[key]
+        values = self._raw[key]
+        like = LIKE[key]
         if not isinstance(values, list) or not values:
-            raise self._error(key, _size(values), "a list that is not empty", "Add entries.")
+            raise self._error(
+                key, _size(values), "a list that is not empty", "Add entries."
+            )
         other = self._raw[like]
         if isinstance(other, list) and len(other) != len(values):
             raise self._error(
-                key, f"{len(values)} entries", f"{len(other)}, as many as {like}", "Make the lists equally long."
+                key,
+                f"{len(values)} entries",
+                f"{len(other)}, as many as {like}",
+                "Make the lists equally long.",
             )
         return values
 
-    def _number(self, where: str, value: object, least: float = 0.0, most: float = sys.float_info.max) -> None:
+    def _number(
+        self,
+        where: str,
+        value: object,
+        least: float = 0.0,
+        most: float = sys.float_info.max,
+    ) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._error(where, json.dumps(value, default=str), "a number", "Write a number, without quotes.")
+            raise self._error(
+                where,
+                json.dumps(value, default=str),
+                "a number",
+                "Write a number, without quotes.",
+            )
         if not least <= value <= most:
-            found = value if isinstance(value, float) or abs(value) <= sys.float_info.max else math.inf
-            allowed = f"a number from {least:g}" + (f" to {most:g}" if most < sys.float_info.max else " on, finite")
+            found = (
+                value
+                if isinstance(value, float) or abs(value) <= sys.float_info.max
+                else math.inf
+            )
+            allowed = f"a number from {least:g}" + (
+                f" to {most:g}" if most < sys.float_info.max else " on, finite"
+            )
             raise self._error(where, found, allowed, "Mend the value.")
 
     def _check_counts(self) -> None:
         for key, of in COUNTS.items():
-            if key in self._raw and isinstance(self._raw[of], list) and self._raw[key] != len(self._raw[of]):
-                raise self._error(key, self._raw[key], f"{len(self._raw[of])}, the length of {of}", "Delete the key.")
+            if (
+                key in self._raw
+                and isinstance(self._raw[of], list)
+                and self._raw[key] != len(self._raw[of])
+            ):
+                raise self._error(
+                    key,
+                    self._raw[key],
+                    f"{len(self._raw[of])}, the length of {of}",
+                    "Delete the key.",
+                )
 
     def _error(self, key: str, found: object, allowed: str, do: str) -> InstanceError:
         return InstanceError(f"{self._where}: {key}", found, allowed, do)

@@ -46,7 +46,9 @@ def random_instance(
         goods = _scatter(draw, 2 * tasks, room[:2], spacing, margin)
     if not flat:
         home = np.column_stack([home, np.zeros(robots)])
-        goods = np.column_stack([goods, draw.uniform(*heights, size=2 * tasks).round(2)])
+        goods = np.column_stack(
+            [goods, draw.uniform(*heights, size=2 * tasks).round(2)]
+        )
     load = draw.integers(loads[0], loads[1], size=tasks, endpoint=True)
     capacity = draw.integers(capacities[0], capacities[1], size=robots, endpoint=True)
     mask = _capability(draw, capacity, load, capable)
@@ -65,7 +67,9 @@ def random_instance(
     )
 
 
-def _capability(draw: np.random.Generator, capacity: Ints, load: Ints, share: float) -> npt.NDArray[np.bool_]:
+def _capability(
+    draw: np.random.Generator, capacity: Ints, load: Ints, share: float
+) -> npt.NDArray[np.bool_]:
     """(N, M), each true with probability `share`, and at least one true a task among the robots that can lift it."""
     mask = draw.random((len(capacity), len(load))) < share
     for j in range(len(load)):
@@ -75,23 +79,35 @@ def _capability(draw: np.random.Generator, capacity: Ints, load: Ints, share: fl
     return mask
 
 
-def _heaps(draw: np.random.Generator, count: int, room: Sequence[float], heaps: int) -> Mat:
+def _heaps(
+    draw: np.random.Generator, count: int, room: Sequence[float], heaps: int
+) -> Mat:
     """(count, 2) m, to the centimetre, normally distributed around points of the room, and inside it."""
     middle = draw.uniform([0.0, 0.0], room, size=(heaps, 2))
     points = draw.normal(middle[draw.integers(heaps, size=count)], room[0] / 20.0)
     return np.asarray(points.clip([0.0, 0.0], room).round(2))
 
 
-def _scatter(draw: np.random.Generator, count: int, room: Sequence[float], spacing: float, margin: float) -> Mat:
+def _scatter(
+    draw: np.random.Generator,
+    count: int,
+    room: Sequence[float],
+    spacing: float,
+    margin: float,
+) -> Mat:
     """(count, 2) m, to the centimetre, by dart throwing."""
     points: list[np.ndarray] = []
     for _ in range(TRIES):
-        point = draw.uniform([margin, margin], [room[0] - margin, room[1] - margin]).round(2)
+        point = draw.uniform(
+            [margin, margin], [room[0] - margin, room[1] - margin]
+        ).round(2)
         if all(np.linalg.norm(point - other) >= spacing for other in points):
             points.append(point)
         if len(points) == count:
             return np.array(points)
     raise ConfigError(
-        "random_instance", f"{len(points)} of {count} points placed", f"points {spacing:g} m apart within {room} m",
+        "random_instance",
+        f"{len(points)} of {count} points placed",
+        f"points {spacing:g} m apart within {room} m",
         "Take a larger room, fewer points or a smaller spacing.",
-    )  # fmt: skip
+    )

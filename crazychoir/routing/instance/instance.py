@@ -45,13 +45,20 @@ class Tasks:
     earliest: Vec = field(default_factory=lambda: np.empty(0))
     latest: Vec = field(default_factory=lambda: np.empty(0))
     penalty: Vec = field(default_factory=lambda: np.empty(0))
-    priority: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    priority: npt.NDArray[np.int64] = field(
+        default_factory=lambda: np.empty(0, np.int64)
+    )
     span: float = 0.0
 
     def __post_init__(self) -> None:
         m = len(self.load)
-        defaults = {"service": (2 * m, 0.0), "earliest": (2 * m, 0.0), "latest": (2 * m, math.inf),
-                    "penalty": (m, math.inf), "priority": (m, 0)}  # fmt: skip
+        defaults = {
+            "service": (2 * m, 0.0),
+            "earliest": (2 * m, 0.0),
+            "latest": (2 * m, math.inf),
+            "penalty": (m, math.inf),
+            "priority": (m, 0),
+        }
         for name, (size, value) in defaults.items():
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(size, value))
@@ -69,7 +76,8 @@ class Tasks:
         So plans are compared by how many tasks of the highest priority are refused, then of the next, ..., of 1, and
         then by the objective with the penalties.
         """
-        cost, refusable = self.penalty.astype(float), np.isfinite(self.penalty)
+        cost = self.penalty.astype(float)
+        refusable = np.isfinite(self.penalty)
         weight = self.span + float(self.penalty[refusable].sum())
         for p in np.unique(self.priority[(self.priority > 0) & refusable]):
             same = (self.priority == p) & refusable
@@ -79,7 +87,11 @@ class Tasks:
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object of all fields: what robots must have in common."""
-        return {name: _plain(value) for name, value in vars(self).items() if name != "refusal"}
+        return {
+            name: _plain(value)
+            for name, value in vars(self).items()
+            if name != "refusal"
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +133,8 @@ class LocalProblem:
     @cached_property
     def vehicle(self) -> Vehicle:
         """As the kernels see it. Raises ConfigError for a start away from home where distances are a matrix."""
-        m, distance = len(self.tasks), self._between()
+        m = len(self.tasks)
+        distance = self._between()
         service = np.concatenate([self.tasks.service, [0.0, 0.0]])
         if self.open_tour:
             distance[:, 2 * m + 1] = 0.0
@@ -130,7 +143,9 @@ class LocalProblem:
         return Vehicle(
             distance=distance,
             duration=service[:, None] + distance / self.speed,
-            earliest=np.concatenate([self.tasks.earliest, [max(self.start_time, self.window[0]), 0.0]]),
+            earliest=np.concatenate(
+                [self.tasks.earliest, [max(self.start_time, self.window[0]), 0.0]]
+            ),
             latest=np.concatenate([self.tasks.latest, [math.inf, self.window[1]]]),
             load=self.tasks.load,
             capacity=self.capacity - self.initial_load,
@@ -154,22 +169,37 @@ class LocalProblem:
         m = len(self.tasks)
         if self.distance is not None:
             if self.start is not None or self.end is not None:
-                found, do = "a start or an end beside a matrix of distances", "Give points and no matrix, or none."
-                raise ConfigError(f"robot {self.robot}: start, end", found, "none: the matrix has no row for it", do)
+                found = "a start or an end beside a matrix of distances"
+                do = "Give points and no matrix, or none."
+                raise ConfigError(
+                    f"robot {self.robot}: start, end",
+                    found,
+                    "none: the matrix has no row for it",
+                    do,
+                )
             nodes = [*range(2 * m + 1), 2 * m]
             return self.distance[np.ix_(nodes, nodes)]
         start = self.home if self.start is None else self.start
         end = self.home if self.end is None else self.end
         points = np.vstack([self.tasks.pickup, self.tasks.delivery, start, end])
-        return np.asarray(np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2)))
+        return np.asarray(
+            np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2))
+        )
 
 
 def kinds(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
     """The robots, those together that differ by their ids alone, in the order of their ids."""
     groups: dict[tuple[bytes | None, ...], list[int]] = {}
     for i in sorted(robots):
-        own = [getattr(robots[i], f.name) for f in fields(LocalProblem) if f.name not in PUBLIC]
-        told = tuple(None if value is None else np.asarray(value, float).tobytes() for value in own)
+        own = [
+            getattr(robots[i], f.name)
+            for f in fields(LocalProblem)
+            if f.name not in PUBLIC
+        ]
+        told = tuple(
+            None if value is None else np.asarray(value, float).tobytes()
+            for value in own
+        )
         groups.setdefault(told, []).append(i)
     return [tuple(group) for group in groups.values()]
 
@@ -209,7 +239,11 @@ class Instance:
 
     def __post_init__(self) -> None:
         n = len(self.home)
-        defaults = {"speed": np.ones(n), "window": np.tile([0.0, math.inf], (n, 1)), "initial_load": np.zeros(n)}
+        defaults = {
+            "speed": np.ones(n),
+            "window": np.tile([0.0, math.inf], (n, 1)),
+            "initial_load": np.zeros(n),
+        }
         for name, value in defaults.items():
             if len(getattr(self, name)) == 0:
                 object.__setattr__(self, name, value)
@@ -221,12 +255,17 @@ class Instance:
         return cls.parse(raw, str(path), names)
 
     @classmethod
-    def parse(cls, raw: dict[str, Any], where: str = "instance", names: Sequence[str] = ()) -> "Instance":
+    def parse(
+        cls, raw: dict[str, Any], where: str = "instance", names: Sequence[str] = ()
+    ) -> "Instance":
         """From the JSON object `raw`; `where` is what errors call it, `names` what they call its tasks."""
         fields = Fields(raw, where)
         points = {key: fields.points(key) for key in ("home", "pickup", "delivery")}
-        load, capacity = fields.amounts("load"), fields.amounts("capacity")
-        pickup, delivery, home = (fields.windows(key) for key in ("pickup", "delivery", "home"))
+        load = fields.amounts("load")
+        capacity = fields.amounts("capacity")
+        pickup, delivery, home = (
+            fields.windows(key) for key in ("pickup", "delivery", "home")
+        )
         stops = np.vstack([pickup, delivery])
         stops[: len(pickup), 0] = np.maximum(pickup[:, 0], fields.times("release"))
         instance = cls(
@@ -234,8 +273,14 @@ class Instance:
             capacity=capacity,
             capability=fields.mask("capability"),
             tasks=Tasks(
-                points["pickup"], points["delivery"], load, fields.service(), stops[:, 0].copy(), stops[:, 1].copy(),
-                fields.penalties("penalty"), fields.levels("priority"),
+                points["pickup"],
+                points["delivery"],
+                load,
+                fields.service(),
+                stops[:, 0].copy(),
+                stops[:, 1].copy(),
+                fields.penalties("penalty"),
+                fields.levels("priority"),
             ),
             route_length_limit=fields.limit("route_length_limit"),
             name=where,
@@ -249,7 +294,9 @@ class Instance:
             recharge=fields.trips("recharge"),
             objective=fields.objective("objective", (*OBJECTIVES, VEHICLES_FIRST)),
         )
-        instance = replace(instance, tasks=replace(instance.tasks, span=instance._span()))
+        instance = replace(
+            instance, tasks=replace(instance.tasks, span=instance._span())
+        )
         instance._require_few_priorities()
         instance._require_countable()
         vehicles = [instance.local(same[0]).vehicle for same in instance.kinds()]
@@ -277,7 +324,9 @@ class Instance:
             speed=float(self.speed[i]),
             window=(float(self.window[i, 0]), float(self.window[i, 1])),
             initial_load=float(self.initial_load[i]),
-            fixed=self.vehicle_weight if VEHICLES in self.objective else self.fixed_cost,
+            fixed=self.vehicle_weight
+            if VEHICLES in self.objective
+            else self.fixed_cost,
             trips=self.recharge,
             objective=self.objective,
         )
@@ -296,7 +345,9 @@ class Instance:
             longest = float(self.distance.max())
         else:
             ends = [] if self.end is None else [self.end]
-            points = np.vstack([self.home, *ends, self.tasks.pickup, self.tasks.delivery])
+            points = np.vstack(
+                [self.home, *ends, self.tasks.pickup, self.tasks.delivery]
+            )
             longest = float(np.linalg.norm(np.ptp(points, axis=0)))
         total = 3 * len(self.tasks) * longest
         return 2.0 ** math.ceil(math.log2(2.0 * total)) if total > 0.0 else 1.0
@@ -305,8 +356,15 @@ class Instance:
         """The plan of these routes, with what they leave undone."""
         flown = tuple(routes)
         refused = np.ones(len(self.tasks), dtype=bool)
-        refused[[j for route in flown for j in route.tasks if 0 <= j < len(refused)]] = False
-        return Plan(flown, math.fsum(self.tasks.penalty[refused]), self.fixed_cost, self.objective)
+        refused[
+            [j for route in flown for j in route.tasks if 0 <= j < len(refused)]
+        ] = False
+        return Plan(
+            flown,
+            math.fsum(self.tasks.penalty[refused]),
+            self.fixed_cost,
+            self.objective,
+        )
 
     def kinds(self) -> list[tuple[int, ...]]:
         """The robots, identical ones together, in the order of their ids."""
@@ -330,7 +388,9 @@ class Instance:
             "open_tours": self.open_tours,
             "speed": self.speed.tolist(),
             "service_time": _halves(tasks.service.tolist()),
-            "time_windows": _halves(_plain(np.column_stack([tasks.earliest, tasks.latest])))
+            "time_windows": _halves(
+                _plain(np.column_stack([tasks.earliest, tasks.latest]))
+            )
             | {"home": _plain(self.window)},
             "initial_load": self.initial_load.tolist(),
             "penalty": _plain(tasks.penalty),
@@ -353,34 +413,50 @@ class Instance:
         legs = 3 * len(self.tasks) + 2 * self.robots
         vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
         if self.objective[0] != MAKESPAN:
-            return legs * max(float(v.distance.max()) for v in vehicles) + self.robots * self.fixed_cost
-        return legs * max(float(v.duration.max()) + float(v.earliest.max()) for v in vehicles)
+            return (
+                legs * max(float(v.distance.max()) for v in vehicles)
+                + self.robots * self.fixed_cost
+            )
+        return legs * max(
+            float(v.duration.max()) + float(v.earliest.max()) for v in vehicles
+        )
 
     def _require_countable(self) -> None:
         """InstanceError for what says nothing, or the opposite, where vehicles are counted first."""
         if VEHICLES not in self.objective:
             return
         if np.isfinite(self.tasks.penalty).any():
-            found = f"the objective {list(self.objective)} beside tasks that may be refused"
+            found = (
+                f"the objective {list(self.objective)} beside tasks that may be refused"
+            )
             do = "Without any task there would be no vehicle: delete penalty, or take another objective."
-            raise InstanceError(f"{self.name}: penalty", found, "null for every task", do)
+            raise InstanceError(
+                f"{self.name}: penalty", found, "null for every task", do
+            )
         if self.fixed_cost > 0.0:
             found = f"{self.fixed_cost:g} beside the objective {list(self.objective)}"
             do = "The number of vehicles is minimised before all lengths: delete fixed_cost, or take another objective."
-            raise InstanceError(f"{self.name}: fixed_cost", found, "0, or no such key", do)
+            raise InstanceError(
+                f"{self.name}: fixed_cost", found, "0, or no such key", do
+            )
 
     def _require_few_priorities(self) -> None:
         refusal = self.tasks.refusal[np.isfinite(self.tasks.refusal)]
         if len(refusal) and refusal.max() > MOST_WEIGHT * max(1.0, self.tasks.span):
             found = f"{len(np.unique(self.tasks.priority))} levels over {len(refusal)} tasks"
             allowed = f"so few that the weights stay below {MOST_WEIGHT:g} times the cost of a plan"
-            raise InstanceError(f"{self.name}: priority", found, allowed, "Use fewer levels.")
+            raise InstanceError(
+                f"{self.name}: priority", found, allowed, "Use fewer levels."
+            )
 
 
 def _plain(value: Any) -> Any:
     """As JSON has it: lists, and null for what is infinite."""
     if isinstance(value, np.ndarray | list):
-        return [_plain(part) for part in (value.tolist() if isinstance(value, np.ndarray) else value)]
+        return [
+            _plain(part)
+            for part in (value.tolist() if isinstance(value, np.ndarray) else value)
+        ]
     return None if value == math.inf else value
 
 

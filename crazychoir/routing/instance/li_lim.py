@@ -8,7 +8,17 @@ from crazychoir.errors import InstanceError
 from crazychoir.routing.instance.sizes import FARTHEST, LATEST, MOST, SLOWEST
 from crazychoir.routing.instance.vehicle import TOTAL, VEHICLES
 
-COLUMNS = ("customer", "x", "y", "demand", "ready time", "due time", "service time", "pickup", "delivery")
+COLUMNS = (
+    "customer",
+    "x",
+    "y",
+    "demand",
+    "ready time",
+    "due time",
+    "service time",
+    "pickup",
+    "delivery",
+)
 RANGES = (
     (0, MOST),
     (-FARTHEST, FARTHEST),
@@ -56,13 +66,23 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
     objective. It does not use the speed: 0 means 1, so that times are lengths.
     Raises InstanceError with the line. Source: Li & Lim 2001, ICTAI, pp. 160-167; format of SINTEF's benchmark pages.
     """
-    lines = [(n, line.split()) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
-    count, capacity, speed = _fleet([float(word) for word in lines[0][1]], f"{where}: line {lines[0][0]}")
+    lines = [
+        (n, line.split()) for n, line in enumerate(text.splitlines(), 1) if line.strip()
+    ]
+    count, capacity, speed = _fleet(
+        [float(word) for word in lines[0][1]], f"{where}: line {lines[0][0]}"
+    )
     rows = [_row(words, f"{where}: line {n}") for n, words in lines[1:]]
     by_number = {row.customer: row for row in rows}
     if 0 not in by_number or len(by_number) != len(rows):
-        raise InstanceError(where, "no customer 0, or one twice", "the depot 0 and each other customer once")
-    pairs = [_pair(row, by_number, where) for row in rows if row.customer and row.delivery]
+        raise InstanceError(
+            where,
+            "no customer 0, or one twice",
+            "the depot 0 and each other customer once",
+        )
+    pairs = [
+        _pair(row, by_number, where) for row in rows if row.customer and row.delivery
+    ]
     _require_all_in(pairs, rows, where)
     depot = by_number[0]
     return {
@@ -72,7 +92,10 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
         "pickup": [[p.x, p.y] for p, _ in pairs],
         "delivery": [[d.x, d.y] for _, d in pairs],
         "load": [p.demand for p, _ in pairs],
-        "service_time": {"pickup": [p.service for p, _ in pairs], "delivery": [d.service for _, d in pairs]},
+        "service_time": {
+            "pickup": [p.service for p, _ in pairs],
+            "delivery": [d.service for _, d in pairs],
+        },
         "time_windows": {
             "pickup": [[p.ready, p.due] for p, _ in pairs],
             "delivery": [[d.ready, d.due] for _, d in pairs],
@@ -86,7 +109,12 @@ def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
     """Vehicles, capacity, speed."""
     vehicles, capacity, speed = numbers
     if not (vehicles.is_integer() and 1 <= vehicles <= MOST_VEHICLES):
-        raise InstanceError(where, f"{vehicles:g} vehicles", f"a whole number from 1 to {MOST_VEHICLES}", "Mend it.")
+        raise InstanceError(
+            where,
+            f"{vehicles:g} vehicles",
+            f"a whole number from 1 to {MOST_VEHICLES}",
+            "Mend it.",
+        )
     if not (0.0 <= capacity <= MOST and (speed == 0.0 or SLOWEST <= speed <= FARTHEST)):
         found = f"capacity {capacity:g}, speed {speed:g}"
         allowed = f"a capacity from 0 to {MOST:g}, a speed from {SLOWEST:g} to {FARTHEST:g}, or 0, which means 1"
@@ -94,42 +122,78 @@ def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
     return int(vehicles), capacity, speed or 1.0
 
 
-def _require_all_in(pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str) -> None:
+def _require_all_in(
+    pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str
+) -> None:
     """Each customer is the pickup or the delivery of one pair."""
     paired = {row.customer for pair in pairs for row in pair}
-    alone = [row.customer for row in rows if row.customer and row.customer not in paired]
+    alone = [
+        row.customer for row in rows if row.customer and row.customer not in paired
+    ]
     if alone:
         found = "a customer that is neither a pickup with a delivery, nor the delivery of one"
         do = "Its last two columns are: 0 and its delivery, or its pickup and 0."
         raise InstanceError(f"{where}: customer {alone[0]}", found, "pairs of both", do)
     if not pairs:
-        raise InstanceError(where, "the depot alone", "at least one pickup and its delivery", "Add two lines.")
+        raise InstanceError(
+            where,
+            "the depot alone",
+            "at least one pickup and its delivery",
+            "Add two lines.",
+        )
 
 
 def _row(words: list[str], where: str) -> _Row:
     if len(words) != len(COLUMNS) or not all(_is_number(word) for word in words):
-        raise InstanceError(where, " ".join(words), f"{len(COLUMNS)} numbers a customer", "Mend the line.")
+        raise InstanceError(
+            where,
+            " ".join(words),
+            f"{len(COLUMNS)} numbers a customer",
+            "Mend the line.",
+        )
     numbers = [float(word) for word in words]
     for name, number, (least, most) in zip(COLUMNS, numbers, RANGES, strict=True):
         if not least <= number <= most or (name in WHOLE and not number.is_integer()):
             whole = "whole number" if name in WHOLE else "number"
             found = f"{name} {number:.9g}"
-            raise InstanceError(where, found, f"a {whole} from {least:g} to {most:g}", "Mend the line.")
+            raise InstanceError(
+                where, found, f"a {whole} from {least:g} to {most:g}", "Mend the line."
+            )
     customer, x, y, demand, ready, due, service, pickup, delivery = numbers
     if due < ready:
-        raise InstanceError(where, f"due time {due:g}", f"at least {ready:g}, the ready time", "Mend one of the two.")
+        raise InstanceError(
+            where,
+            f"due time {due:g}",
+            f"at least {ready:g}, the ready time",
+            "Mend one of the two.",
+        )
     if delivery and demand < 0.0:
         found = f"demand {demand:g} of a pickup"
-        raise InstanceError(where, found, "0 or more; its delivery has less than 0", "Mend the line.")
-    return _Row(int(customer), x, y, demand, ready, due, service, int(pickup), int(delivery))
+        raise InstanceError(
+            where, found, "0 or more; its delivery has less than 0", "Mend the line."
+        )
+    return _Row(
+        int(customer), x, y, demand, ready, due, service, int(pickup), int(delivery)
+    )
 
 
 def _pair(pickup: _Row, rows: dict[int, _Row], where: str) -> tuple[_Row, _Row]:
     delivery = rows.get(pickup.delivery)
-    if delivery is None or delivery.pickup != pickup.customer or delivery.demand != -pickup.demand:
+    if (
+        delivery is None
+        or delivery.pickup != pickup.customer
+        or delivery.demand != -pickup.demand
+    ):
         found = f"delivery {pickup.delivery}"
-        allowed = "a customer that names it as its pickup, with the demand that it loads"
-        raise InstanceError(f"{where}: customer {pickup.customer}", found, allowed, "Mend one of the two lines.")
+        allowed = (
+            "a customer that names it as its pickup, with the demand that it loads"
+        )
+        raise InstanceError(
+            f"{where}: customer {pickup.customer}",
+            found,
+            allowed,
+            "Mend one of the two lines.",
+        )
     return pickup, delivery
 
 

@@ -47,7 +47,9 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.set_title(_title(instance, plan), color=INK, fontsize=10)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2)
+    figure.legend(
+        loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2
+    )
     save_figure(figure, path, bbox_inches="tight")
 
 
@@ -69,33 +71,84 @@ def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> 
     for trip, tour in zip(flown, _tours(instance, route), strict=True):
         dash = DASHES[(route.robot + trip.number - 1) % len(DASHES)]
         label = _label(trip, several=len(flown) > 1, timed=timed)
-        axes.plot(tour[:, 0], tour[:, 1], color=colour, linestyle=dash, linewidth=1.5, label=label, zorder=2)
+        axes.plot(
+            tour[:, 0],
+            tour[:, 1],
+            color=colour,
+            linestyle=dash,
+            linewidth=1.5,
+            label=label,
+            zorder=2,
+        )
         for a, b in pairwise(tour):
             _draw_arrow(axes, a, b, colour)
 
 
 def _label(trip: Trip, several: bool, timed: bool) -> str:
     tasks = ", ".join(str(stop.task) for stop in trip.stops if stop.kind == "delivery")
-    who = f"robot {trip.robot}, trip {trip.number}" if several else f"robot {trip.robot}"
-    return f"{who}: {trip.length:.2f} m" + (f", until {trip.end:.2f} s" if timed else "") + f", tasks {tasks}"
+    who = (
+        f"robot {trip.robot}, trip {trip.number}" if several else f"robot {trip.robot}"
+    )
+    return (
+        f"{who}: {trip.length:.2f} m"
+        + (f", until {trip.end:.2f} s" if timed else "")
+        + f", tasks {tasks}"
+    )
 
 
 def _draw_arrow(axes: "Axes", a: Vec, b: Vec, colour: str) -> None:
     """A head in the middle of the leg from a to b."""
-    tip, tail = a + 0.56 * (b - a), a + 0.50 * (b - a)
-    style = {"arrowstyle": "-|>", "color": colour, "lw": 0.0, "mutation_scale": 11, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), arrowprops=style, zorder=3)
+    tip = a + 0.56 * (b - a)
+    tail = a + 0.50 * (b - a)
+    style = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "lw": 0.0,
+        "mutation_scale": 11,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
+    axes.annotate(
+        "", xy=(tip[0], tip[1]), xytext=(tail[0], tail[1]), arrowprops=style, zorder=3
+    )
 
 
 def _draw_points(axes: "Axes", instance: Instance) -> None:
     tasks = instance.tasks
     for i, end in enumerate([] if instance.end is None else instance.end):
-        axes.plot(end[0], end[1], "X", color=COLOURS[i % len(COLOURS)], markersize=8, markeredgecolor="white", zorder=4)
+        axes.plot(
+            end[0],
+            end[1],
+            "X",
+            color=COLOURS[i % len(COLOURS)],
+            markersize=8,
+            markeredgecolor="white",
+            zorder=4,
+        )
     for i, home in enumerate(instance.home):
         colour = COLOURS[i % len(COLOURS)]
-        axes.plot(home[0], home[1], "s", color=colour, markersize=11, markeredgecolor="white", zorder=5)
-        x, y = float(home[0]), float(home[1])
-        axes.text(x, y, str(i), color="white", ha="center", va="center_baseline", size=7.5, weight="bold", zorder=6)
+        axes.plot(
+            home[0],
+            home[1],
+            "s",
+            color=colour,
+            markersize=11,
+            markeredgecolor="white",
+            zorder=5,
+        )
+        x = float(home[0])
+        y = float(home[1])
+        axes.text(
+            x,
+            y,
+            str(i),
+            color="white",
+            ha="center",
+            va="center_baseline",
+            size=7.5,
+            weight="bold",
+            zorder=6,
+        )
     axes.plot([], [], "s", color="#808080", label="home of robot")
     height = ", ↑ height in m" if tasks.pickup.shape[1] == 3 else ""
     _draw_goods(axes, tasks.pickup, "^", "white", f"pickup of task{height}")
@@ -105,22 +158,44 @@ def _draw_points(axes: "Axes", instance: Instance) -> None:
 
 
 def _draw_goods(axes: "Axes", points: Mat, marker: str, fill: str, label: str) -> None:
-    axes.scatter(points[:, 0], points[:, 1], s=46, marker=marker, c=fill, edgecolors=INK, label=label, zorder=4)
+    axes.scatter(
+        points[:, 0],
+        points[:, 1],
+        s=46,
+        marker=marker,
+        c=fill,
+        edgecolors=INK,
+        label=label,
+        zorder=4,
+    )
 
 
 def _write_names(axes: "Axes", points: Mat) -> None:
     """Task numbers beside points, with the height of points off the floor."""
-    box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
+    box = {
+        "boxstyle": "round,pad=0.1",
+        "facecolor": "white",
+        "edgecolor": "none",
+        "alpha": 0.75,
+    }
     for j, point in enumerate(points):
         name = f"{j} ↑{point[2]:.1f}" if len(point) == 3 else str(j)
         axes.annotate(
-            name, point[:2], xytext=(6, 4), textcoords="offset points", fontsize=7.5, color=INK, zorder=6, bbox=box
+            name,
+            point[:2],
+            xytext=(6, 4),
+            textcoords="offset points",
+            fontsize=7.5,
+            color=INK,
+            zorder=6,
+            bbox=box,
         )
 
 
 def _tours(instance: Instance, route: Route) -> list[Mat]:
     """Of each trip (n, 2) or (n, 3) m: home, or where the robot ends, the stops, and where it ends."""
-    home, tasks = instance.home[route.robot], instance.tasks
+    home = instance.home[route.robot]
+    tasks = instance.tasks
     end = home if instance.end is None else instance.end[route.robot]
     at = {"pickup": tasks.pickup, "delivery": tasks.delivery}
     tours = [[home]]

@@ -36,7 +36,12 @@ class Route:
 
     @classmethod
     def from_nodes(
-        cls, robot: int, nodes: Sequence[int], tasks: int, length: float, finish: float | None = None
+        cls,
+        robot: int,
+        nodes: Sequence[int],
+        tasks: int,
+        length: float,
+        finish: float | None = None,
     ) -> "Route":
         """From nodes j (pickup of task j), M + j (its delivery) and 2M + 1 (a recharge), M = tasks."""
         return cls(robot, tuple(_stop(int(v), tasks) for v in nodes), length, finish)
@@ -44,11 +49,17 @@ class Route:
     @property
     def tasks(self) -> tuple[int, ...]:
         """The tasks served, increasing."""
-        return tuple(sorted(stop.task for stop in self.stops if stop.kind == "delivery"))
+        return tuple(
+            sorted(stop.task for stop in self.stops if stop.kind == "delivery")
+        )
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object: robot, stops [{task, kind}], length, and finish if it is stated."""
-        raw = {"robot": self.robot, "stops": [asdict(stop) for stop in self.stops], "length": self.length}
+        raw = {
+            "robot": self.robot,
+            "stops": [asdict(stop) for stop in self.stops],
+            "length": self.length,
+        }
         return raw if self.finish is None else raw | {"finish": self.finish}
 
     @classmethod
@@ -77,23 +88,35 @@ class Plan:
     objective: tuple[str, ...] = (TOTAL,)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "routes", tuple(sorted((r for r in self.routes if r.stops), key=lambda r: r.robot)))
+        object.__setattr__(
+            self,
+            "routes",
+            tuple(sorted((r for r in self.routes if r.stops), key=lambda r: r.robot)),
+        )
 
     @property
     def total(self) -> float:
         """Sum of the route lengths in m, added by robot id, and of the fixed costs."""
-        return sum((route.length for route in self.routes), 0.0) + self.fixed_cost * len(self.routes)
+        return sum(
+            (route.length for route in self.routes), 0.0
+        ) + self.fixed_cost * len(self.routes)
 
     @property
     def makespan(self) -> float:
         """s, when the last robot is done; nan if a route does not state it."""
-        times = [math.nan if route.finish is None else route.finish for route in self.routes]
+        times = [
+            math.nan if route.finish is None else route.finish for route in self.routes
+        ]
         return math.nan if any(map(math.isnan, times)) else max(times, default=0.0)
 
     @property
     def values(self) -> tuple[float, ...]:
         """What is minimised, in order: the objectives, the penalties added to the first."""
-        value = {TOTAL: self.total, MAKESPAN: self.makespan, VEHICLES: float(len(self.routes))}
+        value = {
+            TOTAL: self.total,
+            MAKESPAN: self.makespan,
+            VEHICLES: float(len(self.routes)),
+        }
         first, *rest = (value[name] for name in self.objective)
         return (first + self.penalties, *rest)
 
@@ -160,7 +183,10 @@ class Solution:
     def to_json(self) -> dict[str, Any]:
         """A JSON object with the fields above."""
         raw = {k: v for k, v in self.__dict__.items() if k != "routes"}
-        return raw | {"disclosed": list(self.disclosed), "routes": [route.to_json() for route in self.routes]}
+        return raw | {
+            "disclosed": list(self.disclosed),
+            "routes": [route.to_json() for route in self.routes],
+        }
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Solution":

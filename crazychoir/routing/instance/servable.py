@@ -9,7 +9,9 @@ from crazychoir.routing.instance.vehicle import SLACK, Vehicle
 from crazychoir.types import Vec
 
 
-def require_servable(vehicles: Sequence[Vehicle], penalty: Vec, where: str, names: Sequence[str] = ()) -> None:
+def require_servable(
+    vehicles: Sequence[Vehicle], penalty: Vec, where: str, names: Sequence[str] = ()
+) -> None:
     """Raise InstanceError for a good that must be served and that no robot can bring home.
 
     penalty: (M,), inf where the task must be served;  where: what the error calls the instance;
@@ -21,7 +23,8 @@ def require_servable(vehicles: Sequence[Vehicle], penalty: Vec, where: str, name
     for j in np.flatnonzero(~served):
         found, allowed, do = _why(vehicles, int(j))
         if names:
-            where, do = f"{where}: {names[int(j)]}", "Look at these lines, and at the first one."
+            where = f"{where}: {names[int(j)]}"
+            do = "Look at these lines, and at the first one."
             raise InstanceError(where, found, allowed, do)
         raise InstanceError(f"{where}: task {j}", found, allowed, do)
 
@@ -30,18 +33,30 @@ def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
     """The limit that keeps the last robot from task j: what was found, what is allowed, what to do."""
     capable = [v for v in vehicles if v.capable[j]]
     if not capable:
-        return "no robot that is capable of it", "at least one", f"Look at column {j} of capability."
+        return (
+            "no robot that is capable of it",
+            "at least one",
+            f"Look at column {j} of capability.",
+        )
     load = float(capable[0].load[j])
     carriers = [v for v in capable if load <= v.capacity + SLACK]
     if not carriers:
         most = f"{max(v.capacity for v in capable):g}, the largest capacity of the robots capable of it"
-        return f"load {load:g}", f"at most {most}", f"Look at load[{j}], capacity, and column {j} of capability."
+        return (
+            f"load {load:g}",
+            f"at most {most}",
+            f"Look at load[{j}], capacity, and column {j} of capability.",
+        )
     near = [v for v in carriers if v.shortest_trip[j] <= v.farthest + SLACK]
     if not near:
         shortest, robot = min((float(v.shortest_trip[j]), v.robot) for v in carriers)
         found = f"a tour of {shortest:.6g} m for it alone, by robot {robot}, the shortest of those that can carry it"
         allowed = f"at most {carriers[0].farthest:g} m, the route_length_limit"
-        return found, allowed, f"Look at route_length_limit, home, pickup[{j}] and delivery[{j}]."
+        return (
+            found,
+            allowed,
+            f"Look at route_length_limit, home, pickup[{j}] and delivery[{j}].",
+        )
     return _too_late(near, j)
 
 
@@ -53,8 +68,20 @@ def _too_late(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
         latest = float(vehicles[0].latest[part * m + j])
         if soonest > latest + SLACK:
             found = f"robot {robot}, the soonest, at its {name} at {soonest:.6g} s"
-            return found, f"at most {latest:g} s, the end of its window", f"Look at time_windows.{name}[{j}] and speed."
+            return (
+                found,
+                f"at most {latest:g} s, the end of its window",
+                f"Look at time_windows.{name}[{j}] and speed.",
+            )
     robot = min((float(v.soonest_end[j] - v.latest[-1]), v.robot) for v in vehicles)[1]
-    end, latest = next((float(v.soonest_end[j]), float(v.latest[-1])) for v in vehicles if v.robot == robot)
+    end, latest = next(
+        (float(v.soonest_end[j]), float(v.latest[-1]))
+        for v in vehicles
+        if v.robot == robot
+    )
     found = f"robot {robot} back from it at {end:.6g} s"
-    return found, f"at most {latest:g} s, the end of its window", f"Look at time_windows.home[{robot}] and speed."
+    return (
+        found,
+        f"at most {latest:g} s, the end of its window",
+        f"Look at time_windows.home[{robot}] and speed.",
+    )

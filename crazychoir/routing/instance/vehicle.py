@@ -72,14 +72,28 @@ class Vehicle:
         Those that no route can hold are left out by bounds: the shortest ways over any nodes, without waiting.
         """
         m = self.tasks
-        alone = self.capable & (self.load <= self.capacity + SLACK) & (self.shortest_trip <= self.farthest + SLACK)
-        return np.flatnonzero(self.aboard | (alone & (self.soonest <= self.latest[: 2 * m].reshape(2, m) + SLACK).all(0)
-                                             & (self.soonest_end <= self.latest[2 * m + 1] + SLACK)))  # fmt: skip
+        alone = (
+            self.capable
+            & (self.load <= self.capacity + SLACK)
+            & (self.shortest_trip <= self.farthest + SLACK)
+        )
+        return np.flatnonzero(
+            self.aboard
+            | (
+                alone
+                & (self.soonest <= self.latest[: 2 * m].reshape(2, m) + SLACK).all(0)
+                & (self.soonest_end <= self.latest[2 * m + 1] + SLACK)
+            )
+        )
 
     @cached_property
     def shortest(self) -> Mat:
         """(2M + 2, 2M + 2) m, the shortest ways over any nodes of one trip."""
-        return self.distance if self.metric else shortest_ways(self.distance, range(2 * self.tasks))
+        return (
+            self.distance
+            if self.metric
+            else shortest_ways(self.distance, range(2 * self.tasks))
+        )
 
     @cached_property
     def fastest(self) -> Mat:
@@ -96,18 +110,26 @@ class Vehicle:
     @cached_property
     def shortest_trip(self) -> Vec:
         """(M,) m, at least the distance of any trip with task j: start, pickup, delivery, end by the shortest ways."""
-        m, way = self.tasks, self.shortest
+        m = self.tasks
+        way = self.shortest
         j = np.arange(m)
-        out = way[2 * m, :m] if self.trips == 1 else np.minimum(way[2 * m, :m], way[2 * m + 1, :m])
+        out = (
+            way[2 * m, :m]
+            if self.trips == 1
+            else np.minimum(way[2 * m, :m], way[2 * m + 1, :m])
+        )
         return np.asarray(out + way[j, m + j] + way[m + j, 2 * m + 1])
 
     @cached_property
     def soonest(self) -> Mat:
         """(2, M) s: no service at pickup or delivery j begins sooner."""
-        m, way = self.tasks, self.fastest
+        m = self.tasks
+        way = self.fastest
         j = np.arange(m)
         pickup = np.maximum(self.earliest[:m], self.earliest[2 * m] + way[2 * m, :m])
-        return np.vstack([pickup, np.maximum(self.earliest[m : 2 * m], pickup + way[j, m + j])])
+        return np.vstack(
+            [pickup, np.maximum(self.earliest[m : 2 * m], pickup + way[j, m + j])]
+        )
 
     @cached_property
     def soonest_end(self) -> Vec:
@@ -118,7 +140,13 @@ class Vehicle:
     def length(self, route: Sequence[int]) -> float:
         """m, of a route, added from its start to its end."""
         m = self.tasks
-        return sum((float(self.distance[v, w]) for v, w in pairwise([2 * m, *route, 2 * m + 1])), 0.0)
+        return sum(
+            (
+                float(self.distance[v, w])
+                for v, w in pairwise([2 * m, *route, 2 * m + 1])
+            ),
+            0.0,
+        )
 
     def finish(self, route: Sequence[int]) -> float:
         """s, when a route is over that begins each service as soon as its window allows; 0 for one without stops."""
@@ -129,7 +157,9 @@ class Vehicle:
         m = self.tasks
         times = [float(self.earliest[2 * m])]
         for v, w in pairwise([2 * m, *route, 2 * m + 1]):
-            times.append(max(times[-1] + float(self.duration[v, w]), float(self.earliest[w])))
+            times.append(
+                max(times[-1] + float(self.duration[v, w]), float(self.earliest[w]))
+            )
         return times[1:]
 
     def only(self, chosen: npt.NDArray[np.int64]) -> "Vehicle":

@@ -12,7 +12,13 @@ from crazychoir.errors import SolverError
 from crazychoir.optimization.problems.linear import quiet_highs
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Plan, Route
-from crazychoir.routing.instance.vehicle import MAKESPAN, SLACK, TOTAL, VEHICLES, Vehicle
+from crazychoir.routing.instance.vehicle import (
+    MAKESPAN,
+    SLACK,
+    TOTAL,
+    VEHICLES,
+    Vehicle,
+)
 
 Terms = dict[int, float]
 Sense = Literal["<=", "==", ">="]
@@ -26,7 +32,9 @@ class _Model:
 
     highs: highspy.Highs = field(default_factory=quiet_highs)
 
-    def variable(self, cost: float, low: float, high: float, integer: bool = False) -> int:
+    def variable(
+        self, cost: float, low: float, high: float, integer: bool = False
+    ) -> int:
         j = int(self.highs.getNumCol())
         self.highs.addCol(cost, low, high, 0, np.array([], np.int32), np.array([]))
         if integer:
@@ -36,7 +44,8 @@ class _Model:
     def require(self, terms: Terms, sense: Sense, value: float) -> None:
         low = value if sense != "<=" else -highspy.kHighsInf
         high = value if sense != ">=" else highspy.kHighsInf
-        index, coefficient = np.array(list(terms), np.int32), np.array(list(terms.values()))
+        index = np.array(list(terms), np.int32)
+        coefficient = np.array(list(terms.values()))
         self.highs.addRow(low, high, len(terms), index, coefficient)
 
     def minimise(self, terms: Terms, where: str) -> list[float]:
@@ -70,7 +79,9 @@ class _Trip:
         """Terms of its length: end to end if it is flown without a stop, nothing if it is not flown."""
         m = self.vehicle.tasks
         at = {(v, w): (self.begin if v == 2 * m else v, w) for v, w in self.arcs}
-        return {x: float(self.vehicle.distance[at[arc]]) for arc, x in self.arcs.items()}
+        return {
+            x: float(self.vehicle.distance[at[arc]]) for arc, x in self.arcs.items()
+        }
 
 
 def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
@@ -103,7 +114,11 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
     model.highs.setOptionValue("mip_abs_gap", 0.0)
     model.highs.setOptionValue("mip_max_nodes", nodes)
     counted = {trips[0].stay: -1.0 for trips in teams}
-    costs = {TOTAL: _total(teams, instance.fixed_cost), MAKESPAN: {last: 1.0}, VEHICLES: counted}
+    costs = {
+        TOTAL: _total(teams, instance.fixed_cost),
+        MAKESPAN: {last: 1.0},
+        VEHICLES: counted,
+    }
     values: list[float] = []
     terms: Terms = refused
     for name in instance.objective:
@@ -117,7 +132,10 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
 def _add_robot(model: _Model, vehicle: Vehicle) -> list[_Trip]:
     """Variables and rows of one robot, a copy a trip. Nodes: 0..2M-1 stops, 2M start, 2M + 1 end."""
     m = vehicle.tasks
-    trips = [_add_trip(model, vehicle, 2 * m if r == 0 else 2 * m + 1) for r in range(vehicle.trips)]
+    trips = [
+        _add_trip(model, vehicle, 2 * m if r == 0 else 2 * m + 1)
+        for r in range(vehicle.trips)
+    ]
     for r, trip in enumerate(trips):
         limit = vehicle.limit if r == 0 else vehicle.limit_again
         if math.isfinite(limit):
@@ -130,34 +148,50 @@ def _add_robot(model: _Model, vehicle: Vehicle) -> list[_Trip]:
 
 def _add_trip(model: _Model, vehicle: Vehicle, begin: int) -> _Trip:
     m = vehicle.tasks
-    start, end = 2 * m, 2 * m + 1
+    start = 2 * m
+    end = 2 * m + 1
     served = [int(j) for j in vehicle.servable]
     stops = served + [m + j for j in served]
-    pairs = [(v, w) for v in [start, *stops] for w in [*stops, end] if v != w and v != w + m]
+    pairs = [
+        (v, w) for v in [start, *stops] for w in [*stops, end] if v != w and v != w + m
+    ]
     arcs = {pair: model.variable(0.0, 0, 1, integer=True) for pair in pairs}
     horizon = _horizon(vehicle)
     latest = np.minimum(vehicle.latest + SLACK, horizon)
     stay = model.variable(0.0, 0, 1, integer=True)
-    begun = {v: model.variable(0.0, float(vehicle.earliest[v]), float(latest[v])) for v in [start, *stops, end]}
+    begun = {
+        v: model.variable(0.0, float(vehicle.earliest[v]), float(latest[v]))
+        for v in [start, *stops, end]
+    }
     trip = _Trip(vehicle, begin, arcs, stay, begun[start], begun[end])
     _add_flow(model, trip, stops)
     _add_schedule(model, trip, stops)
     for (v, w), x in arcs.items():
         way = float(vehicle.duration[begin if v == start else v, w])
-        model.require({begun[w]: 1.0, begun[v]: -1.0, x: -(horizon + way)}, ">=", -horizon)
+        model.require(
+            {begun[w]: 1.0, begun[v]: -1.0, x: -(horizon + way)}, ">=", -horizon
+        )
     model.require({trip.back: 1.0, trip.left: -1.0, stay: horizon}, ">=", 0.0)
     return trip
 
 
 def _horizon(vehicle: Vehicle) -> float:
     """s, by which any route is over that does not dawdle."""
-    return float(vehicle.earliest.max() + vehicle.trips * vehicle.duration.max(axis=1).sum())
+    return float(
+        vehicle.earliest.max() + vehicle.trips * vehicle.duration.max(axis=1).sum()
+    )
 
 
 def _add_flow(model: _Model, trip: _Trip, stops: list[int]) -> None:
     m = trip.vehicle.tasks
-    leaving = {v: {x: 1.0 for (a, _), x in trip.arcs.items() if a == v} for v in [*stops, 2 * m]}
-    entering = {w: {x: 1.0 for (_, b), x in trip.arcs.items() if b == w} for w in [*stops, 2 * m + 1]}
+    leaving = {
+        v: {x: 1.0 for (a, _), x in trip.arcs.items() if a == v}
+        for v in [*stops, 2 * m]
+    }
+    entering = {
+        w: {x: 1.0 for (_, b), x in trip.arcs.items() if b == w}
+        for w in [*stops, 2 * m + 1]
+    }
     model.require(leaving[2 * m] | {trip.stay: 1.0}, "==", 1.0)
     model.require(entering[2 * m + 1] | {trip.stay: 1.0}, "==", 1.0)
     for v in stops:
@@ -167,19 +201,31 @@ def _add_flow(model: _Model, trip: _Trip, stops: list[int]) -> None:
 
 
 def _add_schedule(model: _Model, trip: _Trip, stops: list[int]) -> None:
-    vehicle, last = trip.vehicle, len(stops) - 1
-    m, q = vehicle.tasks, vehicle.load
-    place = {v: model.variable(0.0, 0 if v < m else 1, last if v >= m else last - 1) for v in stops}
-    load = {v: model.variable(0.0, float(q[v]) if v < m else 0.0, vehicle.capacity + SLACK) for v in stops}
+    vehicle = trip.vehicle
+    last = len(stops) - 1
+    m = vehicle.tasks
+    q = vehicle.load
+    place = {
+        v: model.variable(0.0, 0 if v < m else 1, last if v >= m else last - 1)
+        for v in stops
+    }
+    load = {
+        v: model.variable(0.0, float(q[v]) if v < m else 0.0, vehicle.capacity + SLACK)
+        for v in stops
+    }
     for v in stops:
         if v < m:
             model.require({place[v]: 1.0, place[v + m]: -1.0}, "<=", -1.0)
     for (v, w), x in trip.arcs.items():
         if v in place and w in place:
-            model.require({place[w]: 1.0, place[v]: -1.0, x: -(last + 1.0)}, ">=", -float(last))
+            model.require(
+                {place[w]: 1.0, place[v]: -1.0, x: -(last + 1.0)}, ">=", -float(last)
+            )
             change = float(q[w]) if w < m else -float(q[w - m])
             spare = vehicle.capacity + max(change, 0.0)
-            model.require({load[w]: 1.0, load[v]: -1.0, x: -spare}, ">=", change - spare)
+            model.require(
+                {load[w]: 1.0, load[v]: -1.0, x: -spare}, ">=", change - spare
+            )
 
 
 def _add_tasks(model: _Model, instance: Instance, trips: list[_Trip]) -> Terms:
@@ -199,7 +245,9 @@ def _add_makespan(model: _Model, teams: list[list[_Trip]]) -> int:
     last = model.variable(0.0, 0.0, highspy.kHighsInf)
     for trips in teams:
         horizon = _horizon(trips[0].vehicle)
-        model.require({last: 1.0, trips[-1].back: -1.0, trips[0].stay: horizon}, ">=", 0.0)
+        model.require(
+            {last: 1.0, trips[-1].back: -1.0, trips[0].stay: horizon}, ">=", 0.0
+        )
     return last
 
 
@@ -215,7 +263,8 @@ def _total(teams: list[list[_Trip]], fixed: float) -> Terms:
 
 def _route(trips: list[_Trip], values: list[float]) -> Route:
     vehicle = trips[0].vehicle
-    m, nodes = vehicle.tasks, []
+    m = vehicle.tasks
+    nodes = []
     for trip in (trip for trip in trips if values[trip.stay] < 0.5):
         after = {v: w for (v, w), x in trip.arcs.items() if values[x] > 0.5}
         nodes += [2 * m + 1] if trip is not trips[0] else []
@@ -225,4 +274,6 @@ def _route(trips: list[_Trip], values: list[float]) -> Route:
             at = after[at]
     while nodes and nodes[-1] > 2 * m:  # trips without a stop
         nodes.pop()
-    return Route.from_nodes(vehicle.robot, nodes, m, vehicle.length(nodes), vehicle.finish(nodes))
+    return Route.from_nodes(
+        vehicle.robot, nodes, m, vehicle.length(nodes), vehicle.finish(nodes)
+    )

@@ -44,17 +44,22 @@ class Halves:
     """
 
     def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS) -> None:
-        self._servable, self._tasks = vehicle.servable, vehicle.tasks
+        self._servable = vehicle.servable
+        self._tasks = vehicle.tasks
         self._vehicle = v = of_one_set(vehicle, self._servable)
         there, complete = _labels(v, most)
         back, also = _labels(_backwards(v), most)
         self.complete = complete and also
-        self._there, self._back = _grouped(there, back._replace(open=_backwards_node(back.open, v.tasks)))
+        self._there, self._back = _grouped(
+            there, back._replace(open=_backwards_node(back.open, v.tasks))
+        )
 
     @staticmethod
     def fits(vehicle: Vehicle) -> bool:
         """Whether its routes are of the kind that can be halved."""
-        return bool(np.isfinite(vehicle.limit)) and not (vehicle.timed or vehicle.trips > 1 or vehicle.aboard.any())
+        return bool(np.isfinite(vehicle.limit)) and not (
+            vehicle.timed or vehicle.trips > 1 or vehicle.aboard.any()
+        )
 
     def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
         """At most `count` columns with a reduced cost under `below`, the least first; the very least is among them."""
@@ -68,41 +73,72 @@ class Halves:
 
     def _length(self, a: int, b: int) -> float:
         """m, of the route of halves a and b, with the fixed cost; a price in it would round it, and make it news."""
-        v, there, back = self._vehicle, self._there, self._back
+        v = self._vehicle
+        there = self._there
+        back = self._back
         way = float(v.distance[there.open[a], back.open[b]])
         return float(there.length[a]) + way + float(back.length[b]) + v.fixed
 
     def least(self, prices: Vec) -> float:
         """The least reduced cost; at most 0, that of the idle column."""
-        values = [value for value, _, _ in self._joined(prices, -self._vehicle.fixed)[:1]]
+        values = [
+            value for value, _, _ in self._joined(prices, -self._vehicle.fixed)[:1]
+        ]
         return min([0.0, *(value + self._vehicle.fixed for value in values)])
 
     def _joined(self, prices: Vec, below: float) -> list[tuple[float, int, int]]:
         """(reduced cost without the fixed cost, halves a and b), of each group the best, the least first."""
-        own, v, there, back = prices[self._servable], self._vehicle, self._there, self._back
+        own = prices[self._servable]
+        v = self._vehicle
+        there = self._there
+        back = self._back
         if not len(there.length):
             return []
         sums = _sums(own)
         one = there.length - _worth(there.keys, sums, False)
         two = back.length - _worth(back.keys, sums, True)
-        least, least_back = np.minimum.reduceat(one, there.start[:-1]), np.minimum.reduceat(two, back.start[:-1])
+        least = np.minimum.reduceat(one, there.start[:-1])
+        least_back = np.minimum.reduceat(two, back.start[:-1])
         first, start = _promising(one, least_back, there.start, below)
         second, start_back = _promising(two, least, back.start, below)
         best, a, b = _join(
-            first, second, start, start_back, one, two, there.keys, back.keys, there.length, back.length, there.open,
-            back.open, v.distance, v.limit + SLACK, below,
-        )  # fmt: skip
+            first,
+            second,
+            start,
+            start_back,
+            one,
+            two,
+            there.keys,
+            back.keys,
+            there.length,
+            back.length,
+            there.open,
+            back.open,
+            v.distance,
+            v.limit + SLACK,
+            below,
+        )
         order = [int(g) for g in np.argsort(best, kind="stable") if a[g] >= 0]
         return [(float(best[g]), int(a[g]), int(b[g])) for g in order]
 
 
 def _labels(v: Vehicle, most: int) -> tuple[_Half, bool]:
     """The labels within half of the limit."""
-    m, way = v.tasks, v.shortest
-    rest, home = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1], np.ascontiguousarray(way[: 2 * m, 2 * m + 1])
+    m = v.tasks
+    way = v.shortest
+    rest = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1]
+    home = np.ascontiguousarray(way[: 2 * m, 2 * m + 1])
     limit = v.limit + SLACK
     keys, last, length, _, complete = grow_labels(
-        v.distance, rest, home, v.load, v.aboard, v.capacity + SLACK, limit, limit / 2.0 + SLACK, most
+        v.distance,
+        rest,
+        home,
+        v.load,
+        v.aboard,
+        v.capacity + SLACK,
+        limit,
+        limit / 2.0 + SLACK,
+        most,
     )
     return _Half(keys, length, last, np.zeros(0, np.int64)), complete
 
@@ -118,15 +154,26 @@ def _backwards(v: Vehicle) -> Vehicle:
     nodes = [*range(m, 2 * m), *range(m), 2 * m + 1, 2 * m]
     square = np.ix_(nodes, nodes)
     return Vehicle(
-        distance=np.ascontiguousarray(v.distance.T[square]), duration=np.ascontiguousarray(v.duration.T[square]),
-        earliest=v.earliest[nodes], latest=v.latest[nodes], load=v.load, capacity=v.capacity, limit=v.limit,
-        capable=v.capable, aboard=v.aboard, robot=v.robot, metric=v.metric,
-    )  # fmt: skip
+        distance=np.ascontiguousarray(v.distance.T[square]),
+        duration=np.ascontiguousarray(v.duration.T[square]),
+        earliest=v.earliest[nodes],
+        latest=v.latest[nodes],
+        load=v.load,
+        capacity=v.capacity,
+        limit=v.limit,
+        capable=v.capable,
+        aboard=v.aboard,
+        robot=v.robot,
+        metric=v.metric,
+    )
 
 
 def _grouped(there: _Half, back: _Half) -> tuple[_Half, _Half]:
     """Those labels of both halves of which the other has one with the same on board."""
-    one, two = (half.keys[:, 2] * SPREAD[0] ^ half.keys[:, 3] * SPREAD[1] for half in (there, back))
+    one, two = (
+        half.keys[:, 2] * SPREAD[0] ^ half.keys[:, 3] * SPREAD[1]
+        for half in (there, back)
+    )
     common = np.intersect1d(one, two)
     return _of_groups(there, one, common), _of_groups(back, two, common)
 
@@ -135,7 +182,9 @@ def _of_groups(half: _Half, name: Words, common: Words) -> _Half:
     kept = np.flatnonzero(np.isin(name, common))
     kept = kept[np.argsort(name[kept], kind="stable")]
     start = np.searchsorted(name[kept], common)
-    return _Half(half.keys[kept], half.length[kept], half.open[kept], np.append(start, len(kept)))
+    return _Half(
+        half.keys[kept], half.length[kept], half.open[kept], np.append(start, len(kept))
+    )
 
 
 def _promising(cost: Vec, least: Vec, start: Ints, below: float) -> tuple[Ints, Ints]:
@@ -162,21 +211,38 @@ def _worth(keys: Words, sums: Mat, besides: bool) -> Vec:
         for part in range(2):
             rest = keys[i, part] & (~keys[i, 2 + part] if besides else ~np.uint64(0))
             for byte in range(8):
-                out[i] += sums[8 * part + byte, rest >> np.uint64(8 * byte) & np.uint64(255)]
+                out[i] += sums[
+                    8 * part + byte, rest >> np.uint64(8 * byte) & np.uint64(255)
+                ]
     return out
 
 
 @kernel(nogil=True)
 def _join(
-    first: Ints, second: Ints, start: Ints, start_back: Ints, one: Vec, two: Vec, keys: Words, keys_back: Words,
-    length: Vec, length_back: Vec, at: Ints, at_back: Ints, distance: Mat, limit: float, below: float
-) -> tuple[Vec, Ints, Ints]:  # fmt: skip
+    first: Ints,
+    second: Ints,
+    start: Ints,
+    start_back: Ints,
+    one: Vec,
+    two: Vec,
+    keys: Words,
+    keys_back: Words,
+    length: Vec,
+    length_back: Vec,
+    at: Ints,
+    at_back: Ints,
+    distance: Mat,
+    limit: float,
+    below: float,
+) -> tuple[Vec, Ints, Ints]:
     """(G,) of each group the least reduced cost under `below`, and its halves, -1 where there is none.
 
     first, second: labels by group, those of least cost first, group g from start[g] to start[g + 1].
     """
     groups = len(start) - 1
-    best, a, b = np.full(groups, below), np.full(groups, -1), np.full(groups, -1)
+    best = np.full(groups, below)
+    a = np.full(groups, -1)
+    b = np.full(groups, -1)
     for g in range(groups):
         for p in range(start[g], start[g + 1]):
             i = first[p]
@@ -186,11 +252,19 @@ def _join(
                     break
                 if keys[i, 2] != keys_back[k, 2] or keys[i, 3] != keys_back[k, 3]:
                     continue
-                if keys[i, 0] & keys_back[k, 0] != keys[i, 2] or keys[i, 1] & keys_back[k, 1] != keys[i, 3]:
+                if (
+                    keys[i, 0] & keys_back[k, 0] != keys[i, 2]
+                    or keys[i, 1] & keys_back[k, 1] != keys[i, 3]
+                ):
                     continue
                 if keys[i, 0] | keys[i, 1] | keys_back[k, 0] | keys_back[k, 1] == 0:
                     continue
                 way = distance[at[i], at_back[k]]
-                if one[i] + way + two[k] < best[g] and length[i] + way + length_back[k] <= limit:
-                    best[g], a[g], b[g] = one[i] + way + two[k], i, k
+                if (
+                    one[i] + way + two[k] < best[g]
+                    and length[i] + way + length_back[k] <= limit
+                ):
+                    best[g] = one[i] + way + two[k]
+                    a[g] = i
+                    b[g] = k
     return best, a, b

@@ -33,17 +33,24 @@ class FinalLabels:
 
     def route(self, row: int, chosen: Ints, m: int) -> list[int]:
         """Nodes of label `row`, which knows the tasks `chosen` of m alone."""
-        nodes, label = [], int(self._label[row])
+        nodes = []
+        label = int(self._label[row])
         while self._parent[label] >= 0:
             at = int(self._last[label])
-            nodes.append(int(chosen[at]) if at < len(chosen) else m + int(chosen[at - len(chosen)]))
+            nodes.append(
+                int(chosen[at])
+                if at < len(chosen)
+                else m + int(chosen[at - len(chosen)])
+            )
             if self._again is not None and self._again[label]:
                 nodes.append(2 * m + 1)
             label = int(self._parent[label])
         return nodes[::-1]
 
 
-def final_labels(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLabels:
+def final_labels(
+    vehicle: Vehicle, most: int, objective: tuple[str, ...]
+) -> FinalLabels:
     """Of all routes of the vehicle's tasks, for each set those that no other one is better than in all that counts.
 
     most: labels. Exact if `complete`.
@@ -54,36 +61,65 @@ def final_labels(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> Fin
 
 
 def _lengths(vehicle: Vehicle, most: int) -> FinalLabels:
-    m, way = vehicle.tasks, vehicle.shortest
+    m = vehicle.tasks
+    way = vehicle.shortest
     rest = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1]
     keys, last, length, parent, complete = grow_labels(
-        vehicle.distance, rest, np.ascontiguousarray(way[: 2 * m, 2 * m + 1]), vehicle.load, vehicle.aboard,
-        vehicle.capacity + SLACK, vehicle.limit + SLACK, np.inf, most,
-    )  # fmt: skip
+        vehicle.distance,
+        rest,
+        np.ascontiguousarray(way[: 2 * m, 2 * m + 1]),
+        vehicle.load,
+        vehicle.aboard,
+        vehicle.capacity + SLACK,
+        vehicle.limit + SLACK,
+        np.inf,
+        most,
+    )
     empty = (keys[:, 2] == 0) & (keys[:, 3] == 0)
     total = length[empty] + vehicle.distance[last[empty], 2 * m + 1]
     back = total <= vehicle.limit + SLACK
     label = np.flatnonzero(empty)[back]
     finish = np.full(len(label), np.nan)
-    return FinalLabels(keys[label, :2], total[back], finish, complete, label, last, parent, None)
+    return FinalLabels(
+        keys[label, :2], total[back], finish, complete, label, last, parent, None
+    )
 
 
 def _fronts(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLabels:
     m = vehicle.tasks
-    end, limited = 2 * m + 1, np.isfinite(vehicle.farthest)
-    many, timed = vehicle.trips > 1, vehicle.timed or MAKESPAN in objective
+    end = 2 * m + 1
+    limited = np.isfinite(vehicle.farthest)
+    many = vehicle.trips > 1
+    timed = vehicle.timed or MAKESPAN in objective
     counts = TOTAL in objective or (limited and not many), timed, limited and many, many
     keys, last, state, parent, again, dead, complete = grow_fronts(
-        vehicle.distance, vehicle.duration, vehicle.shortest, vehicle.fastest, vehicle.earliest,
-        vehicle.latest + SLACK, vehicle.load, vehicle.aboard, np.array(counts), vehicle.capacity + SLACK,
-        vehicle.limit + SLACK, vehicle.limit_again + SLACK, vehicle.trips, most,
-    )  # fmt: skip
+        vehicle.distance,
+        vehicle.duration,
+        vehicle.shortest,
+        vehicle.fastest,
+        vehicle.earliest,
+        vehicle.latest + SLACK,
+        vehicle.load,
+        vehicle.aboard,
+        np.array(counts),
+        vehicle.capacity + SLACK,
+        vehicle.limit + SLACK,
+        vehicle.limit_again + SLACK,
+        vehicle.trips,
+        most,
+    )
     empty = (keys[:, 2] == 0) & (keys[:, 3] == 0) & ~dead
     home = vehicle.distance[last, end]
-    finish = np.maximum(state[:, 1] + vehicle.duration[last, end], vehicle.earliest[end])
-    label = np.flatnonzero(empty & (home <= state[:, 2]) & (finish <= vehicle.latest[end] + SLACK))
+    finish = np.maximum(
+        state[:, 1] + vehicle.duration[last, end], vehicle.earliest[end]
+    )
+    label = np.flatnonzero(
+        empty & (home <= state[:, 2]) & (finish <= vehicle.latest[end] + SLACK)
+    )
     length = state[label, 0] + home[label]
-    return FinalLabels(keys[label, :2], length, finish[label], complete, label, last, parent, again)
+    return FinalLabels(
+        keys[label, :2], length, finish[label], complete, label, last, parent, again
+    )
 
 
 def bits_of(words: Words) -> list[int]:

@@ -9,8 +9,24 @@ bound of what may follow, is no less than the best route's so far.
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.pricing.label_setting_windows import COST, LEFT, TIME, TRIP, as_good, in_time, rehashed, row_of
-from crazychoir.routing.pricing.labels import ONE, after, begin, doubled, listed, slot_of
+from crazychoir.routing.pricing.label_setting_windows import (
+    COST,
+    LEFT,
+    TIME,
+    TRIP,
+    as_good,
+    in_time,
+    rehashed,
+    row_of,
+)
+from crazychoir.routing.pricing.labels import (
+    ONE,
+    after,
+    begin,
+    doubled,
+    listed,
+    slot_of,
+)
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 
@@ -21,31 +37,65 @@ def _part_of(words: Words, a: int, b: int) -> bool:
 
 
 @kernel()
-def _enter(table: Ints, gone: Words, state: Mat, level: Ints, chain: Ints, dead: Bools, k: int, new: int,
-           by: Bools) -> bool:  # fmt: skip
+def _enter(
+    table: Ints,
+    gone: Words,
+    state: Mat,
+    level: Ints,
+    chain: Ints,
+    dead: Bools,
+    k: int,
+    new: int,
+    by: Bools,
+) -> bool:
     """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
-    mine, n = row_of(state, new), table[k]
+    mine = row_of(state, new)
+    n = table[k]
     while n >= 0:
-        if not dead[n] and level[n] <= level[new] and as_good(row_of(state, n), mine, by) and _part_of(gone, n, new):
+        if (
+            not dead[n]
+            and level[n] <= level[new]
+            and as_good(row_of(state, n), mine, by)
+            and _part_of(gone, n, new)
+        ):
             return False
         n = chain[n]
     n = table[k]
     while n >= 0:
-        if not dead[n] and level[n] >= level[new] and as_good(mine, row_of(state, n), by) and _part_of(gone, new, n):
+        if (
+            not dead[n]
+            and level[n] >= level[new]
+            and as_good(mine, row_of(state, n), by)
+            and _part_of(gone, new, n)
+        ):
             dead[n] = True
         n = chain[n]
     if table[k] < 0:
-        table[k], chain[new] = new, -1
+        table[k] = new
+        chain[new] = -1
     else:  # the head stays: it is what the table finds the key by
-        chain[new], chain[table[k]] = chain[table[k]], new
+        chain[new] = chain[table[k]]
+        chain[table[k]] = new
     return True
 
 
 @kernel()
 def _promise(
-    gone: Words, row: int, stop: int, on: Ints, goods: int, time: float, left: float, whole: float, latest: Vec,
-    shortest: Mat, fastest: Mat, into: Vec, prices: Vec, order: Ints
-) -> float:  # fmt: skip
+    gone: Words,
+    row: int,
+    stop: int,
+    on: Ints,
+    goods: int,
+    time: float,
+    left: float,
+    whole: float,
+    latest: Vec,
+    shortest: Mat,
+    fastest: Mat,
+    into: Vec,
+    prices: Vec,
+    order: Ints,
+) -> float:
     """A lower bound of the reduced cost of what may follow; tasks that are out of reach join those that are gone.
 
     min  sum_w into_w - sum_j price_j x_j   over the deliveries due, the end, and both stops of each task j taken, a
@@ -58,7 +108,8 @@ def _promise(
     due = into[end]
     for n in range(goods):
         due += into[m + on[n]]
-    cost, room = due, whole - due
+    cost = due
+    room = whole - due
     for n in range(m):
         j = order[n]
         if gone[row, j >> 6] >> np.uint64(j & 63) & ONE:
@@ -101,10 +152,27 @@ def _thin(guide: Vec, dead: Bools, first: int, count: int, width: int) -> bool:
 
 @kernel(nogil=True)
 def grow_priced(
-    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Bools,
-    prices: Vec, into: Vec, order: Ints, memory: Words, by: Bools, capacity: float, limit: float, limit_again: float,
-    trips: int, best: float, most: int, width: int,
-) -> tuple[float, Ints, Vec, Ints, Ints, Bools, bool]:  # fmt: skip
+    distance: Mat,
+    duration: Mat,
+    shortest: Mat,
+    fastest: Mat,
+    earliest: Vec,
+    latest: Vec,
+    load: Vec,
+    aboard: Bools,
+    prices: Vec,
+    into: Vec,
+    order: Ints,
+    memory: Words,
+    by: Bools,
+    capacity: float,
+    limit: float,
+    limit_again: float,
+    trips: int,
+    best: float,
+    most: int,
+    width: int,
+) -> tuple[float, Ints, Vec, Ints, Ints, Bools, bool]:
     """The least reduced cost of a route that is not empty, and less than `best`; without the fixed cost.
 
     prices: (m,);  into: (2m + 2,) m, the shortest way into each node;  order: (m,) tasks, those first whose price is
@@ -113,23 +181,45 @@ def grow_priced(
     Returns that cost, the labels (n,) that end a route and what it costs (n,), last, parent and again of all labels,
     exact: whether none was left out for their number. The rest as in grow_fronts.
     """
-    m, room, end = len(load), 1024, 2 * len(load) + 1
+    m = len(load)
+    room = 1024
+    end = 2 * len(load) + 1
     zero = np.uint64(0)
-    keys, last, parent = np.zeros((room, 4), np.uint64), np.zeros(room, np.int64), np.full(room, -1, np.int64)
-    gone, level = np.zeros((room, 2), np.uint64), np.zeros(room, np.int64)
-    state, held, table = np.zeros((room, 4)), np.zeros(room), np.full(4 * room, -1, np.int64)
-    chain, dead, head = np.full(room, -1, np.int64), np.zeros(room, np.bool_), np.zeros(room, np.bool_)
-    guide, again = np.zeros(room), np.zeros(room, np.bool_)
-    ends, worths, on, found = np.zeros(room, np.int64), np.zeros(room), np.zeros(m, np.int64), 0
+    keys = np.zeros((room, 4), np.uint64)
+    last = np.zeros(room, np.int64)
+    parent = np.full(room, -1, np.int64)
+    gone = np.zeros((room, 2), np.uint64)
+    level = np.zeros(room, np.int64)
+    state = np.zeros((room, 4))
+    held = np.zeros(room)
+    table = np.full(4 * room, -1, np.int64)
+    chain = np.full(room, -1, np.int64)
+    dead = np.zeros(room, np.bool_)
+    head = np.zeros(room, np.bool_)
+    guide = np.zeros(room)
+    again = np.zeros(room, np.bool_)
+    ends = np.zeros(room, np.int64)
+    worths = np.zeros(room)
+    on = np.zeros(m, np.int64)
+    found = 0
     due = np.zeros(m, np.int64)
     begin(keys, held, load, aboard)
-    gone[0, 0], gone[0, 1] = keys[0, 0], keys[0, 1]
-    keys[0, 0], keys[0, 1] = zero, zero
-    last[0], state[0, TIME], state[0, LEFT], state[0, TRIP] = 2 * m, earliest[2 * m], limit, 1.0
+    gone[0, 0] = keys[0, 0]
+    gone[0, 1] = keys[0, 1]
+    keys[0, 0] = zero
+    keys[0, 1] = zero
+    last[0] = 2 * m
+    state[0, TIME] = earliest[2 * m]
+    state[0, LEFT] = limit
+    state[0, TRIP] = 1.0
     for j in range(m):
         if aboard[j]:
             state[0, COST] -= prices[j]
-    count, i, first, exact, below = 1, 0, 1, True, best
+    count = 1
+    i = 0
+    first = 1
+    exact = True
+    below = best
     while i < count:
         if i == first:  # a new number of stops begins
             exact = not _thin(guide, dead, first, count, width) and exact
@@ -139,27 +229,48 @@ def grow_priced(
         options = 0 if dead[i] or level[i] >= 2 * m else ways * m + goods
         for option in range(options):
             anew = option >= m + goods
-            at, cost, time, left, trip = last[i], state[i, COST], state[i, TIME], state[i, LEFT], state[i, TRIP]
-            stop = option if option < m else (option - m if anew else m + on[option - m])
+            at = last[i]
+            cost = state[i, COST]
+            time = state[i, TIME]
+            left = state[i, LEFT]
+            trip = state[i, TRIP]
+            stop = (
+                option if option < m else (option - m if anew else m + on[option - m])
+            )
             j = stop % m
-            if stop < m and (gone[i, j >> 6] >> np.uint64(j & 63) & ONE or load[stop] > capacity - held[i]):
+            if stop < m and (
+                gone[i, j >> 6] >> np.uint64(j & 63) & ONE
+                or load[stop] > capacity - held[i]
+            ):
                 continue
             if anew:
                 if distance[at, end] > left:
                     continue
-                cost, time = cost + distance[at, end], max(time + duration[at, end], earliest[end])
-                left, trip, at = limit_again, trip + 1.0, end
+                cost = cost + distance[at, end]
+                time = max(time + duration[at, end], earliest[end])
+                left = limit_again
+                trip = trip + 1.0
+                at = end
             cost += distance[at, stop] - (prices[stop] if stop < m else 0.0)
             left -= distance[at, stop]
             time = max(time + duration[at, stop], earliest[stop])
             if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
                 continue
             _, _, o0, o1 = after(keys, i, stop, m)
-            p0, p1 = zero, zero  # what is picked up does not tell labels apart
-            keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
+            # what is picked up does not tell labels apart
+            p0 = zero
+            p1 = zero
+            keys[count, 0] = p0
+            keys[count, 1] = p1
+            keys[count, 2] = o0
+            keys[count, 3] = o1
             bit = ONE << np.uint64(j & 63)
-            gone[count, 0] = (gone[i, 0] & memory[j, 0]) | o0 | (bit if j < 64 else zero)
-            gone[count, 1] = (gone[i, 1] & memory[j, 1]) | o1 | (bit if j >= 64 else zero)
+            gone[count, 0] = (
+                (gone[i, 0] & memory[j, 0]) | o0 | (bit if j < 64 else zero)
+            )
+            gone[count, 1] = (
+                (gone[i, 1] & memory[j, 1]) | o1 | (bit if j >= 64 else zero)
+            )
             waiting = 0
             for n in range(goods):
                 if on[n] != j:
@@ -170,35 +281,82 @@ def grow_priced(
                 waiting += 1
             follow = trips - trip
             promise = cost + _promise(
-                gone, count, stop, due, waiting, time, np.inf if follow > 0 else left,
-                left + (follow * limit_again if follow > 0 else 0.0), latest, shortest, fastest, into, prices, order,
-            )  # fmt: skip
+                gone,
+                count,
+                stop,
+                due,
+                waiting,
+                time,
+                np.inf if follow > 0 else left,
+                left + (follow * limit_again if follow > 0 else 0.0),
+                latest,
+                shortest,
+                fastest,
+                into,
+                prices,
+                order,
+            )
             if promise >= best:
                 continue
             if count >= most:
                 exact = False
                 continue
-            last[count], parent[count], again[count], dead[count], level[count] = stop, i, anew, False, level[i] + 1
+            last[count] = stop
+            parent[count] = i
+            again[count] = anew
+            dead[count] = False
+            level[count] = level[i] + 1
             guide[count] = cost + shortest[stop, end]
             for n in range(waiting):
-                guide[count] = max(guide[count], cost + shortest[stop, m + due[n]] + shortest[m + due[n], end])
-            state[count, COST], state[count, TIME], state[count, LEFT], state[count, TRIP] = cost, time, left, trip
+                guide[count] = max(
+                    guide[count],
+                    cost + shortest[stop, m + due[n]] + shortest[m + due[n], end],
+                )
+            state[count, COST] = cost
+            state[count, TIME] = time
+            state[count, LEFT] = left
+            state[count, TRIP] = trip
             held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
             k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
             head[count] = table[k] < 0
             if not _enter(table, gone, state, level, chain, dead, k, count, by):
                 continue
-            total, finish = cost + distance[stop, end], max(time + duration[stop, end], earliest[end])
-            if waiting == 0 and total < below and distance[stop, end] <= left and finish <= latest[end]:
-                ends[found], worths[found], found = count, total, found + 1
+            total = cost + distance[stop, end]
+            finish = max(time + duration[stop, end], earliest[end])
+            if (
+                waiting == 0
+                and total < below
+                and distance[stop, end] <= left
+                and finish <= latest[end]
+            ):
+                ends[found] = count
+                worths[found] = total
+                found = found + 1
                 best = min(best, total)
             count += 1
             if count == len(last):
-                keys, last, parent, state = doubled(keys), doubled(last), doubled(parent), doubled(state)
-                held, chain, dead, head = doubled(held), doubled(chain), doubled(dead), doubled(head)
-                gone, level, guide, again = doubled(gone), doubled(level), doubled(guide), doubled(again)
-                ends, worths = doubled(ends), doubled(worths)
+                keys = doubled(keys)
+                last = doubled(last)
+                parent = doubled(parent)
+                state = doubled(state)
+                held = doubled(held)
+                chain = doubled(chain)
+                dead = doubled(dead)
+                head = doubled(head)
+                gone = doubled(gone)
+                level = doubled(level)
+                guide = doubled(guide)
+                again = doubled(again)
+                ends = doubled(ends)
+                worths = doubled(worths)
                 table = rehashed(2 * len(table), keys, last, head, count)
         i += 1
-    return best, ends[:found], worths[:found], last[:count], parent[:count], again[:count], exact
-
+    return (
+        best,
+        ends[:found],
+        worths[:found],
+        last[:count],
+        parent[:count],
+        again[:count],
+        exact,
+    )

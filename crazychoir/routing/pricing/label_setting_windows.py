@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.pricing.labels import after, begin, doubled, inside, listed, slot_of
+from crazychoir.routing.pricing.labels import (
+    after,
+    begin,
+    doubled,
+    inside,
+    listed,
+    slot_of,
+)
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 ROUNDING = 1e-11
@@ -35,10 +42,20 @@ def as_good(a: Any, b: Any, by: Bools) -> bool:
 
 
 @kernel()
-def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead: Bools, k: int, new: int,
-         by: Bools) -> bool:  # fmt: skip
+def _put(
+    table: Ints,
+    keys: Words,
+    last: Ints,
+    state: Mat,
+    after_it: Ints,
+    dead: Bools,
+    k: int,
+    new: int,
+    by: Bools,
+) -> bool:
     """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
-    mine, n = row_of(state, new), table[k]
+    mine = row_of(state, new)
+    n = table[k]
     while n >= 0:
         if not dead[n] and as_good(row_of(state, n), mine, by):
             return False
@@ -49,9 +66,11 @@ def _put(table: Ints, keys: Words, last: Ints, state: Mat, after_it: Ints, dead:
             dead[n] = True
         n = after_it[n]
     if table[k] < 0:
-        table[k], after_it[new] = new, -1
+        table[k] = new
+        after_it[new] = -1
     else:  # the head stays: it is what the table finds the key by
-        after_it[new], after_it[table[k]] = after_it[table[k]], new
+        after_it[new] = after_it[table[k]]
+        after_it[table[k]] = new
     return True
 
 
@@ -61,17 +80,40 @@ def rehashed(size: int, keys: Words, last: Ints, head: Bools, count: int) -> Int
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
         if head[i]:
-            table[slot_of(table, keys, last, keys[i, 0], keys[i, 1], keys[i, 2], keys[i, 3], last[i])] = i
+            table[
+                slot_of(
+                    table,
+                    keys,
+                    last,
+                    keys[i, 0],
+                    keys[i, 1],
+                    keys[i, 2],
+                    keys[i, 3],
+                    last[i],
+                )
+            ] = i
     return table
 
 
 @kernel()
 def in_time(
-    stop: int, on: Ints, goods: int, m: int, time: float, left: float, latest: Vec, shortest: Mat, fastest: Mat
+    stop: int,
+    on: Ints,
+    goods: int,
+    m: int,
+    time: float,
+    left: float,
+    latest: Vec,
+    shortest: Mat,
+    fastest: Mat,
 ) -> bool:
     """Whether after service at `stop` begins, each delivery due and the end can be reached, by lower bounds."""
     end = 2 * m + 1
-    if time > latest[stop] or time + fastest[stop, end] > latest[end] or shortest[stop, end] > left:
+    if (
+        time > latest[stop]
+        or time + fastest[stop, end] > latest[end]
+        or shortest[stop, end] > left
+    ):
         return False
     for n in range(goods + 1):
         if stop >= m and (n == goods or on[n] == stop - m):
@@ -87,9 +129,21 @@ def in_time(
 
 @kernel(nogil=True)
 def grow_fronts(
-    distance: Mat, duration: Mat, shortest: Mat, fastest: Mat, earliest: Vec, latest: Vec, load: Vec, aboard: Bools,
-    by: Bools, capacity: float, limit: float, limit_again: float, trips: int, most: int
-) -> tuple[Words, Ints, Mat, Ints, Bools, Bools, bool]:  # fmt: skip
+    distance: Mat,
+    duration: Mat,
+    shortest: Mat,
+    fastest: Mat,
+    earliest: Vec,
+    latest: Vec,
+    load: Vec,
+    aboard: Bools,
+    by: Bools,
+    capacity: float,
+    limit: float,
+    limit_again: float,
+    trips: int,
+    most: int,
+) -> tuple[Words, Ints, Mat, Ints, Bools, Bools, bool]:
     """All labels that no other dominates, in breadth-first order.
 
     Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,):
@@ -97,32 +151,56 @@ def grow_fronts(
     shortest, fastest (2m + 2, 2m + 2): lower bounds of distance and duration over any nodes;  by (4,): what counts;
     capacity, limits and latest with their slack;  the rest as in Vehicle and grow_labels.
     """
-    m, room = len(load), 1024
+    m = len(load)
+    room = 1024
     end = 2 * m + 1
-    keys, last, parent = np.zeros((room, 4), np.uint64), np.zeros(room, np.int64), np.full(room, -1, np.int64)
-    state, held, table = np.zeros((room, 4)), np.zeros(room), np.full(4 * room, -1, np.int64)
-    chain, again, dead = np.full(room, -1, np.int64), np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+    keys = np.zeros((room, 4), np.uint64)
+    last = np.zeros(room, np.int64)
+    parent = np.full(room, -1, np.int64)
+    state = np.zeros((room, 4))
+    held = np.zeros(room)
+    table = np.full(4 * room, -1, np.int64)
+    chain = np.full(room, -1, np.int64)
+    again = np.zeros(room, np.bool_)
+    dead = np.zeros(room, np.bool_)
     head = np.zeros(room, np.bool_)
     on = np.zeros(m, np.int64)
     begin(keys, held, load, aboard)
-    last[0], state[0, TIME], state[0, LEFT], state[0, TRIP] = 2 * m, earliest[2 * m], limit, 1.0
-    count, i, complete = 1, 0, True
+    last[0] = 2 * m
+    state[0, TIME] = earliest[2 * m]
+    state[0, LEFT] = limit
+    state[0, TRIP] = 1.0
+    count = 1
+    i = 0
+    complete = True
     while i < count:
         goods = 0 if dead[i] else listed(keys, i, 2, m, on)
         ways = 2 if goods == 0 and state[i, TRIP] < trips else 1
         options = 0 if dead[i] else ways * m + goods
         for option in range(options):
             anew = option >= m + goods
-            at, cost, time, left, trip = last[i], state[i, COST], state[i, TIME], state[i, LEFT], state[i, TRIP]
-            stop = option if option < m else (option - m if anew else m + on[option - m])
-            if stop < m and (inside(keys, i, 0, stop) or load[stop] > capacity - held[i]):
+            at = last[i]
+            cost = state[i, COST]
+            time = state[i, TIME]
+            left = state[i, LEFT]
+            trip = state[i, TRIP]
+            stop = (
+                option if option < m else (option - m if anew else m + on[option - m])
+            )
+            if stop < m and (
+                inside(keys, i, 0, stop) or load[stop] > capacity - held[i]
+            ):
                 continue
             if anew:
                 if distance[at, end] > left:
                     continue
-                cost, time = cost + distance[at, end], max(time + duration[at, end], earliest[end])
-                left, trip, at = limit_again, trip + 1.0, end
-            cost, left = cost + distance[at, stop], left - distance[at, stop]
+                cost = cost + distance[at, end]
+                time = max(time + duration[at, end], earliest[end])
+                left = limit_again
+                trip = trip + 1.0
+                at = end
+            cost = cost + distance[at, stop]
+            left = left - distance[at, stop]
             time = max(time + duration[at, stop], earliest[stop])
             if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
                 continue
@@ -131,18 +209,41 @@ def grow_fronts(
                 continue
             p0, p1, o0, o1 = after(keys, i, stop, m)
             k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
-            keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
-            last[count], parent[count], again[count], dead[count] = stop, i, anew, False
-            state[count, COST], state[count, TIME], state[count, LEFT], state[count, TRIP] = cost, time, left, trip
+            keys[count, 0] = p0
+            keys[count, 1] = p1
+            keys[count, 2] = o0
+            keys[count, 3] = o1
+            last[count] = stop
+            parent[count] = i
+            again[count] = anew
+            dead[count] = False
+            state[count, COST] = cost
+            state[count, TIME] = time
+            state[count, LEFT] = left
+            state[count, TRIP] = trip
             held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
             head[count] = table[k] < 0
             if not _put(table, keys, last, state, chain, dead, k, count, by):
                 continue
             count += 1
             if count == len(last):
-                keys, last, parent, state = doubled(keys), doubled(last), doubled(parent), doubled(state)
-                held, chain, again, dead = doubled(held), doubled(chain), doubled(again), doubled(dead)
+                keys = doubled(keys)
+                last = doubled(last)
+                parent = doubled(parent)
+                state = doubled(state)
+                held = doubled(held)
+                chain = doubled(chain)
+                again = doubled(again)
+                dead = doubled(dead)
                 head = doubled(head)
                 table = rehashed(2 * len(table), keys, last, head, count)
         i += 1
-    return keys[:count], last[:count], state[:count], parent[:count], again[:count], dead[:count], complete
+    return (
+        keys[:count],
+        last[:count],
+        state[:count],
+        parent[:count],
+        again[:count],
+        dead[:count],
+        complete,
+    )

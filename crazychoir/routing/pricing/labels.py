@@ -12,17 +12,28 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 ONE = np.uint64(1)
-SPREAD = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.uint64(0x165667B19E3779F9))
+SPREAD = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xC2B2AE3D27D4EB4F),
+    np.uint64(0x165667B19E3779F9),
+)
 SHIFT = np.uint64(29)
 MOST_TASKS = 128
 """Bits of the two words of a set."""
 
 
 @kernel()
-def slot_of(table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1: Any, at: Any) -> Any:
+def slot_of(
+    table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1: Any, at: Any
+) -> Any:
     """Where a label is, or would be, in the open-addressing table."""
     mask = len(table) - 1
-    h = (p0 * SPREAD[0]) ^ (o0 * SPREAD[1]) ^ ((p1 + np.uint64(at)) * SPREAD[2]) ^ (o1 * SPREAD[0] + SPREAD[1])
+    h = (
+        (p0 * SPREAD[0])
+        ^ (o0 * SPREAD[1])
+        ^ ((p1 + np.uint64(at)) * SPREAD[2])
+        ^ (o1 * SPREAD[0] + SPREAD[1])
+    )
     h ^= h >> SHIFT
     h *= SPREAD[1]
     h ^= h >> SHIFT
@@ -31,7 +42,13 @@ def slot_of(table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1:
         i = table[k]
         if i < 0:
             return k
-        if keys[i, 0] == p0 and keys[i, 1] == p1 and keys[i, 2] == o0 and keys[i, 3] == o1 and last[i] == at:
+        if (
+            keys[i, 0] == p0
+            and keys[i, 1] == p1
+            and keys[i, 2] == o0
+            and keys[i, 3] == o1
+            and last[i] == at
+        ):
             return k
         k = (k + 1) & mask
 
@@ -40,7 +57,18 @@ def slot_of(table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1:
 def _rehashed(size: int, keys: Words, last: Ints, count: int) -> Ints:
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
-        table[slot_of(table, keys, last, keys[i, 0], keys[i, 1], keys[i, 2], keys[i, 3], last[i])] = i
+        table[
+            slot_of(
+                table,
+                keys,
+                last,
+                keys[i, 0],
+                keys[i, 1],
+                keys[i, 2],
+                keys[i, 3],
+                last[i],
+            )
+        ] = i
     return table
 
 
@@ -61,7 +89,8 @@ def listed(words: Words, row: int, first: int, m: int, out: Ints) -> int:
     """Writes the set of `row` into `out`, increasing; returns how many there are."""
     n = 0
     for part in range(2):
-        rest, j = words[row, first + part], 64 * part
+        rest = words[row, first + part]
+        j = 64 * part
         while rest != 0 and j < m:
             if rest & ONE:
                 out[n] = j
@@ -74,7 +103,10 @@ def listed(words: Words, row: int, first: int, m: int, out: Ints) -> int:
 @kernel()
 def after(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]:
     """The two words of P and of O after `stop`."""
-    p0, p1, o0, o1 = keys[row, 0], keys[row, 1], keys[row, 2], keys[row, 3]
+    p0 = keys[row, 0]
+    p1 = keys[row, 1]
+    o0 = keys[row, 2]
+    o1 = keys[row, 3]
     j = stop % m
     bit = ONE << np.uint64(j & 63)
     if stop < m:
@@ -94,7 +126,9 @@ def begin(keys: Words, held: Vec, load: Vec, aboard: Bools) -> None:
 
 
 @kernel()
-def _in_reach(rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: float, limit: float) -> bool:
+def _in_reach(
+    rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: float, limit: float
+) -> bool:
     """Whether from `stop` there is a way to the end by each delivery due within the limit."""
     m = rest.shape[1]
     j = stop % m
@@ -108,7 +142,15 @@ def _in_reach(rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: flo
 
 @kernel(nogil=True)
 def grow_labels(
-    distance: Mat, rest: Mat, home: Vec, load: Vec, aboard: Bools, capacity: float, limit: float, far: float, most: int
+    distance: Mat,
+    rest: Mat,
+    home: Vec,
+    load: Vec,
+    aboard: Bools,
+    capacity: float,
+    limit: float,
+    far: float,
+    most: int,
 ) -> tuple[Words, Ints, Vec, Ints, bool]:
     """All undominated labels, in breadth-first order: keys (n, 4), last (n,), length (n,), parent (n,), complete.
 
@@ -118,37 +160,59 @@ def grow_labels(
     Label 0 is the start with what is aboard; its `last` is 2m. Every step adds a stop, so a label is final when its
     turn comes. Beyond `most` labels no new one is made and `complete` is False.
     """
-    m, room = len(load), 1024
-    keys, last, parent = np.zeros((room, 4), np.uint64), np.zeros(room, np.int64), np.full(room, -1, np.int64)
-    length, held, table = np.zeros(room), np.zeros(room), np.full(4 * room, -1, np.int64)
+    m = len(load)
+    room = 1024
+    keys = np.zeros((room, 4), np.uint64)
+    last = np.zeros(room, np.int64)
+    parent = np.full(room, -1, np.int64)
+    length = np.zeros(room)
+    held = np.zeros(room)
+    table = np.full(4 * room, -1, np.int64)
     on = np.zeros(m, np.int64)
     begin(keys, held, load, aboard)
-    last[0], count, i, complete = 2 * m, 1, 0, True
+    last[0] = 2 * m
+    count = 1
+    i = 0
+    complete = True
     while i < count:
         goods = listed(keys, i, 2, m, on)
         for option in range(m + goods):
             stop = option if option < m else m + on[option - m]
-            if stop < m and (inside(keys, i, 0, stop) or load[stop] > capacity - held[i]):
+            if stop < m and (
+                inside(keys, i, 0, stop) or load[stop] > capacity - held[i]
+            ):
                 continue
             so_far = length[i] + distance[last[i], stop]
-            if so_far > far or not _in_reach(rest, home, stop, on, goods, so_far, limit):
+            if so_far > far or not _in_reach(
+                rest, home, stop, on, goods, so_far, limit
+            ):
                 continue
             p0, p1, o0, o1 = after(keys, i, stop, m)
             k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
             n = table[k]
             if n >= 0:
                 if so_far < length[n]:
-                    length[n], parent[n] = so_far, i
+                    length[n] = so_far
+                    parent[n] = i
             elif count >= most:
                 complete = False
             else:
-                keys[count, 0], keys[count, 1], keys[count, 2], keys[count, 3] = p0, p1, o0, o1
-                last[count], length[count], parent[count], table[k] = stop, so_far, i, count
+                keys[count, 0] = p0
+                keys[count, 1] = p1
+                keys[count, 2] = o0
+                keys[count, 3] = o1
+                last[count] = stop
+                length[count] = so_far
+                parent[count] = i
+                table[k] = count
                 held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
                 count += 1
                 if count == len(last):
-                    keys, last, parent = doubled(keys), doubled(last), doubled(parent)
-                    length, held = doubled(length), doubled(held)
+                    keys = doubled(keys)
+                    last = doubled(last)
+                    parent = doubled(parent)
+                    length = doubled(length)
+                    held = doubled(held)
                     table = _rehashed(2 * len(table), keys, last, count)
         i += 1
     return keys[:count], last[:count], length[:count], parent[:count], complete

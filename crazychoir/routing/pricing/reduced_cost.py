@@ -27,7 +27,9 @@ class Least(NamedTuple):
     exact: bool
 
 
-def least_reduced_cost(vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, width: int = WIDTH) -> Least:
+def least_reduced_cost(
+    vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, width: int = WIDTH
+) -> Least:
     """The least of   fixed + length - sum_{j served} price_j   over all routes of the vehicle, and of 0 for none.
 
     prices: (M,) m, -inf forbids a task;  most: labels;  width: of the quick search. With most = 0 it is all there is.
@@ -38,13 +40,20 @@ def least_reduced_cost(vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, w
     if most and not quick.exact:
         found.append(problem.search(quick.value, most, most))
     sets = problem.sets([route for search in found for route in search.routes])
-    columns = [Column(shortest_route(vehicle, tasks)[1] + vehicle.fixed, tasks) for tasks in list(sets)[:MOST_COLUMNS]]
+    columns = [
+        Column(shortest_route(vehicle, tasks)[1] + vehicle.fixed, tasks)
+        for tasks in list(sets)[:MOST_COLUMNS]
+    ]
     columns.sort(key=lambda c: (c.length - float(prices[list(c.tasks)].sum()), c))
     return Least(found[-1].value, columns, found[-1].exact)
 
 
 def relaxed_reduced_cost(
-    vehicle: Vehicle, prices: Vec, below: float, near: int = NEAR, most: int = MOST_LABELS
+    vehicle: Vehicle,
+    prices: Vec,
+    below: float,
+    near: int = NEAR,
+    most: int = MOST_LABELS,
 ) -> float:
     """A lower bound of the least reduced cost: routes may serve a task again, but not while they are near it.
 
@@ -73,10 +82,13 @@ class _Problem:
 
     def __init__(self, vehicle: Vehicle, prices: Vec, near: int | None = None) -> None:
         able = [j for j in vehicle.servable if vehicle.aboard[j] or prices[j] > -np.inf]
-        self._whole, self._chosen = vehicle, np.array(able, dtype=np.int64)
+        self._whole = vehicle
+        self._chosen = np.array(able, dtype=np.int64)
         self._vehicle = of_one_set(vehicle, self._chosen)
         self._price = np.asarray(prices[self._chosen], dtype=float)
-        self._memory = _memory(self._vehicle, len(self._chosen) if near is None else near)
+        self._memory = _memory(
+            self._vehicle, len(self._chosen) if near is None else near
+        )
 
     @property
     def nothing(self) -> float:
@@ -89,26 +101,53 @@ class _Problem:
         into = _into(v)
         by = np.array([True, v.timed, bool(np.isfinite(v.farthest)), v.trips > 1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            worth = np.nan_to_num(self._price / (into[: v.tasks] + into[v.tasks : 2 * v.tasks]))
+            worth = np.nan_to_num(
+                self._price / (into[: v.tasks] + into[v.tasks : 2 * v.tasks])
+            )
         best, ends, costs, last, parent, again, exact = grow_priced(
-            v.distance, v.duration, v.shortest, v.fastest, v.earliest, v.latest + SLACK, v.load, v.aboard,
-            self._price, into, np.argsort(-worth, kind="stable"), self._memory, by, v.capacity + SLACK,
-            v.limit + SLACK, v.limit_again + SLACK, v.trips, below - v.fixed, most, width,
-        )  # fmt: skip
+            v.distance,
+            v.duration,
+            v.shortest,
+            v.fastest,
+            v.earliest,
+            v.latest + SLACK,
+            v.load,
+            v.aboard,
+            self._price,
+            into,
+            np.argsort(-worth, kind="stable"),
+            self._memory,
+            by,
+            v.capacity + SLACK,
+            v.limit + SLACK,
+            v.limit_again + SLACK,
+            v.trips,
+            below - v.fixed,
+            most,
+            width,
+        )
         order = np.argsort(costs, kind="stable")[: 10 * MOST_COLUMNS]
-        routes = [(float(costs[r]) + v.fixed, self._nodes(int(ends[r]), last, parent, again)) for r in order]
+        routes = [
+            (float(costs[r]) + v.fixed, self._nodes(int(ends[r]), last, parent, again))
+            for r in order
+        ]
         return _Search(min(below, best + v.fixed), routes, bool(exact))
 
-    def sets(self, routes: list[tuple[float, list[int]]]) -> dict[tuple[int, ...], list[int]]:
+    def sets(
+        self, routes: list[tuple[float, list[int]]]
+    ) -> dict[tuple[int, ...], list[int]]:
         """The sets of tasks with the nodes of their best route, the least reduced cost first."""
         m = self._whole.tasks
         best: dict[tuple[int, ...], list[int]] = {}
         for _, nodes in sorted(routes):
-            best.setdefault(tuple(sorted(v - m for v in nodes if m <= v < 2 * m)), nodes)
+            best.setdefault(
+                tuple(sorted(v - m for v in nodes if m <= v < 2 * m)), nodes
+            )
         return best
 
     def _nodes(self, label: int, last: Ints, parent: Ints, again: Bools) -> list[int]:
-        m, nodes = self._whole.tasks, []
+        m = self._whole.tasks
+        nodes = []
         while label > 0:
             part, at = divmod(int(last[label]), len(self._chosen))
             nodes.append(m * part + int(self._chosen[at]))
@@ -120,7 +159,8 @@ class _Problem:
 
 def _into(v: Vehicle) -> Vec:
     """(2m + 2,) m, the shortest way into each node from any that may be before it."""
-    m, way = v.tasks, v.distance.copy()
+    m = v.tasks
+    way = v.distance.copy()
     np.fill_diagonal(way, np.inf)
     j = np.arange(m)
     way[m + j, j] = np.inf  # no pickup after its own delivery
@@ -137,7 +177,10 @@ def _memory(v: Vehicle, near: int) -> Words:
     """(m, 2) words: of each task, the `near` nearest, itself first."""
     m = v.tasks
     apart = v.distance[: 2 * m, : 2 * m]
-    stops = np.minimum(np.minimum(apart[:m, :m], apart[m:, m:]), np.minimum(apart[:m, m:], apart[m:, :m]))
+    stops = np.minimum(
+        np.minimum(apart[:m, :m], apart[m:, m:]),
+        np.minimum(apart[:m, m:], apart[m:, :m]),
+    )
     stops = stops.copy()
     np.fill_diagonal(stops, -1.0)
     words = np.zeros((m, 2), np.uint64)

@@ -42,13 +42,20 @@ class RouteTable:
     Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     """
 
-    def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS, objective: tuple[str, ...] = (TOTAL,)) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        most: int = MOST_LABELS,
+        objective: tuple[str, ...] = (TOTAL,),
+    ) -> None:
         servable = vehicle.servable
         labels = final_labels(of_one_set(vehicle, servable), most, objective)
         self.complete = labels.complete
         first, second = _amounts(labels, objective, vehicle.fixed)
         best = _best_of_each(labels.picked, first, second)
-        members = [tuple(servable[bits_of(row)].tolist()) for row in labels.picked[best]]
+        members = [
+            tuple(servable[bits_of(row)].tolist()) for row in labels.picked[best]
+        ]
         order = sorted(range(len(best)), key=lambda c: (first[best[c]], members[c]))
         idle = [] if vehicle.aboard.any() else [()]
         sets = [*idle, *(members[c] for c in order)]
@@ -63,14 +70,19 @@ class RouteTable:
 
     def column(self, c: int) -> Column:
         """Column number c."""
-        return Column(float(self.length[c]), tuple(int(j) for j in self.task[self.start[c] : self.start[c + 1]]))
+        return Column(
+            float(self.length[c]),
+            tuple(int(j) for j in self.task[self.start[c] : self.start[c + 1]]),
+        )
 
     def reduced_costs(self, prices: Vec, reward: float = 0.0) -> Vec:
         """(len(self),) m, of all columns, of all but the idle one less `reward`; prices: (M,) m, -inf forbids."""
         cost = np.asarray(reduced_costs(self.length, self.start, self.task, prices))
         return cost - reward * (np.diff(self.start) > 0) if reward else cost
 
-    def cheapest(self, prices: Vec, count: int, below: float, reward: float = 0.0) -> list[Column]:
+    def cheapest(
+        self, prices: Vec, count: int, below: float, reward: float = 0.0
+    ) -> list[Column]:
         """At most `count` columns with a reduced cost under `below`, the least first, ties in the table's order."""
         cost = self.reduced_costs(prices, reward)
         candidates = np.flatnonzero(cost < below)
@@ -90,7 +102,10 @@ class RouteTable:
 
 
 def shortest_route(
-    vehicle: Vehicle, tasks: Sequence[int], objective: tuple[str, ...] = (TOTAL,), most: int = MOST_LABELS
+    vehicle: Vehicle,
+    tasks: Sequence[int],
+    objective: tuple[str, ...] = (TOTAL,),
+    most: int = MOST_LABELS,
 ) -> tuple[list[int], float]:
     """Nodes and length in m of the best route of `vehicle` that serves exactly `tasks`: the shortest, or the soonest.
 
@@ -104,7 +119,10 @@ def shortest_route(
     where = f"robot {vehicle.robot}: a tour of tasks {chosen.tolist()}"
     left = np.setdiff1d(np.flatnonzero(vehicle.aboard), chosen)
     if len(left) or not (vehicle.capable | vehicle.aboard)[chosen].all():
-        raise SolverError(where, f"infeasible: it carries {left.tolist()}" if len(left) else "infeasible")
+        raise SolverError(
+            where,
+            f"infeasible: it carries {left.tolist()}" if len(left) else "infeasible",
+        )
     labels = final_labels(of_one_set(vehicle, chosen), most, objective)
     full = np.flatnonzero(labels.count == len(chosen))
     if not len(full):
@@ -117,12 +135,15 @@ def shortest_route(
 def of_one_set(vehicle: Vehicle, chosen: Ints) -> Vehicle:
     """With the tasks `chosen` alone; InstanceError if no set can hold them."""
     if len(chosen) > MOST_TASKS:
-        where, do = f"robot {vehicle.robot}: tasks that it could serve", "Narrow capability or route_length_limit."
+        where = f"robot {vehicle.robot}: tasks that it could serve"
+        do = "Narrow capability or route_length_limit."
         raise InstanceError(where, len(chosen), f"at most {MOST_TASKS}", do)
     return vehicle.only(chosen)
 
 
-def _amounts(labels: FinalLabels, objective: tuple[str, ...], fixed: float) -> tuple[Vec, Vec]:
+def _amounts(
+    labels: FinalLabels, objective: tuple[str, ...], fixed: float
+) -> tuple[Vec, Vec]:
     """(n,) of the first objective and of the other one; the latter is 0 where only one is known."""
     cost = labels.length + fixed
     if objective[0] == MAKESPAN:

@@ -34,7 +34,10 @@ class Best(NamedTuple):
 
     def tours(self, fleet: Fleet) -> Tours:
         """Its routes, judged."""
-        tours = Tours.of(fleet, [row[1 : n + 1] for row, n in zip(self.stop, self.stops, strict=True)])
+        tours = Tours.of(
+            fleet,
+            [row[1 : n + 1] for row, n in zip(self.stop, self.stops, strict=True)],
+        )
         for k in range(len(self.stops)):
             refresh(fleet, tours, k)
         return tours
@@ -42,9 +45,19 @@ class Best(NamedTuple):
 
 @kernel(nogil=True, _nrt=False)
 def anneal(
-    fleet: Any, tours: Any, step: Any, memory: Any, best: Any, pool: Any, random: Words, absence: Vec,
-    steps: int, hot: float, average: float, fewer: bool,
-) -> int:  # fmt: skip
+    fleet: Any,
+    tours: Any,
+    step: Any,
+    memory: Any,
+    best: Any,
+    pool: Any,
+    random: Words,
+    absence: Vec,
+    steps: int,
+    hot: float,
+    average: float,
+    fewer: bool,
+) -> int:
     """Search from `tours`; the best plan is in `best`. Returns how many steps it took, `steps` at most.
 
         accept a plan of cost c', c being the plan's of now, if  c' < c - T ln U,   T from `hot` to hot / 100
@@ -58,7 +71,8 @@ def anneal(
     _keep(tours, best, missing, heavy, first, second)
     for k in range(len(fleet.start)):
         remember(fleet, tours, pool, k, 0)
-    temperature, level = hot, 0
+    temperature = hot
+    level = 0
     for now in range(1, steps + 1):
         if fewer and missing == 0:
             if not _close_one(fleet, tours, step, memory, absence):
@@ -71,7 +85,9 @@ def anneal(
         begin_step(step)
         ruin(fleet, tours, step, random, average)
         recreate(fleet, tours, step, memory, random)
-        new_missing, new_absent, new_heavy, new_cost, first, second = judge(fleet, tours, absence)
+        new_missing, new_absent, new_heavy, new_cost, first, second = judge(
+            fleet, tours, absence
+        )
         if new_missing < missing or new_absent < absent:
             accepted = True
         elif new_missing > missing or new_absent > absent:
@@ -90,7 +106,9 @@ def anneal(
         cost = new_cost
         for t in range(step.counts[0]):
             remember(fleet, tours, pool, step.touched[t], now)
-        if missing < best.score[0] or (missing == best.score[0] and (fewer or _better(best, heavy, first, second))):
+        if missing < best.score[0] or (
+            missing == best.score[0] and (fewer or _better(best, heavy, first, second))
+        ):
             _keep(tours, best, missing, heavy, first, second)
     return steps
 
@@ -112,12 +130,14 @@ def exponential(random: Words) -> float:
 
     -ln u = n ln 2 - 2 (s + s^3 / 3 + s^5 / 5 + ...),   s = (2^n u - 1) / (2^n u + 1),   1/2 <= 2^n u < 1
     """
-    u, doublings = draw(random), 0
+    u = draw(random)
+    doublings = 0
     while u < 0.5:
         u += u
         doublings += 1
     s = (u - 1.0) / (u + 1.0)
-    power, total = s, 0.0
+    power = s
+    total = 0.0
     for odd in range(1, 26, 2):
         total += power / odd
         power *= s * s
@@ -132,7 +152,12 @@ def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
     What comes before lengths, where vehicles are counted: their fixed costs, which are all alike, and the penalties,
     so that the same number of vehicles and of tasks left out is the same value, to the last bit. Else it is 0.
     """
-    missing, absent, heavy, total, penalty, finish = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    missing = 0
+    absent = 0.0
+    heavy = 0.0
+    total = 0.0
+    penalty = 0.0
+    finish = 0.0
     for k in range(len(fleet.start)):
         if tours.stops[k] > 0:
             if fleet.counted:
@@ -184,7 +209,9 @@ def _better(best: Any, heavy: float, first: float, second: float) -> Any:
 
 
 @kernel(_nrt=False)
-def _keep(tours: Any, best: Any, missing: int, heavy: float, first: float, second: float) -> None:
+def _keep(
+    tours: Any, best: Any, missing: int, heavy: float, first: float, second: float
+) -> None:
     """The plan of now is the best one."""
     best.score[0] = missing
     best.score[1] = heavy
@@ -202,7 +229,8 @@ def _close_one(fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec) -> 
 
     A vehicle with goods aboard must leave.
     """
-    victim, least = -1, np.inf
+    victim = -1
+    least = np.inf
     for k in range(len(fleet.start)):
         if tours.stops[k] == 0:
             memory.closed[k] = True
@@ -212,7 +240,8 @@ def _close_one(fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec) -> 
                 if tours.at[j] == k:
                     total += 1.0 + absence[j]
             if total < least:
-                victim, least = k, total
+                victim = k
+                least = total
     if victim < 0:
         return False
     memory.closed[victim] = True

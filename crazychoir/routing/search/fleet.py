@@ -4,7 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from crazychoir.routing.instance.vehicle import MAKESPAN, SLACK, TOTAL, VEHICLES, Vehicle
+from crazychoir.routing.instance.vehicle import (
+    MAKESPAN,
+    SLACK,
+    TOTAL,
+    VEHICLES,
+    Vehicle,
+)
 from crazychoir.routing.search.tours import Fleet
 from crazychoir.types import Ints, Mat, Vec
 
@@ -12,13 +18,16 @@ TIE_BREAK = 1e-3
 """Weight of the second value of an objective, and of the total where only the makespan is minimised, when annealing."""
 
 
-def fleet_of(vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)) -> Fleet:
+def fleet_of(
+    vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)
+) -> Fleet:
     """The arrays of these vehicles, with the slack of rounding in capacities, limits and windows.
 
     Where all have the same ways between stops, in the same windows, they share one matrix that all starts and ends are
     nodes of; else each has its own. Goods that are aboard must be delivered, whatever their penalty.
     """
-    first, k = vehicles[0], len(vehicles)
+    first = vehicles[0]
+    k = len(vehicles)
     m = first.tasks
     timed = MAKESPAN in objective or any(v.timed for v in vehicles)
     shared = all(_same_between_stops(first, v, timed) for v in vehicles[1:])
@@ -61,25 +70,37 @@ def _same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
     s = 2 * v.tasks
     names = ["distance", "duration", "earliest", "latest"] if timed else ["distance"]
     for name in names:
-        a, b = getattr(v, name), getattr(w, name)
-        if a is not b and not np.array_equal(a[:s, :s] if a.ndim == 2 else a[:s], b[:s, :s] if b.ndim == 2 else b[:s]):
+        a = getattr(v, name)
+        b = getattr(w, name)
+        if a is not b and not np.array_equal(
+            a[:s, :s] if a.ndim == 2 else a[:s], b[:s, :s] if b.ndim == 2 else b[:s]
+        ):
             return False
     return True
 
 
-def _matrices(vehicles: Sequence[Vehicle], kind: Ints, start: Ints, end: Ints) -> tuple[Mat, Mat, Mat, Mat]:
+def _matrices(
+    vehicles: Sequence[Vehicle], kind: Ints, start: Ints, end: Ints
+) -> tuple[Mat, Mat, Mat, Mat]:
     """distance, duration, earliest, latest of a Fleet."""
-    s, u, w = 2 * vehicles[0].tasks, int(kind.max()) + 1, int(end.max()) + 1
-    distance, duration = np.zeros((u, w, w)), np.zeros((u, w, w))
-    earliest, latest = np.zeros((u, w)), np.zeros((u, w))
+    s = 2 * vehicles[0].tasks
+    u = int(kind.max()) + 1
+    w = int(end.max()) + 1
+    distance = np.zeros((u, w, w))
+    duration = np.zeros((u, w, w))
+    earliest = np.zeros((u, w))
+    latest = np.zeros((u, w))
     for v, row, *ends in zip(vehicles, kind, start, end, strict=True):
         for whole, own in ((distance, v.distance), (duration, v.duration)):
             whole[row, :s, :s] = own[:s, :s]
-            whole[row, ends, :s], whole[row, :s, ends] = own[s:, :s], own[:s, s:].T
+            whole[row, ends, :s] = own[s:, :s]
+            whole[row, :s, ends] = own[:s, s:].T
             whole[row, ends[0], ends] = own[s, s:]
             whole[row, ends[1], ends] = own[s + 1, s:]
-        earliest[row, :s], latest[row, :s] = v.earliest[:s], v.latest[:s] + SLACK
-        earliest[row, ends], latest[row, ends] = v.earliest[s:], v.latest[s:] + SLACK
+        earliest[row, :s] = v.earliest[:s]
+        latest[row, :s] = v.latest[:s] + SLACK
+        earliest[row, ends] = v.earliest[s:]
+        latest[row, ends] = v.latest[s:] + SLACK
     return distance, duration, earliest, latest
 
 
@@ -89,7 +110,15 @@ def _twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
     twin = np.arange(len(vehicles), dtype=np.int64)
     for i, v in enumerate(vehicles):
         s = 2 * v.tasks
-        parts = [v.capable, v.earliest, v.latest, v.distance[s:], v.distance[:, s:], v.duration[s:], v.duration[:, s:]]
+        parts = [
+            v.capable,
+            v.earliest,
+            v.latest,
+            v.distance[s:],
+            v.distance[:, s:],
+            v.duration[s:],
+            v.duration[:, s:],
+        ]
         parts += [] if shared else [v.distance, v.duration]
         numbers = (v.capacity, v.limit, v.limit_again, v.trips, v.fixed)
         if not v.aboard.any():
@@ -106,7 +135,15 @@ def _traits(vehicles: Sequence[Vehicle]) -> Mat:
     """(M, 5) of the tasks: load, shortest distance alone, width of its windows, first opening, last closing."""
     first = vehicles[0]
     m = first.tasks
-    p, d = np.arange(m), np.arange(m, 2 * m)
-    alone = [v.distance[2 * m, p] + v.distance[p, d] + v.distance[d, 2 * m + 1] for v in vehicles]
-    width = np.minimum(first.latest[p] - first.earliest[p], first.latest[d] - first.earliest[d])
-    return np.column_stack([first.load, np.min(alone, axis=0), width, first.earliest[p], first.latest[d]])
+    p = np.arange(m)
+    d = np.arange(m, 2 * m)
+    alone = [
+        v.distance[2 * m, p] + v.distance[p, d] + v.distance[d, 2 * m + 1]
+        for v in vehicles
+    ]
+    width = np.minimum(
+        first.latest[p] - first.earliest[p], first.latest[d] - first.earliest[d]
+    )
+    return np.column_stack(
+        [first.load, np.min(alone, axis=0), width, first.earliest[p], first.latest[d]]
+    )

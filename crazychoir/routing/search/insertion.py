@@ -12,7 +12,9 @@ ABOARD = 1e-9
 
 
 @kernel(_nrt=False)
-def cheapest(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int) -> Any:
+def cheapest(
+    fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int
+) -> Any:
     """Cost in m and places (first, second), as `insert` takes them, of the cheapest way to put task j into route k.
 
         cost = on_total * (growth of the route + fixed cost if it was empty) + on_finish * finish of the route
@@ -30,17 +32,24 @@ def cheapest(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int,
         if fleet.trips[k] > 1 and tours.stops[k] > 0:
             other, place = _trip(fleet, tours, j, k, best)
             if other < best:
-                best, first, second = other, place, -1
+                best = other
+                first = place
+                second = -1
     if tours.stops[k] == 0:
-        best += fleet.on_total * (way(fleet, fleet.kind[k], fleet.start[k], fleet.end[k]) + fleet.fixed[k])
+        best += fleet.on_total * (
+            way(fleet, fleet.kind[k], fleet.start[k], fleet.end[k]) + fleet.fixed[k]
+        )
     return best, first, second
 
 
 @kernel(**OPTIONS)
 def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
     """extra[0]: m, of the delivery behind each position;  extra[1]: the least of it from there to the trip's end."""
-    m, n, u = len(fleet.load), tours.stops[k], fleet.kind[k]
-    d, least = m + j, np.inf
+    m = len(fleet.load)
+    n = tours.stops[k]
+    u = fleet.kind[k]
+    d = m + j
+    least = np.inf
     w = tours.stop[k, n + 1]
     for pos in range(n, -1, -1):
         v = tours.stop[k, pos]
@@ -48,25 +57,42 @@ def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
             least = np.inf
         detour = way(fleet, u, v, d) + way(fleet, u, d, w) - way(fleet, u, v, w)
         least = min(least, detour)
-        extra[0, pos], extra[1, pos] = detour, least
+        extra[0, pos] = detour
+        extra[1, pos] = least
         w = v
 
 
 @kernel(**OPTIONS)
-def _pair(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int) -> Any:
+def _pair(
+    fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int
+) -> Any:
     """Both stops into one of the trips there are."""
-    m, n, u, timed, plain = len(fleet.load), tours.stops[k], fleet.kind[k], fleet.timed, fleet.on_finish == 0.0
-    d, spare = m + j, fleet.capacity[k] - fleet.load[j]
-    best, first, second, pickup = np.inf, 0, 0, 0.0
+    m = len(fleet.load)
+    n = tours.stops[k]
+    u = fleet.kind[k]
+    timed = fleet.timed
+    plain = fleet.on_finish == 0.0
+    d = m + j
+    spare = fleet.capacity[k] - fleet.load[j]
+    best = np.inf
+    first = 0
+    second = 0
+    pickup = 0.0
     w = tours.stop[k, 0]
     for i in range(n + 1):
-        v, w = w, tours.stop[k, i + 1]
+        v = w
+        w = tours.stop[k, i + 1]
         if tours.load[k, i] > spare:
             continue
         here = way(fleet, u, v, j) - way(fleet, u, v, w)
-        detour, both = here + way(fleet, u, j, w), here + way(fleet, u, j, d) + way(fleet, u, d, w)
+        detour = here + way(fleet, u, j, w)
+        both = here + way(fleet, u, j, d) + way(fleet, u, d, w)
         most = min(best, tours.room[k, i]) if plain else tours.room[k, i]
-        ahead = w < 2 * m and tours.load[k, i + 1] <= spare and detour + extra[1, i + 1] < most
+        ahead = (
+            w < 2 * m
+            and tours.load[k, i + 1] <= spare
+            and detour + extra[1, i + 1] < most
+        )
         if both >= most and not ahead:
             continue
         if timed:
@@ -76,11 +102,14 @@ def _pair(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, bu
         if both < most and (i != but_first or i != but_second):
             cost = _cost(fleet, tours, k, both, pickup, j, d, i + 1) if timed else both
             if cost < best:
-                best, first, second = cost, i, i
+                best = cost
+                first = i
+                second = i
                 most = min(most, best) if plain else most
         if not ahead:
             continue
-        t, before = pickup, j
+        t = pickup
+        before = j
         for s in range(i + 1, n + 1):
             v = tours.stop[k, s]
             if v >= 2 * m or tours.load[k, s] > spare or detour + extra[1, s] >= most:
@@ -92,15 +121,21 @@ def _pair(fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, bu
                 before = v
             growth = detour + extra[0, s]
             if growth < most and (i != but_first or s != but_second):
-                cost = _cost(fleet, tours, k, growth, t, v, d, s + 1) if timed else growth
+                cost = (
+                    _cost(fleet, tours, k, growth, t, v, d, s + 1) if timed else growth
+                )
                 if cost < best:
-                    best, first, second = cost, i, s
+                    best = cost
+                    first = i
+                    second = s
                     most = min(most, best) if plain else most
     return best, first, second
 
 
 @kernel(**OPTIONS)
-def _cost(fleet: Any, tours: Any, k: int, growth: float, t: float, v: int, d: int, after: int) -> Any:
+def _cost(
+    fleet: Any, tours: Any, k: int, growth: float, t: float, v: int, d: int, after: int
+) -> Any:
     """Of delivery d between a service at v that begins at t and position `after` of route k; inf if it is too late."""
     u = fleet.kind[k]
     t = begins(fleet, u, t, v, d)
@@ -119,16 +154,23 @@ def _cost(fleet: Any, tours: Any, k: int, growth: float, t: float, v: int, d: in
 def _end(fleet: Any, tours: Any, k: int, t: float, pos: int) -> float:
     """s, when route k is over if service at position `pos` begins at t."""
     for after in range(pos + 1, tours.stops[k] + 2):
-        t = begins(fleet, fleet.kind[k], t, tours.stop[k, after - 1], tours.stop[k, after])
+        t = begins(
+            fleet, fleet.kind[k], t, tours.stop[k, after - 1], tours.stop[k, after]
+        )
     return t
 
 
 @kernel(**OPTIONS)
 def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
     """A trip of its own, behind one of those there are: cost in m and the position at the vehicle's end before it."""
-    n, u, end, d = tours.stops[k], fleet.kind[k], fleet.end[k], len(fleet.load) + j
+    n = tours.stops[k]
+    u = fleet.kind[k]
+    end = fleet.end[k]
+    d = len(fleet.load) + j
     growth = way(fleet, u, end, j) + way(fleet, u, j, d) + way(fleet, u, d, end)
-    trips, cost, place = 0, below, 0
+    trips = 0
+    cost = below
+    place = 0
     for pos in range(1, n + 2):
         trips += tours.stop[k, pos] == end
     if growth >= fleet.limit[k, 1] or trips >= fleet.trips[k]:
@@ -141,28 +183,44 @@ def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
             pickup = begins(fleet, u, tours.begin[k, pos], end, j)
             delivery = begins(fleet, u, pickup, j, d)
             back = begins(fleet, u, delivery, d, end)
-            if pickup > fleet.latest[u, j] or delivery > fleet.latest[u, d] or back > tours.late[k, pos]:
+            if (
+                pickup > fleet.latest[u, j]
+                or delivery > fleet.latest[u, d]
+                or back > tours.late[k, pos]
+            ):
                 continue
             if fleet.on_finish > 0.0:
-                here = fleet.on_total * growth + fleet.on_finish * _end(fleet, tours, k, back, pos)
+                here = fleet.on_total * growth + fleet.on_finish * _end(
+                    fleet, tours, k, back, pos
+                )
         if here < cost:
-            cost, place = here, pos
+            cost = here
+            place = pos
     return (cost, place) if place > 0 else (np.inf, 0)
 
 
 @kernel(**OPTIONS)
 def _delivery_only(fleet: Any, tours: Any, j: int, k: int, but: int) -> Any:
     """The delivery of goods that are aboard, into the first trip."""
-    m, u, d = len(fleet.load), fleet.kind[k], len(fleet.load) + j
-    best, second = np.inf, 0
+    m = len(fleet.load)
+    u = fleet.kind[k]
+    d = len(fleet.load) + j
+    best = np.inf
+    second = 0
     for pos in range(tours.stops[k] + 1 if fleet.carrier[j] == k else 0):
-        v, w = tours.stop[k, pos], tours.stop[k, pos + 1]
+        v = tours.stop[k, pos]
+        w = tours.stop[k, pos + 1]
         if pos > 0 and v >= 2 * m:
             break
         growth = way(fleet, u, v, d) + way(fleet, u, d, w) - way(fleet, u, v, w)
         if pos == but or growth >= tours.room[k, pos]:
             continue
-        cost = _cost(fleet, tours, k, growth, tours.begin[k, pos], v, d, pos + 1) if fleet.timed else growth
+        cost = (
+            _cost(fleet, tours, k, growth, tours.begin[k, pos], v, d, pos + 1)
+            if fleet.timed
+            else growth
+        )
         if cost < best:
-            best, second = cost, pos
+            best = cost
+            second = pos
     return best, -1, second

@@ -28,13 +28,15 @@ class Insertion:
 
     def length(self, route: Nodes) -> float:
         """m, from the start over the route to the end."""
-        m, d = self.vehicle.tasks, self._d
+        m = self.vehicle.tasks
+        d = self._d
         way = (2 * m, *route, 2 * m + 1)
         return sum((d[v][w] for v, w in pairwise(way)), 0.0)
 
     def loads(self, route: Nodes) -> list[float]:
         """On board at the start and after each stop."""
-        vehicle, m = self.vehicle, self.vehicle.tasks
+        vehicle = self.vehicle
+        m = self.vehicle.tasks
         now = float(vehicle.load[vehicle.aboard].sum())
         found = [now]
         for v in route:
@@ -47,10 +49,13 @@ class Insertion:
 
         A task that is aboard from the start is delivered only.
         """
-        vehicle, m, d = self.vehicle, self.vehicle.tasks, self._d
+        vehicle = self.vehicle
+        m = self.vehicle.tasks
+        d = self._d
         way = (2 * m, *route, 2 * m + 1)
         room = vehicle.limit + SLACK - self.length(route)
-        load, most = float(vehicle.load[j]), vehicle.capacity + SLACK
+        load = float(vehicle.load[j])
+        most = vehicle.capacity + SLACK
         best: tuple[float, int, int] | None = None
         if vehicle.aboard[j]:
             extras = [d[v][m + j] + d[m + j][w] - d[v][w] for v, w in pairwise(way)]
@@ -58,16 +63,25 @@ class Insertion:
         elif vehicle.capable[j]:
             loads = self.loads(route)
             for a in range(len(route) + 1):
-                v, after = way[a], way[a + 1]
+                v = way[a]
+                after = way[a + 1]
                 to = d[v][j]
                 for b in range(a, len(route) + 1):
                     if loads[b] + load > most:
                         break
-                    w, x = way[b], way[b + 1]
+                    w = way[b]
+                    x = way[b + 1]
                     if a == b:
                         extra = to + d[j][m + j] + d[m + j][x] - d[v][x]
                     else:
-                        extra = to + d[j][after] - d[v][after] + d[w][m + j] + d[m + j][x] - d[w][x]
+                        extra = (
+                            to
+                            + d[j][after]
+                            - d[v][after]
+                            + d[w][m + j]
+                            + d[m + j][x]
+                            - d[w][x]
+                        )
                     if best is None or (extra, a, b) < best:
                         best = extra, a, b
         if best is None or best[0] > room:
@@ -87,14 +101,18 @@ class Insertion:
 
     def improved(self, route: Nodes) -> Nodes:
         """The route after each task in turn was taken out and put where it costs least, until nothing is gained."""
-        m, free = self.vehicle.tasks, Insertion(_without_limit(self.vehicle))
-        length, gained = free.length(route), True
+        m = self.vehicle.tasks
+        free = Insertion(_without_limit(self.vehicle))
+        length = free.length(route)
+        gained = True
         while gained:
             gained = False
             for j in sorted({v % m for v in route}):
                 found = free.cheapest(tuple(v for v in route if v % m != j), j)
                 if found and (shorter := free.length(found[1])) < length - SLACK:
-                    route, length, gained = found[1], shorter, True
+                    route = found[1]
+                    length = shorter
+                    gained = True
         return route
 
 
@@ -111,10 +129,13 @@ def parallel_auction(
     A task stays free where no robot has the capability, the capacity or the length left for it.
     """
     insertion = Insertion(vehicle)
-    route, left = insertion.first(), list(free)
+    route = insertion.first()
+    left = list(free)
     while left:
         found = {j: insertion.cheapest(route, j) for j in left}
-        bids = {j: [-extra[0], robot] for j, extra in found.items() if extra is not None}
+        bids = {
+            j: [-extra[0], robot] for j, extra in found.items() if extra is not None
+        }
         best = yield from highest_bids(bids, diameter)
         if not best:
             break

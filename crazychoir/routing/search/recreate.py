@@ -41,8 +41,11 @@ class Memory(NamedTuple):
         (k, length), m = tours.stop.shape, len(tours.at)
         unknown = np.full((m, k), -1, np.int64)
         place = np.zeros((m, k, 2), np.int64)
-        bank, extra = np.zeros(m, np.int64), np.zeros((2, length))
-        return cls(np.zeros((m, k)), place, unknown, bank, np.zeros(m), extra, closed.copy())
+        bank = np.zeros(m, np.int64)
+        extra = np.zeros((2, length))
+        return cls(
+            np.zeros((m, k)), place, unknown, bank, np.zeros(m), extra, closed.copy()
+        )
 
 
 @kernel(_nrt=False)
@@ -50,13 +53,21 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
     """Put each task without a vehicle where it is cheapest, one after the other; now and then where it is next best."""
     for b in range(_order(fleet, tours, memory, random)):
         j = memory.bank[b]
-        best, vehicle, first, second = _most(fleet, tours, random, j), -1, 0, 0
+        best = _most(fleet, tours, random, j)
+        vehicle = -1
+        first = 0
+        second = 0
         for k in range(len(fleet.start)):
             if memory.closed[k] or _has_twin(fleet, tours, memory, k):
                 continue
-            cost, at_first, at_second = _best_place(fleet, tours, memory, random, j, k, best)
+            cost, at_first, at_second = _best_place(
+                fleet, tours, memory, random, j, k, best
+            )
             if cost < best:
-                best, vehicle, first, second = cost, k, at_first, at_second
+                best = cost
+                vehicle = k
+                first = at_first
+                second = at_second
         if vehicle >= 0:
             touch(tours, step, vehicle)
             insert(fleet, tours, vehicle, j, first, second)
@@ -88,25 +99,44 @@ def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
 def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
     """Whether k is empty and the first of its kind is too: one of them is enough to be looked at."""
     twin = fleet.twin[k]
-    return twin < k and tours.stops[k] == 0 and tours.stops[twin] == 0 and not memory.closed[twin]
+    return (
+        twin < k
+        and tours.stops[k] == 0
+        and tours.stops[twin] == 0
+        and not memory.closed[twin]
+    )
 
 
 @kernel(**OPTIONS)
-def _best_place(fleet: Any, tours: Any, memory: Any, random: Words, j: int, k: int, best: float) -> Any:
+def _best_place(
+    fleet: Any, tours: Any, memory: Any, random: Words, j: int, k: int, best: float
+) -> Any:
     """Cost and places of task j in route k, from memory if the route is as it was; at times the next best."""
     if memory.version[j, k] != tours.version[k]:
         cost, first, second = cheapest(fleet, tours, memory.extra, j, k, NONE, NONE)
-        memory.cost[j, k], memory.version[j, k] = cost, tours.version[k]
-        memory.place[j, k, 0], memory.place[j, k, 1] = first, second
+        memory.cost[j, k] = cost
+        memory.version[j, k] = tours.version[k]
+        memory.place[j, k, 0] = first
+        memory.place[j, k, 1] = second
     if memory.cost[j, k] < best and draw(random) < BLINK:
-        return cheapest(fleet, tours, memory.extra, j, k, memory.place[j, k, 0], memory.place[j, k, 1])
+        return cheapest(
+            fleet,
+            tours,
+            memory.extra,
+            j,
+            k,
+            memory.place[j, k, 0],
+            memory.place[j, k, 1],
+        )
     return memory.cost[j, k], memory.place[j, k, 0], memory.place[j, k, 1]
 
 
 @kernel(**OPTIONS)
 def _order(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
     """Fill the bank, in an order drawn at random, goods that are aboard first; returns how many there are."""
-    choice, order, n = int(draw(random) * (ORDERS[-1] if fleet.timed else ORDERS[3])), 0, 0
+    choice = int(draw(random) * (ORDERS[-1] if fleet.timed else ORDERS[3]))
+    order = 0
+    n = 0
     while choice >= ORDERS[order]:
         order += 1
     for j in range(len(fleet.load)):
@@ -117,7 +147,8 @@ def _order(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
         while at > 0 and memory.rank[at - 1] > rank:
             memory.rank[at], memory.bank[at] = memory.rank[at - 1], memory.bank[at - 1]
             at -= 1
-        memory.rank[at], memory.bank[at] = rank, j
+        memory.rank[at] = rank
+        memory.bank[at] = j
         n += 1
     return n
 
@@ -142,7 +173,8 @@ def take_back(fleet: Any, tours: Any, step: Any) -> None:
         _assign(fleet, tours, step.touched[t], -1)
     for t in range(step.counts[0]):
         k = step.touched[t]
-        tours.stops[k], tours.version[k] = step.stops[k], step.version[k]
+        tours.stops[k] = step.stops[k]
+        tours.version[k] = step.version[k]
         for pos in range(step.stops[k] + 2):
             tours.stop[k, pos] = step.stop[k, pos]
         _assign(fleet, tours, k, k)

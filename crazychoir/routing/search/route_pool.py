@@ -30,7 +30,8 @@ class Pool(NamedTuple):
     @classmethod
     def of(cls, fleet: Fleet, tours: Tours) -> "Pool":
         """Empty."""
-        zero, words = np.zeros(PLACES, np.int64), np.zeros(PLACES, np.uint64)
+        zero = np.zeros(PLACES, np.int64)
+        words = np.zeros(PLACES, np.uint64)
         # Any fixed words will do whose exclusive sums differ.
         draw = np.random.default_rng(0)
         sign = draw.integers(1, 2**64, len(fleet.load) + len(fleet.start), np.uint64)
@@ -41,7 +42,9 @@ class Pool(NamedTuple):
 @kernel(_nrt=False)
 def remember(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
     """Put route k into the pool, if it is new or cheaper than the one of the same tasks; the oldest makes room."""
-    m, n, last = len(fleet.load), tours.stops[k], len(pool.key) - 1
+    m = len(fleet.load)
+    n = tours.stops[k]
+    last = len(pool.key) - 1
     if n == 0:
         return
     key = pool.sign[m + fleet.twin[k]]
@@ -62,6 +65,9 @@ def remember(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
     cost = tours.length[k] + fleet.fixed[k]
     if pool.vehicle[place] >= 0 and pool.key[place] == key and pool.cost[place] <= cost:
         return
-    pool.key[place], pool.vehicle[place], pool.cost[place], pool.stops[place] = key, k, cost, n
+    pool.key[place] = key
+    pool.vehicle[place] = k
+    pool.cost[place] = cost
+    pool.stops[place] = n
     for pos in range(n):
         pool.stop[place, pos] = tours.stop[k, pos + 1]

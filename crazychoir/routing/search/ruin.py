@@ -35,9 +35,18 @@ class Step(NamedTuple):
     @classmethod
     def of(cls, tours: Tours) -> "Step":
         """Before the first."""
-        zero, none = np.zeros(len(tours.stops), np.int64), np.zeros(len(tours.at), np.bool_)
+        zero = np.zeros(len(tours.stops), np.int64)
+        none = np.zeros(len(tours.at), np.bool_)
         counts = np.array([0, 0, len(zero)], np.int64)
-        return cls(none, zero, zero.copy(), counts, np.zeros_like(tours.stop), zero.copy(), zero.copy())
+        return cls(
+            none,
+            zero,
+            zero.copy(),
+            counts,
+            np.zeros_like(tours.stop),
+            zero.copy(),
+            zero.copy(),
+        )
 
 
 @kernel(**OPTIONS)
@@ -68,7 +77,8 @@ def touch(tours: Any, step: Any, k: int) -> None:
         step.seen[k] = step.counts[1]
         step.touched[step.counts[0]] = k
         step.counts[0] += 1
-        step.stops[k], step.version[k] = tours.stops[k], tours.version[k]
+        step.stops[k] = tours.stops[k]
+        step.version[k] = tours.version[k]
         for pos in range(tours.stops[k] + 2):
             step.stop[k, pos] = tours.stop[k, pos]
     step.counts[2] += 1
@@ -120,7 +130,8 @@ def empty(fleet: Any, tours: Any, step: Any, k: int) -> None:
 @kernel(**OPTIONS)
 def _mean_stops(tours: Any) -> float:
     """Stops a route that has any."""
-    used, stops = 0, 0
+    used = 0
+    stops = 0
     for n in tours.stops:
         used += n > 0
         stops += n
@@ -137,16 +148,20 @@ def _position(tours: Any, k: int, v: int) -> int:
 
 
 @kernel(**OPTIONS)
-def _mark_string(fleet: Any, tours: Any, step: Any, random: Words, k: int, at: int, longest: float) -> None:
+def _mark_string(
+    fleet: Any, tours: Any, step: Any, random: Words, k: int, at: int, longest: float
+) -> None:
     """Mark the tasks of a string of stops of route k with position `at` in it, half of the time with a gap in it."""
-    m, n = len(fleet.load), tours.stops[k]
+    m = len(fleet.load)
+    n = tours.stops[k]
     size = min(1 + int(draw(random) * min(float(n), longest)), n)
     gap = 0
     if 1 < size < n and draw(random) < SPLIT:
         gap = 1
         while size + gap < n and draw(random) > STOP:
             gap += 1
-    low, high = max(1, at - size - gap + 1), min(at, n - size - gap + 1)
+    low = max(1, at - size - gap + 1)
+    high = min(at, n - size - gap + 1)
     first = low + int(draw(random) * (high - low + 1))
     hole = first + 1 + int(draw(random) * (size - 1)) if gap > 0 else n + 2
     for j in range(m):

@@ -68,16 +68,29 @@ def search(
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by string removals".
     """
     return Search(vehicles, penalty, objective).run(
-        routes, steps, seed, fleet_steps=fleet_steps, hot=hot, average=average, rounds=rounds
+        routes,
+        steps,
+        seed,
+        fleet_steps=fleet_steps,
+        hot=hot,
+        average=average,
+        rounds=rounds,
     )
 
 
 class Search:
     """As `search`, for several runs on the same vehicles."""
 
-    def __init__(self, vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)) -> None:
+    def __init__(
+        self,
+        vehicles: Sequence[Vehicle],
+        penalty: Vec,
+        objective: Sequence[str] = (TOTAL,),
+    ) -> None:
         self._vehicles, self._fleet = vehicles, fleet_of(vehicles, penalty, objective)
-        self._scale = float(np.median(self._fleet.traits[:, 1])) if vehicles[0].tasks else 0.0
+        self._scale = (
+            float(np.median(self._fleet.traits[:, 1])) if vehicles[0].tasks else 0.0
+        )
 
     def run(
         self,
@@ -92,31 +105,61 @@ class Search:
         closed: Sequence[int] = (),
     ) -> Found:
         """A plan; closed: vehicles that are not to leave."""
-        fleet, shut = self._fleet, np.zeros(len(self._fleet.start), np.bool_)
+        fleet = self._fleet
+        shut = np.zeros(len(self._fleet.start), np.bool_)
         shut[list(closed)] = True
-        tours, random = Tours.of(fleet, routes), np.array([seed], np.uint64)
+        tours = Tours.of(fleet, routes)
+        random = np.array([seed], np.uint64)
         pool = Pool.of(fleet, tours)
         if fleet_steps is None:
             fleet_steps = steps if fleet.fixed.min() > fleet.traits[:, 1].sum() else 0
         if fleet_steps:
-            tours = self._anneal(tours, pool, random, shut, fleet_steps, FLEET_HOT, average, fewer=True)
+            tours = self._anneal(
+                tours, pool, random, shut, fleet_steps, FLEET_HOT, average, fewer=True
+            )
             shut |= self._needless(tours)
         for _ in range(rounds):
-            tours = self._anneal(tours, pool, random, shut, steps // rounds, hot, average)
+            tours = self._anneal(
+                tours, pool, random, shut, steps // rounds, hot, average
+            )
             if rounds > 1 and not fleet.on_finish:
                 tours = assemble(fleet, pool, tours, shut)
         return self._found(tours, pool)
 
     def _anneal(
-        self, tours: Tours, pool: Pool, random: Words, shut: Bools, steps: int, hot: float, average: float,
+        self,
+        tours: Tours,
+        pool: Pool,
+        random: Words,
+        shut: Bools,
+        steps: int,
+        hot: float,
+        average: float,
         fewer: bool = False,
-    ) -> Tours:  # fmt: skip
-        step, memory, best, absence = Step.of(tours), Memory.of(tours, shut), Best.of(tours), np.zeros(len(tours.at))
-        scaled, fleet = hot * self._scale, self._fleet
+    ) -> Tours:
+        step = Step.of(tours)
+        memory = Memory.of(tours, shut)
+        best = Best.of(tours)
+        absence = np.zeros(len(tours.at))
+        scaled = hot * self._scale
+        fleet = self._fleet
         if fewer:  # a vehicle is not left out at the price of a task that is worth one
             dear = np.where(fleet.penalty > fleet.fixed.min(), np.inf, fleet.penalty)
             fleet = fleet._replace(penalty=dear)
-        anneal(fleet, tours, step, memory, best, pool, random, absence, steps, scaled, average, fewer)
+        anneal(
+            fleet,
+            tours,
+            step,
+            memory,
+            best,
+            pool,
+            random,
+            absence,
+            steps,
+            scaled,
+            average,
+            fewer,
+        )
         return best.tours(self._fleet)
 
     def _needless(self, tours: Tours) -> Bools:
@@ -130,9 +173,26 @@ class Search:
         return np.asarray(stays & np.isin(self._fleet.twin, self._fleet.twin[~stays]))
 
     def _found(self, tours: Tours, pool: Pool) -> Found:
-        penalty, end = self._fleet.penalty, 2 * len(tours.at) + 1
-        routes = [np.minimum(row[1 : n + 1], end).tolist() for row, n in zip(tours.stop, tours.stops, strict=True)]
-        flown = [(v, route) for v, route in zip(self._vehicles, routes, strict=True) if route]
+        penalty = self._fleet.penalty
+        end = 2 * len(tours.at) + 1
+        routes = [
+            np.minimum(row[1 : n + 1], end).tolist()
+            for row, n in zip(tours.stop, tours.stops, strict=True)
+        ]
+        flown = [
+            (v, route) for v, route in zip(self._vehicles, routes, strict=True) if route
+        ]
         unserved = np.flatnonzero(tours.at < 0).tolist()
-        total = math.fsum([*(v.length(route) + v.fixed for v, route in flown), *penalty[unserved].tolist()])
-        return Found(routes, unserved, total, max((v.finish(route) for v, route in flown), default=0.0), pool)
+        total = math.fsum(
+            [
+                *(v.length(route) + v.fixed for v, route in flown),
+                *penalty[unserved].tolist(),
+            ]
+        )
+        return Found(
+            routes,
+            unserved,
+            total,
+            max((v.finish(route) for v, route in flown), default=0.0),
+            pool,
+        )

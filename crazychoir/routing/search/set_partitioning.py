@@ -26,7 +26,9 @@ class _Columns(NamedTuple):
 
     def only(self, chosen: Ints) -> "_Columns":
         parts = [self.row[self.start[c] : self.start[c + 1]] for c in chosen]
-        return _Columns(self.cost[chosen], np.cumsum([0, *map(len, parts)]), np.concatenate(parts))
+        return _Columns(
+            self.cost[chosen], np.cumsum([0, *map(len, parts)]), np.concatenate(parts)
+        )
 
 
 def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
@@ -59,7 +61,11 @@ def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
     if taken is None:
         return tours
     found = _plan(fleet, pool, chosen[near[taken]], closed)
-    return tours if fleet.counted and _worth(fleet, found) >= _worth(fleet, tours) else found
+    return (
+        tours
+        if fleet.counted and _worth(fleet, found) >= _worth(fleet, tours)
+        else found
+    )
 
 
 def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
@@ -67,7 +73,10 @@ def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
     if not fleet.counted:
         return fleet.fixed
     left = tours.stops > 0
-    longest = max([*tours.length[left], *(pool.cost[chosen] - fleet.fixed[pool.vehicle[chosen]])], default=0.0)
+    longest = max(
+        [*tours.length[left], *(pool.cost[chosen] - fleet.fixed[pool.vehicle[chosen]])],
+        default=0.0,
+    )
     return np.minimum(fleet.fixed, 1.0 + np.count_nonzero(left) * longest)
 
 
@@ -83,36 +92,60 @@ def _columns(fleet: Fleet, pool: Pool, chosen: Ints, vehicle: Vec) -> _Columns:
     rows = []
     for p in chosen:
         stops = pool.stop[p, : pool.stops[p]]
-        rows.append([*(stops[(m <= stops) & (stops < 2 * m)] - m), m + fleet.twin[pool.vehicle[p]]])
+        rows.append(
+            [
+                *(stops[(m <= stops) & (stops < 2 * m)] - m),
+                m + fleet.twin[pool.vehicle[p]],
+            ]
+        )
     cost = pool.cost[chosen]
     if fleet.counted:
         cost = cost - fleet.fixed[pool.vehicle[chosen]] + vehicle[pool.vehicle[chosen]]
-    return _Columns(cost, np.cumsum([0, *map(len, rows)]), np.array([r for row in rows for r in row]))
+    return _Columns(
+        cost,
+        np.cumsum([0, *map(len, rows)]),
+        np.array([r for row in rows for r in row]),
+    )
 
 
 def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
     """m, of distances, vehicles that leave and penalties, added in this order; inf if a task is missing."""
     left = tours.stops > 0
-    return sum([*tours.length[left].tolist(), *vehicle[left].tolist(), *fleet.penalty[tours.at < 0].tolist()], 0.0)
+    return sum(
+        [
+            *tours.length[left].tolist(),
+            *vehicle[left].tolist(),
+            *fleet.penalty[tours.at < 0].tolist(),
+        ],
+        0.0,
+    )
 
 
 def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:
     """Rows: tasks, then as many vehicles of each kind as there are; columns: the routes, then refusals."""
-    m, k = len(fleet.load), len(fleet.start)
-    highs, empty = quiet_highs(), (np.array([], np.int32), np.array([]))
+    m = len(fleet.load)
+    k = len(fleet.start)
+    highs = quiet_highs()
+    empty = (np.array([], np.int32), np.array([]))
     for _ in range(m):
         highs.addRow(1.0, 1.0, 0, *empty)
     for number in np.bincount(fleet.twin[~closed], minlength=k):
         highs.addRow(-highspy.kHighsInf, float(number), 0, *empty)
-    n, ones = len(columns.cost), np.ones(len(columns.row))
-    start, row = columns.start[:-1].astype(np.int32), columns.row.astype(np.int32)
+    n = len(columns.cost)
+    ones = np.ones(len(columns.row))
+    start = columns.start[:-1].astype(np.int32)
+    row = columns.row.astype(np.int32)
     highs.addCols(n, columns.cost, np.zeros(n), np.ones(n), len(row), start, row, ones)
     for j in np.flatnonzero(np.isfinite(fleet.penalty)):
-        highs.addCol(float(fleet.penalty[j]), 0.0, 1.0, 1, np.array([j], np.int32), np.ones(1))
+        highs.addCol(
+            float(fleet.penalty[j]), 0.0, 1.0, 1, np.array([j], np.int32), np.ones(1)
+        )
     return highs
 
 
-def _integer(fleet: Fleet, columns: _Columns, below: float, closed: Bools) -> Ints | None:
+def _integer(
+    fleet: Fleet, columns: _Columns, below: float, closed: Bools
+) -> Ints | None:
     """The columns of a choice that costs less than `below`, if one is found."""
     highs = _model(fleet, columns, closed)
     index = np.arange(highs.getNumCol(), dtype=np.int32)
@@ -122,19 +155,28 @@ def _integer(fleet: Fleet, columns: _Columns, below: float, closed: Bools) -> In
     highs.setOptionValue("mip_max_nodes", NODES)
     highs.setOptionValue("objective_bound", below)
     highs.run()
-    if highs.getInfo().primal_solution_status != int(highspy.SolutionStatus.kSolutionStatusFeasible):
+    if highs.getInfo().primal_solution_status != int(
+        highspy.SolutionStatus.kSolutionStatusFeasible
+    ):
         return None
     if highs.getObjectiveValue() >= below:
         return None
-    return np.flatnonzero(np.array(highs.getSolution().col_value)[: len(columns.cost)] > 0.5)
+    return np.flatnonzero(
+        np.array(highs.getSolution().col_value)[: len(columns.cost)] > 0.5
+    )
 
 
 def _plan(fleet: Fleet, pool: Pool, taken: Ints, closed: Bools) -> Tours:
     """The routes of the pool at these places, each by a vehicle of its kind."""
-    free = [list(np.flatnonzero((fleet.twin == kind) & ~closed)) for kind in range(len(fleet.twin))]
+    free = [
+        list(np.flatnonzero((fleet.twin == kind) & ~closed))
+        for kind in range(len(fleet.twin))
+    ]
     routes: list[Sequence[int]] = [[] for _ in fleet.start]
     for p in taken:
-        routes[free[fleet.twin[pool.vehicle[p]]].pop(0)] = pool.stop[p, : pool.stops[p]].tolist()
+        routes[free[fleet.twin[pool.vehicle[p]]].pop(0)] = pool.stop[
+            p, : pool.stops[p]
+        ].tolist()
     tours = Tours.of(fleet, routes)
     for k in range(len(routes)):
         refresh(fleet, tours, k)

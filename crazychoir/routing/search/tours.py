@@ -79,16 +79,33 @@ class Tours(NamedTuple):
     @classmethod
     def of(cls, fleet: Fleet, routes: Sequence[Any]) -> "Tours":
         """These stops of each vehicle, not yet judged."""
-        k, m = len(fleet.start), len(fleet.load)
+        k = len(fleet.start)
+        m = len(fleet.load)
         length = 3 * m + 4  # each trip has a task
-        stop, stops, at = np.zeros((k, length), np.int64), np.zeros(k, np.int64), np.full(m, -1, np.int64)
+        stop = np.zeros((k, length), np.int64)
+        stops = np.zeros(k, np.int64)
+        at = np.full(m, -1, np.int64)
         for i, route in enumerate(routes):
-            nodes, n = np.array(route, np.int64), len(route)
-            stop[i, 0], stop[i, n + 1] = fleet.start[i], fleet.end[i]
+            nodes = np.array(route, np.int64)
+            n = len(route)
+            stop[i, 0] = fleet.start[i]
+            stop[i, n + 1] = fleet.end[i]
             stop[i, 1 : n + 1] = np.where(nodes < 2 * m, nodes, fleet.end[i])
-            stops[i], at[nodes[nodes < 2 * m] % m] = n, i
+            stops[i] = n
+            at[nodes[nodes < 2 * m] % m] = i
         begin, late, load, room = (np.zeros((k, length)) for _ in range(4))
-        return cls(stop, stops, begin, late, load, room, np.zeros(k), np.zeros(k), at, np.arange(k, dtype=np.int64))
+        return cls(
+            stop,
+            stops,
+            begin,
+            late,
+            load,
+            room,
+            np.zeros(k),
+            np.zeros(k),
+            at,
+            np.arange(k, dtype=np.int64),
+        )
 
 
 @kernel(**OPTIONS)
@@ -106,12 +123,18 @@ def begins(fleet: Any, u: int, t: float, v: int, w: int) -> Any:
 @kernel(_nrt=False)
 def refresh(fleet: Any, tours: Any, k: int) -> None:
     """Judge route k anew, from its stops."""
-    m, n, u = len(fleet.load), tours.stops[k], fleet.kind[k]
+    m = len(fleet.load)
+    n = tours.stops[k]
+    u = fleet.kind[k]
     tours.load[k, 0] = fleet.held[k]
-    total, trip, first, limit = 0.0, 0.0, 0, fleet.limit[k, 0]
+    total = 0.0
+    trip = 0.0
+    first = 0
+    limit = fleet.limit[k, 0]
     w = tours.stop[k, 0]
     for pos in range(1, n + 2):
-        v, w = w, tours.stop[k, pos]
+        v = w
+        w = tours.stop[k, pos]
         trip += way(fleet, u, v, w)
         load = tours.load[k, pos - 1]
         if w < m:
@@ -121,7 +144,10 @@ def refresh(fleet: Any, tours: Any, k: int) -> None:
         else:
             for back in range(first, pos):
                 tours.room[k, back] = limit - trip
-            total, trip, first, limit = total + trip, 0.0, pos, fleet.limit[k, 1]
+            total = total + trip
+            trip = 0.0
+            first = pos
+            limit = fleet.limit[k, 1]
         tours.load[k, pos] = load
     tours.length[k] = total if n > 0 else 0.0
     if fleet.timed:
@@ -130,12 +156,14 @@ def refresh(fleet: Any, tours: Any, k: int) -> None:
 
 @kernel(**OPTIONS)
 def _refresh_times(fleet: Any, tours: Any, k: int) -> None:
-    n, u = tours.stops[k], fleet.kind[k]
+    n = tours.stops[k]
+    u = fleet.kind[k]
     w = tours.stop[k, 0]
     t = fleet.earliest[u, w]
     tours.begin[k, 0] = t
     for pos in range(1, n + 2):
-        v, w = w, tours.stop[k, pos]
+        v = w
+        w = tours.stop[k, pos]
         t = begins(fleet, u, t, v, w)
         tours.begin[k, pos] = t
     tours.finish[k] = t if n > 0 else 0.0
@@ -162,7 +190,9 @@ def feasible(fleet: Any, tours: Any, k: int) -> bool:
 @kernel(_nrt=False)
 def drop(fleet: Any, tours: Any, k: int, gone: Any) -> None:
     """Take the stops of the tasks marked in `gone` (M,) out of route k, and trips that are empty then; refresh it."""
-    m, end, kept = len(fleet.load), fleet.end[k], 0
+    m = len(fleet.load)
+    end = fleet.end[k]
+    kept = 0
     for pos in range(1, tours.stops[k] + 1):
         v = tours.stop[k, pos]
         if v < 2 * m:
@@ -195,10 +225,13 @@ def insert(fleet: Any, tours: Any, k: int, j: int, first: int, second: int) -> N
     second = -1: both behind `first`, where the vehicle is at its end, as a trip of their own;
     first = -1: the goods are aboard, and only the delivery is a stop.
     """
-    d, n = len(fleet.load) + j, tours.stops[k]
+    d = len(fleet.load) + j
+    n = tours.stops[k]
     if second < 0:
         _shift(tours, k, n + 1, first, 3)
-        tours.stop[k, first + 1], tours.stop[k, first + 2], tours.stop[k, first + 3] = j, d, fleet.end[k]
+        tours.stop[k, first + 1] = j
+        tours.stop[k, first + 2] = d
+        tours.stop[k, first + 3] = fleet.end[k]
         tours.stops[k] = n + 3
     elif first < 0:
         _shift(tours, k, n + 1, second, 1)

@@ -26,7 +26,15 @@ def approach(gap: float, brake: float, stiff: float) -> tuple[float, float]:
 
 
 @kernel()
-def barrier(r: Triple, w: Triple, gap: float, unsure: float, brake: float, stiff: float, gamma: float) -> float:
+def barrier(
+    r: Triple,
+    w: Triple,
+    gap: float,
+    unsure: float,
+    brake: float,
+    stiff: float,
+    gamma: float,
+) -> float:
     """What both together must accelerate apart: n . r'' >= the value, m/s2.
 
         h = s(|r| - D) + n . w - unsure >= 0,   n = r / |r|,   r'' = S (u_i - u_j)
@@ -39,7 +47,9 @@ def barrier(r: Triple, w: Triple, gap: float, unsure: float, brake: float, stiff
     d = math.sqrt(dot(r, r))
     away = dot(r, w) / d
     speed, slope = approach(gap, brake, stiff)
-    return -gamma * (speed + away - unsure) - slope * away - (dot(w, w) - away * away) / d
+    return (
+        -gamma * (speed + away - unsure) - slope * away - (dot(w, w) - away * away) / d
+    )
 
 
 @kernel()
@@ -51,5 +61,6 @@ def part(own: float, others: float) -> float:
     Who stands between two that come nearer could not give way to both. The shares of both add up to 1.  own, others:
     m/s, apart.
     """
-    mine, theirs = EVEN + max(-own, 0.0), EVEN + max(-others, 0.0)
+    mine = EVEN + max(-own, 0.0)
+    theirs = EVEN + max(-others, 0.0)
     return mine / (mine + theirs)

@@ -9,8 +9,15 @@ from crazychoir.safety.collision.barrier import approach
 
 @kernel()
 def cell(
-    r: Triple, w: Triple, own: Triple, gap: float, unsure: float, brake: float, stiff: float, gamma: float
-) -> float:  # fmt: skip
+    r: Triple,
+    w: Triple,
+    own: Triple,
+    gap: float,
+    unsure: float,
+    brake: float,
+    stiff: float,
+    gamma: float,
+) -> float:
     """What the drone itself must accelerate away from its side's border: n . S u_i >= the value, m/s2.
 
         h = s(d) + n . S v_i - unsure >= 0,   d = (|r| - D) / 2,   n = r / |r|
@@ -22,6 +29,11 @@ def cell(
     Source: Zhou, Wang, Bandyopadhyay & Schwager 2017, IEEE RA-L 2(2): the cells, there for places alone.
     """
     d = math.sqrt(dot(r, r))
-    closing, away = dot(r, w) / d, dot(r, own) / d
+    closing = dot(r, w) / d
+    away = dot(r, own) / d
     speed, slope = approach(0.5 * gap, brake, stiff)
-    return -gamma * (speed + away - unsure) - 0.5 * slope * closing - (dot(w, own) - closing * away) / d
+    return (
+        -gamma * (speed + away - unsure)
+        - 0.5 * slope * closing
+        - (dot(w, own) - closing * away) / d
+    )

@@ -24,7 +24,8 @@ def turned(u: Triple, planes: Vec, first: int, last: int, turn: float) -> Triple
     above: a standstill, in which all that is wanted is taken away, is none with it.
     planes: rows n_k, b_k, of which those from `first` to `last` - 1 are of other drones.
     """
-    x, y = 0.0, 0.0
+    x = 0.0
+    y = 0.0
     for k in range(first, last):
         lack = planes[k, 3] - dot((planes[k, 0], planes[k, 1], planes[k, 2]), u)
         if lack > 0.0:
@@ -44,15 +45,23 @@ class Side:
         self.patience = STUCK + 0.2 * (drone % 8)
         """s, other ones for each: two that turned at once would stay in each other's way."""
         self._at: list[float] | None = None
-        self._since, self._gave_way = 0.0, -math.inf
+        self._since = 0.0
+        self._gave_way = -math.inf
 
     def gives_way(self, p: Vec, goal: Vec, now: float) -> None:
         """It gives way at p, and wants to be at goal, (3,) m each."""
         if now > self._gave_way + FREE:
-            self.sign, self._at = 1.0, None
+            self.sign = 1.0
+            self._at = None
         self._gave_way = now
         here = p.tolist()
-        if self._at is None or math.dist(here, self._at) > MOVED or math.dist(here, goal.tolist()) < THERE:
-            self._at, self._since = here, now
+        if (
+            self._at is None
+            or math.dist(here, self._at) > MOVED
+            or math.dist(here, goal.tolist()) < THERE
+        ):
+            self._at = here
+            self._since = now
         elif now > self._since + self.patience:
-            self.sign, self._since = -self.sign, now
+            self.sign = -self.sign
+            self._since = now

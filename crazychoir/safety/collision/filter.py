@@ -68,8 +68,12 @@ def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
 def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
     """What brings it to rest, and lets it stay there, whatever the wind does, m/s2: -k v - (k / 2)^2 (p - p_0)."""
     if out[5] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
-        out[5], out[6], out[7], out[8] = 1.0, x[0], x[1], x[2]
-    k, stiff = BRAKES, 0.25 * BRAKES * BRAKES * out[5]
+        out[5] = 1.0
+        out[6] = x[0]
+        out[7] = x[1]
+        out[8] = x[2]
+    k = BRAKES
+    stiff = 0.25 * BRAKES * BRAKES * out[5]
     return shrunk(
         (
             -k * v[0] - stiff * (x[0] - out[6]),
@@ -81,7 +85,9 @@ def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
 
 
 @kernel()
-def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: float, row: int) -> int:
+def _insert(
+    planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: float, row: int
+) -> int:
     """Put a half space among the nearest, in the order of d; returns how many there are.
 
     planes: from row 6 on;  near: (MOST, 2) = d, and the row of the other drone in the traffic.
@@ -96,8 +102,12 @@ def _insert(planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: flo
         for c in range(4):
             planes[6 + k, c] = planes[5 + k, c]
         k -= 1
-    near[k, 0], near[k, 1] = d, row
-    planes[6 + k, 0], planes[6 + k, 1], planes[6 + k, 2], planes[6 + k, 3] = normal[0], normal[1], normal[2], b
+    near[k, 0] = d
+    near[k, 1] = row
+    planes[6 + k, 0] = normal[0]
+    planes[6 + k, 1] = normal[1]
+    planes[6 + k, 2] = normal[2]
+    planes[6 + k, 3] = b
     return count + 1
 
 
@@ -125,7 +135,8 @@ def _box(planes: Vec, floor: float, f: Vec) -> None:
 def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
     """Half spaces that keep it inside its fence, but for the floor; returns how many rows there are then."""
     for k in range(6):
-        c, sign = k % 3, 1.0 if k < 3 else -1.0
+        c = k % 3
+        sign = 1.0 if k < 3 else -1.0
         gap = sign * (p[c] - box[k])
         if k != 2 and gap < NEAR_WALL:
             for n in range(3):
@@ -135,28 +146,62 @@ def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
     return m
 
 
-@kernel(vector, vector, vector, vector, real, table, real, vector, vector, table, table, memory)
+@kernel(
+    vector,
+    vector,
+    vector,
+    vector,
+    real,
+    table,
+    real,
+    vector,
+    vector,
+    table,
+    table,
+    memory,
+)
 def _filtered(
-    x: Vec, a: Vec, ref: Vec, gains: Vec, follow: float, others: Vec, now: float, box: Vec, f: Vec, planes: Vec,
-    near: Vec, out: Vec,
-) -> bool:  # fmt: skip
+    x: Vec,
+    a: Vec,
+    ref: Vec,
+    gains: Vec,
+    follow: float,
+    others: Vec,
+    now: float,
+    box: Vec,
+    f: Vec,
+    planes: Vec,
+    near: Vec,
+    out: Vec,
+) -> bool:
     """The law of CollisionFilter; whether it acts.
 
     out: (9,) = the acceleration, the row of the nearest that is in the way, whether it is cut off, and whether it stays
     while it brakes, and where.
     """
     p, v = late(x, a, f[LAG], f[DELAY], LASTS)
-    low, count, blind, heard, silent = x[2] < f[GROUND] + STANDING, 0, False, 0, 0
+    low = x[2] < f[GROUND] + STANDING
+    count = 0
+    blind = False
+    heard = 0
+    silent = 0
     for j in range(others.shape[0]):
         other = others[j]
-        age, stands = now - other[BORN], other[2] < f[GROUND] + STANDING
+        age = now - other[BORN]
+        stands = other[2] < f[GROUND] + STANDING
         if not age < GONE and not (stands and age < math.inf):
             other[SOON] = other[BORNE] = math.inf
             continue
         if not stands:
             heard += now - other[HEARD] < SILENT
             silent += now - other[HEARD] >= SILENT
-        apart = length((f[SX] * (x[0] - other[0]), f[SY] * (x[1] - other[1]), f[SZ] * (x[2] - other[2])))
+        apart = length(
+            (
+                f[SX] * (x[0] - other[0]),
+                f[SY] * (x[1] - other[1]),
+                f[SZ] * (x[2] - other[2]),
+            )
+        )
         speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
         other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
         other[BORNE] = USABLE + max(apart - f[WIDTH] - NEAR, 0.0) / f[V_MAX]
@@ -169,25 +214,40 @@ def _filtered(
         q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY], LASTS)
         d = max(length(scaled(p, q, scale)), 1e-3)
         if age > USABLE and not stands:
-            if f[WAITS] == 0.0 or d > width + f[V_MAX] * (min(age, HIDES) - USABLE) + NEAR:
+            if (
+                f[WAITS] == 0.0
+                or d > width + f[V_MAX] * (min(age, HIDES) - USABLE) + NEAR
+            ):
                 continue
             blind = True
-            q, w = resting(q, w, BRAKES, age - USABLE)  # as a rule it does not hear this one either
-        r, w = scaled(p, q, scale), scaled(v, w, scale)
+            q, w = resting(
+                q, w, BRAKES, age - USABLE
+            )  # as a rule it does not hear this one either
+        r = scaled(p, q, scale)
+        w = scaled(v, w, scale)
         d = max(length(r), 1e-3)
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
         reach = length(side)
-        old = 0.0 if stands else min(age, USABLE)  # who stands does not run away while it is not heard
+        old = (
+            0.0 if stands else min(age, USABLE)
+        )  # who stands does not run away while it is not heard
         gap = d - width - 0.5 * f[UNSURE] * old * old * reach
-        unsure, brake = f[UNSURE] * old * reach, f[BRAKE] * reach
-        if f[CELLS] > 0.0 and other[SHARE] < 1.0:  # who gives way to nobody keeps to no side
+        unsure = f[UNSURE] * old * reach
+        brake = f[BRAKE] * reach
+        if (
+            f[CELLS] > 0.0 and other[SHARE] < 1.0
+        ):  # who gives way to nobody keeps to no side
             own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
             b = cell(r, w, own, gap, 0.5 * unsure, brake, f[STIFF], f[GAMMA])
         else:
             b = barrier(r, w, gap, unsure, 2.0 * brake, f[STIFF], f[GAMMA])
             if not (low or stands) and other[SHARE] < 1.0:
-                away = (scale[0] * v[0] * n[0] + scale[1] * v[1] * n[1] + scale[2] * v[2] * n[2])
+                away = (
+                    scale[0] * v[0] * n[0]
+                    + scale[1] * v[1] * n[1]
+                    + scale[2] * v[2] * n[2]
+                )
                 b *= part(away, dot(n, w) - away) if b > 0.0 else 0.5
         normal = (side[0] / reach, side[1] / reach, side[2] / reach)
         count = _insert(planes, near, count, d - width, normal, b / reach, j)
@@ -199,7 +259,8 @@ def _filtered(
     out[3] = -1.0
     for k in range(6 + count - 1, 5, -1):
         if dot((planes[k, 0], planes[k, 1], planes[k, 2]), u) < planes[k, 3]:
-            acts, out[3] = True, near[k - 6, 1]
+            acts = True
+            out[3] = near[k - 6, 1]
     if not acts:
         return False
     floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
@@ -227,27 +288,63 @@ class CollisionFilter:
     """
 
     def __init__(
-        self, settings: Collision, traffic: Traffic, fence: Fence, a_max: float, v_max: float, ground: float
-    ) -> None:  # fmt: skip
+        self,
+        settings: Collision,
+        traffic: Traffic,
+        fence: Fence,
+        a_max: float,
+        v_max: float,
+        ground: float,
+    ) -> None:
         sx, sy, sz = settings.semi_axes
-        self.traffic, self.hearsay = traffic, Hearsay(traffic)
-        self._figures = np.array([
-            settings.lag, settings.delay, 1.0, sx / sy, sx / sz, 2.0 * sx + settings.margin, settings.brake,
-            settings.gamma, 1.5 * a_max, a_max, settings.turn, settings.range, settings.unsure, ground, v_max,
-            float(settings.method == "cells"), settings.stiff, 1.0,
-        ])  # fmt: skip
-        self._box = np.array([*fence.low, *fence.high]) + np.repeat([1.0, -1.0], 3) * settings.margin
-        self._planes, self._near, self._out = np.zeros((6 + MOST + 6, 4)), np.zeros((MOST, 2)), np.zeros(9)
-        self._accelerates, self._turn, self.side = np.zeros(14), settings.turn, Side(traffic.port.address)
+        self.traffic = traffic
+        self.hearsay = Hearsay(traffic)
+        self._figures = np.array(
+            [
+                settings.lag,
+                settings.delay,
+                1.0,
+                sx / sy,
+                sx / sz,
+                2.0 * sx + settings.margin,
+                settings.brake,
+                settings.gamma,
+                1.5 * a_max,
+                a_max,
+                settings.turn,
+                settings.range,
+                settings.unsure,
+                ground,
+                v_max,
+                float(settings.method == "cells"),
+                settings.stiff,
+                1.0,
+            ]
+        )
+        self._box = (
+            np.array([*fence.low, *fence.high])
+            + np.repeat([1.0, -1.0], 3) * settings.margin
+        )
+        self._planes = np.zeros((6 + MOST + 6, 4))
+        self._near = np.zeros((MOST, 2))
+        self._out = np.zeros(9)
+        self._accelerates = np.zeros(14)
+        self._turn = settings.turn
+        self.side = Side(traffic.port.address)
 
     def look(self, now: float) -> None:
         """See to it that it hears those that are near, now and then."""
         if self.traffic.look(now):
             self.hearsay.seek(now)
 
-    def full_state(self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False) -> Vec | None:
+    def full_state(
+        self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False
+    ) -> Vec | None:
         """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""
-        self._figures[WAITS], self._figures[TURN] = 0.0 if lands else 1.0, self._turn * self.side.sign
+        self._figures[WAITS], self._figures[TURN] = (
+            0.0 if lands else 1.0,
+            self._turn * self.side.sign,
+        )
         safe = self._run(state, reference, gains, 1.0, now)
         if safe is not None:
             self.side.gives_way(state.p, reference[0:3], now)
@@ -255,15 +352,31 @@ class CollisionFilter:
 
     def acceleration(self, state: State, a: Vec, gains: Vec, now: float) -> Vec | None:
         """The same for who flies an acceleration (3,)."""
-        self._accelerates[6:9], self._figures[WAITS], self._figures[TURN] = a, 1.0, self._turn
+        self._accelerates[6:9], self._figures[WAITS], self._figures[TURN] = (
+            a,
+            1.0,
+            self._turn,
+        )
         return self._run(state, self._accelerates, gains, 0.0, now)
 
-    def _run(self, state: State, reference: Vec, gains: Vec, follow: float, now: float) -> Vec | None:
+    def _run(
+        self, state: State, reference: Vec, gains: Vec, follow: float, now: float
+    ) -> Vec | None:
         traffic = self.traffic
         acts = _filtered(
-            state.flat, state.a, reference, gains, follow, traffic.rows, now, self._box, self._figures, self._planes,
-            self._near, self._out,
-        )  # fmt: skip
+            state.flat,
+            state.a,
+            reference,
+            gains,
+            follow,
+            traffic.rows,
+            now,
+            self._box,
+            self._figures,
+            self._planes,
+            self._near,
+            self._out,
+        )
         if not acts:
             return None
         return self._out[0:3].copy()

@@ -46,13 +46,21 @@ def resting(p: Triple, v: Triple, k: float, t: float) -> Motion:
     """Where one is, and how fast, that has braked for t s by -k v."""
     left = math.exp(-k * t)
     far = (1.0 - left) / k
-    return (p[0] + far * v[0], p[1] + far * v[1], p[2] + far * v[2]), (left * v[0], left * v[1], left * v[2])
+    return (p[0] + far * v[0], p[1] + far * v[1], p[2] + far * v[2]), (
+        left * v[0],
+        left * v[1],
+        left * v[2],
+    )
 
 
 @kernel()
 def scaled(a: Triple, b: Triple, scale: Triple) -> Triple:
     """S (a - b), S = diag(scale)."""
-    return (scale[0] * (a[0] - b[0]), scale[1] * (a[1] - b[1]), scale[2] * (a[2] - b[2]))
+    return (
+        scale[0] * (a[0] - b[0]),
+        scale[1] * (a[1] - b[1]),
+        scale[2] * (a[2] - b[2]),
+    )
 
 
 @kernel()

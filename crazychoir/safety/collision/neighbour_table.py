@@ -48,12 +48,20 @@ class Traffic:
     alone: the drones that do not give way, as they fly by a planner on board.
     """
 
-    def __init__(self, port: Port, ids: Iterable[int], alone: Sequence[int] = ()) -> None:
-        self.port, self.clock = port, port.bus.clock
+    def __init__(
+        self, port: Port, ids: Iterable[int], alone: Sequence[int] = ()
+    ) -> None:
+        self.port = port
+        self.clock = port.bus.clock
         self.ids = [j for j in ids if j != port.address]
         self.rows = np.zeros((len(self.ids), COLUMNS))
-        self._parts = {j: (row, row[0:13], row[13:16]) for j, row in zip(self.ids, self.rows, strict=True)}
-        self.rows[:, 9], self.rows[:, BORN], self.rows[:, SOON] = 1.0, -np.inf, np.inf
+        self._parts = {
+            j: (row, row[0:13], row[13:16])
+            for j, row in zip(self.ids, self.rows, strict=True)
+        }
+        self.rows[:, 9] = 1.0
+        self.rows[:, BORN] = -np.inf
+        self.rows[:, SOON] = np.inf
         self.rows[:, HEARD] = -np.inf
         self.rows[:, BORNE] = np.inf
         self._shares = {j: 1.0 if j in alone else 0.5 for j in self.ids}
@@ -63,7 +71,9 @@ class Traffic:
         self._looks = 0.0
         if self.ids:
             rate = min(max(TOTAL / len(self.ids), SELDOM), OFTEN)
-            port.bus.subscribe(STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), rate)
+            port.bus.subscribe(
+                STATE, ANY, port.address, Call(self.clock, self.hear, "traffic"), rate
+            )
 
     def now(self) -> float:
         """s, by the clock of the ages."""
@@ -79,7 +89,8 @@ class Traffic:
         row = self._keep(message, age)
         if row is not None:
             j = message[0]
-            row[HEARD], row[SHARE] = max(row[HEARD], self.now() - age), 1.0 if self._deaf[j] else self._shares[j]
+            row[HEARD] = max(row[HEARD], self.now() - age)
+            row[SHARE] = 1.0 if self._deaf[j] else self._shares[j]
 
     def told(self, message: tuple[int, State], age: float) -> None:
         """Keep a state of a drone that another one has told."""
@@ -105,12 +116,17 @@ class Traffic:
         """The row of a drone whose state this is; None if it is none, or of nobody."""
         j, state = message
         found = self._parts.get(j)
-        if found is None or not (math.hypot(*state.flat.tolist()) < FAR and math.hypot(*state.a.tolist()) < FASTEST):
+        if found is None or not (
+            math.hypot(*state.flat.tolist()) < FAR
+            and math.hypot(*state.a.tolist()) < FASTEST
+        ):
             return None
         row, flat, a = found
         born = self.now() - age
         if born >= row[BORN]:
-            flat[:], a[:], row[BORN] = state.flat, state.a, born
+            flat[:] = state.flat
+            a[:] = state.a
+            row[BORN] = born
         return row
 
     def look(self, now: float) -> bool:
@@ -118,7 +134,9 @@ class Traffic:
         if now < self._looks:
             return False
         self._looks = now + LOOK
-        soon, borne, pace = self.rows[:, SOON], self.rows[:, BORNE], np.zeros(len(self.ids))
+        soon = self.rows[:, SOON]
+        borne = self.rows[:, BORNE]
+        pace = np.zeros(len(self.ids))
         for reached, tiers in ((soon, RATES), (borne, PATIENCE)):
             for within, rate in tiers:
                 pace[reached < within] = np.maximum(pace[reached < within], rate)

@@ -31,10 +31,12 @@ def _row(planes: Vec, k: int) -> Triple:
 @kernel()
 def _on_line(q: Triple, along: Triple, planes: Vec, m: int) -> tuple[bool, Triple]:
     """The point of the line through q along a unit vector that is nearest to q in the first m half spaces."""
-    low, high = -math.inf, math.inf
+    low = -math.inf
+    high = math.inf
     for k in range(m):
         n = _row(planes, k)
-        rate, lack = dot(n, along), planes[k, 3] - dot(n, q)
+        rate = dot(n, along)
+        lack = planes[k, 3] - dot(n, q)
         if rate * rate < PARALLEL:
             if lack > 1e-7:
                 return False, q
@@ -105,15 +107,21 @@ def nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
     """
     relaxed, last, slack, (k, q) = 0, -1, SLACK, _nearest(u, planes, m)
     while k < m:
-        if k == last:  # rounding has left no point, as of planes that are almost parallel: twice as much each time
+        if (
+            k == last
+        ):  # rounding has left no point, as of planes that are almost parallel: twice as much each time
             slack *= 2.0
             planes[k, 3] -= slack
         else:
-            found, far = _nearest(_plus((0.0, 0.0, 0.0), FAR, _row(planes, k)), planes, k)
+            found, far = _nearest(
+                _plus((0.0, 0.0, 0.0), FAR, _row(planes, k)), planes, k
+            )
             if found == k:
                 planes[k, 3] = min(planes[k, 3], dot(_row(planes, k), far))
             planes[k, 3] -= SLACK
-            relaxed, last, slack = relaxed + 1, k, SLACK
+            relaxed = relaxed + 1
+            last = k
+            slack = SLACK
         k, q = _nearest(u, planes, m)
     return relaxed, q
 

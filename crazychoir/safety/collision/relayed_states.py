@@ -7,7 +7,15 @@ import numpy as np
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import HEARSAY, SOUGHT, Topic
 from crazychoir.errors import CodecError
-from crazychoir.safety.collision.neighbour_table import BORN, BORNE, GONE, HEARD, SILENT, USABLE, Traffic
+from crazychoir.safety.collision.neighbour_table import (
+    BORN,
+    BORNE,
+    GONE,
+    HEARD,
+    SILENT,
+    USABLE,
+    Traffic,
+)
 from crazychoir.types import State
 
 ASKS = 0.25
@@ -31,7 +39,8 @@ class Hearsay:
     """
 
     def __init__(self, traffic: Traffic) -> None:
-        self.traffic, self.port = traffic, traffic.port
+        self.traffic = traffic
+        self.port = traffic.port
         self._sent = self._asks = 0
         self._turns = np.zeros(len(traffic.ids), dtype=int)
         self.port.handlers[SOUGHT.number] = self._asked
@@ -39,9 +48,12 @@ class Hearsay:
 
     def seek(self, now: float) -> None:
         """Ask for those whose newer state is needed soon; less often for whom a second of asking has not helped."""
-        rows, ids = self.traffic.rows, self.traffic.ids
-        age, self._asks = now - rows[:, BORN], self._asks + 1
-        there, needed = age < GONE, np.maximum(ASKS, rows[:, BORNE] - AHEAD)
+        rows = self.traffic.rows
+        ids = self.traffic.ids
+        age = now - rows[:, BORN]
+        self._asks = self._asks + 1
+        there = age < GONE
+        needed = np.maximum(ASKS, rows[:, BORNE] - AHEAD)
         every = np.where(there, np.where(age < needed + AHEAD, 1, RARELY), SELDOM)
         sought = np.flatnonzero((~there | (age > needed)) & (self._asks % every == 0))
         heard = np.flatnonzero(now - rows[:, HEARD] < SILENT)
@@ -51,7 +63,10 @@ class Hearsay:
             if others.size:
                 far = np.linalg.norm(rows[others, 0:3] - rows[s, 0:3], axis=1)
                 self._turns[s] += 1
-                chosen = {*np.argsort(far, kind="stable")[:NEAREST].tolist(), int(self._turns[s]) % others.size}
+                chosen = {
+                    *np.argsort(far, kind="stable")[:NEAREST].tolist(),
+                    int(self._turns[s]) % others.size,
+                }
                 for k in sorted(chosen):
                     asked.setdefault(ids[int(others[k])], []).append(ids[s])
         for k, those in asked.items():
@@ -62,16 +77,40 @@ class Hearsay:
             self._sent += 1
             self.port.send(topic, (to,), encode(value), self._sent)
 
-    def _asked(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
-        traffic, those = self.traffic, self._opened(payload)
-        now, told = traffic.now(), []
+    def _asked(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        traffic = self.traffic
+        those = self._opened(payload)
+        now = traffic.now()
+        told = []
         for j in those if all(type(j) is int for j in those) else self._none():
             row = traffic.row(j)
             if row is not None and now - row[BORN] < USABLE:
-                told.append([j, State(row[0:13].copy(), 0.0, row[13:16].copy()), now - float(row[BORN])])
+                told.append(
+                    [
+                        j,
+                        State(row[0:13].copy(), 0.0, row[13:16].copy()),
+                        now - float(row[BORN]),
+                    ]
+                )
         self._send(HEARSAY, source, told)
 
-    def _told(self, source: int, payload: bytes, number: int, channel: str, flags: int, age: float) -> None:
+    def _told(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
         for item in self._opened(payload):
             match item:
                 case [int(j), State() as state, float(old)] if 0.0 <= old < GONE:
@@ -85,7 +124,11 @@ class Hearsay:
             value = decode(payload)
         except CodecError:
             return self._none()
-        return value if isinstance(value, list) and len(value) <= len(self.traffic.ids) else self._none()
+        return (
+            value
+            if isinstance(value, list) and len(value) <= len(self.traffic.ids)
+            else self._none()
+        )
 
     def _none(self) -> list[Any]:
         self.port.counters.malformed += 1

@@ -63,11 +63,13 @@ class PoseGate:
     def _doubt(self, seen: Seen) -> None:
         """The first pose that does not go on from those before."""
         (t_0, p_0, q_0), (t, p, q) = self._last[-1], seen
-        h, v = max(t - t_0, 0.0), _velocity(self._last)
+        h = max(t - t_0, 0.0)
+        v = _velocity(self._last)
         speed = UNKNOWN if v is None else math.hypot(*v)
         reach = min(JUMP + speed * h + 0.5 * HARDEST * h * h, FARTHEST)
         in_reach = math.dist(p, p_0) <= reach and _turns(q_0, q, h)
-        self._doubted, self._sure_at = deque([seen]), t + SURE if in_reach else math.inf
+        self._doubted = deque([seen])
+        self._sure_at = t + SURE if in_reach else math.inf
 
 
 def _keep(before: deque[Seen], seen: Seen) -> None:
@@ -80,9 +82,11 @@ def _keep(before: deque[Seen], seen: Seen) -> None:
 def _near(before: deque[Seen], seen: Seen) -> bool:
     """Whether a pose goes on from these."""
     (t_0, p_0, q_0), (t, p, q) = before[-1], seen
-    h, v = max(t - t_0, 0.0), _velocity(before)
+    h = max(t - t_0, 0.0)
+    v = _velocity(before)
     if v is None:
-        far, ahead = JUMP + UNKNOWN * h, p_0
+        far = JUMP + UNKNOWN * h
+        ahead = p_0
     else:
         far = JUMP + 0.5 * HARDEST * h * h
         ahead = (p_0[0] + h * v[0], p_0[1] + h * v[1], p_0[2] + h * v[2])

@@ -50,16 +50,21 @@ def before_arming(i: int, drones: Mapping[int, Standing]) -> list[str]:
 
 def _disagreement(own: Pose, seen: Pose) -> list[str]:
     """What it says of itself, beside what is seen of it."""
-    found, far = [], float(np.linalg.norm(own.p - seen.p))
+    found = []
+    far = float(np.linalg.norm(own.p - seen.p))
     if not far <= PLACE:
-        found.append(f"it takes itself to be {far:.2f} m from where it is seen, limit {PLACE} m")
+        found.append(
+            f"it takes itself to be {far:.2f} m from where it is seen, limit {PLACE} m"
+        )
     yaw = abs(wrap(yaw_of(own.q) - yaw_of(seen.q)))
     if not yaw <= ANGLE:
         found.append(
             f"it looks {math.degrees(yaw):.0f} deg away from how it is seen, limit {math.degrees(ANGLE):.0f} deg: "
             "its body was defined, or put on, the wrong way round"
         )
-    tilt = math.acos(max(-1.0, min(1.0, dot(columns(tuple(own.q))[2], columns(tuple(seen.q))[2]))))
+    tilt = math.acos(
+        max(-1.0, min(1.0, dot(columns(tuple(own.q))[2], columns(tuple(seen.q))[2])))
+    )
     if not tilt <= ANGLE:
         found.append(
             f"it is seen tilted by {math.degrees(tilt):.0f} deg from what it says, limit {math.degrees(ANGLE):.0f} "

@@ -78,7 +78,9 @@ class Track:
         times = self._times
         k = bisect(times, t)
         if k == len(times):
-            return self._tilts[-1] if times and t - times[-1] < 0.1 else complex(math.nan)
+            return (
+                self._tilts[-1] if times and t - times[-1] < 0.1 else complex(math.nan)
+            )
         if k == 0 or times[k] - times[k - 1] > 0.2:
             return complex(math.nan)
         share = (t - times[k - 1]) / (times[k] - times[k - 1])
@@ -86,7 +88,13 @@ class Track:
 
     def rest(self, since: float, until: float) -> tuple[complex, float]:
         """The mean between two times, nan if it was not seen; and the variance an axis, rad2, at most SHAKEN^2."""
-        found = np.array([u for t, u in zip(self._times, self._tilts, strict=True) if since <= t <= until])
+        found = np.array(
+            [
+                u
+                for t, u in zip(self._times, self._tilts, strict=True)
+                if since <= t <= until
+            ]
+        )
         if not found.size:
             return complex(math.nan), 0.0
         return complex(found.mean()), min(0.5 * float(found.var()), SHAKEN**2)
@@ -106,14 +114,28 @@ class Ascent:
     if it stays on the floor, while that of a drone that does not fly rises.
     """
 
-    def __init__(self, i: int, now: float, own: Track, bodies: Mapping[int, Track]) -> None:
-        self.drone, self._began, self._bodies, self._said = i, now, bodies, own
-        self._level, self._zeros, self._noise = complex(math.nan), dict[int, complex](), math.nan
+    def __init__(
+        self, i: int, now: float, own: Track, bodies: Mapping[int, Track]
+    ) -> None:
+        self.drone = i
+        self._began = now
+        self._bodies = bodies
+        self._said = own
+        self._level, self._zeros, self._noise = (
+            complex(math.nan),
+            dict[int, complex](),
+            math.nan,
+        )
         self._own: deque[complex] = deque(maxlen=WINDOW)
-        self._seen: dict[int, deque[list[complex]]] = {j: deque(maxlen=WINDOW) for j in bodies}
+        self._seen: dict[int, deque[list[complex]]] = {
+            j: deque(maxlen=WINDOW) for j in bodies
+        }
         self._moved = 0.0
         self._heights = {j: track.height for j, track in bodies.items()}
-        self._rises: tuple[int, float] = (i, now)  # whose body rises instead of its own, and since when
+        self._rises: tuple[int, float] = (
+            i,
+            now,
+        )  # whose body rises instead of its own, and since when
         self.over = False
         """Whether it has been judged: it moves as its body does, or has been watched for long enough."""
 
@@ -132,7 +154,8 @@ class Ascent:
 
     def _look_back(self) -> None:
         """At how all stood, once it has said all that it has said of that."""
-        began, since = self._began, self._began - STOOD
+        began = self._began
+        since = self._began - STOOD
         rest = {j: track.rest(since, began) for j, track in self._bodies.items()}
         self._level, noise = self._said.rest(since, began)
         self._zeros = {j: level for j, (level, _) in rest.items()}
@@ -140,8 +163,14 @@ class Ascent:
 
     def _by_heights(self, now: float) -> str:
         """Whether its body stays while it flies, and another's rises, whose drone does not fly."""
-        rises = {j: track.height - self._heights[j] for j, track in self._bodies.items()}
-        others = [j for j in rises if j != self.drone and rises[j] > ROSE and not self._bodies[j].flies]
+        rises = {
+            j: track.height - self._heights[j] for j, track in self._bodies.items()
+        }
+        others = [
+            j
+            for j in rises
+            if j != self.drone and rises[j] > ROSE and not self._bodies[j].flies
+        ]
         j = others[0] if others and rises[self.drone] < STAYS else self.drone
         if j != self._rises[0]:
             self._rises = j, now
@@ -150,29 +179,41 @@ class Ascent:
         return f"it flies, its body stays on the floor, and that of drone {j}, which does not fly, rises"
 
     def _by_tilts(self) -> str:
-        s, own = np.array(self._own), np.array(self._seen[self.drone])
+        s = np.array(self._own)
+        own = np.array(self._seen[self.drone])
         good = np.isfinite(s) & np.isfinite(own).all(axis=1)
-        s, own = s[good], own[good]
+        s = s[good]
+        own = own[good]
         mine = self._cost(s, own)
         if mine <= CLEARLY:
             return ""
-        others = {j: self._cost(s, np.array(seen)[good]) for j, seen in self._seen.items() if j != self.drone}
+        others = {
+            j: self._cost(s, np.array(seen)[good])
+            for j, seen in self._seen.items()
+            if j != self.drone
+        }
         j = min(others, key=lambda j: others[j], default=self.drone)
         swapped, (turned, psi) = others.get(j, math.inf), self._turned(s, own)
         better = min(mine - CLEARLY, mine / RATIO)
         if min(swapped, turned) < better:
-            another, its_own = f"the body of drone {j}", f"its own turned by {math.degrees(psi):.0f} deg about z"
+            another = f"the body of drone {j}"
+            its_own = f"its own turned by {math.degrees(psi):.0f} deg about z"
             likely = [another] * (swapped < min(better, turned + ALIKE))
             likely += [its_own] * (turned < min(better, swapped + ALIKE))
             return f"it does not tilt as its body does, but as {' or '.join(likely)}"
-        left, moved = np.sum(np.abs(s[:, None] - own) ** 2, axis=0), np.sum(np.abs(own) ** 2, axis=0)
-        nobodys = mine > UNLIKE and bool(np.all(left > MOVED * (moved + np.sum(np.abs(s) ** 2))))
+        left = np.sum(np.abs(s[:, None] - own) ** 2, axis=0)
+        moved = np.sum(np.abs(own) ** 2, axis=0)
+        nobodys = mine > UNLIKE and bool(
+            np.all(left > MOVED * (moved + np.sum(np.abs(s) ** 2)))
+        )
         return "it does not tilt as its body does" if nobodys else ""
 
     def _turned(self, s: Complex, own: Complex) -> tuple[float, float]:
         """The cost of its own body, turned as fits best, and by how many rad; infinite if that is by little."""
         psi = cmath.phase(complex(np.sum(s[:, None] * own.conj())))
-        return (self._cost(s, cmath.exp(1j * psi) * own) if abs(psi) > TURNED else math.inf), psi
+        return (
+            self._cost(s, cmath.exp(1j * psi) * own) if abs(psi) > TURNED else math.inf
+        ), psi
 
     def _cost(self, s: Complex, seen: Complex) -> float:
         """J: s (n,), seen (n, lags); who was not seen explains nothing."""
@@ -180,4 +221,6 @@ class Ascent:
             return 0.0
         variance = 2.0 * (self._noise + (SHARE * np.abs(s)) ** 2)
         each = np.abs(s[:, None] - seen) ** 2 / variance[:, None]
-        return float(np.where(np.isfinite(each), np.minimum(each, ODD), ODD).sum(axis=0).min())
+        return float(
+            np.where(np.isfinite(each), np.minimum(each, ODD), ODD).sum(axis=0).min()
+        )

@@ -71,9 +71,18 @@ TABLE = (
     Rule("astray", 0.00, Action.LAND, latched=True),
     Rule("astray", 1.00, Action.CUT, latched=True),
 )
-REACHED = tuple(Rule("pose", 20.0, Action.CUT, latched=True) if r.measure == "pose" and r.latched else r for r in TABLE)
+REACHED = tuple(
+    Rule("pose", 20.0, Action.CUT, latched=True)
+    if r.measure == "pose" and r.latched
+    else r
+    for r in TABLE
+)
 """The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
-PLANS_ON_BOARD = tuple(rule for rule in REACHED if rule.measure != "link" or rule.action is not Action.BRAKE)
+PLANS_ON_BOARD = tuple(
+    rule
+    for rule in REACHED
+    if rule.measure != "link" or rule.action is not Action.BRAKE
+)
 """The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
 TOLD = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
 """Of a drone that a radio reaches: s since its last packet; s that its battery is low, and V below what is critical,
@@ -111,7 +120,11 @@ class Fence:
         """From two corners."""
         corners = np.array([low, high], dtype=float)
         if corners.shape != (2, 3) or not np.all(corners[0] < corners[1]):
-            raise ConfigError("Fence.box", [list(low), list(high)], "two corners (3,) m, the first below the second")
+            raise ConfigError(
+                "Fence.box",
+                [list(low), list(high)],
+                "two corners (3,) m, the first below the second",
+            )
         (a, b, c), (d, e, f) = corners.tolist()
         return cls((a, b, c), (d, e, f))
 
@@ -121,11 +134,14 @@ class Fence:
 
     def grown(self, margin: float) -> "Fence":
         """The same box, its sides `margin` m further out."""
-        return Fence.box([x - margin for x in self.low], [x + margin for x in self.high])
+        return Fence.box(
+            [x - margin for x in self.low], [x + margin for x in self.high]
+        )
 
     def outside(self, x: float, y: float, z: float) -> float:
         """m by which a position is outside, the largest over the six sides; negative inside."""
-        a, b = self.low, self.high
+        a = self.low
+        b = self.high
         return max(a[0] - x, x - b[0], a[1] - y, y - b[1], a[2] - z, z - b[2])
 
     def nearest(self, p: Vec, inset: float = INSET) -> Vec:
@@ -160,11 +176,19 @@ def _outside(x: Vec, box: Vec, reach: float) -> float:
 
     box: low, high;  reach: s2/m, 0 for one that ends inside by its own plan.  Negative inside; not finite if x is not.
     """
-    far = reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION if reach > 0.0 else 0.0
-    furthest, finite = -math.inf, 0.0
+    far = (
+        reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION
+        if reach > 0.0
+        else 0.0
+    )
+    furthest = -math.inf
+    finite = 0.0
     for c in range(3):
         ahead = far * x[3 + c]
-        furthest = max(furthest, max(box[c] - x[c] - min(ahead, 0.0), x[c] + max(ahead, 0.0) - box[3 + c]))
+        furthest = max(
+            furthest,
+            max(box[c] - x[c] - min(ahead, 0.0), x[c] + max(ahead, 0.0) - box[3 + c]),
+        )
     for c in range(13):
         finite += 0.0 * x[c]
     return furthest + finite
@@ -192,30 +216,50 @@ class Guard:
     """
 
     def __init__(
-        self, fence: Fence = ROOM, table: tuple[Rule, ...] = TABLE, a_max: float = 2.0, ground: float = 0.0,
+        self,
+        fence: Fence = ROOM,
+        table: tuple[Rule, ...] = TABLE,
+        a_max: float = 2.0,
+        ground: float = 0.0,
         limit: Fence | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         for rule in table:
-            if rule.measure not in TEXT or (rule.clear > rule.limit and not rule.latched):
-                raise ConfigError("Guard: table", rule, f"a measure of {', '.join(TEXT)}; clear at or below limit")
+            if rule.measure not in TEXT or (
+                rule.clear > rule.limit and not rule.latched
+            ):
+                raise ConfigError(
+                    "Guard: table",
+                    rule,
+                    f"a measure of {', '.join(TEXT)}; clear at or below limit",
+                )
         self.table = self._own = table
-        self._acting: dict[Rule, float] = {}  # a rule that acts, and since when its measure has been clear
+        self._acting: dict[
+            Rule, float
+        ] = {}  # a rule that acts, and since when its measure has been clear
         self._found: dict[Rule, float] = {}  # the last value for which it did
         self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
-        least = {m: min((r.limit for r in table if r.measure == m), default=math.inf) for m in TEXT}
+        least = {
+            m: min((r.limit for r in table if r.measure == m), default=math.inf)
+            for m in TEXT
+        }
         self._least = least
         self._told: dict[str, float] = dict.fromkeys(TOLD, -math.inf)
         self._said: dict[str, str] = {}
         self._told_well = True
-        self._least_pose, self._least_reference = least["pose"], least["reference"]
+        self._least_pose = least["pose"]
+        self._least_reference = least["reference"]
         self._least_stop = min(least["fence"], least["stop"], least["limit area"])
         self._reach = STOP / a_max
         self._whole = fence.with_floor(min(fence.low[2], ground - BELOW_GROUND))
         limit = self._whole.grown(AROUND) if limit is None else limit
         self._limit = limit.with_floor(min(limit.low[2], self._whole.low[2] - AROUND))
-        self._flying, self._low = (np.array([*box.low, *box.high]) for box in (fence, self._whole))
+        self._flying, self._low = (
+            np.array([*box.low, *box.high]) for box in (fence, self._whole)
+        )
         drives = fence.low[2] < ground
-        self.room = Fence(*flight_room(fence.low, fence.high, None if drives else ground))
+        self.room = Fence(
+            *flight_room(fence.low, fence.high, None if drives else ground)
+        )
         """Where a drone may be sent: nowhere inside does this guard brake it."""
 
     @property
@@ -224,15 +268,30 @@ class Guard:
         return next(iter(self._latched.values()), "")
 
     def check(
-        self, now: float, state: State | None, pose_age: float, reference_age: float | None = None, low: bool = False
+        self,
+        now: float,
+        state: State | None,
+        pose_age: float,
+        reference_age: float | None = None,
+        low: bool = False,
     ) -> Verdict:
         """The verdict at `now` (s); ages in s.
 
         state None: nothing was ever seen;  reference_age None: none needed;  low: it takes off or lands.
         """
-        age, reach = (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
-        stop = -math.inf if state is None else _outside(state.flat, self._low if low else self._flying, reach)
-        well = pose_age <= self._least_pose and age <= self._least_reference and stop <= self._least_stop
+        age, reach = (
+            (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
+        )
+        stop = (
+            -math.inf
+            if state is None
+            else _outside(state.flat, self._low if low else self._flying, reach)
+        )
+        well = (
+            pose_age <= self._least_pose
+            and age <= self._least_reference
+            and stop <= self._least_stop
+        )
         if well and self._told_well and not self._acting:
             return ALL_WELL
         return self._judge(now, self._measured(state, pose_age, age, stop))
@@ -243,14 +302,18 @@ class Guard:
         The measure is "stop" of the table, as `check` takes it of a drone that flies a plan of its own.
         """
         out = np.empty(len(path))
-        _each_outside(np.ascontiguousarray(path), np.array([*self.room.low, *self.room.high]), out)
+        _each_outside(
+            np.ascontiguousarray(path), np.array([*self.room.low, *self.room.high]), out
+        )
         return out
 
     def tell(self, measure: str, value: float, said: str = "") -> None:
         """A measure of TOLD now; said: what its reason says in place of {said}."""
         self._told[measure] = value
         self._said[measure] = said
-        self._told_well = all(value <= self._least[m] for m, value in self._told.items())
+        self._told_well = all(
+            value <= self._least[m] for m, value in self._told.items()
+        )
 
     def told(self, measure: str) -> float:
         """What a measure of TOLD is."""
@@ -267,47 +330,72 @@ class Guard:
 
     def excuse(self, measure: str) -> None:
         """Stop the rules of a measure that counts no more; a latched one stays."""
-        self._acting = {rule: since for rule, since in self._acting.items() if rule.measure != measure or rule.latched}
+        self._acting = {
+            rule: since
+            for rule, since in self._acting.items()
+            if rule.measure != measure or rule.latched
+        }
 
     def forget(self) -> None:
         """A flight is over, or begins: no rule of the one before acts any more, but for latched ones."""
-        self._acting = {rule: since for rule, since in self._acting.items() if rule.latched}
+        self._acting = {
+            rule: since for rule, since in self._acting.items() if rule.latched
+        }
         self.table = self._own
 
     def bear_unseen(self, seconds: float) -> None:
         """Until it has landed: do not cut the motors of a drone because nobody has seen it for less than this."""
         cuts = ("pose", Action.CUT)
         self.table = tuple(
-            replace(rule, limit=max(rule.limit, seconds)) if (rule.measure, rule.action) == cuts else rule
+            replace(rule, limit=max(rule.limit, seconds))
+            if (rule.measure, rule.action) == cuts
+            else rule
             for rule in self._own
         )
 
-    def _measured(self, state: State | None, pose_age: float, reference_age: float, stop: float) -> dict[str, float]:
+    def _measured(
+        self, state: State | None, pose_age: float, reference_age: float, stop: float
+    ) -> dict[str, float]:
         """The measures of the table."""
-        outside, beyond, broken = -math.inf, -math.inf, 0.0
+        outside = -math.inf
+        beyond = -math.inf
+        broken = 0.0
         if state is not None:
             x, y, z, *rest = state.flat.tolist()
-            outside, beyond = self._whole.outside(x, y, z), self._limit.outside(x, y, z)
+            outside = self._whole.outside(x, y, z)
+            beyond = self._limit.outside(x, y, z)
             broken = 0.0 if math.isfinite(x + y + z + sum(rest)) else 1.0
         return {
-            "pose": pose_age, "reference": reference_age, "fence": outside, "stop": stop, "limit area": beyond,
-            "broken": broken, **self._told,
-        }  # fmt: skip
+            "pose": pose_age,
+            "reference": reference_age,
+            "fence": outside,
+            "stop": stop,
+            "limit area": beyond,
+            "broken": broken,
+            **self._told,
+        }
 
     def _judge(self, now: float, values: dict[str, float]) -> Verdict:
         """Start and stop rules, then let the worst one that acts speak."""
         for rule in self.table:
             value = values[rule.measure]
             if not value <= rule.limit:  # a NaN is beyond every limit
-                self._acting[rule], self._found[rule] = math.inf, value
+                self._acting[rule] = math.inf
+                self._found[rule] = value
                 if rule.latched:
-                    self._latched.setdefault(rule, _reason(rule, value, self._said.get(rule.measure, "")))
+                    self._latched.setdefault(
+                        rule, _reason(rule, value, self._said.get(rule.measure, ""))
+                    )
             elif rule in self._acting:
                 self._settle(rule, value, now)
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL
-        return Verdict(worst.action, self._latched.get(worst) or _reason(worst, self._found[worst]), worst.measure)
+        return Verdict(
+            worst.action,
+            self._latched.get(worst) or _reason(worst, self._found[worst]),
+            worst.measure,
+        )
 
     def _settle(self, rule: Rule, value: float, now: float) -> None:
         """Stop a rule whose measure has been clear for long enough."""

@@ -21,11 +21,21 @@ def _share(a: Triple, limit: float) -> float:
 @kernel(vector, vector, vector, vector, memory)
 def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
     """The law of ReferenceLimits for a reference (14,), into out (14,); False, and out is no good: nothing to cut."""
-    v_max, a_max, j_max, w_max = limits[0], limits[1], limits[2], limits[3]
+    v_max = limits[0]
+    a_max = limits[1]
+    j_max = limits[2]
+    w_max = limits[3]
     speed = _share((ref[3], ref[4], ref[5]), v_max)
     lead = _share((ref[6], ref[7], ref[8]), a_max) if speed == 1.0 else 0.0
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
-    far = _share((gains[0] / gains[3] * e[0], gains[1] / gains[4] * e[1], gains[2] / gains[5] * e[2]), v_max)
+    far = _share(
+        (
+            gains[0] / gains[3] * e[0],
+            gains[1] / gains[4] * e[1],
+            gains[2] / gains[5] * e[2],
+        ),
+        v_max,
+    )
     pull = (
         gains[0] * far * e[0] + gains[3] * (speed * ref[3] - x[3]),
         gains[1] * far * e[1] + gains[4] * (speed * ref[4] - x[4]),
@@ -45,11 +55,17 @@ def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool
 @kernel(vector, vector, vector, real, memory)
 def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> None:
     """The law of ReferenceLimits for an acceleration `wanted` (3,), into out (3,)."""
-    v_max, a_max = limits[0], limits[1]
+    v_max = limits[0]
+    a_max = limits[1]
     hard = _share((wanted[0], wanted[1], wanted[2]), a_max)
-    a, v = (hard * wanted[0], hard * wanted[1], hard * wanted[2]), (x[3], x[4], x[5])
+    a = (hard * wanted[0], hard * wanted[1], hard * wanted[2])
+    v = (x[3], x[4], x[5])
     speed = math.sqrt(dot(v, v))
-    excess = max(dot(a, v) / speed - kv * (v_max - speed), 0.0) / speed if speed > 0.0 else 0.0
+    excess = (
+        max(dot(a, v) / speed - kv * (v_max - speed), 0.0) / speed
+        if speed > 0.0
+        else 0.0
+    )
     a = (a[0] - excess * v[0], a[1] - excess * v[1], a[2] - excess * v[2])
     hard = _share(a, a_max)
     for c in range(3):
@@ -76,11 +92,16 @@ class ReferenceLimits:
         self._a_max_squared = self.a_max**2
         self.gains = gains.position
         """(13,), of Gains.position."""
-        self._kv, self._v_max = min(gains.kv), flight.speed_limit
+        self._kv = min(gains.kv)
+        self._v_max = flight.speed_limit
         roll, pitch, yaw = gains.kr
-        self._limits = np.array([flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0])
+        self._limits = np.array(
+            [flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0]
+        )
 
-    def acceleration(self, reference: Acceleration, state: State, speed: float) -> Acceleration | None:
+    def acceleration(
+        self, reference: Acceleration, state: State, speed: float
+    ) -> Acceleration | None:
         """What of it the limits leave to a drone in `state`, |v| = speed; None: of another shape, or not finite."""
         wanted = np.asarray(reference.a)
         if wanted.shape != (3,):
@@ -99,5 +120,7 @@ class ReferenceLimits:
     def full_state(self, reference: FullState, state: State) -> FullState:
         """A reference that pulls the drone in `state` no harder than the limits allow."""
         out = np.empty(14)
-        is_cut = _cut_full_state(state.flat, reference.flat, self.gains, self._limits, out)
+        is_cut = _cut_full_state(
+            state.flat, reference.flat, self.gains, self._limits, out
+        )
         return FullState(out) if is_cut else reference

@@ -25,12 +25,20 @@ class RadioWatch(Actor):
     name = "radio watch"
     restart = ON_FAILURE
 
-    def __init__(self, port: Port, source: int, guard: Guard, firmware: Firmware) -> None:
-        self.port, self.guard, self.clock = port, guard, port.bus.clock
+    def __init__(
+        self, port: Port, source: int, guard: Guard, firmware: Firmware
+    ) -> None:
+        self.port = port
+        self.guard = guard
+        self.clock = port.bus.clock
         self.firmware = firmware
-        self._status: Latest[LinkStatus] = Latest(self.clock, f"drone {port.address} link", LINK.max_age)
-        self._low_since, self._heard_at = math.inf, -math.inf
-        self._gap, self._gap_ended = 0.0, -math.inf
+        self._status: Latest[LinkStatus] = Latest(
+            self.clock, f"drone {port.address} link", LINK.max_age
+        )
+        self._low_since = math.inf
+        self._heard_at = -math.inf
+        self._gap = 0.0
+        self._gap_ended = -math.inf
         port.bus.subscribe(LINK, source, port.address, self._status)
 
     async def run(self) -> None:
@@ -43,21 +51,41 @@ class RadioWatch(Actor):
         status = self._status.peek()
         if status is None:
             return
-        now, guard = self.clock.now(), self.guard
+        now = self.clock.now()
+        guard = self.guard
         self._hear(now - status.silence - self._status.age(), now)
         guard.tell("link", now - self._heard_at)
-        self._low_since = min(self._low_since, now) if status.battery < self.firmware.low else math.inf
+        self._low_since = (
+            min(self._low_since, now)
+            if status.battery < self.firmware.low
+            else math.inf
+        )
         guard.tell("battery", now - self._low_since, f"{self.firmware.low}")
         missing = self.firmware.critical - status.battery
-        guard.tell("empty", missing if missing > 0.0 else -math.inf, f"{self.firmware.critical}")
-        silent = max(now - self._heard_at, self._gap if now - self._gap_ended < LATELY else 0.0)
-        after = f"its radio was silent for {silent:.2f} s, it is " if SILENT < silent < math.inf else ""
-        guard.tell("tumbled", float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))), after)
+        guard.tell(
+            "empty",
+            missing if missing > 0.0 else -math.inf,
+            f"{self.firmware.critical}",
+        )
+        silent = max(
+            now - self._heard_at, self._gap if now - self._gap_ended < LATELY else 0.0
+        )
+        after = (
+            f"its radio was silent for {silent:.2f} s, it is "
+            if SILENT < silent < math.inf
+            else ""
+        )
+        guard.tell(
+            "tumbled",
+            float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))),
+            after,
+        )
 
     def _hear(self, at: float, now: float) -> None:
         """Its last packet came at s; an owner that was started again has not heard it yet, the one before has."""
         if math.isfinite(self._heard_at) and at - self._heard_at > SILENT:
-            self._gap, self._gap_ended = at - self._heard_at, now
+            self._gap = at - self._heard_at
+            self._gap_ended = now
         self._heard_at = max(self._heard_at, at)
 
     def turning(self) -> bool:

@@ -10,10 +10,16 @@ from crazychoir.numerics.kernels import kernel
 
 Keys = npt.NDArray[np.uint64]
 
-GOLDEN, FIRST, SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+GOLDEN, FIRST, SECOND = (
+    np.uint64(0x9E3779B97F4A7C15),
+    np.uint64(0xBF58476D1CE4E5B9),
+    np.uint64(0x94D049BB133111EB),
+)
 S8, S16, S27, S30, S31, S32 = (np.uint64(n) for n in (8, 16, 27, 30, 31, 32))
 BYTES, LOW = np.uint64(0x00FF00FF00FF00FF), np.uint64(0xFFFF)
-SCALE = math.sqrt(3.0 / (256.0**2 - 1.0))  # 1 over the standard deviation of the sum of four uniform bytes
+SCALE = math.sqrt(
+    3.0 / (256.0**2 - 1.0)
+)  # 1 over the standard deviation of the sum of four uniform bytes
 
 
 @kernel()
@@ -33,7 +39,9 @@ def normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
     z = scramble(key + GOLDEN * number)
     pairs = (z & BYTES) + ((z >> S8) & BYTES)
     fours = pairs + (pairs >> S16)
-    return (np.int64(fours & LOW) - 510) * SCALE, (np.int64((fours >> S32) & LOW) - 510) * SCALE
+    return (np.int64(fours & LOW) - 510) * SCALE, (
+        np.int64((fours >> S32) & LOW) - 510
+    ) * SCALE
 
 
 @kernel(numba.int64, numba.int64, numba.int64)

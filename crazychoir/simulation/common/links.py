@@ -28,7 +28,8 @@ class SimulatedLink:
     """The way to one drone of a world in this process."""
 
     def __init__(self, world: Rated, drone: int) -> None:
-        self.world, self.drone = world, drone
+        self.world = world
+        self.drone = drone
 
     def send(self, command: Command) -> None:
         """Held until the next one; it is an FPQR."""
@@ -55,6 +56,12 @@ class EulerRatesLink(SimulatedLink):
         thrust, p, q, r = flat.tolist()
         # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
         x, y, z = rotation(self.world.state(self.drone).q)[2].tolist()
-        phi, cos_theta = math.atan2(y, z), max(math.hypot(y, z), 1e-6)
+        phi = math.atan2(y, z)
+        cos_theta = max(math.hypot(y, z), 1e-6)
         turn = q * math.sin(phi) + r * math.cos(phi)
-        return [thrust, p - turn * x / cos_theta, q * math.cos(phi) - r * math.sin(phi), turn / cos_theta]
+        return [
+            thrust,
+            p - turn * x / cos_theta,
+            q * math.cos(phi) - r * math.sin(phi),
+            turn / cos_theta,
+        ]

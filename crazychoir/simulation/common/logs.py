@@ -12,8 +12,13 @@ Read = Callable[[State], float]
 def _attitude(state: State) -> tuple[float, float, float]:
     """Roll, pitch, yaw in degrees of R = Rz(yaw) Ry(-pitch) Rx(roll): the firmware's pitch is positive nose up."""
     r = rotation(state.q)
-    roll, pitch = math.atan2(r[2, 1], r[2, 2]), math.asin(min(1.0, max(-1.0, r[2, 0])))
-    return math.degrees(roll), math.degrees(pitch), math.degrees(math.atan2(r[1, 0], r[0, 0]))
+    roll = math.atan2(r[2, 1], r[2, 2])
+    pitch = math.asin(min(1.0, max(-1.0, r[2, 0])))
+    return (
+        math.degrees(roll),
+        math.degrees(pitch),
+        math.degrees(math.atan2(r[1, 0], r[0, 0])),
+    )
 
 
 def _flat(k: int, factor: float = 1.0) -> Read:
@@ -25,8 +30,16 @@ def _angle(k: int) -> Read:
 
 
 LIGHT: dict[str, Read] = {
-    **{f"stateEstimate.{name}": _flat(k) for k, name in enumerate(("x", "y", "z", "vx", "vy", "vz"))},
-    **{f"gyro.{axis}": _flat(10 + k, math.degrees(1.0)) for k, axis in enumerate("xyz")},
-    **{f"stabilizer.{name}": _angle(k) for k, name in enumerate(("roll", "pitch", "yaw"))},
+    **{
+        f"stateEstimate.{name}": _flat(k)
+        for k, name in enumerate(("x", "y", "z", "vx", "vy", "vz"))
+    },
+    **{
+        f"gyro.{axis}": _flat(10 + k, math.degrees(1.0)) for k, axis in enumerate("xyz")
+    },
+    **{
+        f"stabilizer.{name}": _angle(k)
+        for k, name in enumerate(("roll", "pitch", "yaw"))
+    },
 }
 """What a lightweight drone, which has no firmware, can say of itself, with the firmware's names and units."""

@@ -14,16 +14,25 @@ def built(platform: Platform, mass_error: float, thrust_error: float) -> Platfor
     the curves of the rotor over speed and over voltage, and the ends of the firmware's scale.
     e_m, e_f: shares, above -1;  r: of a rotor;  P: what the battery gives for it, which goes with f^1.5.
     """
-    m, f = 1.0 + mass_error, 1.0 + thrust_error
-    rotor, firmware, battery = platform.rotor, platform.firmware, platform.battery
+    m = 1.0 + mass_error
+    f = 1.0 + thrust_error
+    rotor = platform.rotor
+    firmware = platform.firmware
+    battery = platform.battery
     c1, c2 = rotor.thrust
     v0, v1, v2, v3 = rotor.voltage
     return replace(
         platform,
         mass=m * platform.mass,
         max_thrust=f * platform.max_thrust,
-        rotor=replace(rotor, thrust=(f * c1, f * c2), voltage=(f * v0, f * v1, f * v2, f * v3)),
-        firmware=replace(firmware, thrust_max=f * firmware.thrust_max, thrust_min=f * firmware.thrust_min),
+        rotor=replace(
+            rotor, thrust=(f * c1, f * c2), voltage=(f * v0, f * v1, f * v2, f * v3)
+        ),
+        firmware=replace(
+            firmware,
+            thrust_max=f * firmware.thrust_max,
+            thrust_min=f * firmware.thrust_min,
+        ),
         battery=replace(battery, hover_power=battery.hover_power * (m / f) ** 1.5),
     )
 
@@ -37,4 +46,8 @@ def scaled(platform: Platform, mass_error: float, thrust_error: float) -> Platfo
     """
     f = 1.0 + thrust_error
     ax, ay, az = platform.drag
-    return replace(platform, mass=(1.0 + mass_error) * platform.mass / f, drag=(ax / f, ay / f, az / f))
+    return replace(
+        platform,
+        mass=(1.0 + mass_error) * platform.mass / f,
+        drag=(ax / f, ay / f, az / f),
+    )

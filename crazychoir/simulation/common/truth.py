@@ -17,9 +17,15 @@ def _closest(x: Mat, best: Vec) -> None:
     best[2] = math.inf
     for i in range(x.shape[0]):
         for j in range(i):
-            d = (x[i, 0] - x[j, 0]) ** 2 + (x[i, 1] - x[j, 1]) ** 2 + (x[i, 2] - x[j, 2]) ** 2
+            d = (
+                (x[i, 0] - x[j, 0]) ** 2
+                + (x[i, 1] - x[j, 1]) ** 2
+                + (x[i, 2] - x[j, 2]) ** 2
+            )
             if d < best[2]:
-                best[0], best[1], best[2] = j, i, d
+                best[0] = j
+                best[1] = i
+                best[2] = d
     best[2] = math.sqrt(best[2])
 
 
@@ -32,15 +38,31 @@ class Truth:
     """
 
     def __init__(
-        self, ids: Sequence[int], p0: Mat, yaw0: Vec | None, platform: Platform | Sequence[Platform], dt: float
+        self,
+        ids: Sequence[int],
+        p0: Mat,
+        yaw0: Vec | None,
+        platform: Platform | Sequence[Platform],
+        dt: float,
     ) -> None:
-        self.ids, self.dt, self.tick = tuple(ids), dt, 0
-        n, name = len(self.ids), type(self).__name__
+        self.ids = tuple(ids)
+        self.dt = dt
+        self.tick = 0
+        n = len(self.ids)
+        name = type(self).__name__
         if np.shape(p0) != (n, 3) or not np.all(np.isfinite(p0)):
-            raise ConfigError(f"{name}: p0", p0, f"finite, shape ({n}, 3): one row a drone")
-        self.platforms = (platform,) * n if isinstance(platform, Platform) else tuple(platform)
+            raise ConfigError(
+                f"{name}: p0", p0, f"finite, shape ({n}, 3): one row a drone"
+            )
+        self.platforms = (
+            (platform,) * n if isinstance(platform, Platform) else tuple(platform)
+        )
         if len(self.platforms) != n:
-            raise ConfigError(f"{name}: platform", [p.name for p in self.platforms], f"one platform, or {n}")
+            raise ConfigError(
+                f"{name}: platform",
+                [p.name for p in self.platforms],
+                f"one platform, or {n}",
+            )
         self.row = {drone: row for row, drone in enumerate(self.ids)}
         self.states = _standing(p0, np.zeros(n) if yaw0 is None else yaw0)
         self._allowed = [row.max_landing_speed for row in self.platforms]
@@ -67,11 +89,16 @@ class Truth:
     @property
     def crashed(self) -> list[int]:
         """Drones that have touched something faster than their platform may."""
-        return [i for i, hit, most in zip(self.ids, self.impact, self._allowed, strict=True) if hit > most]
+        return [
+            i
+            for i, hit, most in zip(self.ids, self.impact, self._allowed, strict=True)
+            if hit > most
+        ]
 
     def harm(self, i: int) -> str:
         """What has broken drone i, and at which speed; empty if nothing has."""
-        impact, allowed = self.impact[self.row[i]], self._allowed[self.row[i]]
+        impact = self.impact[self.row[i]]
+        allowed = self._allowed[self.row[i]]
         if not impact > allowed:
             return ""
         return f"crashed: hit {self.struck(i)} at {impact:.2f} m/s, allowed {allowed:g} m/s"
@@ -98,5 +125,6 @@ def _standing(p0: Mat, yaw0: Vec) -> Mat:
     x = np.zeros((len(p0), 13))
     x[:, 0:3] = p0
     x[:, 2] = np.maximum(x[:, 2], 0.0)
-    x[:, 8], x[:, 9] = np.sin(0.5 * yaw0), np.cos(0.5 * yaw0)
+    x[:, 8] = np.sin(0.5 * yaw0)
+    x[:, 9] = np.cos(0.5 * yaw0)
     return x

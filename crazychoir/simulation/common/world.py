@@ -6,12 +6,29 @@ from typing import Any, Protocol
 
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import Platform
-from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Mat, Pose, State, Vel
+from crazychoir.types import (
+    FPQR,
+    FRPY,
+    XYZ,
+    Acc,
+    Command,
+    Drive,
+    FullState,
+    Mat,
+    Pose,
+    State,
+    Vel,
+)
 
 KINDS: dict[str, tuple[type[Any], ...]] = {
-    "fpqr": (FPQR,), "frpy": (FRPY,), "vel": (Vel, XYZ), "xyz": (XYZ,),
-    "fullstate": (FullState, XYZ), "acc": (Acc, XYZ), "drive": (Drive,),
-}  # fmt: skip
+    "fpqr": (FPQR,),
+    "frpy": (FRPY,),
+    "vel": (Vel, XYZ),
+    "xyz": (XYZ,),
+    "fullstate": (FullState, XYZ),
+    "acc": (Acc, XYZ),
+    "drive": (Drive,),
+}
 """What is sent for each `sender` of a swarm file: velocities, full states and accelerations end with the XYZ that
 stops; the last two are of robots that do not fly, whose uri says what they are sent."""
 Position = tuple[float, float, float]
@@ -112,4 +129,6 @@ class World(Protocol):
 def not_flown(drone: int, kind: str, flies: tuple[str, ...]) -> ConfigError:
     """The error for a kind of command that a drone's world does not fly."""
     do = "Set sender in [control] or in its [[roles]], or give it another uri."
-    return ConfigError(f"drone {drone}: sender", kind, f"{', '.join(flies)}: what its world flies", do)
+    return ConfigError(
+        f"drone {drone}: sender", kind, f"{', '.join(flies)}: what its world flies", do
+    )

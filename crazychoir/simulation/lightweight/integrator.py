@@ -33,8 +33,13 @@ def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
     if not euler:
         return u[1], u[2], u[3]
     phi = math.atan2(z_row[1], z_row[2])
-    c, s = math.cos(phi), math.sin(phi)
-    return u[1] + u[3] * z_row[0], u[2] * c + u[3] * z_row[1], u[3] * z_row[2] - u[2] * s
+    c = math.cos(phi)
+    s = math.sin(phi)
+    return (
+        u[1] + u[3] * z_row[0],
+        u[2] * c + u[3] * z_row[1],
+        u[3] * z_row[2] - u[2] * s,
+    )
 
 
 @kernel()
@@ -49,7 +54,8 @@ def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
     bx, by, bz = columns(q)
     v = (y[3], y[4], y[5])
     m = platform[MASS]
-    ax, ay = -platform[1] * dot(bx, v) / m, -platform[2] * dot(by, v) / m
+    ax = -platform[1] * dot(bx, v) / m
+    ay = -platform[2] * dot(by, v) / m
     az = (u[THRUST] - platform[3] * dot(bz, v)) / m
     w = _body_rates((bx[2], by[2], bz[2]), u, euler)
     for c in range(3):
@@ -119,11 +125,14 @@ def _put_down(x: Vec) -> None:
 
 
 @kernel(matrix, matrix, table, table, memory)
-def _admit(commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec) -> None:
+def _admit(
+    commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec
+) -> None:
     """Clip commands to the limits of platforms (N, 9), counting where needed; a command with a NaN repeats the last."""
     for i in range(commands.shape[0]):
         for c in range(4):
-            value, limit = commands[i, c], platforms[i, MAX_THRUST + c]
+            value = commands[i, c]
+            limit = platforms[i, MAX_THRUST + c]
             if not math.isfinite(value):
                 accepted[i] = previous[i]
                 counts[i] += 1.0
@@ -147,7 +156,10 @@ def _advance(
     euler: float,
 ) -> None:
     """Advance all drones by h with the held commands `target`; replaces x (N, 13) and inputs `actual` (N, 4)."""
-    k, u, y, goal = np.empty((5, 10)), np.empty((3, 4)), np.empty(10), np.empty(4)
+    k = np.empty((5, 10))
+    u = np.empty((3, 4))
+    y = np.empty(10)
+    goal = np.empty(4)
     platform = np.empty(platforms.shape[1])
     for i in range(x.shape[0]):
         for c in range(platforms.shape[1]):
@@ -166,7 +178,9 @@ def _advance(
         _runge_kutta(y, u, h, platform, euler > 0.0, k)
         x[i, :10] = y
         bx, by, bz = columns((y[6], y[7], y[8], y[9]))
-        x[i, 10], x[i, 11], x[i, 12] = _body_rates((bx[2], by[2], bz[2]), u[2], euler > 0.0)
+        x[i, 10], x[i, 11], x[i, 12] = _body_rates(
+            (bx[2], by[2], bz[2]), u[2], euler > 0.0
+        )
         if y[2] < 0.0:
             impact[i] = max(impact[i], -y[5])
             resting[i] = 1.0
@@ -204,7 +218,9 @@ class CFIntegrator(Truth):
         super().__init__(ids, p0, yaw0, platform, dt)
         n = len(self.ids)
         self.commands = np.zeros((n, 4))
-        self.commands[:, THRUST] = np.where(self.states[:, 2] > 0.0, [row.weight for row in self.platforms], 0.0)
+        self.commands[:, THRUST] = np.where(
+            self.states[:, 2] > 0.0, [row.weight for row in self.platforms], 0.0
+        )
         self._alive = np.ones(n)
         self._held = {i: self.commands[row] for i, row in self.row.items()}
         self._actual = self.commands.copy()
@@ -240,8 +256,15 @@ class CFIntegrator(Truth):
 
     def step(self) -> None:
         """Advance every drone by dt."""
-        size, k = len(self._sent), self.tick
-        _admit(self.commands, self._flat, self._sent[k % size], self._sent[(k - 1) % size], self.limited)
+        size = len(self._sent)
+        k = self.tick
+        _admit(
+            self.commands,
+            self._flat,
+            self._sent[k % size],
+            self._sent[(k - 1) % size],
+            self.limited,
+        )
         if self._split > 1e-9 * self.dt:
             self._run(self._sent[(k - self._late - 1) % size], self._split)
         self._run(self._sent[(k - self._late) % size], self.dt - self._split)

@@ -30,7 +30,13 @@ class Robots(Truth):
     command_timeout: float | None = SILENCE
 
     def __init__(self, setup: WorldSetup) -> None:
-        super().__init__(setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, setup.dt)
+        super().__init__(
+            setup.ids,
+            np.array(setup.homes, dtype=float),
+            np.array(setup.yaws),
+            setup.platforms,
+            setup.dt,
+        )
         self.flies: tuple[str, ...] = (self.kind,)
         self.inputs = np.zeros((len(self.ids), self.size))
         self.stands, self.cut = np.zeros((2, len(self.ids)), dtype=bool)
@@ -47,7 +53,9 @@ class Robots(Truth):
 
     def step(self) -> None:
         """Advance every robot by dt."""
-        for x, u, stands in zip(self.states, self.inputs, self.stands | self.cut, strict=True):
+        for x, u, stands in zip(
+            self.states, self.inputs, self.stands | self.cut, strict=True
+        ):
             if stands:
                 x[3:6] = x[10:13] = 0.0
             else:
@@ -71,7 +79,8 @@ class RobotLink:
         if isinstance(command, XYZ):
             self.world.stands[self.row] = True
         elif np.all(np.isfinite(command.flat)):
-            self.world.inputs[self.row], self.world.stands[self.row] = command.flat, False
+            self.world.inputs[self.row] = command.flat
+            self.world.stands[self.row] = False
 
     def cut(self) -> None:
         """It stands still, for good."""
@@ -86,7 +95,8 @@ class SingleIntegrators(Robots):
     u: m/s, r: rad/s, of Vel.
     """
 
-    kind, size = "vel", 4
+    kind = "vel"
+    size = 4
 
     def move(self, x: Vec, u: Vec, h: float) -> None:
         """One step."""
@@ -103,7 +113,8 @@ class DoubleIntegrators(Robots):
     u: m/s2, of Acc.
     """
 
-    kind, size = "acc", 3
+    kind = "acc"
+    size = 3
 
     def move(self, x: Vec, u: Vec, h: float) -> None:
         """One step."""
@@ -119,12 +130,14 @@ class Unicycles(Robots):
     v: m/s, w: rad/s, of Drive: over a step an arc of a circle, of the length v h.
     """
 
-    kind, size = "drive", 2
+    kind = "drive"
+    size = 2
 
     def move(self, x: Vec, u: Vec, h: float) -> None:
         """One step."""
         v, w = u.tolist()
-        yaw, half = yaw_of(x[6:10]), 0.5 * h * w
+        yaw = yaw_of(x[6:10])
+        half = 0.5 * h * w
         chord = v * h * (math.sin(half) / half if abs(half) > STRAIGHT else 1.0)
         x[0] += chord * math.cos(yaw + half)
         x[1] += chord * math.sin(yaw + half)

@@ -14,8 +14,9 @@ from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    AIRX, LANES,
-)  # fmt: skip
+    AIRX,
+    LANES,
+)
 # isort: on
 
 Links = npt.NDArray[np.int64]
@@ -46,7 +47,9 @@ class Wind:
 
 
 @kernel()
-def blow(m: Vec, keys: Keys, tick: int, mean: Triple, gust: float, decay: float) -> None:
+def blow(
+    m: Vec, keys: Keys, tick: int, mean: Triple, gust: float, decay: float
+) -> None:
     """The wind at each drone of a block after a step of dt s, decay = exp(-dt / T).
 
         u <- mean + (u - mean) decay + gust sqrt(1 - decay^2) n
@@ -84,7 +87,9 @@ def _bucket(i: int, j: int, mask: int) -> int:
 
 
 @kernel()
-def _from_above(n: int, x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links) -> float:
+def _from_above(
+    n: int, x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links
+) -> float:
     """What drone n gets from the drones of its column and of the eight around it."""
     force = 0.0
     for i in range(chain[n, 1] - 1, chain[n, 1] + 2):
@@ -101,7 +106,9 @@ def _from_above(n: int, x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Lin
 
 
 @kernel(matrix, vector, vector, numba.int64[::1], numba.int64[:, ::1], memory)
-def downwash(x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links, out: Vec) -> None:
+def downwash(
+    x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links, out: Vec
+) -> None:
     """Force N downwards on every drone from all above it, in a time that grows with the number of neighbours.
 
     x: (N, 13) states;  lift: (N,) N, thrusts;  radius: (N,) m;  out: (N,).  heads (2^k,) and chain (N, 3) are room for
@@ -111,9 +118,12 @@ def downwash(x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links, out: Ve
     mask = heads.shape[0] - 1
     heads[:] = -1
     for n in range(x.shape[0]):
-        i, j = math.floor(x[n, 0] / width), math.floor(x[n, 1] / width)
+        i = math.floor(x[n, 0] / width)
+        j = math.floor(x[n, 1] / width)
         b = _bucket(i, j, mask)
-        chain[n, 0], chain[n, 1], chain[n, 2] = heads[b], i, j
+        chain[n, 0] = heads[b]
+        chain[n, 1] = i
+        chain[n, 2] = j
         heads[b] = n
     for n in range(x.shape[0]):
         out[n] = _from_above(n, x, lift, radius, heads, chain)

@@ -8,11 +8,37 @@ from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    C0, C1, C2, C3, CAPACITY, CEILING, CELL_EMPTY, CELL_FULL, CHARGE, F1, IDLE, LANES, POWER, RESISTANCE, VOLTAGE,
-)  # fmt: skip
+    C0,
+    C1,
+    C2,
+    C3,
+    CAPACITY,
+    CEILING,
+    CELL_EMPTY,
+    CELL_FULL,
+    CHARGE,
+    F1,
+    IDLE,
+    LANES,
+    POWER,
+    RESISTANCE,
+    VOLTAGE,
+)
 # isort: on
 
-OPEN_CIRCUIT = (0.0, 0.65, 0.6917, 0.725, 0.7417, 0.7667, 0.8, 0.8333, 0.8667, 0.9167, 1.0)
+OPEN_CIRCUIT = (
+    0.0,
+    0.65,
+    0.6917,
+    0.725,
+    0.7417,
+    0.7667,
+    0.8,
+    0.8333,
+    0.8667,
+    0.9167,
+    1.0,
+)
 """Voltage at rest between empty (0) and full (1), for each tenth of the charge: the firmware's table for a lithium
 polymer cell, 3.00 3.78 3.83 3.87 3.89 3.92 3.96 4.00 4.04 4.10 V (crazyflie-firmware, pm_stm32f4.c), and 4.2 V full."""
 
@@ -41,10 +67,16 @@ def drain(m: Vec, dt: float) -> None:
         for n in range(0, 4 * LANES, LANES):
             power += m[F1 + n + k] * math.sqrt(m[F1 + n + k])
         power *= m[POWER + k]
-        rest = m[CELL_EMPTY + k] + (m[CELL_FULL + k] - m[CELL_EMPTY + k]) * open_circuit(m[CHARGE + k])
+        rest = m[CELL_EMPTY + k] + (
+            m[CELL_FULL + k] - m[CELL_EMPTY + k]
+        ) * open_circuit(m[CHARGE + k])
         b = rest - m[RESISTANCE + k] * m[IDLE + k]
         v = 0.5 * (b + math.sqrt(max(b * b - 4.0 * m[RESISTANCE + k] * power, 0.0)))
-        m[CHARGE + k] = max(m[CHARGE + k] - dt * (power / v + m[IDLE + k]) / m[CAPACITY + k], 0.0)
+        m[CHARGE + k] = max(
+            m[CHARGE + k] - dt * (power / v + m[IDLE + k]) / m[CAPACITY + k], 0.0
+        )
         v = v if m[CHARGE + k] > 0.0 else 0.0
         m[VOLTAGE + k] = v
-        m[CEILING + k] = max(m[C0 + k] + v * (m[C1 + k] + v * (m[C2 + k] + v * m[C3 + k])), 0.0)
+        m[CEILING + k] = max(
+            m[C0 + k] + v * (m[C1 + k] + v * (m[C2 + k] + v * m[C3 + k])), 0.0
+        )

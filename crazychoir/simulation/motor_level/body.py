@@ -12,11 +12,83 @@ from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    AIRX, AIRY, AIRZ, ALIVE1, ARM, BOOST, CEILING, CURVE1, CURVE2, DRAGX, DRAGY, DRAGZ, EX, EY, EZ, F1, FREE, FULL,
-    G1, G2, G3, G4, GROUND, HALF, IJX, IJY, IJZ, INERTIA, JX, JY, JZ, LANES, LEAST, LIFT, LIGHT, MOST, N1, N2, N3,
-    N4, OX, OY, OZ, PX, PY, PZ, QW, QX, QY, QZ, S1, S2, S3, S4, SLOPE1, SLOPE2, SLOPE3, SLOPE4, SPEED, SPIN, STAGE,
-    SX, SY, SZ, TORQUE1, TORQUE2, TX, TY, TZ, U1, VX, VY, VZ, WX, WY, WZ,
-)  # fmt: skip
+    AIRX,
+    AIRY,
+    AIRZ,
+    ALIVE1,
+    ARM,
+    BOOST,
+    CEILING,
+    CURVE1,
+    CURVE2,
+    DRAGX,
+    DRAGY,
+    DRAGZ,
+    EX,
+    EY,
+    EZ,
+    F1,
+    FREE,
+    FULL,
+    G1,
+    G2,
+    G3,
+    G4,
+    GROUND,
+    HALF,
+    IJX,
+    IJY,
+    IJZ,
+    INERTIA,
+    JX,
+    JY,
+    JZ,
+    LANES,
+    LEAST,
+    LIFT,
+    LIGHT,
+    MOST,
+    N1,
+    N2,
+    N3,
+    N4,
+    OX,
+    OY,
+    OZ,
+    PX,
+    PY,
+    PZ,
+    QW,
+    QX,
+    QY,
+    QZ,
+    S1,
+    S2,
+    S3,
+    S4,
+    SLOPE1,
+    SLOPE2,
+    SLOPE3,
+    SLOPE4,
+    SPEED,
+    SPIN,
+    STAGE,
+    SX,
+    SY,
+    SZ,
+    TORQUE1,
+    TORQUE2,
+    TX,
+    TY,
+    TZ,
+    U1,
+    VX,
+    VY,
+    VZ,
+    WX,
+    WY,
+    WZ,
+)
 # isort: on
 
 ROTOR_HEIGHT = 0.025
@@ -42,10 +114,11 @@ def obey(m: Vec) -> None:
 def _lag(m: Vec, decay: int) -> None:
     """Thrusts N and slopes S of the rotors when their lag has gone on by the decay in row `decay`.
 
-        f(t) = f_c + (f(0) - f_c) exp(-t / lag),  S = df/dr = sqrt(c1^2 + 4 c2 f)
+    f(t) = f_c + (f(0) - f_c) exp(-t / lag),  S = df/dr = sqrt(c1^2 + 4 c2 f)
     """
     for k in range(LANES):
-        c1, c2 = m[CURVE1 + k], m[CURVE2 + k]
+        c1 = m[CURVE1 + k]
+        c2 = m[CURVE2 + k]
         for n in range(0, 4 * LANES, LANES):
             f = m[G1 + n + k] + (m[F1 + n + k] - m[G1 + n + k]) * m[decay + k]
             m[N1 + n + k] = f
@@ -63,13 +136,19 @@ def _drag(m: Vec, k: int, s: float) -> tuple[float, float]:
 def _push(m: Vec) -> None:
     """What the four rotors together do to the body, about its axes.
 
-        LIFT = f1 + f2 + f3 + f4,   TX = arm (-f1 - f2 + f3 + f4),   TY = arm (-f1 + f2 + f3 - f4)
-        TZ = -m1 + m2 - m3 + m4,   m = t1 r + t2 r^2 + J r',   r' = f' / S,   f' = (f_c - f) / lag
-        SPIN = J (r1 - r2 + r3 - r4)
+    LIFT = f1 + f2 + f3 + f4,   TX = arm (-f1 - f2 + f3 + f4),   TY = arm (-f1 + f2 + f3 - f4)
+    TZ = -m1 + m2 - m3 + m4,   m = t1 r + t2 r^2 + J r',   r' = f' / S,   f' = (f_c - f) / lag
+    SPIN = J (r1 - r2 + r3 - r4)
     """
     for k in range(LANES):
-        f1, f2, f3, f4 = m[N1 + k], m[N2 + k], m[N3 + k], m[N4 + k]
-        s1, s2, s3, s4 = m[S1 + k], m[S2 + k], m[S3 + k], m[S4 + k]
+        f1 = m[N1 + k]
+        f2 = m[N2 + k]
+        f3 = m[N3 + k]
+        f4 = m[N4 + k]
+        s1 = m[S1 + k]
+        s2 = m[S2 + k]
+        s3 = m[S3 + k]
+        s4 = m[S4 + k]
         r1, m1 = _drag(m, k, s1)
         r2, m2 = _drag(m, k, s2)
         r3, m3 = _drag(m, k, s3)
@@ -80,7 +159,11 @@ def _push(m: Vec) -> None:
         m[LIFT + k] = (f1 + f2) + (f3 + f4)
         m[TX + k] = m[ARM + k] * ((f3 + f4) - (f1 + f2))
         m[TY + k] = m[ARM + k] * ((f2 + f3) - (f1 + f4))
-        m[TZ + k] = (m2 + m4) - (m1 + m3) + m[BOOST + k] * ((even - odd) / ((s1 * s3) * (s2 * s4)))
+        m[TZ + k] = (
+            (m2 + m4)
+            - (m1 + m3)
+            + m[BOOST + k] * ((even - odd) / ((s1 * s3) * (s2 * s4)))
+        )
         m[SPIN + k] = m[INERTIA + k] * ((r1 + r3) - (r2 + r4))
 
 
@@ -127,8 +210,13 @@ def _stage(m: Vec, at: int, ahead: float) -> None:
         sx = (dot(bx, force) - m[DRAGX + k] * dot(bx, air)) * light
         sy = (dot(by, force) - m[DRAGY + k] * dot(by, air)) * light
         sz = (dot(bz, force) - m[DRAGZ + k] * dot(bz, air) + g * m[LIFT + k]) * light
-        m[SX + k], m[SY + k], m[SZ + k] = sx, sy, sz
-        jx, jy, jz, spin = m[JX + k], m[JY + k], m[JZ + k], m[SPIN + k]
+        m[SX + k] = sx
+        m[SY + k] = sy
+        m[SZ + k] = sz
+        jx = m[JX + k]
+        jy = m[JY + k]
+        jz = m[JZ + k]
+        spin = m[SPIN + k]
         _go(m, PX + k, at, v[0], ahead)
         _go(m, PY + k, at, v[1], ahead)
         _go(m, PZ + k, at, v[2], ahead)
@@ -139,9 +227,23 @@ def _stage(m: Vec, at: int, ahead: float) -> None:
         _go(m, QY + k, at, 0.5 * (q[3] * w[1] + q[2] * w[0] - q[0] * w[2]), ahead)
         _go(m, QZ + k, at, 0.5 * (q[3] * w[2] + q[0] * w[1] - q[1] * w[0]), ahead)
         _go(m, QW + k, at, -0.5 * (q[0] * w[0] + q[1] * w[1] + q[2] * w[2]), ahead)
-        tx, ty, tz = g * m[TX + k] + m[OX + k], g * m[TY + k] + m[OY + k], m[TZ + k] + m[OZ + k]
-        _go(m, WX + k, at, (tx + (jy - jz) * w[1] * w[2] - w[1] * spin) * m[IJX + k], ahead)
-        _go(m, WY + k, at, (ty + (jz - jx) * w[2] * w[0] + w[0] * spin) * m[IJY + k], ahead)
+        tx = g * m[TX + k] + m[OX + k]
+        ty = g * m[TY + k] + m[OY + k]
+        tz = m[TZ + k] + m[OZ + k]
+        _go(
+            m,
+            WX + k,
+            at,
+            (tx + (jy - jz) * w[1] * w[2] - w[1] * spin) * m[IJX + k],
+            ahead,
+        )
+        _go(
+            m,
+            WY + k,
+            at,
+            (ty + (jz - jx) * w[2] * w[0] + w[0] * spin) * m[IJY + k],
+            ahead,
+        )
         _go(m, WZ + k, at, (tz + (jx - jy) * w[0] * w[1]) * m[IJZ + k], ahead)
 
 
@@ -151,8 +253,14 @@ def _arrive(m: Vec, h: float) -> None:
     for k in range(LANES):
         for c in range(0, 13 * LANES, LANES):
             middle = m[SLOPE2 + c + k] + m[SLOPE3 + c + k]
-            m[c + k] += m[FREE + k] * (h / 6.0) * (m[SLOPE1 + c + k] + 2.0 * middle + m[SLOPE4 + c + k])
-        n = 1.0 / math.sqrt(m[QX + k] ** 2 + m[QY + k] ** 2 + m[QZ + k] ** 2 + m[QW + k] ** 2)
+            m[c + k] += (
+                m[FREE + k]
+                * (h / 6.0)
+                * (m[SLOPE1 + c + k] + 2.0 * middle + m[SLOPE4 + c + k])
+            )
+        n = 1.0 / math.sqrt(
+            m[QX + k] ** 2 + m[QY + k] ** 2 + m[QZ + k] ** 2 + m[QW + k] ** 2
+        )
         for c in range(QX, QX + 4 * LANES, LANES):
             m[c + k] *= n
         for c in range(0, 13 * LANES, LANES):

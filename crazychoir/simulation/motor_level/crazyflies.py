@@ -6,8 +6,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector  # fmt: skip
-from crazychoir.numerics.math3d import exponential, product, rotation, yaw_of  # fmt: skip
+from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
+from crazychoir.numerics.math3d import exponential, product, rotation, yaw_of
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.draws import Keys
 from crazychoir.simulation.common.mismatch import built
@@ -23,13 +23,27 @@ from crazychoir.simulation.onboard.logs import TABLE, read
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
-from crazychoir.types import Mat, Pose, Vec  # fmt: skip
+from crazychoir.types import Mat, Pose, Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ACCX, ACCY, ACCZ, GYROX, GYROY, GYROZ, LANES, U1, U2, U3, U4, VOLTAGE, Blocks, blocks, give,
+    ACCX,
+    ACCY,
+    ACCZ,
+    GYROX,
+    GYROY,
+    GYROZ,
+    LANES,
+    U1,
+    U2,
+    U3,
+    U4,
+    VOLTAGE,
+    Blocks,
+    blocks,
+    give,
     take,
-)  # fmt: skip
+)
 # isort: on
 
 ON_BOARD = ("vel", "xyz", "fullstate")
@@ -43,12 +57,39 @@ def _think(m: Vec, first: int, firmware: Fleet) -> None:
     """One ms of the firmware of a block's drones: what the sensors say goes in, motor commands come out."""
     for k in range(min(LANES, firmware.shape[0] - first)):
         fw = firmware[first + k]
-        stabilize(fw, m[GYROX + k], m[GYROY + k], m[GYROZ + k], m[ACCX + k], m[ACCY + k], m[ACCZ + k])
+        stabilize(
+            fw,
+            m[GYROX + k],
+            m[GYROY + k],
+            m[GYROZ + k],
+            m[ACCX + k],
+            m[ACCY + k],
+            m[ACCZ + k],
+        )
         u = fw.motors
-        m[U1 + k], m[U2 + k], m[U3 + k], m[U4 + k] = u[0], u[1], u[2], u[3]
+        m[U1 + k] = u[0]
+        m[U2 + k] = u[1]
+        m[U3 + k] = u[2]
+        m[U4 + k] = u[3]
 
 
-@kernel(table, blocks, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector, rows)
+@kernel(
+    table,
+    blocks,
+    matrix,
+    matrix,
+    matrix,
+    vector,
+    memory,
+    memory,
+    memory,
+    memory,
+    keys,
+    whole,
+    whole,
+    vector,
+    rows,
+)
 def _advance(
     x: Mat,
     lanes: Blocks,
@@ -69,7 +110,8 @@ def _advance(
     """As `motors._advance`, with the firmware between the sensors and the motors in each step."""
     normal = (options[0], options[1], options[2])
     for b in range(lanes.shape[0]):
-        m, first = lanes[b].m, b * LANES
+        m = lanes[b].m
+        first = b * LANES
         take(m, first, x, commands, force, torque, below, limited)
         for step in range(steps):
             measure(m, seeds[b], time + step, options[3], options[4])
@@ -104,11 +146,15 @@ class CrazyflieWorld(MotorWorld):
         bodies: Sequence[Platform] | None = None,
         **options: Any,
     ) -> None:
-        platforms = [platform] * len(ids) if isinstance(platform, Platform) else platform
+        platforms = (
+            [platform] * len(ids) if isinstance(platform, Platform) else platform
+        )
         self._firmware = np.concatenate([fleet(1, row) for row in platforms])
         self.onboard: dict[int, Onboard] = {}
         self._told, self._told_every = dict.fromkeys(ids, 0), dict.fromkeys(ids, 1)
-        super().__init__(ids, p0, yaw0, platforms if bodies is None else bodies, **options)
+        super().__init__(
+            ids, p0, yaw0, platforms if bodies is None else bodies, **options
+        )
         for row, i in enumerate(self.ids):
             self.onboard[i] = Onboard(platforms[row], self._firmware, row)
             self.onboard[i].place(self.states[row, :3], yaw_of(self.states[row, 6:10]))
@@ -118,17 +164,36 @@ class CrazyflieWorld(MotorWorld):
     def of(cls, setup: WorldSetup, **more: Any) -> Self:
         """The world of a swarm file, with its [motors] as options; more: of this class."""
         options = setup.options
-        gusts, noise = options["gusts"], options["imu_noise"]
-        wind = Wind(setup.wind, gusts, options["gust_time"]) if gusts > 0.0 or any(setup.wind) else None
+        gusts = options["gusts"]
+        noise = options["imu_noise"]
+        wind = (
+            Wind(setup.wind, gusts, options["gust_time"])
+            if gusts > 0.0 or any(setup.wind)
+            else None
+        )
         roll, pitch = options["floor_tilt"]
-        normal = rotation(np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))))[:, 2]
-        bodies = [built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms]
+        normal = rotation(
+            np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0)))
+        )[:, 2]
+        bodies = [
+            built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms
+        ]
         return cls(
-            setup.ids, np.array(setup.homes, dtype=float), np.array(setup.yaws), setup.platforms, dt=setup.dt,
-            seed=setup.seed, wind=wind, imu=Imu(**{name: noise * value for name, value in asdict(Imu()).items()}),
-            ground_effect=options["ground_effect"], downwash=options["downwash"], charge=options["battery"],
-            bodies=bodies, floor_normal=tuple(normal.tolist()), **more,
-        )  # fmt: skip
+            setup.ids,
+            np.array(setup.homes, dtype=float),
+            np.array(setup.yaws),
+            setup.platforms,
+            dt=setup.dt,
+            seed=setup.seed,
+            wind=wind,
+            imu=Imu(**{name: noise * value for name, value in asdict(Imu()).items()}),
+            ground_effect=options["ground_effect"],
+            downwash=options["downwash"],
+            charge=options["battery"],
+            bodies=bodies,
+            floor_normal=tuple(normal.tolist()),
+            **more,
+        )
 
     def link(self, i: int, kind: str = "fpqr") -> CrazyflieLink:
         """The way to drone i for commands of this kind; raises ConfigError for one that the firmware does not know."""
@@ -152,7 +217,9 @@ class CrazyflieWorld(MotorWorld):
             "the state of its body": self.states,
         }
         return {
-            self.ids[row]: f"{part}: found {numbers[row].tolist()}; allowed: finite numbers"
+            self.ids[
+                row
+            ]: f"{part}: found {numbers[row].tolist()}; allowed: finite numbers"
             for part, numbers in parts.items()
             for row in np.flatnonzero(~np.isfinite(numbers).all(axis=1)).tolist()
         }

@@ -6,14 +6,44 @@ A drone that stands slips about its z axis alone, when its rotors turn it harder
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, exponential, product
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Triple,
+    columns,
+    dot,
+    exponential,
+    product,
+)
 from crazychoir.simulation.motor_level.body import near_floor
 from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ARM, EZ, FREE, GROUND, IJZ, IMPACT, LANES, LIFT, MASS, PZ, QW, QX, QY, QZ, SX, SY, SZ, TZ, VX, VY, VZ, WX, WY, WZ,
-)  # fmt: skip
+    ARM,
+    EZ,
+    FREE,
+    GROUND,
+    IJZ,
+    IMPACT,
+    LANES,
+    LIFT,
+    MASS,
+    PZ,
+    QW,
+    QX,
+    QY,
+    QZ,
+    SX,
+    SY,
+    SZ,
+    TZ,
+    VX,
+    VY,
+    VZ,
+    WX,
+    WY,
+    WZ,
+)
 # isort: on
 
 SETTLING = 0.03
@@ -28,7 +58,7 @@ STUCK = 5e-4
 def _turned(m: Vec, k: int, spin: float, h: float) -> float:
     """rad/s about z of a drone that stands, after h s.
 
-        |TZ| > max(FRICTION (m g - LIFT) arm, STUCK):  it turns by what is more; else it is stopped
+    |TZ| > max(FRICTION (m g - LIFT) arm, STUCK):  it turns by what is more; else it is stopped
     """
     torque: float = m[TZ + k]
     held = max(FRICTION * (GRAVITY * m[MASS + k] - m[LIFT + k]) * m[ARM + k], STUCK)
@@ -60,7 +90,9 @@ def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
     q = product(exponential(h * w[0], h * w[1], h * w[2]), q)
     m[QX + k], m[QY + k], m[QZ + k], m[QW + k] = q
     m[WX + k], m[WY + k], m[WZ + k] = dot(bx, w), dot(by, w), dot(bz, w)
-    m[SX + k], m[SY + k], m[SZ + k] = GRAVITY * bx[2], GRAVITY * by[2], GRAVITY * bz[2]
+    m[SX + k] = GRAVITY * bx[2]
+    m[SY + k] = GRAVITY * by[2]
+    m[SZ + k] = GRAVITY * bz[2]
 
 
 @kernel()
@@ -83,12 +115,16 @@ def stand(m: Vec, normal: Triple, h: float) -> None:
         if m[FREE + k] == 0.0:
             if _lifts_off(m, k):
                 m[FREE + k] = 1.0
-                m[WX + k], m[WY + k], m[WZ + k] = 0.0, 0.0, 0.0
+                m[WX + k] = 0.0
+                m[WY + k] = 0.0
+                m[WZ + k] = 0.0
             else:
                 _settle(m, k, normal, h, _turned(m, k, m[WZ + k], h))
         elif m[PZ + k] < 0.0:
             m[IMPACT + k] = max(m[IMPACT + k], -m[VZ + k])
             m[FREE + k] = 0.0
             m[PZ + k] = 0.0
-            m[VX + k], m[VY + k], m[VZ + k] = 0.0, 0.0, 0.0
+            m[VX + k] = 0.0
+            m[VY + k] = 0.0
+            m[VZ + k] = 0.0
             _settle(m, k, normal, h, 0.0)

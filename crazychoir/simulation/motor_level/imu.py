@@ -12,8 +12,14 @@ from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ACCX, BIAS1, BIAS4, GYROX, LANES, SX, WX,
-)  # fmt: skip
+    ACCX,
+    BIAS1,
+    BIAS4,
+    GYROX,
+    LANES,
+    SX,
+    WX,
+)
 # isort: on
 
 GYRO_RANGE, ACC_RANGE = math.radians(2000.0), 24.0 * GRAVITY
@@ -50,5 +56,9 @@ def measure(m: Vec, keys: Keys, tick: int, gyro: float, acc: float) -> None:
         for c in range(3):
             n = c * LANES + k
             a, b = normals(keys[k], np.uint64(3 * tick + c))
-            m[GYROX + n] = clip(m[WX + n] + m[BIAS1 + n] + gyro * a, -GYRO_RANGE, GYRO_RANGE)
-            m[ACCX + n] = clip(m[SX + n] + m[BIAS4 + n] + acc * b, -ACC_RANGE, ACC_RANGE)
+            m[GYROX + n] = clip(
+                m[WX + n] + m[BIAS1 + n] + gyro * a, -GYRO_RANGE, GYRO_RANGE
+            )
+            m[ACCX + n] = clip(
+                m[SX + n] + m[BIAS4 + n] + acc * b, -ACC_RANGE, ACC_RANGE
+            )

@@ -51,10 +51,16 @@ ALIVE1, ALIVE2, ALIVE3, ALIVE4 = (next(_next) for _ in range(4))
 CHARGE, VOLTAGE, CEILING = (next(_next) for _ in range(3))
 
 # Constants of the platform.
-MASS, LIGHT, JX, JY, JZ, IJX, IJY, IJZ, ARM, DRAGX, DRAGY, DRAGZ = (next(_next) for _ in range(12))
-CURVE1, CURVE2, SPEED, TORQUE1, TORQUE2, INERTIA, BOOST = (next(_next) for _ in range(7))
+MASS, LIGHT, JX, JY, JZ, IJX, IJY, IJZ, ARM, DRAGX, DRAGY, DRAGZ = (
+    next(_next) for _ in range(12)
+)
+CURVE1, CURVE2, SPEED, TORQUE1, TORQUE2, INERTIA, BOOST = (
+    next(_next) for _ in range(7)
+)
 HALF, FULL, GROUND, MOST, LEAST = (next(_next) for _ in range(5))
-CELL_FULL, CELL_EMPTY, RESISTANCE, CAPACITY, IDLE, POWER = (next(_next) for _ in range(6))
+CELL_FULL, CELL_EMPTY, RESISTANCE, CAPACITY, IDLE, POWER = (
+    next(_next) for _ in range(6)
+)
 C0, C1, C2, C3 = (next(_next) for _ in range(4))
 SIZE = next(_next)
 
@@ -66,23 +72,45 @@ Blocks = npt.NDArray[np.void]
 
 def constants(platform: Platform, h: float, ground_effect: bool) -> dict[int, float]:
     """The constants of a platform in SI but for rpm, by name; HALF and FULL are the rotors' decays in h/2 and h s."""
-    rotor, cell = platform.rotor, platform.battery
+    rotor = platform.rotor
+    cell = platform.battery
     hover = platform.weight / 4.0
     return {
-        MASS: platform.mass, JX: platform.inertia[0], JY: platform.inertia[1], JZ: platform.inertia[2],
+        MASS: platform.mass,
+        JX: platform.inertia[0],
+        JY: platform.inertia[1],
+        JZ: platform.inertia[2],
         LIGHT: 1.0 / platform.mass,
-        IJX: 1.0 / platform.inertia[0], IJY: 1.0 / platform.inertia[1], IJZ: 1.0 / platform.inertia[2],
-        ARM: platform.arm, DRAGX: platform.drag[0], DRAGY: platform.drag[1], DRAGZ: platform.drag[2],
-        CURVE1: rotor.thrust[0], CURVE2: rotor.thrust[1], TORQUE1: rotor.torque[0], TORQUE2: rotor.torque[1],
+        IJX: 1.0 / platform.inertia[0],
+        IJY: 1.0 / platform.inertia[1],
+        IJZ: 1.0 / platform.inertia[2],
+        ARM: platform.arm,
+        DRAGX: platform.drag[0],
+        DRAGY: platform.drag[1],
+        DRAGZ: platform.drag[2],
+        CURVE1: rotor.thrust[0],
+        CURVE2: rotor.thrust[1],
+        TORQUE1: rotor.torque[0],
+        TORQUE2: rotor.torque[1],
         SPEED: 0.5 / rotor.thrust[1],
-        INERTIA: rotor.inertia * math.pi / 30.0, BOOST: rotor.inertia * math.pi / 30.0 / rotor.lag,
-        HALF: math.exp(-0.5 * h / rotor.lag), FULL: math.exp(-h / rotor.lag),
+        INERTIA: rotor.inertia * math.pi / 30.0,
+        BOOST: rotor.inertia * math.pi / 30.0 / rotor.lag,
+        HALF: math.exp(-0.5 * h / rotor.lag),
+        FULL: math.exp(-h / rotor.lag),
         GROUND: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
-        MOST: platform.firmware.thrust_max, LEAST: platform.firmware.thrust_min,
-        CELL_FULL: cell.full, CELL_EMPTY: cell.empty, RESISTANCE: cell.resistance, CAPACITY: cell.capacity,
-        IDLE: cell.idle, POWER: 0.25 * cell.hover_power / hover**1.5,
-        C0: rotor.voltage[0], C1: rotor.voltage[1], C2: rotor.voltage[2], C3: rotor.voltage[3],
-    }  # fmt: skip
+        MOST: platform.firmware.thrust_max,
+        LEAST: platform.firmware.thrust_min,
+        CELL_FULL: cell.full,
+        CELL_EMPTY: cell.empty,
+        RESISTANCE: cell.resistance,
+        CAPACITY: cell.capacity,
+        IDLE: cell.idle,
+        POWER: 0.25 * cell.hover_power / hover**1.5,
+        C0: rotor.voltage[0],
+        C1: rotor.voltage[1],
+        C2: rotor.voltage[2],
+        C3: rotor.voltage[3],
+    }
 
 
 def in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
@@ -91,13 +119,23 @@ def in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
 
 
 @kernel()
-def take(m: Vec, first: int, x: Mat, commands: Mat, force: Mat, torque: Mat, below: Vec, limited: Vec) -> None:
+def take(
+    m: Vec,
+    first: int,
+    x: Mat,
+    commands: Mat,
+    force: Mat,
+    torque: Mat,
+    below: Vec,
+    limited: Vec,
+) -> None:
     """Fill a block from the rows of its drones: states, motor commands, and what pushes them from outside.
 
     A command that is not a number leaves the one before; one that is not in 0..1 is counted.
     """
     for k in range(min(LANES, x.shape[0] - first)):
-        i, beyond = first + k, 0.0
+        i = first + k
+        beyond = 0.0
         for c in range(13):
             m[c * LANES + k] = x[i, c]
             m[STAGE + c * LANES + k] = x[i, c]

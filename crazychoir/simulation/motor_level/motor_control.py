@@ -78,10 +78,14 @@ class MotorCtrlFullState(MotorCtrl):
     def send(self, command: FullState) -> bool:
         """Held until the next one, 0.5 s at most; False if it is not taken."""
         s = command.flat
-        a, j, yaw = tuple(s[6:9]), tuple(s[9:12]), float(s[12])
+        a = tuple(s[6:9])
+        j = tuple(s[9:12])
+        yaw = float(s[12])
         axes = flat_attitude((a[0], a[1], a[2] + GRAVITY), yaw)
         q = quaternion(np.array(axes).T)
-        return self.onboard.full_state(np.array([*s[0:9], *q, *body_rates(a, j, yaw, float(s[13]))]))
+        return self.onboard.full_state(
+            np.array([*s[0:9], *q, *body_rates(a, j, yaw, float(s[13]))])
+        )
 
 
 class MotorCtrlXYZ(MotorCtrl):
@@ -100,17 +104,29 @@ class MotorCtrlXYZ(MotorCtrl):
             onboard.stop()
             return True
         if command.verb in ("go_to", "line"):
-            return onboard.go_to((x, y, z), yaw, duration, linear=command.verb == "line") == OK
+            return (
+                onboard.go_to((x, y, z), yaw, duration, linear=command.verb == "line")
+                == OK
+            )
         climb = onboard.take_off if command.verb == "take_off" else onboard.land
         return climb(z, duration or None, yaw) == OK
 
 
 CONTROLS: dict[str, type[MotorCtrl]] = {
-    "fpqr": MotorCtrlFPQR, "frpy": MotorCtrlFRPY, "vel": MotorCtrlVel, "xyz": MotorCtrlXYZ,
+    "fpqr": MotorCtrlFPQR,
+    "frpy": MotorCtrlFRPY,
+    "vel": MotorCtrlVel,
+    "xyz": MotorCtrlXYZ,
     "fullstate": MotorCtrlFullState,
-}  # fmt: skip
+}
 """By what a drone is sent, as a swarm file names it."""
-TAKES: dict[str, type[Command]] = {"fpqr": FPQR, "frpy": FRPY, "vel": Vel, "xyz": XYZ, "fullstate": FullState}
+TAKES: dict[str, type[Command]] = {
+    "fpqr": FPQR,
+    "frpy": FRPY,
+    "vel": Vel,
+    "xyz": XYZ,
+    "fullstate": FullState,
+}
 
 
 BASE_THRUST = 0.8
@@ -126,7 +142,10 @@ class CrazyflieLink:
 
     def __init__(self, onboard: Onboard, kind: str) -> None:
         self.onboard = onboard
-        self._controls = {XYZ: MotorCtrlXYZ(onboard), TAKES[kind]: CONTROLS[kind](onboard)}
+        self._controls = {
+            XYZ: MotorCtrlXYZ(onboard),
+            TAKES[kind]: CONTROLS[kind](onboard),
+        }
         self._arms = onboard.firmware.needs_arming
         if kind in ("vel", "xyz", "fullstate"):
             base = BASE_THRUST * thrust_raw(onboard.platform.weight, onboard.firmware)

@@ -8,8 +8,8 @@ import numba
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector  # fmt: skip
-from crazychoir.numerics.math3d import GRAVITY, Triple, exponential, product, rotation  # fmt: skip
+from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
+from crazychoir.numerics.math3d import GRAVITY, Triple, exponential, product, rotation
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.draws import Keys, stream, uniform
 from crazychoir.simulation.common.truth import Truth
@@ -18,14 +18,46 @@ from crazychoir.simulation.motor_level.battery import drain
 from crazychoir.simulation.motor_level.body import fly, obey
 from crazychoir.simulation.motor_level.floor import stand
 from crazychoir.simulation.motor_level.imu import Imu, measure
-from crazychoir.types import Mat, Vec  # fmt: skip
+from crazychoir.types import Mat, Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ACCX, ACCY, ACCZ, AIRX, AIRY, AIRZ, ALIVE1, ALIVE2, ALIVE3, ALIVE4, BIAS1, CHARGE, F1, FREE, GYROX, GYROY, GYROZ,
-    LANES, LIFT, N1, S1, SIZE, SX, U1, U2, U3, U4, VOLTAGE, Blocks, block_fields, blocks, constants, give, in_lanes,
+    ACCX,
+    ACCY,
+    ACCZ,
+    AIRX,
+    AIRY,
+    AIRZ,
+    ALIVE1,
+    ALIVE2,
+    ALIVE3,
+    ALIVE4,
+    BIAS1,
+    CHARGE,
+    F1,
+    FREE,
+    GYROX,
+    GYROY,
+    GYROZ,
+    LANES,
+    LIFT,
+    N1,
+    S1,
+    SIZE,
+    SX,
+    U1,
+    U2,
+    U3,
+    U4,
+    VOLTAGE,
+    Blocks,
+    block_fields,
+    blocks,
+    constants,
+    give,
+    in_lanes,
     take,
-)  # fmt: skip
+)
 # isort: on
 
 H = 0.001
@@ -39,7 +71,22 @@ keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
 whole: Any = numba.int64
 
 
-@kernel(table, blocks, matrix, matrix, matrix, vector, memory, memory, memory, memory, keys, whole, whole, vector)
+@kernel(
+    table,
+    blocks,
+    matrix,
+    matrix,
+    matrix,
+    vector,
+    memory,
+    memory,
+    memory,
+    memory,
+    keys,
+    whole,
+    whole,
+    vector,
+)
 def _advance(
     x: Mat,
     lanes: Blocks,
@@ -77,7 +124,14 @@ def _advance(
 def _blow(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
     """The wind at all drones for the next step; wind: (5,) mean, gust, decay. It starts as it goes on on average."""
     for b in range(blocks.shape[0]):
-        blow(blocks[b], seeds[b], time, (wind[0], wind[1], wind[2]), wind[3], wind[4] if time > 0 else 0.0)
+        blow(
+            blocks[b],
+            seeds[b],
+            time,
+            (wind[0], wind[1], wind[2]),
+            wind[3],
+            wind[4] if time > 0 else 0.0,
+        )
 
 
 class MotorWorld(Truth):
@@ -116,14 +170,20 @@ class MotorWorld(Truth):
             raise ConfigError("MotorWorld: dt", dt, "a multiple of 0.001 s")
         n = len(self.ids)
         self._normal = _upwards(floor_normal)
-        self.states[self._resting > 0.0, 6:10] = _tilted(self.states[self._resting > 0.0, 6:10], self._normal)
+        self.states[self._resting > 0.0, 6:10] = _tilted(
+            self.states[self._resting > 0.0, 6:10], self._normal
+        )
         hover = [row.weight / (4.0 * row.firmware.thrust_max) for row in self.platforms]
         self.commands = np.where(self._resting > 0.0, 0.0, hover)[:, None] * np.ones(4)
-        self.force, self.torque, self._below = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+        self.force = np.zeros((n, 3))
+        self.torque = np.zeros((n, 3))
+        self._below = np.zeros(n)
         self._lift = np.zeros(n)
         self._radius = np.array([row.radius for row in self.platforms])
-        self._heads, self._chain = np.zeros(_buckets(n), np.int64), np.zeros((n, 3), np.int64)
-        self._downwash, self._wind = downwash and n > 1, wind
+        self._heads = np.zeros(_buckets(n), np.int64)
+        self._chain = np.zeros((n, 3), np.int64)
+        self._downwash = downwash and n > 1
+        self._wind = wind
         sensors = Imu() if imu is None else imu
         self._options = np.array([*self._normal, *sensors.deviations(H)])
         self._sensors, self._gusts = self._keys(seed, SENSORS), self._keys(seed, GUSTS)
@@ -137,22 +197,32 @@ class MotorWorld(Truth):
         """(blocks, LANES) the keys of the drones' streams; the last drone's where a lane is empty."""
         return in_lanes(np.array([stream(seed, use, i) for i in self.ids], np.uint64))
 
-    def _fill(self, seed: int, sensors: Imu, ground_effect: bool, charge: float) -> None:
+    def _fill(
+        self, seed: int, sensors: Imu, ground_effect: bool, charge: float
+    ) -> None:
         """Everything that a block keeps; the empty lanes of the last block repeat its last drone, motors cut."""
         rows = [constants(platform, H, ground_effect) for platform in self.platforms]
         for name in rows[0]:
             self._put(name, np.array([row[name] for row in rows]))
         for c in range(13):
             self._put(c * LANES, self.states[:, c])
-        thrusts = self.commands * np.array([row.firmware.thrust_max for row in self.platforms])[:, None]
-        slopes = np.array([_slopes(row, f) for row, f in zip(self.platforms, thrusts, strict=True)])
+        thrusts = (
+            self.commands
+            * np.array([row.firmware.thrust_max for row in self.platforms])[:, None]
+        )
+        slopes = np.array(
+            [_slopes(row, f) for row, f in zip(self.platforms, thrusts, strict=True)]
+        )
         for c in range(4):
             self._put(F1 + c * LANES, thrusts[:, c])
             self._put(N1 + c * LANES, thrusts[:, c])
             self._put(S1 + c * LANES, slopes[:, c])
         self._lift[:] = thrusts.sum(axis=1)
         specific = np.array([GRAVITY * rotation(q)[2] for q in self.states[:, 6:10]])
-        drawn = [[uniform(key, c) for c in range(6)] for key in (stream(seed, BIASES, i) for i in self.ids)]
+        drawn = [
+            [uniform(key, c) for c in range(6)]
+            for key in (stream(seed, BIASES, i) for i in self.ids)
+        ]
         bias = np.array(drawn) * np.repeat([sensors.gyro_bias, sensors.acc_bias], 3)
         for c in range(3):
             self._put(SX + c * LANES, specific[:, c])
@@ -195,8 +265,15 @@ class MotorWorld(Truth):
         row, (block, lane) = self.row[i], divmod(self.row[i], LANES)
         began = self._began[block, lane::LANES]
         self._blocks[block, lane::LANES] = began
-        self.states[row], self.commands[row] = began[:13], [self._of(i, c) for c in (U1, U2, U3, U4)]
-        self._resting[row], self.impact[row], self._lift[row] = 1.0 - self._of(i, FREE), 0.0, self._of(i, LIFT)
+        self.states[row], self.commands[row] = (
+            began[:13],
+            [self._of(i, c) for c in (U1, U2, U3, U4)],
+        )
+        self._resting[row], self.impact[row], self._lift[row] = (
+            1.0 - self._of(i, FREE),
+            0.0,
+            self._of(i, LIFT),
+        )
 
     def vbat(self, i: int) -> float:
         """V at the poles of drone i's battery, under load; 0 when it is empty."""
@@ -225,10 +302,23 @@ class MotorWorld(Truth):
     def step(self) -> None:
         """Advance every drone by dt; the air is that of the beginning of the step."""
         if self._wind is not None:
-            wind = np.array([*self._wind.mean, self._wind.gust, math.exp(-self.dt / self._wind.time)])
+            wind = np.array(
+                [
+                    *self._wind.mean,
+                    self._wind.gust,
+                    math.exp(-self.dt / self._wind.time),
+                ]
+            )
             _blow(self._blocks, self._gusts, self.tick, wind)
         if self._downwash:
-            downwash(self.states, self._lift, self._radius, self._heads, self._chain, self._below)
+            downwash(
+                self.states,
+                self._lift,
+                self._radius,
+                self._heads,
+                self._chain,
+                self._below,
+            )
         self._run(self.tick * self._steps, self._steps)
         self.tick += 1
 
@@ -266,7 +356,11 @@ def _upwards(normal: Triple) -> Triple:
     """A unit vector along the normal of a floor; ConfigError if it does not point upwards."""
     length = math.sqrt(sum(c * c for c in normal))
     if not math.isfinite(length) or not normal[2] > 0.5 * length:
-        raise ConfigError("MotorWorld: floor_normal", normal, "a vector within 60 degrees of (0, 0, 1)")
+        raise ConfigError(
+            "MotorWorld: floor_normal",
+            normal,
+            "a vector within 60 degrees of (0, 0, 1)",
+        )
     return (normal[0] / length, normal[1] / length, normal[2] / length)
 
 

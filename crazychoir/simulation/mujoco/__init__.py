@@ -5,4 +5,6 @@ from crazychoir.errors import ConfigError
 try:
     import mujoco  # noqa: F401 - whoever imports this room learns what is missing
 except ImportError as error:
-    raise ConfigError("MuJoCo", str(error), "an installed one", "pip install 'crazychoir[mujoco]'") from error
+    raise ConfigError(
+        "MuJoCo", str(error), "an installed one", "pip install 'crazychoir[mujoco]'"
+    ) from error

@@ -33,13 +33,22 @@ class Film:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, ids: tuple[int, ...], width: int, height: int, low: Vec, high: Vec,
+        self,
+        model: mujoco.MjModel,
+        ids: tuple[int, ...],
+        width: int,
+        height: int,
+        low: Vec,
+        high: Vec,
         camera: str = "",
-    ) -> None:  # fmt: skip
+    ) -> None:
         if not (16 <= width <= WIDEST and 16 <= height <= HIGHEST):
-            raise ConfigError("size", f"{width}x{height}", f"16x16 to {WIDEST}x{HIGHEST} pixels")
+            raise ConfigError(
+                "size", f"{width}x{height}", f"16x16 to {WIDEST}x{HIGHEST} pixels"
+            )
         self.model, self.data = model, mujoco.MjData(model)
-        self.width, self.height = width, height
+        self.width = width
+        self.height = height
         # Light and shadow are spread over where the drones fly; air is clear.
         model.stat.center, model.stat.extent = 0.5 * (low + high), _radius(low, high)
         self._rows = [int(model.joint(body_name(i)).qposadr[0]) for i in ids]
@@ -54,25 +63,47 @@ class Film:
 
     def _overview(self, low: Vec, high: Vec) -> mujoco.MjvCamera:
         """Far enough away that the sphere around the flight fills the picture."""
-        camera, view = mujoco.MjvCamera(), math.radians(self.model.vis.global_.fovy)
-        narrow = min(view, 2.0 * math.atan(math.tan(0.5 * view) * self.width / self.height))
-        camera.type, camera.lookat = mujoco.mjtCamera.mjCAMERA_FREE, 0.5 * (low + high)
-        camera.azimuth, camera.elevation = AZIMUTH, ELEVATION
+        camera = mujoco.MjvCamera()
+        view = math.radians(self.model.vis.global_.fovy)
+        narrow = min(
+            view, 2.0 * math.atan(math.tan(0.5 * view) * self.width / self.height)
+        )
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.lookat = 0.5 * (low + high)
+        camera.azimuth = AZIMUTH
+        camera.elevation = ELEVATION
         camera.distance = 0.72 * _radius(low, high) / math.sin(0.5 * narrow)
         return camera
 
     def _named(self, name: str) -> mujoco.MjvCamera:
         names = [self.model.camera(k).name for k in range(self.model.ncam)]
-        found = next((k for k, own in enumerate(names) if name in (own, own.removeprefix(SCENE))), None)
+        found = next(
+            (
+                k
+                for k, own in enumerate(names)
+                if name in (own, own.removeprefix(SCENE))
+            ),
+            None,
+        )
         if found is None:
             there = ", ".join(own.removeprefix(SCENE) for own in names) or "none"
-            raise ConfigError("camera", name, f"a camera of the scene: {there}", "Leave it out to see all.")
+            raise ConfigError(
+                "camera",
+                name,
+                f"a camera of the scene: {there}",
+                "Leave it out to see all.",
+            )
         camera = mujoco.MjvCamera()
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, found
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        camera.fixedcamid = found
         return camera
 
     def picture(
-        self, p: Mat, q: Mat, trails: tuple[Mat, ...] = (), colours: tuple[Colour, ...] = ()
+        self,
+        p: Mat,
+        q: Mat,
+        trails: tuple[Mat, ...] = (),
+        colours: tuple[Colour, ...] = (),
     ) -> Image:
         """The drones at p (N, 3) m, from the floor to their centres of mass, and q (N, 4); NaN: not to be seen.
 
@@ -81,25 +112,39 @@ class Film:
         for at, place, turn in zip(self._rows, p, q, strict=True):
             known = bool(np.isfinite(place).all() and np.isfinite(turn).all())
             self.data.qpos[at : at + 3] = place if known else (0.0, 0.0, AWAY)
-            self.data.qpos[at + 3 : at + 7] = turn[[3, 0, 1, 2]] if known else (1.0, 0.0, 0.0, 0.0)
+            self.data.qpos[at + 3 : at + 7] = (
+                turn[[3, 0, 1, 2]] if known else (1.0, 0.0, 0.0, 0.0)
+            )
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(self.model, self.data, self._options, None, self._camera, all_kinds, self._scene)
+        mujoco.mjv_updateScene(
+            self.model,
+            self.data,
+            self._options,
+            None,
+            self._camera,
+            all_kinds,
+            self._scene,
+        )
         for trail, colour in zip(trails, colours, strict=False):
             self._draw(trail, colour)
         return self._read()
 
     def _draw(self, trail: Mat, colour: Colour) -> None:
         """A line through the places, fainter the older."""
-        scene, line, n = self._scene, mujoco.mjtGeom.mjGEOM_LINE, max(len(trail) - 1, 1)
+        scene = self._scene
+        line = mujoco.mjtGeom.mjGEOM_LINE
+        n = max(len(trail) - 1, 1)
         for k in range(len(trail) - 1):
             if scene.ngeom >= scene.maxgeom or not np.isfinite(trail[k : k + 2]).all():
                 continue
             geom = scene.geoms[scene.ngeom]
             rgba = np.array([*colour[:3], 0.1 + 0.6 * k / n], np.float32)
-            mujoco.mjv_initGeom(geom, line, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba)
+            mujoco.mjv_initGeom(
+                geom, line, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba
+            )
             mujoco.mjv_connector(geom, line, TRAIL, trail[k], trail[k + 1])
             scene.ngeom += 1
 
@@ -134,5 +179,11 @@ def _context(width: int, height: int) -> Any:
             return importlib.import_module("mujoco.egl").GLContext(width, height)
         return mujoco.GLContext(width, height)
     except (ImportError, AttributeError, RuntimeError) as error:
-        do = "Install it (Debian: libegl1 and libgl1-mesa-dri)." if sys.platform == "linux" else ""
-        raise ConfigError("pictures of MuJoCo", str(error), "OpenGL off-screen: on Linux EGL", do) from error
+        do = (
+            "Install it (Debian: libegl1 and libgl1-mesa-dri)."
+            if sys.platform == "linux"
+            else ""
+        )
+        raise ConfigError(
+            "pictures of MuJoCo", str(error), "OpenGL off-screen: on Linux EGL", do
+        ) from error

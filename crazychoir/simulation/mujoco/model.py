@@ -39,14 +39,18 @@ def body_name(i: int) -> str:
 
 
 def model_of(
-    ids: Sequence[int], platforms: Sequence[Platform], shapes: Sequence[Shape], scene: Path | None = None
+    ids: Sequence[int],
+    platforms: Sequence[Platform],
+    shapes: Sequence[Shape],
+    scene: Path | None = None,
 ) -> mujoco.MjModel:
     """The compiled model; masses and inertias are those of the platforms, whatever the shapes are.
 
     scene: a user's MJCF, whose bodies, geoms, lights and cameras are added. Raises ConfigError.
     """
     spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.gravity = H, [0.0, 0.0, -GRAVITY]
+    spec.option.timestep = H
+    spec.option.gravity = [0.0, 0.0, -GRAVITY]
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
     _room(spec)
     if scene is not None:
@@ -59,48 +63,85 @@ def model_of(
     for name, kind in SENSORS.items():
         for i in ids:
             site = body_name(i)
-            spec.add_sensor(name=f"{site}/{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
+            spec.add_sensor(
+                name=f"{site}/{name}",
+                type=kind,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                objname=site,
+            )
     try:
         return spec.compile()
     except ValueError as error:
-        raise ConfigError(f"mujoco.scene {scene}", f"MuJoCo says: {error}", "a model that compiles") from error
+        raise ConfigError(
+            f"mujoco.scene {scene}", f"MuJoCo says: {error}", "a model that compiles"
+        ) from error
 
 
 def _room(spec: mujoco.MjSpec) -> None:
     """The floor z = 0, light, and a sky."""
-    texture, builtin = mujoco.mjtTexture, mujoco.mjtBuiltin
+    texture = mujoco.mjtTexture
+    builtin = mujoco.mjtBuiltin
     spec.add_texture(
-        name="sky", type=texture.mjTEXTURE_SKYBOX, builtin=builtin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98], rgb2=[0.62, 0.70, 0.80], width=256, height=256,
-    )  # fmt: skip
+        name="sky",
+        type=texture.mjTEXTURE_SKYBOX,
+        builtin=builtin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.98],
+        rgb2=[0.62, 0.70, 0.80],
+        width=256,
+        height=256,
+    )
     spec.add_texture(
-        name=FLOOR, type=texture.mjTEXTURE_2D, builtin=builtin.mjBUILTIN_CHECKER,
-        rgb1=[0.80, 0.82, 0.84], rgb2=[0.74, 0.76, 0.79], width=256, height=256,
-    )  # fmt: skip
+        name=FLOOR,
+        type=texture.mjTEXTURE_2D,
+        builtin=builtin.mjBUILTIN_CHECKER,
+        rgb1=[0.80, 0.82, 0.84],
+        rgb2=[0.74, 0.76, 0.79],
+        width=256,
+        height=256,
+    )
     material = spec.add_material(name=FLOOR, texrepeat=[1, 1], texuniform=True)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = FLOOR
     plane = mujoco.mjtGeom.mjGEOM_PLANE
-    spec.worldbody.add_geom(name=FLOOR, type=plane, size=[0, 0, 0.05], material=FLOOR, castshadow=False)
+    spec.worldbody.add_geom(
+        name=FLOOR, type=plane, size=[0, 0, 0.05], material=FLOOR, castshadow=False
+    )
     spec.worldbody.add_light(
-        pos=[0, 0, 8], dir=[0.3, 0.35, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, diffuse=[0.55, 0.55, 0.55]
+        pos=[0, 0, 8],
+        dir=[0.3, 0.35, -1],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.55, 0.55, 0.55],
     )
     visual = spec.visual
-    visual.headlight.ambient, visual.headlight.diffuse = [0.42, 0.42, 0.42], [0.3, 0.3, 0.3]
-    visual.global_.offwidth, visual.global_.offheight = WIDEST, HIGHEST
-    visual.quality.shadowsize, visual.quality.numslices, visual.quality.numstacks = 2048, 24, 6
+    visual.headlight.ambient = [0.42, 0.42, 0.42]
+    visual.headlight.diffuse = [0.3, 0.3, 0.3]
+    visual.global_.offwidth = WIDEST
+    visual.global_.offheight = HIGHEST
+    visual.quality.shadowsize = 2048
+    visual.quality.numslices = 24
+    visual.quality.numstacks = 6
 
 
 def _add_scene(spec: mujoco.MjSpec, path: Path) -> None:
     where = f"mujoco.scene {path}"
     if not path.is_file():
-        raise ConfigError(where, "no such file", "an MJCF, its path relative to the swarm file", "Mend the path.")
+        raise ConfigError(
+            where,
+            "no such file",
+            "an MJCF, its path relative to the swarm file",
+            "Mend the path.",
+        )
     try:
         scene = mujoco.MjSpec.from_file(str(path))
         for key in list(scene.keys):
             scene.delete(key)
         spec.attach(scene, prefix=SCENE, frame=spec.worldbody.add_frame())
     except ValueError as error:
-        raise ConfigError(where, f"MuJoCo says: {error}", "an MJCF that MuJoCo reads", "Mend the file.") from error
+        raise ConfigError(
+            where,
+            f"MuJoCo says: {error}",
+            "an MJCF that MuJoCo reads",
+            "Mend the file.",
+        ) from error
 
 
 def _add_meshes(spec: mujoco.MjSpec, shape: Shape, prefix: str) -> list[str]:
@@ -109,24 +150,37 @@ def _add_meshes(spec: mujoco.MjSpec, shape: Shape, prefix: str) -> list[str]:
     for k, (vertices, faces) in enumerate(shape.meshes):
         names.append(f"{prefix}-{k}")
         shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        spec.add_mesh(name=names[-1], uservert=vertices.ravel(), userface=faces.ravel(), inertia=shell)
+        spec.add_mesh(
+            name=names[-1],
+            uservert=vertices.ravel(),
+            userface=faces.ravel(),
+            inertia=shell,
+        )
     return names
 
 
-def _add_drone(spec: mujoco.MjSpec, i: int, platform: Platform, shape: Shape, meshes: Sequence[str]) -> None:
+def _add_drone(
+    spec: mujoco.MjSpec, i: int, platform: Platform, shape: Shape, meshes: Sequence[str]
+) -> None:
     name = body_name(i)
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint(name=name)
     body.add_site(name=name, group=HIDDEN)
     # All of it: what is left out is not zero, but taken from the body's place.
-    body.explicitinertial, body.ipos, body.iquat = True, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
-    body.mass, body.inertia = platform.mass, platform.inertia
+    body.explicitinertial = True
+    body.ipos = [0.0, 0.0, 0.0]
+    body.iquat = [1.0, 0.0, 0.0, 0.0]
+    body.mass = platform.mass
+    body.inertia = platform.inertia
     for part in shape.parts:
-        geom = body.add_geom(type=part.kind, pos=part.p, quat=part.q, rgba=part.colour, friction=FRICTION)
+        geom = body.add_geom(
+            type=part.kind, pos=part.p, quat=part.q, rgba=part.colour, friction=FRICTION
+        )
         if part.mesh >= 0:
             geom.meshname = meshes[part.mesh]
         else:
             geom.size = part.size
-        geom.density, geom.group = 0.0, SEEN if part.colour[3] > 0.0 else HIDDEN
+        geom.density = 0.0
+        geom.group = SEEN if part.colour[3] > 0.0 else HIDDEN
         geom.contype = geom.conaffinity = int(part.solid)
         geom.solref[:] = BOUNCE

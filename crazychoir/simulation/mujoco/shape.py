@@ -20,7 +20,11 @@ SMALLEST, LARGEST = 0.01, 1.0
 """m, from the origin to the farthest point of what may be a drone."""
 MESHES = (".stl", ".obj", ".msh")
 MODELS = (".xml", ".mjcf", ".urdf")
-DARK, GREY, FRONT = (0.13, 0.14, 0.16, 1.0), (0.55, 0.57, 0.60, 1.0), (0.90, 0.25, 0.15, 1.0)
+DARK, GREY, FRONT = (
+    (0.13, 0.14, 0.16, 1.0),
+    (0.55, 0.57, 0.60, 1.0),
+    (0.90, 0.25, 0.15, 1.0),
+)
 
 Geom = mujoco.mjtGeom
 Colour = tuple[float, float, float, float]
@@ -63,7 +67,9 @@ class Shape:
     @property
     def reach(self) -> float:
         """m from the origin to the farthest point, or a little more."""
-        return max(float(np.linalg.norm(part.p)) + self._radius(part) for part in self.parts)
+        return max(
+            float(np.linalg.norm(part.p)) + self._radius(part) for part in self.parts
+        )
 
     def _lowest(self, part: Part) -> float:
         down, (a, b, _) = _rotation(part.q)[2], part.size.tolist()
@@ -94,10 +100,17 @@ def crazyflie(platform: Platform, colour: Colour = GREY) -> Shape:
 
     That cylinder has the platform's radius: two drones touch where a run counts them as touching.
     """
-    arm, rotor = platform.arm, platform.rotor.radius
+    arm = platform.arm
+    rotor = platform.rotor.radius
     hub = ROTOR_HEIGHT - CENTRE
     parts = [
-        _part(Geom.mjGEOM_CYLINDER, (platform.radius, 0.5 * HEIGHT), (0, 0, 0.5 * HEIGHT - CENTRE), (0, 0, 0, 0), True),
+        _part(
+            Geom.mjGEOM_CYLINDER,
+            (platform.radius, 0.5 * HEIGHT),
+            (0, 0, 0.5 * HEIGHT - CENTRE),
+            (0, 0, 0, 0),
+            True,
+        ),
         _part(Geom.mjGEOM_BOX, (0.016, 0.014, 0.001), (0, 0, -0.006), DARK),
         _part(Geom.mjGEOM_BOX, (0.011, 0.010, 0.0035), (0, 0, -0.001), GREY),
         _part(Geom.mjGEOM_BOX, (0.003, 0.006, 0.001), (0.014, 0, -0.004), FRONT),
@@ -105,21 +118,47 @@ def crazyflie(platform: Platform, colour: Colour = GREY) -> Shape:
         _arm(math.hypot(arm, arm), -math.pi / 4.0),
     ]
     for x, y in ((arm, -arm), (-arm, -arm), (-arm, arm), (arm, arm)):
-        parts.append(_part(Geom.mjGEOM_CYLINDER, (0.0035, 0.5 * hub + 0.005), (x, y, 0.5 * hub - 0.005), GREY))
-        parts.append(_part(Geom.mjGEOM_CYLINDER, (rotor, 0.0006), (x, y, hub), (*colour[:3], 0.55)))
+        parts.append(
+            _part(
+                Geom.mjGEOM_CYLINDER,
+                (0.0035, 0.5 * hub + 0.005),
+                (x, y, 0.5 * hub - 0.005),
+                GREY,
+            )
+        )
+        parts.append(
+            _part(
+                Geom.mjGEOM_CYLINDER, (rotor, 0.0006), (x, y, hub), (*colour[:3], 0.55)
+            )
+        )
     return Shape(tuple(parts))
 
 
-def _part(kind: int, size: tuple[float, ...], p: tuple[float, ...], colour: Colour, solid: bool = False) -> Part:
+def _part(
+    kind: int,
+    size: tuple[float, ...],
+    p: tuple[float, ...],
+    colour: Colour,
+    solid: bool = False,
+) -> Part:
     full = np.zeros(3)
     full[: len(size)] = size
-    return Part(int(kind), full, np.array(p, float), np.array([1.0, 0.0, 0.0, 0.0]), colour, solid)
+    return Part(
+        int(kind),
+        full,
+        np.array(p, float),
+        np.array([1.0, 0.0, 0.0, 0.0]),
+        colour,
+        solid,
+    )
 
 
 def _arm(half: float, yaw: float) -> Part:
     """A bar of the frame through the centre, to two motors."""
     bar = _part(Geom.mjGEOM_BOX, (half, 0.0022, 0.001), (0, 0, -0.0045), DARK)
-    return replace(bar, q=np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)]))
+    return replace(
+        bar, q=np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
+    )
 
 
 def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
@@ -132,11 +171,20 @@ def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
     shape = scaled(_parts(model, _root(model, body, where)), scale)
     if not any(part.solid for part in shape.parts):
         do = "Give one of its geoms a contype, or a URDF a <collision>."
-        raise ConfigError(where, "no geom that can touch anything", "a drone stands on the floor", do)
+        raise ConfigError(
+            where, "no geom that can touch anything", "a drone stands on the floor", do
+        )
     if not SMALLEST <= shape.reach <= LARGEST:
         found = f"geoms up to {shape.reach:.3g} m from the origin"
-        allowed = f"{SMALLEST:g} to {LARGEST:g} m; the origin is the drone's centre of mass"
-        raise ConfigError(where, found, allowed, "For a file in millimetres, write scale = 0.001 into [mujoco].")
+        allowed = (
+            f"{SMALLEST:g} to {LARGEST:g} m; the origin is the drone's centre of mass"
+        )
+        raise ConfigError(
+            where,
+            found,
+            allowed,
+            "For a file in millimetres, write scale = 0.001 into [mujoco].",
+        )
     return shape
 
 
@@ -144,20 +192,38 @@ def _compiled(path: Path, where: str) -> mujoco.MjModel:
     """The file as a model of its own."""
     suffix = path.suffix.lower()
     if suffix not in MESHES + MODELS:
-        raise ConfigError(where, f"a file {suffix or 'without ending'}", ", ".join(MESHES + MODELS), "Convert it.")
+        raise ConfigError(
+            where,
+            f"a file {suffix or 'without ending'}",
+            ", ".join(MESHES + MODELS),
+            "Convert it.",
+        )
     if not path.is_file():
-        raise ConfigError(where, "no such file", "a path relative to the swarm file", "Mend the path.")
+        raise ConfigError(
+            where, "no such file", "a path relative to the swarm file", "Mend the path."
+        )
     try:
-        spec = _of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))
-        spec.compiler.fusestatic = False  # else the first link of a URDF is a part of the world
+        spec = (
+            _of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))
+        )
+        spec.compiler.fusestatic = (
+            False  # else the first link of a URDF is a part of the world
+        )
         return spec.compile()
     except ValueError as error:
-        raise ConfigError(where, f"MuJoCo says: {error}", "a model that MuJoCo compiles", "Mend the file.") from error
+        raise ConfigError(
+            where,
+            f"MuJoCo says: {error}",
+            "a model that MuJoCo compiles",
+            "Mend the file.",
+        ) from error
 
 
 def _of_mesh(path: Path) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
-    spec.add_mesh(name="mesh", file=str(path), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+    spec.add_mesh(
+        name="mesh", file=str(path), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    )
     spec.worldbody.add_geom(type=Geom.mjGEOM_MESH, meshname="mesh", rgba=GREY)
     return spec
 
@@ -169,11 +235,22 @@ def _root(model: mujoco.MjModel, body: str, where: str) -> int:
     if body:
         if body not in names:
             there = ", ".join(filter(None, names)) or "the file has none with a name"
-            raise ConfigError(f"{where}: mujoco.body", body, there, "Mend it.", "there is no such body")
+            raise ConfigError(
+                f"{where}: mujoco.body",
+                body,
+                there,
+                "Mend it.",
+                "there is no such body",
+            )
         return names[body]
     if len(tops) > 1:
         found = ", ".join(model.body(k).name or f"number {k}" for k in tops)
-        raise ConfigError(where, f"{len(tops)} bodies: {found}", "one drone", "Write body = its name into [mujoco].")
+        raise ConfigError(
+            where,
+            f"{len(tops)} bodies: {found}",
+            "one drone",
+            "Write body = its name into [mujoco].",
+        )
     return tops[0] if tops else 0
 
 
@@ -181,17 +258,26 @@ def _parts(model: mujoco.MjModel, root: int) -> Shape:
     """All geoms of a body and what hangs on it, in its frame; planes are the floor of somebody's scene."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    turned, p0 = data.xmat[root].reshape(3, 3), data.xpos[root]
+    turned = data.xmat[root].reshape(3, 3)
+    p0 = data.xpos[root]
     parts = []
     for g in range(model.ngeom):
-        if model.geom_type[g] == Geom.mjGEOM_PLANE or not _belongs(model, int(model.geom_bodyid[g]), root):
+        if model.geom_type[g] == Geom.mjGEOM_PLANE or not _belongs(
+            model, int(model.geom_bodyid[g]), root
+        ):
             continue
         q = np.zeros(4)
         mujoco.mju_mat2Quat(q, (turned.T @ data.geom_xmat[g].reshape(3, 3)).ravel())
-        colour = model.mat_rgba[model.geom_matid[g]] if model.geom_matid[g] >= 0 else model.geom_rgba[g]
-        kind, solid = int(model.geom_type[g]), bool(model.geom_contype[g] or model.geom_conaffinity[g])
+        colour = (
+            model.mat_rgba[model.geom_matid[g]]
+            if model.geom_matid[g] >= 0
+            else model.geom_rgba[g]
+        )
+        kind = int(model.geom_type[g])
+        solid = bool(model.geom_contype[g] or model.geom_conaffinity[g])
         mesh = int(model.geom_dataid[g]) if kind == Geom.mjGEOM_MESH else -1
-        p, size = turned.T @ (data.geom_xpos[g] - p0), model.geom_size[g].copy()
+        p = turned.T @ (data.geom_xpos[g] - p0)
+        size = model.geom_size[g].copy()
         parts.append(Part(kind, size, p, q, tuple(colour.tolist()), solid, mesh))
     return Shape(tuple(parts), tuple(_mesh(model, k) for k in range(model.nmesh)))
 
@@ -203,7 +289,8 @@ def _belongs(model: mujoco.MjModel, body: int, root: int) -> bool:
 
 
 def _mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
-    vertices, faces = slice(model.mesh_vertadr[k], None), slice(model.mesh_faceadr[k], None)
+    vertices = slice(model.mesh_vertadr[k], None)
+    faces = slice(model.mesh_faceadr[k], None)
     return (
         model.mesh_vert[vertices][: model.mesh_vertnum[k]].astype(float),
         model.mesh_face[faces][: model.mesh_facenum[k]].copy(),
@@ -212,8 +299,12 @@ def _mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
 
 def scaled(shape: Shape, scale: float) -> Shape:
     """All lengths so many times larger."""
-    parts = tuple(replace(part, size=scale * part.size, p=scale * part.p) for part in shape.parts)
-    return Shape(parts, tuple((scale * vertices, faces) for vertices, faces in shape.meshes))
+    parts = tuple(
+        replace(part, size=scale * part.size, p=scale * part.p) for part in shape.parts
+    )
+    return Shape(
+        parts, tuple((scale * vertices, faces) for vertices, faces in shape.meshes)
+    )
 
 
 def _rotation(q: Vec) -> Mat:

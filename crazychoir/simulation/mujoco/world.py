@@ -14,7 +14,14 @@ from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.imu import Imu
 from crazychoir.simulation.motor_level.lanes import ALIVE1, FREE, LANES
 from crazychoir.simulation.motor_level.motors import H
-from crazychoir.simulation.mujoco.model import ACCELEROMETER, FLOOR, SCENE, SENSORS, body_name, model_of
+from crazychoir.simulation.mujoco.model import (
+    ACCELEROMETER,
+    FLOOR,
+    SCENE,
+    SENSORS,
+    body_name,
+    model_of,
+)
 from crazychoir.simulation.mujoco.shape import Shape, crazyflie, shape_of
 from crazychoir.simulation.mujoco.wrench import impel, place, settle, touch
 from crazychoir.types import Mat, Vec
@@ -46,10 +53,13 @@ class MujocoWorld(CrazyflieWorld):
         scene: Path | None = None,
         **options: Any,
     ) -> None:
-        self._shapes, self._scene = shapes, scene
+        self._shapes = shapes
+        self._scene = scene
         super().__init__(ids, p0, yaw0, platform, **options)
 
-    def _fill(self, seed: int, sensors: Imu, ground_effect: bool, charge: float) -> None:
+    def _fill(
+        self, seed: int, sensors: Imu, ground_effect: bool, charge: float
+    ) -> None:
         super()._fill(seed, sensors, ground_effect, charge)
         self._options[:3] = 0.0  # the floor is MuJoCo's, nobody stands by itself
         self._blocks[:, FREE : FREE + LANES] = self._blocks[:, ALIVE1 : ALIVE1 + LANES]
@@ -57,13 +67,16 @@ class MujocoWorld(CrazyflieWorld):
 
     def _build(self) -> None:
         """The model, and where in its arrays the drones are."""
-        n, ids = len(self.ids), self.ids
+        n = len(self.ids)
+        ids = self.ids
         shapes = self._shapes
         if shapes is None:
             own = {row.name: crazyflie(row) for row in self.platforms}
             shapes = [own[row.name] for row in self.platforms]
         shapes = [shapes] * n if isinstance(shapes, Shape) else list(shapes)
-        self.model = model_of(ids, self.platforms, [shape.solid for shape in shapes], self._scene)
+        self.model = model_of(
+            ids, self.platforms, [shape.solid for shape in shapes], self._scene
+        )
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(body_name(i)).id for i in ids]
         self._places = self.model.jnt_qposadr[joints].astype(np.int64)
@@ -75,41 +88,81 @@ class MujocoWorld(CrazyflieWorld):
         self._inertia = np.array([[row.mass, *row.inertia] for row in self.platforms])
         first = self.model.sensor(f"{body_name(ids[0])}/{ACCELEROMETER}").adr[0]
         self._forces = self.data.sensordata[first : first + 3 * n]
-        self._before, self._touching = self.states.copy(), np.zeros(n)
-        self._hit, self._against = np.zeros(n), np.zeros(n, np.int64)
+        self._before = self.states.copy()
+        self._touching = np.zeros(n)
+        self._hit = np.zeros(n)
+        self._against = np.zeros(n, np.int64)
 
     def _advance(self, time: int, steps: int) -> None:
-        model, data = self.model, self.data
+        model = self.model
+        data = self.data
         if steps == 0:
             super()._advance(time, 0)
-        place(self.states, self._stands, self._places, self._speeds, data.qpos, data.qvel)
+        place(
+            self.states, self._stands, self._places, self._speeds, data.qpos, data.qvel
+        )
         for k in range(steps):
             mujoco.mj_step1(model, data)
             self._touch()
             np.copyto(self._before, self.states)
             super()._advance(time + k, 1)
-            impel(self._before, self.states, self._inertia, self._bodies, H, data.xfrc_applied)
+            impel(
+                self._before,
+                self.states,
+                self._inertia,
+                self._bodies,
+                H,
+                data.xfrc_applied,
+            )
             mujoco.mj_step2(model, data)
-            settle(self._before, data.qvel, self._speeds, H, self._forces, self.states, self._lanes)
-            place(self.states, self._stands, self._places, self._speeds, data.qpos, data.qvel)
+            settle(
+                self._before,
+                data.qvel,
+                self._speeds,
+                H,
+                self._forces,
+                self.states,
+                self._lanes,
+            )
+            place(
+                self.states,
+                self._stands,
+                self._places,
+                self._speeds,
+                data.qpos,
+                data.qvel,
+            )
         np.copyto(self.impact, self._hit)
         slow = np.linalg.norm(self.states[:, 3:6], axis=1) < SLOW
         np.copyto(self._resting, np.where(slow, self._touching, 0.0))
 
     def _touch(self) -> None:
         """Note who touches what."""
-        data, model = self.data, self.model
+        data = self.data
+        model = self.model
         self._touching[:] = 0.0
         if data.ncon:
             contacts = data.contact
             touch(
-                contacts.geom, contacts.pos, contacts.frame, model.geom_bodyid, model.body_rootid, data.cvel,
-                data.subtree_com, self._drone_of, self._touching, self._hit, self._against,
-            )  # fmt: skip
+                contacts.geom,
+                contacts.pos,
+                contacts.frame,
+                model.geom_bodyid,
+                model.body_rootid,
+                data.cvel,
+                data.subtree_com,
+                self._drone_of,
+                self._touching,
+                self._hit,
+                self._against,
+            )
 
     def sensed(self, i: int) -> dict[str, Vec]:
         """What MuJoCo's sensors of drone i said last, without noise: SENSORS."""
-        return {name: self.data.sensor(f"{body_name(i)}/{name}").data.copy() for name in SENSORS}
+        return {
+            name: self.data.sensor(f"{body_name(i)}/{name}").data.copy()
+            for name in SENSORS
+        }
 
     def struck(self, i: int) -> str:
         """What drone i has hit fastest."""
@@ -127,7 +180,13 @@ def engine(setup: WorldSetup) -> MujocoWorld:
     options = setup.options
     if any(options["floor_tilt"]):
         do = "Leave it out; a plate that is tilted goes into a scene."
-        raise ConfigError("motors.floor_tilt", options["floor_tilt"], "[0, 0]: in MuJoCo the floor is level", do)
-    model, scene = options["model"], options["scene"]
+        raise ConfigError(
+            "motors.floor_tilt",
+            options["floor_tilt"],
+            "[0, 0]: in MuJoCo the floor is level",
+            do,
+        )
+    model = options["model"]
+    scene = options["scene"]
     shape = shape_of(Path(model), options["body"], options["scale"]) if model else None
     return MujocoWorld.of(setup, shapes=shape, scene=Path(scene) if scene else None)

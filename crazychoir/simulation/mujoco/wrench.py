@@ -10,10 +10,18 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector  # fmt: skip
-from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot, exponential, product, unit  # fmt: skip
+from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    Triple,
+    columns,
+    dot,
+    exponential,
+    product,
+    unit,
+)
 from crazychoir.simulation.motor_level.lanes import LANES, SX, Blocks, blocks
-from crazychoir.types import Mat, Vec  # fmt: skip
+from crazychoir.types import Mat, Vec
 
 Rows = npt.NDArray[np.int64]
 numbers = numba.types.Array(numba.int64, 1, "C", readonly=True)
@@ -23,13 +31,16 @@ body_numbers = numba.types.Array(numba.int32, 1, "C", readonly=True)
 
 
 @kernel(matrix, vector, numbers, numbers, memory, memory)
-def place(x: Mat, stands: Vec, places: Rows, speeds: Rows, qpos: Vec, qvel: Vec) -> None:
+def place(
+    x: Mat, stands: Vec, places: Rows, speeds: Rows, qpos: Vec, qvel: Vec
+) -> None:
     """The states x (N, 13) as places and speeds of MuJoCo's free joints, which begin at these rows of qpos and qvel.
 
     stands: (N,) m, of the centre of mass above the floor of a drone that stands.
     """
     for n in range(x.shape[0]):
-        a, b = places[n], speeds[n]
+        a = places[n]
+        b = speeds[n]
         for c in range(3):
             qpos[a + c] = x[n, c]
             qpos[a + 4 + c] = x[n, 6 + c]
@@ -49,7 +60,8 @@ def impel(x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat) 
     kg m2;  bodies: rows of applied (n, 6), N and N m in the world, at the centre of mass.
     """
     for n in range(x0.shape[0]):
-        b, m = bodies[n], inertia[n, 0]
+        b = bodies[n]
+        m = inertia[n, 0]
         for c in range(3):
             applied[b, c] = m * (x1[n, 3 + c] - x0[n, 3 + c]) / h
         applied[b, 2] += m * GRAVITY
@@ -64,7 +76,9 @@ def impel(x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat) 
 
 
 @kernel(matrix, vector, numbers, numba.float64, vector, table, blocks)
-def settle(x0: Mat, qvel: Vec, speeds: Rows, h: float, forces: Vec, x: Mat, lanes: Blocks) -> None:
+def settle(
+    x0: Mat, qvel: Vec, speeds: Rows, h: float, forces: Vec, x: Mat, lanes: Blocks
+) -> None:
     """The states x (N, 13) after a step of h s, by the velocities that MuJoCo has found for its end.
 
         p = p0 + h (v0 + v) / 2,   q = q0 exp(h (w0 + w) / 2)
@@ -75,13 +89,18 @@ def settle(x0: Mat, qvel: Vec, speeds: Rows, h: float, forces: Vec, x: Mat, lane
     for n in range(x.shape[0]):
         b = speeds[n]
         for c in range(3):
-            x[n, 3 + c], x[n, 10 + c] = qvel[b + c], qvel[b + 3 + c]
+            x[n, 3 + c] = qvel[b + c]
+            x[n, 10 + c] = qvel[b + 3 + c]
             x[n, c] = x0[n, c] + 0.5 * h * (x0[n, 3 + c] + x[n, 3 + c])
             lanes[n // LANES].m[SX + c * LANES + n % LANES] = forces[3 * n + c]
         turn = exponential(
-            0.5 * h * (x0[n, 10] + x[n, 10]), 0.5 * h * (x0[n, 11] + x[n, 11]), 0.5 * h * (x0[n, 12] + x[n, 12])
+            0.5 * h * (x0[n, 10] + x[n, 10]),
+            0.5 * h * (x0[n, 11] + x[n, 11]),
+            0.5 * h * (x0[n, 12] + x[n, 12]),
         )
-        x[n, 6], x[n, 7], x[n, 8], x[n, 9] = unit(product((x0[n, 6], x0[n, 7], x0[n, 8], x0[n, 9]), turn))
+        x[n, 6], x[n, 7], x[n, 8], x[n, 9] = unit(
+            product((x0[n, 6], x0[n, 7], x0[n, 8], x0[n, 9]), turn)
+        )
 
 
 @kernel()
@@ -97,11 +116,32 @@ def _velocity(body: int, p: Triple, twists: Mat, centres: Mat, roots: Rows) -> T
     )
 
 
-@kernel(pairs, seen, seen, body_numbers, body_numbers, matrix, matrix, numbers, memory, memory, numba.int64[::1])
+@kernel(
+    pairs,
+    seen,
+    seen,
+    body_numbers,
+    body_numbers,
+    matrix,
+    matrix,
+    numbers,
+    memory,
+    memory,
+    numba.int64[::1],
+)
 def touch(
-    geoms: Rows, points: Mat, frames: Mat, body_of: Rows, roots: Rows, twists: Mat, centres: Mat, drone_of: Rows,
-    touching: Vec, impact: Vec, against: Rows,
-) -> None:  # fmt: skip
+    geoms: Rows,
+    points: Mat,
+    frames: Mat,
+    body_of: Rows,
+    roots: Rows,
+    twists: Mat,
+    centres: Mat,
+    drone_of: Rows,
+    touching: Vec,
+    impact: Vec,
+    against: Rows,
+) -> None:
     """Which drones touch something, and how fast the fastest has hit what.
 
         speed = n . (v_1 - v_2),  n from geom 1 to geom 2
@@ -110,7 +150,8 @@ def touch(
     row of a body, -1 for none;  touching: (N,) 0 or 1;  impact: (N,) m/s, against: (N,) the geom: replaced by worse.
     """
     for c in range(geoms.shape[0]):
-        one, two = body_of[geoms[c, 0]], body_of[geoms[c, 1]]
+        one = body_of[geoms[c, 0]]
+        two = body_of[geoms[c, 1]]
         p = (points[c, 0], points[c, 1], points[c, 2])
         u = _velocity(one, p, twists, centres, roots)
         v = _velocity(two, p, twists, centres, roots)
@@ -121,4 +162,5 @@ def touch(
             if row >= 0:
                 touching[row] = 1.0
                 if speed > impact[row] and math.isfinite(speed):
-                    impact[row], against[row] = speed, geoms[c, 1 - k]
+                    impact[row] = speed
+                    against[row] = geoms[c, 1 - k]

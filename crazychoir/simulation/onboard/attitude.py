@@ -28,7 +28,8 @@ def shortened(x: float, y: float, z: float, limit: float) -> Triple:
 @kernel()
 def errors(fw: Record, sp: Record) -> tuple[Triple, Triple]:
     """Position and velocity errors, world; 0 on an axis whose mode does not ask for them."""
-    c, s = math.cos(math.radians(fw.yaw)), math.sin(math.radians(fw.yaw))
+    c = math.cos(math.radians(fw.yaw))
+    s = math.sin(math.radians(fw.yaw))
     vx = sp.vx * c - sp.vy * s if sp.body_velocity else sp.vx
     vy = sp.vx * s + sp.vy * c if sp.body_velocity else sp.vy
     p = (
@@ -57,9 +58,15 @@ def by_angles(fw: Record, sp: Record) -> Axes:
     """Body axes of the wanted roll and pitch; an axis in rate mode keeps its present angle."""
     roll = fw.roll if sp.mode_roll == VELOCITY else sp.roll
     pitch = fw.pitch if sp.mode_pitch == VELOCITY else sp.pitch
-    phi, theta, psi = 0.5 * math.radians(roll), -0.5 * math.radians(pitch), 0.5 * heading(fw, sp)
-    cf, sf, ct, st = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta)
-    cp, sn = math.cos(psi), math.sin(psi)
+    phi = 0.5 * math.radians(roll)
+    theta = -0.5 * math.radians(pitch)
+    psi = 0.5 * heading(fw, sp)
+    cf = math.cos(phi)
+    sf = math.sin(phi)
+    ct = math.cos(theta)
+    st = math.sin(theta)
+    cp = math.cos(psi)
+    sn = math.sin(psi)
     return columns(
         (
             sf * ct * cp - cf * st * sn,
@@ -94,4 +101,8 @@ def rates(sp: Record) -> Triple:
 def error(d: Axes, fw: Record) -> Triple:
     """e = (Rd^T R - R^T Rd)^v, not halved; d: columns of Rd."""
     x, y, z = columns((fw.qx, fw.qy, fw.qz, fw.qw))
-    return dot(d[2], y) - dot(z, d[1]), dot(d[0], z) - dot(x, d[2]), dot(d[1], x) - dot(y, d[0])
+    return (
+        dot(d[2], y) - dot(z, d[1]),
+        dot(d[0], z) - dot(x, d[2]),
+        dot(d[1], x) - dot(y, d[0]),
+    )

@@ -11,7 +11,13 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
 from crazychoir.platforms import MOST_TURN
 from crazychoir.simulation.onboard import pid
-from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, LEGACY, VELOCITY, Record
+from crazychoir.simulation.onboard.record import (
+    ABSOLUTE,
+    DISABLE,
+    LEGACY,
+    VELOCITY,
+    Record,
+)
 
 ATTITUDE_RATE, POSITION_RATE, POSITION_TICKS = 500.0, 100.0, 10  # Hz, Hz, ms
 OVERHEAD = 1.1  # of the limits inside the position and velocity PIDs
@@ -23,7 +29,15 @@ SLOWEST_CLIMB = 0.5  # m/s, the least that the limit of the vertical speed is
 def modes(sp: Record) -> int:
     """The seven modes as one number, to see that one has changed."""
     key = 0
-    for mode in (sp.mode_x, sp.mode_y, sp.mode_z, sp.mode_roll, sp.mode_pitch, sp.mode_yaw, sp.mode_quat):
+    for mode in (
+        sp.mode_x,
+        sp.mode_y,
+        sp.mode_z,
+        sp.mode_roll,
+        sp.mode_pitch,
+        sp.mode_yaw,
+        sp.mode_quat,
+    ):
         key = 3 * key + mode
     return key
 
@@ -59,34 +73,48 @@ def reset(fw: Record) -> None:
 @kernel()
 def position(fw: Record, sp: Record) -> None:
     """Position PIDs to velocities, in axes turned by the yaw alone; at 100 Hz."""
-    c, s = math.cos(math.radians(fw.yaw)), math.sin(math.radians(fw.yaw))
-    fw.x_pid.limit, fw.y_pid.limit = OVERHEAD * fw.x_vel_max, OVERHEAD * fw.y_vel_max
+    c = math.cos(math.radians(fw.yaw))
+    s = math.sin(math.radians(fw.yaw))
+    fw.x_pid.limit = OVERHEAD * fw.x_vel_max
+    fw.y_pid.limit = OVERHEAD * fw.y_vel_max
     fw.z_pid.limit = OVERHEAD * max(fw.z_vel_max, SLOWEST_CLIMB)
     ahead = sp.vx if sp.body_velocity else sp.vx * c + sp.vy * s
     aside = sp.vy if sp.body_velocity else sp.vy * c - sp.vx * s
     if sp.mode_x == ABSOLUTE:
-        ahead = pid.follow_smooth(fw.x_pid, sp.x * c + sp.y * s, fw.x * c + fw.y * s, POSITION_RATE)
+        ahead = pid.follow_smooth(
+            fw.x_pid, sp.x * c + sp.y * s, fw.x * c + fw.y * s, POSITION_RATE
+        )
     if sp.mode_y == ABSOLUTE:
-        aside = pid.follow_smooth(fw.y_pid, sp.y * c - sp.x * s, fw.y * c - fw.x * s, POSITION_RATE)
+        aside = pid.follow_smooth(
+            fw.y_pid, sp.y * c - sp.x * s, fw.y * c - fw.x * s, POSITION_RATE
+        )
     climb = sp.vz
     if sp.mode_z == ABSOLUTE:
         climb = pid.follow_smooth(fw.z_pid, sp.z, fw.z, POSITION_RATE)
-    fw.target_vx, fw.target_vy, fw.target_vz = ahead, aside, climb
+    fw.target_vx = ahead
+    fw.target_vy = aside
+    fw.target_vz = climb
     velocity(fw, ahead, aside, climb, c, s)
 
 
 @kernel()
-def velocity(fw: Record, ahead: float, aside: float, climb: float, c: float, s: float) -> None:
+def velocity(
+    fw: Record, ahead: float, aside: float, climb: float, c: float, s: float
+) -> None:
     """Velocity PIDs to roll, pitch and thrust.
 
     pitch = -PID(v ahead), roll = -PID(v left), thrust = 1000 PID(v up) + base; no compensation of the tilt.
     """
-    fw.vx_pid.limit, fw.vy_pid.limit = OVERHEAD * fw.pitch_limit, OVERHEAD * fw.roll_limit
+    fw.vx_pid.limit = OVERHEAD * fw.pitch_limit
+    fw.vy_pid.limit = OVERHEAD * fw.roll_limit
     pitch = -pid.follow_smooth(fw.vx_pid, ahead, fw.vx * c + fw.vy * s, POSITION_RATE)
     roll = -pid.follow_smooth(fw.vy_pid, aside, fw.vy * c - fw.vx * s, POSITION_RATE)
     fw.target_pitch = clip(pitch, -fw.pitch_limit, fw.pitch_limit)
     fw.target_roll = clip(roll, -fw.roll_limit, fw.roll_limit)
-    thrust = THRUST_SCALE * pid.follow_smooth(fw.vz_pid, climb, fw.vz, POSITION_RATE) + fw.thrust_base
+    thrust = (
+        THRUST_SCALE * pid.follow_smooth(fw.vz_pid, climb, fw.vz, POSITION_RATE)
+        + fw.thrust_base
+    )
     fw.position_thrust = clip(thrust, fw.thrust_minimum, MOST_THRUST)
 
 
@@ -110,13 +138,19 @@ def _attitude(fw: Record, sp: Record) -> None:
         fw.target_roll_rate = sp.roll_rate
         pid.reset(fw.roll_pid)
     else:
-        fw.target_roll_rate = pid.follow(fw.roll_pid, fw.target_roll, fw.roll, ATTITUDE_RATE)
+        fw.target_roll_rate = pid.follow(
+            fw.roll_pid, fw.target_roll, fw.roll, ATTITUDE_RATE
+        )
     if sp.mode_pitch == VELOCITY:
         fw.target_pitch_rate = sp.pitch_rate
         pid.reset(fw.pitch_pid)
     else:
-        fw.target_pitch_rate = pid.follow(fw.pitch_pid, fw.target_pitch, fw.pitch, ATTITUDE_RATE)
-    fw.target_yaw_rate = pid.follow_angle(fw.yaw_pid, fw.target_yaw, fw.yaw, ATTITUDE_RATE)
+        fw.target_pitch_rate = pid.follow(
+            fw.pitch_pid, fw.target_pitch, fw.pitch, ATTITUDE_RATE
+        )
+    fw.target_yaw_rate = pid.follow_angle(
+        fw.yaw_pid, fw.target_yaw, fw.yaw, ATTITUDE_RATE
+    )
 
 
 @kernel()
@@ -140,7 +174,8 @@ def control(fw: Record, sp: Record) -> None:
     if positioned and (changed or fw.tick % POSITION_TICKS == 0):
         position(fw, sp)
     if sp.mode_x == DISABLE or sp.mode_y == DISABLE:
-        fw.target_roll, fw.target_pitch = sp.roll, sp.pitch
+        fw.target_roll = sp.roll
+        fw.target_pitch = sp.pitch
     fw.output = LEGACY
     fw.thrust = sp.thrust if sp.mode_z == DISABLE else fw.position_thrust
     if fw.thrust <= 0.0:
@@ -149,6 +184,12 @@ def control(fw: Record, sp: Record) -> None:
         return
     _heading(fw, sp)
     _attitude(fw, sp)
-    fw.roll_out = _whole(pid.follow(fw.roll_rate_pid, fw.target_roll_rate, fw.gx, ATTITUDE_RATE))
-    fw.pitch_out = _whole(pid.follow(fw.pitch_rate_pid, fw.target_pitch_rate, -fw.gy, ATTITUDE_RATE))
-    fw.yaw_out = _whole(-pid.follow(fw.yaw_rate_pid, fw.target_yaw_rate, fw.gz, ATTITUDE_RATE))
+    fw.roll_out = _whole(
+        pid.follow(fw.roll_rate_pid, fw.target_roll_rate, fw.gx, ATTITUDE_RATE)
+    )
+    fw.pitch_out = _whole(
+        pid.follow(fw.pitch_rate_pid, fw.target_pitch_rate, -fw.gy, ATTITUDE_RATE)
+    )
+    fw.yaw_out = _whole(
+        -pid.follow(fw.yaw_rate_pid, fw.target_yaw_rate, fw.gz, ATTITUDE_RATE)
+    )

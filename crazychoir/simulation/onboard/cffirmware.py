@@ -6,7 +6,13 @@ from collections.abc import Callable
 from typing import Any
 
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.onboard.laws import PERIOD, Answer, ForceTorque, Legacy, Setpoint
+from crazychoir.simulation.onboard.laws import (
+    PERIOD,
+    Answer,
+    ForceTorque,
+    Legacy,
+    Setpoint,
+)
 from crazychoir.simulation.onboard.units import FULL
 from crazychoir.types import State, Vec
 
@@ -21,15 +27,25 @@ class FirmwareLaw:
 
     def __init__(self, name: str, thrust_max: float) -> None:
         if name not in CONTROLLERS:
-            raise ConfigError("FirmwareLaw: name", name, f"one of {', '.join(CONTROLLERS)}")
+            raise ConfigError(
+                "FirmwareLaw: name", name, f"one of {', '.join(CONTROLLERS)}"
+            )
         self._firmware = _bindings()
         self._step = _entry(self._firmware, name)
         self._per_newton = FULL / (4.0 * thrust_max)
-        self._control, self._sensors = self._firmware.control_t(), self._firmware.sensorData_t()
-        self._setpoint, self._state = self._firmware.setpoint_t(), self._firmware.state_t()
+        self._control, self._sensors = (
+            self._firmware.control_t(),
+            self._firmware.sensorData_t(),
+        )
+        self._setpoint, self._state = (
+            self._firmware.setpoint_t(),
+            self._firmware.state_t(),
+        )
         self._ms = 0
 
-    def __call__(self, setpoint: Setpoint, estimate: State, gyro: Vec, dt: float = PERIOD) -> Answer:
+    def __call__(
+        self, setpoint: Setpoint, estimate: State, gyro: Vec, dt: float = PERIOD
+    ) -> Answer:
         """One pass of the firmware's controller."""
         self._tell_setpoint(setpoint)
         self._tell_state(estimate)
@@ -39,12 +55,18 @@ class FirmwareLaw:
         return self._answer()
 
     def _tell_setpoint(self, s: Setpoint) -> None:
-        sp, firmware = self._setpoint, self._firmware
+        sp = self._setpoint
+        firmware = self._firmware
         names = (firmware.modeDisable, firmware.modeAbs, firmware.modeVelocity)
         for axis in ("x", "y", "z", "roll", "pitch", "yaw", "quat"):
             setattr(sp.mode, axis, names[getattr(s.modes, axis)])
         sp.velocity_body = s.modes.body_velocity
-        for part, values in ((sp.position, s.p), (sp.velocity, s.v), (sp.acceleration, s.a), (sp.jerk, s.j)):
+        for part, values in (
+            (sp.position, s.p),
+            (sp.velocity, s.v),
+            (sp.acceleration, s.a),
+            (sp.jerk, s.j),
+        ):
             _vector(part, values)
         _vector(sp.attitudeQuaternion, s.q)
         _angles(sp.attitude, s.roll, -s.pitch, s.yaw)
@@ -102,4 +124,6 @@ def _vector(part: Any, values: Any) -> None:
 
 
 def _angles(part: Any, roll: float, pitch: float, yaw: float) -> None:
-    part.roll, part.pitch, part.yaw = math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
+    part.roll = math.degrees(roll)
+    part.pitch = math.degrees(pitch)
+    part.yaw = math.degrees(yaw)

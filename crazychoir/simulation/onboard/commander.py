@@ -6,7 +6,15 @@ Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them; pitch pos
 import math
 
 from crazychoir.numerics.kernels import kernel, real, vector
-from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Fleet, Record, rows, whole
+from crazychoir.simulation.onboard.record import (
+    ABSOLUTE,
+    DISABLE,
+    VELOCITY,
+    Fleet,
+    Record,
+    rows,
+    whole,
+)
 from crazychoir.types import Vec
 
 NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3
@@ -18,10 +26,16 @@ PLANNER_IDLE = 0
 @kernel()
 def clear(sp: Record) -> None:
     """The null set-point: all modes disabled, no thrust."""
-    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_roll = sp.mode_pitch = sp.mode_yaw = sp.mode_quat = DISABLE
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_roll = sp.mode_pitch = sp.mode_yaw = (
+        sp.mode_quat
+    ) = DISABLE
     sp.body_velocity = 0
-    sp.x = sp.y = sp.z = sp.vx = sp.vy = sp.vz = sp.ax = sp.ay = sp.az = sp.jx = sp.jy = sp.jz = 0.0
-    sp.roll = sp.pitch = sp.yaw = sp.roll_rate = sp.pitch_rate = sp.yaw_rate = sp.thrust = 0.0
+    sp.x = sp.y = sp.z = sp.vx = sp.vy = sp.vz = sp.ax = sp.ay = sp.az = sp.jx = (
+        sp.jy
+    ) = sp.jz = 0.0
+    sp.roll = sp.pitch = sp.yaw = sp.roll_rate = sp.pitch_rate = sp.yaw_rate = (
+        sp.thrust
+    ) = 0.0
     sp.qx = sp.qy = sp.qz = 0.0
     sp.qw = 1.0
 
@@ -35,7 +49,8 @@ def accept(fw: Record, priority: int) -> bool:
     """
     if priority < fw.priority:
         return False
-    fw.priority, fw.stamp = priority, fw.tick
+    fw.priority = priority
+    fw.stamp = fw.tick
     if priority > HIGH_LEVEL:
         fw.planner.state = PLANNER_IDLE
     clear(fw.wanted)
@@ -54,17 +69,29 @@ def _turn_axes(fw: Record, roll: float, pitch: float) -> None:
     """Roll and pitch as angles or as rates, by flightmode.stabModeRoll and .stabModePitch."""
     sp = fw.wanted
     if fw.rate_roll_mode:
-        sp.mode_roll, sp.roll = ABSOLUTE, roll
+        sp.mode_roll = ABSOLUTE
+        sp.roll = roll
     else:
-        sp.mode_roll, sp.roll_rate = VELOCITY, roll
+        sp.mode_roll = VELOCITY
+        sp.roll_rate = roll
     if fw.rate_pitch_mode:
-        sp.mode_pitch, sp.pitch = ABSOLUTE, pitch
+        sp.mode_pitch = ABSOLUTE
+        sp.pitch = pitch
     else:
-        sp.mode_pitch, sp.pitch_rate = VELOCITY, pitch
+        sp.mode_pitch = VELOCITY
+        sp.pitch_rate = pitch
 
 
 @kernel(rows, whole, real, real, real, real, real)
-def rpyt(fleet: Fleet, i: int, roll: float, pitch: float, yaw: float, thrust: float, priority: float) -> bool:
+def rpyt(
+    fleet: Fleet,
+    i: int,
+    roll: float,
+    pitch: float,
+    yaw: float,
+    thrust: float,
+    priority: float,
+) -> bool:
     """Roll, pitch, yaw (angles or rates) and thrust, as an RPYT packet.
 
     Thrust is locked until a packet without thrust comes, again after nobody was in control.  Below 1000 it is none,
@@ -82,9 +109,11 @@ def rpyt(fleet: Fleet, i: int, roll: float, pitch: float, yaw: float, thrust: fl
         sp.thrust = min(thrust, MOST_THRUST)
     _turn_axes(fw, roll, pitch)
     if fw.rate_yaw_mode:
-        sp.mode_yaw, sp.yaw = ABSOLUTE, yaw
+        sp.mode_yaw = ABSOLUTE
+        sp.yaw = yaw
     else:
-        sp.mode_yaw, sp.yaw_rate = VELOCITY, -yaw
+        sp.mode_yaw = VELOCITY
+        sp.yaw_rate = -yaw
     return True
 
 
@@ -96,19 +125,38 @@ def nothing(fleet: Fleet, i: int, priority: float) -> bool:
 
 
 @kernel(rows, whole, real, real, real, real, real)
-def velocity(fleet: Fleet, i: int, vx: float, vy: float, vz: float, yaw_rate: float, priority: float) -> bool:
+def velocity(
+    fleet: Fleet,
+    i: int,
+    vx: float,
+    vy: float,
+    vz: float,
+    yaw_rate: float,
+    priority: float,
+) -> bool:
     """Generic 8: velocity in the world, yaw rate."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
     sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = VELOCITY
-    sp.vx, sp.vy, sp.vz, sp.yaw_rate = vx, vy, vz, yaw_rate
+    sp.vx = vx
+    sp.vy = vy
+    sp.vz = vz
+    sp.yaw_rate = yaw_rate
     return True
 
 
 @kernel(rows, whole, real, real, real, real, real)
-def z_distance(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, z: float, priority: float) -> bool:
+def z_distance(
+    fleet: Fleet,
+    i: int,
+    roll: float,
+    pitch: float,
+    yaw_rate: float,
+    z: float,
+    priority: float,
+) -> bool:
     """Generic 9: roll, pitch, yaw rate and height."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
@@ -116,12 +164,23 @@ def z_distance(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float,
     sp = fw.wanted
     sp.mode_z = sp.mode_roll = sp.mode_pitch = ABSOLUTE
     sp.mode_yaw = VELOCITY
-    sp.z, sp.roll, sp.pitch, sp.yaw_rate = z, roll, pitch, yaw_rate
+    sp.z = z
+    sp.roll = roll
+    sp.pitch = pitch
+    sp.yaw_rate = yaw_rate
     return True
 
 
 @kernel(rows, whole, real, real, real, real, real)
-def altitude_hold(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, vz: float, priority: float) -> bool:
+def altitude_hold(
+    fleet: Fleet,
+    i: int,
+    roll: float,
+    pitch: float,
+    yaw_rate: float,
+    vz: float,
+    priority: float,
+) -> bool:
     """Generic 4: roll, pitch, yaw rate and speed upwards."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
@@ -129,12 +188,23 @@ def altitude_hold(fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: flo
     sp = fw.wanted
     sp.mode_z = sp.mode_yaw = VELOCITY
     sp.mode_roll = sp.mode_pitch = ABSOLUTE
-    sp.vz, sp.roll, sp.pitch, sp.yaw_rate = vz, roll, pitch, yaw_rate
+    sp.vz = vz
+    sp.roll = roll
+    sp.pitch = pitch
+    sp.yaw_rate = yaw_rate
     return True
 
 
 @kernel(rows, whole, real, real, real, real, real)
-def hover(fleet: Fleet, i: int, ahead: float, left: float, yaw_rate: float, z: float, priority: float) -> bool:
+def hover(
+    fleet: Fleet,
+    i: int,
+    ahead: float,
+    left: float,
+    yaw_rate: float,
+    z: float,
+    priority: float,
+) -> bool:
     """Generic 10: velocity ahead and to the left, yaw rate and height."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
@@ -143,25 +213,40 @@ def hover(fleet: Fleet, i: int, ahead: float, left: float, yaw_rate: float, z: f
     sp.mode_x = sp.mode_y = sp.mode_yaw = VELOCITY
     sp.mode_z = ABSOLUTE
     sp.body_velocity = 1
-    sp.vx, sp.vy, sp.yaw_rate, sp.z = ahead, left, yaw_rate, z
+    sp.vx = ahead
+    sp.vy = left
+    sp.yaw_rate = yaw_rate
+    sp.z = z
     return True
 
 
 @kernel(rows, whole, real, real, real, real, real)
-def position(fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, priority: float) -> bool:
+def position(
+    fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, priority: float
+) -> bool:
     """Generic 7: position and heading."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
     sp = fw.wanted
     sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = ABSOLUTE
-    sp.x, sp.y, sp.z, sp.yaw = x, y, z, yaw
+    sp.x = x
+    sp.y = y
+    sp.z = z
+    sp.yaw = yaw
     return True
 
 
 @kernel(rows, whole, real, real, real, real, real, real)
 def manual(
-    fleet: Fleet, i: int, roll: float, pitch: float, yaw_rate: float, thrust: float, rate: float, priority: float
+    fleet: Fleet,
+    i: int,
+    roll: float,
+    pitch: float,
+    yaw_rate: float,
+    thrust: float,
+    rate: float,
+    priority: float,
 ) -> bool:
     """Generic 11: roll, pitch (rates, if `rate`), yaw rate, thrust; chosen: no thrust lock, the yaw rate as it is."""
     fw = fleet[i]
@@ -170,11 +255,15 @@ def manual(
     sp = fw.wanted
     if rate > 0.0:
         sp.mode_roll = sp.mode_pitch = VELOCITY
-        sp.roll_rate, sp.pitch_rate = roll, pitch
+        sp.roll_rate = roll
+        sp.pitch_rate = pitch
     else:
         sp.mode_roll = sp.mode_pitch = ABSOLUTE
-        sp.roll, sp.pitch = roll, pitch
-    sp.mode_yaw, sp.yaw_rate, sp.thrust = VELOCITY, yaw_rate, thrust
+        sp.roll = roll
+        sp.pitch = pitch
+    sp.mode_yaw = VELOCITY
+    sp.yaw_rate = yaw_rate
+    sp.thrust = thrust
     return True
 
 
@@ -186,19 +275,41 @@ def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
         return False
     sp = fw.wanted
     sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_quat = ABSOLUTE
-    sp.x, sp.y, sp.z, sp.vx, sp.vy, sp.vz = s[0], s[1], s[2], s[3], s[4], s[5]
-    sp.ax, sp.ay, sp.az, sp.qx, sp.qy, sp.qz, sp.qw = s[6], s[7], s[8], s[9], s[10], s[11], s[12]
-    sp.roll_rate, sp.pitch_rate, sp.yaw_rate = math.degrees(s[13]), math.degrees(s[14]), math.degrees(s[15])
-    x, y, z, w = s[9], s[10], s[11], s[12]
-    sp.yaw = math.degrees(math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
+    sp.x = s[0]
+    sp.y = s[1]
+    sp.z = s[2]
+    sp.vx = s[3]
+    sp.vy = s[4]
+    sp.vz = s[5]
+    sp.ax = s[6]
+    sp.ay = s[7]
+    sp.az = s[8]
+    sp.qx = s[9]
+    sp.qy = s[10]
+    sp.qz = s[11]
+    sp.qw = s[12]
+    sp.roll_rate = math.degrees(s[13])
+    sp.pitch_rate = math.degrees(s[14])
+    sp.yaw_rate = math.degrees(s[15])
+    x = s[9]
+    y = s[10]
+    z = s[11]
+    w = s[12]
+    sp.yaw = math.degrees(
+        math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))
+    )
     return True
 
 
 @kernel()
 def leveled(fw: Record) -> None:
     """What is flown when set-points have ended: level, no yaw rate, height and thrust as before."""
-    sp, old = fw.level, fw.wanted
+    sp = fw.level
+    old = fw.wanted
     clear(sp)
     sp.mode_roll = sp.mode_pitch = ABSOLUTE
     sp.mode_yaw = VELOCITY
-    sp.mode_z, sp.z, sp.vz, sp.thrust = old.mode_z, old.z, old.vz, old.thrust
+    sp.mode_z = old.mode_z
+    sp.z = old.z
+    sp.vz = old.vz
+    sp.thrust = old.thrust

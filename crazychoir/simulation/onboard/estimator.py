@@ -7,11 +7,25 @@ one of position and velocity an axis, one of the attitude, with the firmware's n
 import math
 
 from crazychoir.numerics.kernels import kernel, real, vector
-from crazychoir.numerics.math3d import GRAVITY, columns, conjugate, exponential, finite, logarithm, product, unit
+from crazychoir.numerics.math3d import (
+    GRAVITY,
+    columns,
+    conjugate,
+    exponential,
+    finite,
+    logarithm,
+    product,
+    unit,
+)
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 from crazychoir.types import Vec
 
-INITIAL_XY, INITIAL_Z, INITIAL_V, INITIAL_ATTITUDE = 100.0, 1.0, 0.01, 0.01  # standard deviations: m, m, m/s, rad
+INITIAL_XY, INITIAL_Z, INITIAL_V, INITIAL_ATTITUDE = (
+    100.0,
+    1.0,
+    0.01,
+    0.01,
+)  # standard deviations: m, m, m/s, rad
 MS = 1e-3
 
 
@@ -24,21 +38,35 @@ def _clear(fw: Record) -> None:
 @kernel()
 def _angles(fw: Record) -> None:
     """Roll, pitch, yaw in deg of the quaternion; pitch positive nose up, as the firmware logs it."""
-    x, y, z, w = fw.qx, fw.qy, fw.qz, fw.qw
-    fw.roll = math.degrees(math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)))
+    x = fw.qx
+    y = fw.qy
+    z = fw.qz
+    w = fw.qw
+    fw.roll = math.degrees(
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    )
     fw.pitch = -math.degrees(math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0)))
-    fw.yaw = math.degrees(math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z)))
+    fw.yaw = math.degrees(
+        math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))
+    )
 
 
 @kernel()
 def begin(fw: Record) -> None:
     """Begin at the initial position and heading, at rest and level, with the initial uncertainty."""
-    fw.x, fw.y, fw.z = fw.initial_x, fw.initial_y, fw.initial_z
+    fw.x = fw.initial_x
+    fw.y = fw.initial_y
+    fw.z = fw.initial_z
     fw.vx = fw.vy = fw.vz = 0.0
     fw.qx = fw.qy = 0.0
-    fw.qz, fw.qw = math.sin(0.5 * fw.initial_yaw), math.cos(0.5 * fw.initial_yaw)
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = INITIAL_XY**2, 0.0, INITIAL_V**2
-    fw.z_pp, fw.z_pv, fw.z_vv = INITIAL_Z**2, 0.0, INITIAL_V**2
+    fw.qz = math.sin(0.5 * fw.initial_yaw)
+    fw.qw = math.cos(0.5 * fw.initial_yaw)
+    fw.xy_pp = INITIAL_XY**2
+    fw.xy_pv = 0.0
+    fw.xy_vv = INITIAL_V**2
+    fw.z_pp = INITIAL_Z**2
+    fw.z_pv = 0.0
+    fw.z_vv = INITIAL_V**2
     fw.att_var = INITIAL_ATTITUDE**2
     _clear(fw)
     _angles(fw)
@@ -57,7 +85,9 @@ def collect(fw: Record) -> None:
 
 
 @kernel()
-def _grown(pp: float, pv: float, vv: float, noise: float, dt: float) -> tuple[float, float, float]:
+def _grown(
+    pp: float, pv: float, vv: float, noise: float, dt: float
+) -> tuple[float, float, float]:
     q = (noise * dt) ** 2
     return (
         pp + dt * (2.0 * pv + dt * vv) + 0.25 * q * dt * dt,
@@ -87,12 +117,18 @@ def predict(fw: Record) -> None:
     """
     if fw.samples == 0:
         return
-    dt, to_rate, to_force = fw.samples * MS, math.radians(1.0) * MS, GRAVITY / fw.samples
-    half = exponential(0.5 * fw.p_sum * to_rate, 0.5 * fw.q_sum * to_rate, 0.5 * fw.r_sum * to_rate)
+    dt = fw.samples * MS
+    to_rate = math.radians(1.0) * MS
+    to_force = GRAVITY / fw.samples
+    half = exponential(
+        0.5 * fw.p_sum * to_rate, 0.5 * fw.q_sum * to_rate, 0.5 * fw.r_sum * to_rate
+    )
     middle = product((fw.qx, fw.qy, fw.qz, fw.qw), half)
     x, y, z = columns(middle)
     across = 0.0 if fw.flying else to_force
-    fx, fy, fz = fw.fx_sum * across, fw.fy_sum * across, fw.fz_sum * to_force
+    fx = fw.fx_sum * across
+    fy = fw.fy_sum * across
+    fz = fw.fz_sum * to_force
     fw.qx, fw.qy, fw.qz, fw.qw = unit(product(middle, half))
     fw.acx = x[0] * fx + y[0] * fy + z[0] * fz
     fw.acy = x[1] * fx + y[1] * fy + z[1] * fz
@@ -116,14 +152,29 @@ def predict(fw: Record) -> None:
 @kernel()
 def _locate(fw: Record, x: float, y: float, z: float) -> None:
     r = fw.ext_pos_std**2
-    k, kv = fw.xy_pp / (fw.xy_pp + r), fw.xy_pv / (fw.xy_pp + r)
-    dx, dy = x - fw.x, y - fw.y
-    fw.x, fw.y, fw.vx, fw.vy = fw.x + k * dx, fw.y + k * dy, fw.vx + kv * dx, fw.vy + kv * dy
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = (1.0 - k) * fw.xy_pp, (1.0 - k) * fw.xy_pv, fw.xy_vv - kv * fw.xy_pv
-    k, kv = fw.z_pp / (fw.z_pp + r), fw.z_pv / (fw.z_pp + r)
+    k = fw.xy_pp / (fw.xy_pp + r)
+    kv = fw.xy_pv / (fw.xy_pp + r)
+    dx = x - fw.x
+    dy = y - fw.y
+    fw.x = fw.x + k * dx
+    fw.y = fw.y + k * dy
+    fw.vx = fw.vx + kv * dx
+    fw.vy = fw.vy + kv * dy
+    fw.xy_pp, fw.xy_pv, fw.xy_vv = (
+        (1.0 - k) * fw.xy_pp,
+        (1.0 - k) * fw.xy_pv,
+        fw.xy_vv - kv * fw.xy_pv,
+    )
+    k = fw.z_pp / (fw.z_pp + r)
+    kv = fw.z_pv / (fw.z_pp + r)
     dz = z - fw.z
-    fw.z, fw.vz = fw.z + k * dz, fw.vz + kv * dz
-    fw.z_pp, fw.z_pv, fw.z_vv = (1.0 - k) * fw.z_pp, (1.0 - k) * fw.z_pv, fw.z_vv - kv * fw.z_pv
+    fw.z = fw.z + k * dz
+    fw.vz = fw.vz + kv * dz
+    fw.z_pp, fw.z_pv, fw.z_vv = (
+        (1.0 - k) * fw.z_pp,
+        (1.0 - k) * fw.z_pv,
+        fw.z_vv - kv * fw.z_pv,
+    )
 
 
 @kernel(rows, whole)
@@ -160,7 +211,9 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     k = fw.att_var / (fw.att_var + fw.ext_quat_std**2)
     own = (fw.qx, fw.qy, fw.qz, fw.qw)
     e = logarithm(product(conjugate(own), unit((q[0], q[1], q[2], q[3]))))
-    fw.qx, fw.qy, fw.qz, fw.qw = unit(product(own, exponential(k * e[0], k * e[1], k * e[2])))
+    fw.qx, fw.qy, fw.qz, fw.qw = unit(
+        product(own, exponential(k * e[0], k * e[1], k * e[2]))
+    )
     fw.att_var *= 1.0 - k
     _angles(fw)
 
@@ -169,18 +222,29 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
 def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
     """Correct by a velocity (3,) m/s, world, of standard deviation std m/s an axis: as of a flow deck, chosen.
 
-        K = P_vv / (P_vv + std^2),  v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v)
+    K = P_vv / (P_vv + std^2),  v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v)
     """
     fw = fleet[i]
     if not finite(v):
         return
     predict(fw)
     r = std * std
-    k, kp = fw.xy_vv / (fw.xy_vv + r), fw.xy_pv / (fw.xy_vv + r)
-    dx, dy = v[0] - fw.vx, v[1] - fw.vy
-    fw.vx, fw.vy, fw.x, fw.y = fw.vx + k * dx, fw.vy + k * dy, fw.x + kp * dx, fw.y + kp * dy
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = fw.xy_pp - kp * fw.xy_pv, (1.0 - k) * fw.xy_pv, (1.0 - k) * fw.xy_vv
-    k, kp = fw.z_vv / (fw.z_vv + r), fw.z_pv / (fw.z_vv + r)
+    k = fw.xy_vv / (fw.xy_vv + r)
+    kp = fw.xy_pv / (fw.xy_vv + r)
+    dx = v[0] - fw.vx
+    dy = v[1] - fw.vy
+    fw.vx = fw.vx + k * dx
+    fw.vy = fw.vy + k * dy
+    fw.x = fw.x + kp * dx
+    fw.y = fw.y + kp * dy
+    fw.xy_pp = fw.xy_pp - kp * fw.xy_pv
+    fw.xy_pv = (1.0 - k) * fw.xy_pv
+    fw.xy_vv = (1.0 - k) * fw.xy_vv
+    k = fw.z_vv / (fw.z_vv + r)
+    kp = fw.z_pv / (fw.z_vv + r)
     dz = v[2] - fw.vz
-    fw.vz, fw.z = fw.vz + k * dz, fw.z + kp * dz
-    fw.z_pp, fw.z_pv, fw.z_vv = fw.z_pp - kp * fw.z_pv, (1.0 - k) * fw.z_pv, (1.0 - k) * fw.z_vv
+    fw.vz = fw.vz + k * dz
+    fw.z = fw.z + kp * dz
+    fw.z_pp = fw.z_pp - kp * fw.z_pv
+    fw.z_pv = (1.0 - k) * fw.z_pv
+    fw.z_vv = (1.0 - k) * fw.z_vv

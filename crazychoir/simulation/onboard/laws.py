@@ -126,4 +126,3 @@ def write_answer(fw: Record, name: str, answer: object) -> None:
     else:
         fw["output"] = LEGACY
         fw["thrust"], fw["roll_out"], fw["pitch_out"], fw["yaw_out"] = numbers
-

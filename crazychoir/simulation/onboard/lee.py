@@ -4,7 +4,15 @@ import math
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import GRAVITY, Triple, columns, dot
-from crazychoir.simulation.onboard.attitude import DT, Axes, error, errors, rates, shortened, wanted
+from crazychoir.simulation.onboard.attitude import (
+    DT,
+    Axes,
+    error,
+    errors,
+    rates,
+    shortened,
+    wanted,
+)
 from crazychoir.simulation.onboard.record import DISABLE, FORCE_TORQUE, Record
 
 LEAST_THRUST = 1000.0  # of a commanded thrust: below it the motors stand and the integrals are forgotten
@@ -22,13 +30,16 @@ def _force(fw: Record, sp: Record) -> Triple:
     """F = m (a + KP e_p + KD e_v + KI int e_p + g e3), N, world; each vector not longer than its limit."""
     m = fw.lee
     p, v = errors(fw, sp)
-    m.ix, m.iy, m.iz = shortened(m.ix + p[0] * DT, m.iy + p[1] * DT, m.iz + p[2] * DT, m.Kpos_I_limit)
+    m.ix, m.iy, m.iz = shortened(
+        m.ix + p[0] * DT, m.iy + p[1] * DT, m.iz + p[2] * DT, m.Kpos_I_limit
+    )
     p = shortened(p[0], p[1], p[2], m.Kpos_P_limit)
     v = shortened(v[0], v[1], v[2], m.Kpos_D_limit)
     return (
         m.mass * (sp.ax + m.Kpos_Px * p[0] + m.Kpos_Dx * v[0] + m.Kpos_Ix * m.ix),
         m.mass * (sp.ay + m.Kpos_Py * p[1] + m.Kpos_Dy * v[1] + m.Kpos_Iy * m.iy),
-        m.mass * (sp.az + GRAVITY + m.Kpos_Pz * p[2] + m.Kpos_Dz * v[2] + m.Kpos_Iz * m.iz),
+        m.mass
+        * (sp.az + GRAVITY + m.Kpos_Pz * p[2] + m.Kpos_Dz * v[2] + m.Kpos_Iz * m.iz),
     )
 
 
@@ -69,8 +80,28 @@ def control(fw: Record, sp: Record) -> None:
     w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
     wd = _turned(fw, d, rates(sp))
     ew = (w[0] - wd[0], w[1] - wd[1], w[2] - wd[2])
-    m.irx, m.iry, m.irz = m.irx + 0.5 * e[0] * DT, m.iry + 0.5 * e[1] * DT, m.irz + 0.5 * e[2] * DT
+    m.irx = m.irx + 0.5 * e[0] * DT
+    m.iry = m.iry + 0.5 * e[1] * DT
+    m.irz = m.irz + 0.5 * e[2] * DT
     j = (m.J_x * w[0], m.J_y * w[1], m.J_z * w[2])
-    fw.torque_x = -0.5 * m.KR_x * e[0] - m.Kw_x * ew[0] - m.KI_x * m.irx + w[1] * j[2] - w[2] * j[1]
-    fw.torque_y = -0.5 * m.KR_y * e[1] - m.Kw_y * ew[1] - m.KI_y * m.iry + w[2] * j[0] - w[0] * j[2]
-    fw.torque_z = -0.5 * m.KR_z * e[2] - m.Kw_z * ew[2] - m.KI_z * m.irz + w[0] * j[1] - w[1] * j[0]
+    fw.torque_x = (
+        -0.5 * m.KR_x * e[0]
+        - m.Kw_x * ew[0]
+        - m.KI_x * m.irx
+        + w[1] * j[2]
+        - w[2] * j[1]
+    )
+    fw.torque_y = (
+        -0.5 * m.KR_y * e[1]
+        - m.Kw_y * ew[1]
+        - m.KI_y * m.iry
+        + w[2] * j[0]
+        - w[0] * j[2]
+    )
+    fw.torque_z = (
+        -0.5 * m.KR_z * e[2]
+        - m.Kw_z * ew[2]
+        - m.KI_z * m.irz
+        + w[0] * j[1]
+        - w[1] * j[0]
+    )

@@ -28,7 +28,9 @@ def whole(value: float, low: float, high: float) -> int:
 
 def _whole(name: str, factor: float = 1.0) -> Read:
     """As a 16-bit integer of thousandths."""
-    return lambda rows, i: float(whole(float(rows[name][i]) * factor, -32768.0, 32767.0))
+    return lambda rows, i: float(
+        whole(float(rows[name][i]) * factor, -32768.0, 32767.0)
+    )
 
 
 def _motor(k: int) -> Read:
@@ -36,10 +38,45 @@ def _motor(k: int) -> Read:
 
 
 AXES = ("x", "y", "z")
-STATE = ("x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "qx", "qy", "qz", "qw")
-TARGET = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "pitch", "yaw", "thrust")
+STATE = (
+    "x",
+    "y",
+    "z",
+    "vx",
+    "vy",
+    "vz",
+    "roll",
+    "pitch",
+    "yaw",
+    "qx",
+    "qy",
+    "qz",
+    "qw",
+)
+TARGET = (
+    "x",
+    "y",
+    "z",
+    "vx",
+    "vy",
+    "vz",
+    "ax",
+    "ay",
+    "az",
+    "roll",
+    "pitch",
+    "yaw",
+    "thrust",
+)
 MODES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
-VARIANCES = {"X": "xy_pp", "Y": "xy_pp", "Z": "z_pp", "PX": "xy_vv", "PY": "xy_vv", "PZ": "z_vv"}
+VARIANCES = {
+    "X": "xy_pp",
+    "Y": "xy_pp",
+    "Z": "z_pp",
+    "PX": "xy_vv",
+    "PY": "xy_vv",
+    "PZ": "z_vv",
+}
 """Of the firmware's names: X is a position, PX a velocity."""
 _supervisor = entries(supervisor)
 TABLE: dict[str, Read] = {
@@ -50,12 +87,24 @@ TABLE: dict[str, Read] = {
     **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
     **{f"kalman.var{name}": _field(field) for name, field in VARIANCES.items()},
     **{f"kalman.q{k}": _field(f"q{c}") for k, c in enumerate("wxyz")},
-    **{f"stabilizer.{name}": _field(name) for name in ("roll", "pitch", "yaw", "thrust")},
+    **{
+        f"stabilizer.{name}": _field(name)
+        for name in ("roll", "pitch", "yaw", "thrust")
+    },
     **{f"gyro.{axis}": _field(f"g{axis}") for axis in AXES},
     **{f"acc.{axis}": _field(f"a{axis}") for axis in AXES},
-    **{f"controller.{name}": _field(f"target_{name}") for name in ("roll", "pitch", "yaw")},
-    **{f"controller.{name}Rate": _field(f"target_{name}_rate") for name in ("roll", "pitch", "yaw")},
-    **{f"controller.cmd_{name}": _field(f"{name}_out") for name in ("roll", "pitch", "yaw")},
+    **{
+        f"controller.{name}": _field(f"target_{name}")
+        for name in ("roll", "pitch", "yaw")
+    },
+    **{
+        f"controller.{name}Rate": _field(f"target_{name}_rate")
+        for name in ("roll", "pitch", "yaw")
+    },
+    **{
+        f"controller.cmd_{name}": _field(f"{name}_out")
+        for name in ("roll", "pitch", "yaw")
+    },
     "controller.cmd_thrust": _field("thrust"),
     **{f"ctrltarget.{n}": _target(n) for n in TARGET},
     **{f"ctrltarget.mode_{n}": _target(f"mode_{n}") for n in MODES},
@@ -75,4 +124,8 @@ def read(rows: Fleet, row: int, name: str) -> float:
     if name in TABLE:
         return TABLE[name](rows, row)
     near = difflib.get_close_matches(name, TABLE, n=3) or sorted(TABLE)[:3]
-    raise ConfigError("firmware log variable", name, f"the {len(TABLE)} that are simulated, such as {', '.join(near)}")
+    raise ConfigError(
+        "firmware log variable",
+        name,
+        f"the {len(TABLE)} that are simulated, such as {', '.join(near)}",
+    )

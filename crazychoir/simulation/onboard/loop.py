@@ -4,9 +4,25 @@ import math
 
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.simulation.onboard import cascade, estimator, lee, mellinger, mixing, planner, supervisor
+from crazychoir.simulation.onboard import (
+    cascade,
+    estimator,
+    lee,
+    mellinger,
+    mixing,
+    planner,
+    supervisor,
+)
 from crazychoir.simulation.onboard.commander import leveled
-from crazychoir.simulation.onboard.record import LEE, MELLINGER, PID, Fleet, Record, rows, whole
+from crazychoir.simulation.onboard.record import (
+    LEE,
+    MELLINGER,
+    PID,
+    Fleet,
+    Record,
+    rows,
+    whole,
+)
 
 # Ticks of 1 ms: attitude and rate at 500 Hz, estimator, position and planner at 100 Hz, supervisor at 25 Hz.
 ATTITUDE, POSITION, SUPERVISOR = 2, 10, 40
@@ -21,14 +37,18 @@ def _butterworth(hertz: float) -> tuple[float, float, float]:
 
 GYRO_B, GYRO_A1, GYRO_A2 = _butterworth(80.0)
 ACC_B, ACC_A1, ACC_A2 = _butterworth(30.0)
-SETTLED, STANDING = 100, 200  # ms after power-on, and samples: when and how long the firmware weighs itself
+SETTLED, STANDING = (
+    100,
+    200,
+)  # ms after power-on, and samples: when and how long the firmware weighs itself
 DEGREES, PER_G = 180.0 / math.pi, 1.0 / GRAVITY
 
 
 @kernel()
 def _gyro(fw: Record, k: int, raw: float) -> float:
     """The low-pass of 80 Hz, of the gyroscope's axis k."""
-    d, value = fw.delays, raw * DEGREES
+    d = fw.delays
+    value = raw * DEGREES
     y: float = GYRO_B * value + d[2 * k]
     d[2 * k] = 2.0 * GYRO_B * value - GYRO_A1 * y + d[2 * k + 1]
     d[2 * k + 1] = GYRO_B * value - GYRO_A2 * y
@@ -38,7 +58,9 @@ def _gyro(fw: Record, k: int, raw: float) -> float:
 @kernel()
 def _acc(fw: Record, k: int, raw: float) -> float:
     """The low-pass of 30 Hz, of the accelerometer's axis k."""
-    d, value, i = fw.delays, raw * PER_G, 6 + 2 * k
+    d = fw.delays
+    value = raw * PER_G
+    i = 6 + 2 * k
     y: float = ACC_B * value + d[i]
     d[i] = 2.0 * ACC_B * value - ACC_A1 * y + d[i + 1]
     d[i + 1] = ACC_B * value - ACC_A2 * y
@@ -87,7 +109,9 @@ def _control(fw: Record) -> None:
 
 
 @kernel()
-def stabilize(fw: Record, gx: float, gy: float, gz: float, ax: float, ay: float, az: float) -> None:
+def stabilize(
+    fw: Record, gx: float, gy: float, gz: float, ax: float, ay: float, az: float
+) -> None:
     """Advance the drone's firmware by 1 ms; then fw.motors are the shares of the full thrust of its four motors.
 
     gx, gy, gz: rad/s, body;  ax, ay, az: specific force, m/s2, body;  before: fw.vbat, V.
@@ -119,11 +143,24 @@ def forget(fleet: Fleet, i: int) -> None:
     cascade.reset(fw)
     mellinger.reset(fw)
     lee.reset(fw)
-    fw.output, fw.thrust, fw.roll_out, fw.pitch_out, fw.yaw_out = 0, 0.0, 0.0, 0.0, 0.0
+    fw.output = 0
+    fw.thrust = 0.0
+    fw.roll_out = 0.0
+    fw.pitch_out = 0.0
+    fw.yaw_out = 0.0
 
 
 @kernel(rows, real, real, real, real, real, real, real)
-def run(fleet: Fleet, ms: float, gx: float, gy: float, gz: float, ax: float, ay: float, az: float) -> None:
+def run(
+    fleet: Fleet,
+    ms: float,
+    gx: float,
+    gy: float,
+    gz: float,
+    ax: float,
+    ay: float,
+    az: float,
+) -> None:
     """Every drone for some ms with the same held sensors: on a bench, without a plant."""
     for i in range(fleet.shape[0]):
         for _ in range(int(ms)):

@@ -4,7 +4,14 @@ import math
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.simulation.onboard.attitude import DT, clamp, error, errors, rates, wanted
+from crazychoir.simulation.onboard.attitude import (
+    DT,
+    clamp,
+    error,
+    errors,
+    rates,
+    wanted,
+)
 from crazychoir.simulation.onboard.record import DISABLE, LEGACY, Record
 
 MOST_MOMENT = 32000.0
@@ -34,11 +41,17 @@ def _force(fw: Record, sp: Record) -> tuple[float, float, float]:
 
 
 @kernel()
-def _damping(m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]) -> tuple[float, float]:
+def _damping(
+    m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]
+) -> tuple[float, float]:
     """d(w_d - w)/dt of roll and pitch, rad/s2; 0 at the first pass."""
     x = m.fresh * ((wd[0] - m.wx_set) - (w[0] - m.wx)) / DT
     y = m.fresh * ((wd[1] - m.wy_set) - (w[1] - m.wy)) / DT
-    m.wx, m.wy, m.wx_set, m.wy_set, m.fresh = w[0], w[1], wd[0], wd[1], 1.0
+    m.wx = w[0]
+    m.wy = w[1]
+    m.wx_set = wd[0]
+    m.wy_set = wd[1]
+    m.fresh = 1.0
     return x, y
 
 
@@ -68,8 +81,18 @@ def control(fw: Record, sp: Record) -> None:
     m.imx = clamp(m.imx - e[0] * DT, m.i_range_m_xy)
     m.imy = clamp(m.imy - e[1] * DT, m.i_range_m_xy)
     m.imz = clamp(m.imz - e[2] * DT, m.i_range_m_z)
-    mx = -m.kR_xy * e[0] + m.kw_xy * (wd[0] - w[0]) + m.ki_m_xy * m.imx + m.kd_omega_rp * dx
-    my = -m.kR_xy * e[1] + m.kw_xy * (wd[1] - w[1]) + m.ki_m_xy * m.imy + m.kd_omega_rp * dy
+    mx = (
+        -m.kR_xy * e[0]
+        + m.kw_xy * (wd[0] - w[0])
+        + m.ki_m_xy * m.imx
+        + m.kd_omega_rp * dx
+    )
+    my = (
+        -m.kR_xy * e[1]
+        + m.kw_xy * (wd[1] - w[1])
+        + m.ki_m_xy * m.imy
+        + m.kd_omega_rp * dy
+    )
     mz = -m.kR_z * e[2] + m.kw_z * (wd[2] - w[2]) + m.ki_m_z * m.imz
     fw.roll_out = float(math.trunc(clamp(mx, MOST_MOMENT)))
     fw.pitch_out = float(math.trunc(clamp(-my, MOST_MOMENT)))

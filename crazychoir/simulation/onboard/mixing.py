@@ -17,8 +17,10 @@ STEADY = 1e-9  # relative, of the battery against its low-pass
 @kernel()
 def _legacy(fw: Record) -> None:
     """m = T -/+ roll/2 +/- pitch/2 +/- yaw, with halves cut to integers; pitch positive nose up."""
-    r, p = float(np.trunc(0.5 * fw.roll_out)), float(np.trunc(0.5 * fw.pitch_out))
-    t, y = fw.thrust, fw.yaw_out
+    r = float(np.trunc(0.5 * fw.roll_out))
+    p = float(np.trunc(0.5 * fw.pitch_out))
+    t = fw.thrust
+    y = fw.yaw_out
     fw.request[0] = t - r + p + y
     fw.request[1] = t - r - p - y
     fw.request[2] = t + r - p + y
@@ -29,7 +31,9 @@ def _legacy(fw: Record) -> None:
 def _force_torque(fw: Record) -> None:
     """f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0; a: arm along x, m; k: torque of 1 N, m."""
     per_newton = FULL / fw.thrust_max
-    t, r, p = 0.25 * fw.force, 0.25 * fw.torque_x / fw.arm, 0.25 * fw.torque_y / fw.arm
+    t = 0.25 * fw.force
+    r = 0.25 * fw.torque_x / fw.arm
+    p = 0.25 * fw.torque_y / fw.arm
     y = 0.25 * fw.torque_z / fw.torque_ratio
     fw.request[0] = max(t - r - p - y, 0.0) * per_newton
     fw.request[1] = max(t - r + p + y, 0.0) * per_newton
@@ -68,7 +72,12 @@ def distribute(fw: Record, allowed: bool) -> None:
     """The request of each motor, 0..65535; motorPowerSet has the last word, whoever allows what."""
     _wish(fw, allowed)
     if fw.power_set == 1:
-        fw.request[0], fw.request[1], fw.request[2], fw.request[3] = fw.power_1, fw.power_2, fw.power_3, fw.power_4
+        fw.request[0], fw.request[1], fw.request[2], fw.request[3] = (
+            fw.power_1,
+            fw.power_2,
+            fw.power_3,
+            fw.power_4,
+        )
     elif fw.power_set == 2:
         for i in range(4):
             fw.request[i] = fw.power_1
@@ -95,8 +104,16 @@ def _voltage(fw: Record, v: float, request: float) -> float:
 @kernel()
 def _share(fw: Record, v: float, request: float, ratio: float) -> float:
     """Share of the full thrust of a motor that v V would make give its request, at `ratio` times that voltage."""
-    f, e = request * (fw.thrust_max * PER_FULL), ratio - 1.0
-    more = v * e * (fw.c1 + v * (fw.c2 * (1.0 + ratio) + v * fw.c3 * (1.0 + ratio * (1.0 + ratio))))
+    f = request * (fw.thrust_max * PER_FULL)
+    e = ratio - 1.0
+    more = (
+        v
+        * e
+        * (
+            fw.c1
+            + v * (fw.c2 * (1.0 + ratio) + v * fw.c3 * (1.0 + ratio * (1.0 + ratio)))
+        )
+    )
     g = f + more if f < _thrust(fw, fw.vbat_low) else _thrust(fw, fw.vbat)
     share: float = 0.0 if f < fw.thrust_min else max(g, 0.0) * (1.0 / fw.thrust_max)
     return share
@@ -111,7 +128,9 @@ def compensate(fw: Record) -> None:
     V inverts F, the curve of the motor;  v: the battery's voltage, v_low: low-passed.
     All four are computed before one is written, without branches: none waits for another.
     """
-    r, v, ratio = fw.request, fw.volts, fw.vbat / fw.vbat_low
+    r = fw.request
+    v = fw.volts
+    ratio = fw.vbat / fw.vbat_low
     if abs(ratio - 1.0) < STEADY:
         ratio = 1.0
     else:

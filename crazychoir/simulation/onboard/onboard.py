@@ -33,13 +33,20 @@ from crazychoir.simulation.onboard.record import (
     entries,
     fleet,
 )
-from crazychoir.simulation.onboard.units import FULL, roll_pitch_yaw_rate_raw, thrust_raw
+from crazychoir.simulation.onboard.units import (
+    FULL,
+    roll_pitch_yaw_rate_raw,
+    thrust_raw,
+)
 from crazychoir.types import State, Vec
 
 CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
 MOST_PIECES = MEMORY // PIECE
-_commander, _planner, _supervisor = entries(commander), entries(planner), entries(supervisor)
-_estimator, _loop = entries(estimator), entries(loop)
+_commander = entries(commander)
+_planner = entries(planner)
+_supervisor = entries(supervisor)
+_estimator = entries(estimator)
+_loop = entries(loop)
 
 
 class Onboard:
@@ -52,8 +59,11 @@ class Onboard:
     firmware's answer: 0 done, 1 refused in this state, 8 no such trajectory, 16 the supervisor does not let it fly.
     """
 
-    def __init__(self, platform: Platform, rows: Fleet | None = None, row: int = 0) -> None:
-        self.platform, self.firmware = platform, platform.firmware
+    def __init__(
+        self, platform: Platform, rows: Fleet | None = None, row: int = 0
+    ) -> None:
+        self.platform = platform
+        self.firmware = platform.firmware
         self.rows = fleet(1, platform) if rows is None else rows
         self.row = row
         self.record = self.rows[row]
@@ -105,10 +115,14 @@ class Onboard:
 
     # Set-points
 
-    def rpyt_raw(self, roll: float, pitch: float, yaw: float, thrust: float, priority: int = CRTP) -> bool:
+    def rpyt_raw(
+        self, roll: float, pitch: float, yaw: float, thrust: float, priority: int = CRTP
+    ) -> bool:
         """As an RPYT packet carries it: deg (or deg/s), pitch nose up, yaw rate inverted, thrust 0..65535."""
         ok = math.isfinite(roll + pitch + yaw + thrust)
-        return ok and bool(_commander.rpyt(self.rows, self.row, roll, pitch, yaw, thrust, priority))
+        return ok and bool(
+            _commander.rpyt(self.rows, self.row, roll, pitch, yaw, thrust, priority)
+        )
 
     def fpqr(self, thrust: float, p: float, q: float, r: float) -> bool:
         """Thrust N and body rates rad/s: needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0."""
@@ -117,7 +131,9 @@ class Onboard:
 
     def frpy(self, thrust: float, roll: float, pitch: float, yaw_rate: float) -> bool:
         """Thrust N, roll and pitch rad (positive pitch: nose down), yaw rate rad/s: needs flightmode's 1, 1, 0."""
-        return self.rpyt_raw(*roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), self._thrust(thrust))
+        return self.rpyt_raw(
+            *roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), self._thrust(thrust)
+        )
 
     def _thrust(self, newtons: float) -> float:
         raw = thrust_raw(newtons, self.firmware)
@@ -127,43 +143,88 @@ class Onboard:
         """No thrust, no modes."""
         return bool(_commander.nothing(self.rows, self.row, priority))
 
-    def velocity(self, v: Vec | Sequence[float], yaw_rate: float, priority: int = CRTP) -> bool:
+    def velocity(
+        self, v: Vec | Sequence[float], yaw_rate: float, priority: int = CRTP
+    ) -> bool:
         """v (3,) m/s world, yaw rate rad/s."""
         x, y, z = v
         ok = math.isfinite(x + y + z + yaw_rate)
-        return ok and bool(_commander.velocity(self.rows, self.row, x, y, z, math.degrees(yaw_rate), priority))
+        return ok and bool(
+            _commander.velocity(
+                self.rows, self.row, x, y, z, math.degrees(yaw_rate), priority
+            )
+        )
 
-    def hover(self, ahead: float, left: float, yaw_rate: float, z: float, priority: int = CRTP) -> bool:
+    def hover(
+        self, ahead: float, left: float, yaw_rate: float, z: float, priority: int = CRTP
+    ) -> bool:
         """Velocities m/s along the heading and to its left, yaw rate rad/s, height m world."""
         ok = math.isfinite(ahead + left + yaw_rate + z)
-        return ok and bool(_commander.hover(self.rows, self.row, ahead, left, math.degrees(yaw_rate), z, priority))
+        return ok and bool(
+            _commander.hover(
+                self.rows, self.row, ahead, left, math.degrees(yaw_rate), z, priority
+            )
+        )
 
-    def z_distance(self, roll: float, pitch: float, yaw_rate: float, z: float, priority: int = CRTP) -> bool:
+    def z_distance(
+        self, roll: float, pitch: float, yaw_rate: float, z: float, priority: int = CRTP
+    ) -> bool:
         """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, height m world."""
         ok = math.isfinite(roll + pitch + yaw_rate + z)
-        r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
-        return ok and bool(_commander.z_distance(self.rows, self.row, r, p, w, z, priority))
+        r = math.degrees(roll)
+        p = -math.degrees(pitch)
+        w = math.degrees(yaw_rate)
+        return ok and bool(
+            _commander.z_distance(self.rows, self.row, r, p, w, z, priority)
+        )
 
-    def altitude_hold(self, roll: float, pitch: float, yaw_rate: float, climb: float, priority: int = CRTP) -> bool:
+    def altitude_hold(
+        self,
+        roll: float,
+        pitch: float,
+        yaw_rate: float,
+        climb: float,
+        priority: int = CRTP,
+    ) -> bool:
         """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, speed upwards m/s."""
         ok = math.isfinite(roll + pitch + yaw_rate + climb)
-        r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
-        return ok and bool(_commander.altitude_hold(self.rows, self.row, r, p, w, climb, priority))
+        r = math.degrees(roll)
+        p = -math.degrees(pitch)
+        w = math.degrees(yaw_rate)
+        return ok and bool(
+            _commander.altitude_hold(self.rows, self.row, r, p, w, climb, priority)
+        )
 
     def manual(
-        self, thrust: float, roll: float, pitch: float, yaw_rate: float, rates: bool = False, priority: int = CRTP
+        self,
+        thrust: float,
+        roll: float,
+        pitch: float,
+        yaw_rate: float,
+        rates: bool = False,
+        priority: int = CRTP,
     ) -> bool:
         """Thrust N, roll and pitch rad (or their rates), yaw rate rad/s, without the thrust lock."""
         ok = math.isfinite(thrust + roll + pitch + yaw_rate)
-        r, p, w = math.degrees(roll), -math.degrees(pitch), math.degrees(yaw_rate)
+        r = math.degrees(roll)
+        p = -math.degrees(pitch)
+        w = math.degrees(yaw_rate)
         raw = self._thrust(thrust)
-        return ok and bool(_commander.manual(self.rows, self.row, r, p, w, raw, float(rates), priority))
+        return ok and bool(
+            _commander.manual(self.rows, self.row, r, p, w, raw, float(rates), priority)
+        )
 
-    def position(self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP) -> bool:
+    def position(
+        self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP
+    ) -> bool:
         """p (3,) m world, heading rad."""
         x, y, z = p
         ok = math.isfinite(x + y + z + yaw)
-        return ok and bool(_commander.position(self.rows, self.row, x, y, z, math.degrees(yaw), priority))
+        return ok and bool(
+            _commander.position(
+                self.rows, self.row, x, y, z, math.degrees(yaw), priority
+            )
+        )
 
     def full_state(self, s: Vec, priority: int = CRTP) -> bool:
         """s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body."""
@@ -183,16 +244,29 @@ class Onboard:
             return planner.REFUSED
         return planner.OK if _supervisor.can_fly(self.rows, self.row) else planner.BUSY
 
-    def take_off(self, height: float, duration: float | None = None, yaw: float | None = None) -> int:
+    def take_off(
+        self, height: float, duration: float | None = None, yaw: float | None = None
+    ) -> int:
         """Rise to the height m world in duration s (none: by hlCommander.vtoff), to a heading rad (none: keep it)."""
-        t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
-        refused, keep = self._flight(height, t, psi), float(yaw is None)
-        return refused or int(_planner.take_off(self.rows, self.row, height, t, psi, keep))
+        t = -1.0 if duration is None else duration
+        psi = 0.0 if yaw is None else yaw
+        refused = self._flight(height, t, psi)
+        keep = float(yaw is None)
+        return refused or int(
+            _planner.take_off(self.rows, self.row, height, t, psi, keep)
+        )
 
-    def land(self, height: float = 0.0, duration: float | None = None, yaw: float | None = None) -> int:
+    def land(
+        self,
+        height: float = 0.0,
+        duration: float | None = None,
+        yaw: float | None = None,
+    ) -> int:
         """Sink to the height m world in duration s (none: by hlCommander.vland); then the motors stop."""
-        t, psi = -1.0 if duration is None else duration, 0.0 if yaw is None else yaw
-        refused, keep = self._flight(height, t, psi), float(yaw is None)
+        t = -1.0 if duration is None else duration
+        psi = 0.0 if yaw is None else yaw
+        refused = self._flight(height, t, psi)
+        keep = float(yaw is None)
         return refused or int(_planner.land(self.rows, self.row, height, t, psi, keep))
 
     def go_to(
@@ -207,7 +281,9 @@ class Onboard:
         x, y, z = p
         flags = float(relative), float(linear)
         refused = self._flight(x, y, z, yaw, duration)
-        return refused or int(_planner.go_to(self.rows, self.row, x, y, z, yaw, duration, *flags))
+        return refused or int(
+            _planner.go_to(self.rows, self.row, x, y, z, yaw, duration, *flags)
+        )
 
     def spiral(
         self,
@@ -222,7 +298,9 @@ class Onboard:
         """Through an angle rad about a point at r0 m, to r1 m, climbing by climb m, in duration s."""
         refused = self._flight(angle, r0, r1, climb, duration)
         flags = float(sideways), float(clockwise)
-        return refused or int(_planner.spiral(self.rows, self.row, angle, r0, r1, climb, duration, *flags))
+        return refused or int(
+            _planner.spiral(self.rows, self.row, angle, r0, r1, climb, duration, *flags)
+        )
 
     def start_trajectory(
         self,
@@ -235,7 +313,9 @@ class Onboard:
         """Fly an uploaded trajectory; timescale 2 takes twice the time."""
         refused = self._flight(timescale) or self._unpack(slot, timescale, reverse)
         flags = float(relative), float(relative_yaw), float(reverse)
-        return refused or int(_planner.start_trajectory(self.rows, self.row, slot, timescale, *flags))
+        return refused or int(
+            _planner.start_trajectory(self.rows, self.row, slot, timescale, *flags)
+        )
 
     def stop(self) -> None:
         """The planner's stop: motors off while it is in control."""
@@ -247,14 +327,21 @@ class Onboard:
         words: npt.NDArray[np.float32] = self.rows["memory"][self.row][:MEMORY]
         return words.view(np.uint8)
 
-    def define_trajectory(self, slot: int, offset: int, pieces: int, compressed: bool = False) -> int:
+    def define_trajectory(
+        self, slot: int, offset: int, pieces: int, compressed: bool = False
+    ) -> int:
         """Name what lies in the memory: offset in bytes, a multiple of 4 if not compressed; 8 if it does not fit."""
         words = offset // 4
-        placed = offset < self.memory.size if compressed else offset % 4 == 0 and words + pieces * PIECE <= MEMORY
+        placed = (
+            offset < self.memory.size
+            if compressed
+            else offset % 4 == 0 and words + pieces * PIECE <= MEMORY
+        )
         if not (0 <= slot < TRAJECTORIES and pieces > 0 and offset >= 0 and placed):
             return planner.UNKNOWN
         plan = self.record["planner"]
-        plan["offset"][slot], plan["pieces"][slot] = words, 0 if compressed else pieces
+        plan["offset"][slot] = words
+        plan["pieces"][slot] = 0 if compressed else pieces
         plan["packed"][slot] = (offset, pieces * compressed)
         return planner.OK
 
@@ -270,7 +357,8 @@ class Onboard:
         pieces = bezier.expanded(self.memory[offset:], min(segments, EXPANDED))
         if timescale != 1.0 or reverse or not len(pieces):
             return planner.UNKNOWN
-        plan["offset"][slot], plan["pieces"][slot] = MEMORY, len(pieces)
+        plan["offset"][slot] = MEMORY
+        plan["pieces"][slot] = len(pieces)
         self.rows["memory"][self.row][MEMORY : MEMORY + pieces.size] = pieces.ravel()
         return planner.OK
 
@@ -284,17 +372,37 @@ class Onboard:
         if not 0 <= slot < TRAJECTORIES:
             raise ConfigError("trajectory: slot", slot, f"0 to {TRAJECTORIES - 1}")
         if rows.ndim != 2 or rows.shape[1] != PIECE or not len(rows):
-            raise ConfigError(f"{where}: shape", rows.shape, "(n, 33): 4 times c0 to c7, and the duration")
+            raise ConfigError(
+                f"{where}: shape",
+                rows.shape,
+                "(n, 33): 4 times c0 to c7, and the duration",
+            )
         if not np.all(np.isfinite(rows)) or np.any(rows[:, -1] <= 0.0):
-            raise ConfigError(f"{where}: pieces", rows[:, -1].tolist(), "finite numbers, durations above 0 s")
+            raise ConfigError(
+                f"{where}: pieces",
+                rows[:, -1].tolist(),
+                "finite numbers, durations above 0 s",
+            )
         plan = self.record["planner"]
-        ends = [(plan["offset"][k], plan["pieces"][k] * PIECE) for k in range(TRAJECTORIES) if k != slot]
-        start = int(max((offset + size for offset, size in ends if offset < MEMORY), default=0))
+        ends = [
+            (plan["offset"][k], plan["pieces"][k] * PIECE)
+            for k in range(TRAJECTORIES)
+            if k != slot
+        ]
+        start = int(
+            max((offset + size for offset, size in ends if offset < MEMORY), default=0)
+        )
         if start + rows.size > MEMORY:
             free = (MEMORY - start) // PIECE
-            raise ConfigError(where, f"{len(rows)} pieces", f"at most {MOST_PIECES} in all slots, {free} are free")
+            raise ConfigError(
+                where,
+                f"{len(rows)} pieces",
+                f"at most {MOST_PIECES} in all slots, {free} are free",
+            )
         self.rows["memory"][self.row][start : start + rows.size] = rows.ravel()
-        plan["offset"][slot], plan["pieces"][slot], plan["packed"][slot] = start, len(rows), 0
+        plan["offset"][slot] = start
+        plan["pieces"][slot] = len(rows)
+        plan["packed"][slot] = 0
 
     # The supervisor
 
@@ -340,7 +448,11 @@ class Onboard:
         """
         if name in CONTROLLERS or not callable(law):
             taken = ", ".join(CONTROLLERS)
-            raise ConfigError("register: controller", name, f"a callable under another name than {taken}")
+            raise ConfigError(
+                "register: controller",
+                name,
+                f"a callable under another name than {taken}",
+            )
         self.laws[name] = law
 
     def obey_law(self) -> None:
@@ -348,16 +460,20 @@ class Onboard:
         fw = self.record
         fw["law_due"] = 0
         leveling = fw["state"] == supervisor.LEVEL_OUT
-        target = laws.setpoint_of(fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max)
+        target = laws.setpoint_of(
+            fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max
+        )
         answer = self.laws[self.law_name](target, self.estimate, self.gyro, laws.PERIOD)
         laws.write_answer(fw, self.law_name, answer)
 
     def _choose(self, controller: str | float) -> None:
         codes = {0: PID, PID: PID, MELLINGER: MELLINGER, LEE: LEE}
         if isinstance(controller, str) and controller in self.laws:
-            self.law_name, code = controller, OUT_OF_TREE
+            self.law_name = controller
+            code = OUT_OF_TREE
         elif controller == OUT_OF_TREE and self.laws:
-            self.law_name, code = list(self.laws)[-1], OUT_OF_TREE
+            self.law_name = list(self.laws)[-1]
+            code = OUT_OF_TREE
         elif isinstance(controller, str) and controller in CONTROLLERS:
             code = CONTROLLERS[controller]
         elif controller in codes:

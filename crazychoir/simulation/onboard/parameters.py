@@ -11,12 +11,24 @@ Path = tuple[str, ...]
 def _gains(group: str, names: dict[str, str], gains: str) -> dict[str, Path]:
     """Four gains a PID; names: prefix of a parameter -> PID;  gains: their names for kp, ki, kd, kff."""
     fields = tuple(zip(gains.split(), ("kp", "ki", "kd", "kff"), strict=True))
-    return {f"{group}.{prefix}{gain}": (f"{pid}_pid", field) for prefix, pid in names.items() for gain, field in fields}
+    return {
+        f"{group}.{prefix}{gain}": (f"{pid}_pid", field)
+        for prefix, pid in names.items()
+        for gain, field in fields
+    }
 
 
 TABLE: dict[str, Path] = {
-    **_gains("pid_rate", {"roll_": "roll_rate", "pitch_": "pitch_rate", "yaw_": "yaw_rate"}, "kp ki kd kff"),
-    **_gains("pid_attitude", {"roll_": "roll", "pitch_": "pitch", "yaw_": "yaw"}, "kp ki kd kff"),
+    **_gains(
+        "pid_rate",
+        {"roll_": "roll_rate", "pitch_": "pitch_rate", "yaw_": "yaw_rate"},
+        "kp ki kd kff",
+    ),
+    **_gains(
+        "pid_attitude",
+        {"roll_": "roll", "pitch_": "pitch", "yaw_": "yaw"},
+        "kp ki kd kff",
+    ),
     "pid_attitude.yawMaxDelta": ("yaw_max_delta",),
     **_gains("velCtlPid", {axis: axis for axis in ("vx", "vy", "vz")}, "Kp Ki Kd KFF"),
     **_gains("posCtlPid", {axis: axis for axis in "xyz"}, "Kp Ki Kd Kff"),
@@ -27,8 +39,13 @@ TABLE: dict[str, Path] = {
     "posCtlPid.pLimit": ("pitch_limit",),
     "posCtlPid.thrustBase": ("thrust_base",),
     "posCtlPid.thrustMin": ("thrust_minimum",),
-    **{f"ctrlMel.{name}": ("mellinger", name) for name in ("mass", *MELLINGER_DEFAULTS)},
-    **{f"ctrlLee.{name}": ("lee", name) for name in ("mass", *LEE_DEFAULTS, "Kpos_Ix", "Kpos_Iy", "Kpos_Iz")},
+    **{
+        f"ctrlMel.{name}": ("mellinger", name) for name in ("mass", *MELLINGER_DEFAULTS)
+    },
+    **{
+        f"ctrlLee.{name}": ("lee", name)
+        for name in ("mass", *LEE_DEFAULTS, "Kpos_Ix", "Kpos_Iy", "Kpos_Iz")
+    },
     "flightmode.stabModeRoll": ("rate_roll_mode",),
     "flightmode.stabModePitch": ("rate_pitch_mode",),
     "flightmode.stabModeYaw": ("rate_yaw_mode",),
@@ -63,7 +80,12 @@ def path(name: str) -> Path:
     """Where the parameter lies; ConfigError names the nearest."""
     if name in TABLE:
         return TABLE[name]
-    near = difflib.get_close_matches(name, [*TABLE, RESET_ESTIMATION], n=3) or sorted(TABLE)[:3]
+    near = (
+        difflib.get_close_matches(name, [*TABLE, RESET_ESTIMATION], n=3)
+        or sorted(TABLE)[:3]
+    )
     raise ConfigError(
-        "firmware parameter", name, f"the {len(TABLE) + 1} that are simulated, such as {', '.join(near)}"
+        "firmware parameter",
+        name,
+        f"the {len(TABLE) + 1} that are simulated, such as {', '.join(near)}",
     )

@@ -9,7 +9,11 @@ from crazychoir.simulation.onboard.record import Record
 # Butterworth low-pass of order 2, 20 Hz at 100 Hz: b0, b1 = 2 b0, b2 = b0; a1, a2.
 _C = math.tan(math.pi * 20.0 / 100.0)
 _N = 1.0 / (1.0 + math.sqrt(2.0) * _C + _C * _C)
-B0, A1, A2 = _C * _C * _N, 2.0 * (_C * _C - 1.0) * _N, (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N
+B0, A1, A2 = (
+    _C * _C * _N,
+    2.0 * (_C * _C - 1.0) * _N,
+    (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N,
+)
 TURN = 1.0 / 360.0
 
 

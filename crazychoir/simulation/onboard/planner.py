@@ -22,7 +22,15 @@ from crazychoir.simulation.onboard.polynomial import (
     evaluate,
     short_way,
 )
-from crazychoir.simulation.onboard.record import ABSOLUTE, PIECE, TRAJECTORIES, Fleet, Record, rows, whole
+from crazychoir.simulation.onboard.record import (
+    ABSOLUTE,
+    PIECE,
+    TRAJECTORIES,
+    Fleet,
+    Record,
+    rows,
+    whole,
+)
 
 IDLE, FLYING, LANDING = 0, 1, 2
 OK, REFUSED, UNKNOWN, BUSY = 0, 1, 8, 16
@@ -55,7 +63,11 @@ def _count(fw: Record) -> int:
 
 @kernel()
 def _piece(fw: Record, k: int) -> Single:
-    return _memory_piece(fw, fw.planner.slot, k) if fw.planner.slot >= 0 else fw.planner.piece[0:PIECE]
+    return (
+        _memory_piece(fw, fw.planner.slot, k)
+        if fw.planner.slot >= 0
+        else fw.planner.piece[0:PIECE]
+    )
 
 
 @kernel()
@@ -86,7 +98,8 @@ def _find(fw: Record, t: Single) -> Single:
 @kernel()
 def _stretch(fw: Record, moving: bool) -> None:
     """Derivatives by the time scale, and backwards; none after the end."""
-    out, s = fw.planner.out, fw.planner.timescale
+    out = fw.planner.out
+    s = fw.planner.timescale
     sign = -ONE if fw.planner.reversed else ONE
     for axis in range(AXES):
         out[V + axis] = out[V + axis] * sign / s if moving else ZERO
@@ -98,13 +111,18 @@ def _stretch(fw: Record, moving: bool) -> None:
 def _move(fw: Record) -> None:
     """From the trajectory's own start to where it was started: turned about z, then shifted."""
     plan = fw.planner
-    out, turn = plan.out, plan.shift[3] - plan.origin[3]
-    c, s = F(math.cos(turn)), F(math.sin(turn))
+    out = plan.out
+    turn = plan.shift[3] - plan.origin[3]
+    c = F(math.cos(turn))
+    s = F(math.sin(turn))
     for order in range(0, 16, 4):
-        x, y = out[order], out[order + 1]
+        x = out[order]
+        y = out[order + 1]
         if order == P:
-            x, y = x - plan.origin[0], y - plan.origin[1]
-        out[order], out[order + 1] = c * x - s * y, s * x + c * y
+            x = x - plan.origin[0]
+            y = y - plan.origin[1]
+        out[order] = c * x - s * y
+        out[order + 1] = s * x + c * y
     out[0] += plan.shift[0]
     out[1] += plan.shift[1]
     out[2] += plan.shift[2] - plan.origin[2]
@@ -120,7 +138,8 @@ def sample(fw: Record) -> bool:
     k: time scale;  S, Y: shift of a relative trajectory (position, heading), else that of c itself.
     """
     plan = fw.planner
-    t, total = _now(fw) - plan.begin, _total(fw)
+    t = _now(fw) - plan.begin
+    total = _total(fw)
     moving: bool = t <= total
     _find(fw, max(total - t, ZERO) if plan.reversed else t)
     _stretch(fw, moving)
@@ -148,32 +167,57 @@ def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
     if n < 1e-6:
         return 0.0, 0.0, yaw_rate
     along = dot(j, z)
-    h = ((j[0] - along * z[0]) / n, (j[1] - along * z[1]) / n, (j[2] - along * z[2]) / n)
+    h = (
+        (j[0] - along * z[0]) / n,
+        (j[1] - along * z[1]) / n,
+        (j[2] - along * z[2]) / n,
+    )
     return -dot(h, y), dot(h, x), z[2] * yaw_rate
 
 
 @kernel()
 def _emit(fw: Record) -> None:
     """The evaluation as a set-point: positions and heading, with rates."""
-    sp, out = fw.wanted, fw.planner.out
+    sp = fw.wanted
+    out = fw.planner.out
     clear(sp)
     sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = ABSOLUTE
-    sp.x, sp.y, sp.z = out[P], out[P + 1], out[P + 2]
-    sp.vx, sp.vy, sp.vz = out[V], out[V + 1], out[V + 2]
-    sp.ax, sp.ay, sp.az = out[A], out[A + 1], out[A + 2]
-    sp.jx, sp.jy, sp.jz = out[J], out[J + 1], out[J + 2]
+    sp.x = out[P]
+    sp.y = out[P + 1]
+    sp.z = out[P + 2]
+    sp.vx = out[V]
+    sp.vy = out[V + 1]
+    sp.vz = out[V + 2]
+    sp.ax = out[A]
+    sp.ay = out[A + 1]
+    sp.az = out[A + 2]
+    sp.jx = out[J]
+    sp.jy = out[J + 1]
+    sp.jz = out[J + 2]
     sp.yaw = math.degrees(out[P + 3])
-    w = body_rates((sp.ax, sp.ay, sp.az), (sp.jx, sp.jy, sp.jz), float(out[P + 3]), float(out[V + 3]))
-    sp.roll_rate, sp.pitch_rate, sp.yaw_rate = math.degrees(w[0]), math.degrees(w[1]), math.degrees(w[2])
+    w = body_rates(
+        (sp.ax, sp.ay, sp.az),
+        (sp.jx, sp.jy, sp.jz),
+        float(out[P + 3]),
+        float(out[V + 3]),
+    )
+    sp.roll_rate = math.degrees(w[0])
+    sp.pitch_rate = math.degrees(w[1])
+    sp.yaw_rate = math.degrees(w[2])
 
 
 @kernel()
 def take_state(fw: Record) -> None:
     """Go on from the estimate: what the next plan starts from."""
     plan = fw.planner
-    plan.last[0], plan.last[1], plan.last[2] = F(fw.x), F(fw.y), F(fw.z)
+    plan.last[0] = F(fw.x)
+    plan.last[1] = F(fw.y)
+    plan.last[2] = F(fw.z)
     plan.last[3] = F(math.radians(fw.yaw))
-    plan.last_v[0], plan.last_v[1], plan.last_v[2], plan.last_v[3] = F(fw.vx), F(fw.vy), F(fw.vz), ZERO
+    plan.last_v[0] = F(fw.vx)
+    plan.last_v[1] = F(fw.vy)
+    plan.last_v[2] = F(fw.vz)
+    plan.last_v[3] = ZERO
 
 
 @kernel()
@@ -194,7 +238,8 @@ def update(fw: Record) -> None:
         if plan.state == LANDING and not moving:
             plan.state = IDLE
     if own:
-        fw.priority, fw.stamp = HIGH_LEVEL, fw.tick
+        fw.priority = HIGH_LEVEL
+        fw.stamp = fw.tick
 
 
 @kernel(rows, whole)
@@ -220,7 +265,8 @@ def _lasts(t: Single) -> bool:
 @kernel()
 def _bounded(c: Single, timescale: Single) -> bool:
     """Do a piece and its derivatives stay below MOST? sum |c_n| T^n is a bound of them all."""
-    bound, out = np.empty(PIECE, np.float32), np.empty(16, np.float32)
+    bound = np.empty(PIECE, np.float32)
+    out = np.empty(16, np.float32)
     for n in range(PIECE):
         bound[n] = abs(c[n])
     evaluate(bound, duration(bound), out)
@@ -236,7 +282,13 @@ def _bounded(c: Single, timescale: Single) -> bool:
 @kernel()
 def _start(fw: Record, state: int) -> None:
     plan = fw.planner
-    plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = state, _now(fw), -1, ONE, 0
+    plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = (
+        state,
+        _now(fw),
+        -1,
+        ONE,
+        0,
+    )
 
 
 @kernel()
@@ -270,22 +322,46 @@ def _span(t: float) -> float:
 
 @kernel()
 def _to(
-    fw: Record, piece: Single, axis: int, t: Single, goal: Single, end_v: Single, start_v: Single, start_a: Single
+    fw: Record,
+    piece: Single,
+    axis: int,
+    t: Single,
+    goal: Single,
+    end_v: Single,
+    start_v: Single,
+    start_a: Single,
 ) -> None:
-    start, end = np.zeros(3, np.float32), np.zeros(3, np.float32)
-    start[0], start[1], start[2] = fw.planner.out[P + axis], start_v, start_a
-    end[0], end[1] = goal, end_v
+    start = np.zeros(3, np.float32)
+    end = np.zeros(3, np.float32)
+    start[0] = fw.planner.out[P + axis]
+    start[1] = start_v
+    start[2] = start_a
+    end[0] = goal
+    end[1] = end_v
     connect(piece, axis, t, start, end)
 
 
 @kernel()
-def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+def _vertical(
+    fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float
+) -> int:
     """From the last set-point, at rest, to the height above the same place."""
-    plan, piece, t = fw.planner, np.zeros(PIECE, np.float32), _span(t)
+    plan = fw.planner
+    piece = np.zeros(PIECE, np.float32)
+    t = _span(t)
     for axis in range(AXES):
         plan.out[P + axis] = plan.last[axis]
     for axis in range(3):
-        _to(fw, piece, axis, F(t), F(height) if axis == 2 else plan.last[axis], ZERO, ZERO, ZERO)
+        _to(
+            fw,
+            piece,
+            axis,
+            F(t),
+            F(height) if axis == 2 else plan.last[axis],
+            ZERO,
+            ZERO,
+            ZERO,
+        )
     heading = plan.last[3] if keep_yaw > 0.0 else short_way(plan.last[3], F(yaw))
     _to(fw, piece, 3, F(t), heading, ZERO, ZERO, ZERO)
     piece[PIECE - 1] = F(max(t, 0.0))
@@ -293,17 +369,28 @@ def _vertical(fw: Record, state: int, height: float, t: float, yaw: float, keep_
 
 
 @kernel(rows, whole, real, real, real, real)
-def take_off(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+def take_off(
+    fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float
+) -> int:
     """Rise to the height, m world, in t s; only from idle, 1 otherwise. t < 0: by hlCommander.vtoff."""
     fw = fleet[i]
     if fw.planner.state != IDLE:
         return REFUSED
     speed = max(fw.planner.take_off_speed, 1e-3)
-    return _vertical(fw, FLYING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
+    return _vertical(
+        fw,
+        FLYING,
+        height,
+        t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed,
+        yaw,
+        keep_yaw,
+    )
 
 
 @kernel(rows, whole, real, real, real, real)
-def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float) -> int:
+def land(
+    fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float
+) -> int:
     """Sink to the height in t s, then idle; 1 where it is landing. t < 0: by hlCommander.vland.
 
     From idle too: whoever was sent set-points is told to land, and then that they have ended.
@@ -312,12 +399,27 @@ def land(fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: fl
     if fw.planner.state == LANDING:
         return REFUSED
     speed = max(fw.planner.landing_speed, 1e-3)
-    return _vertical(fw, LANDING, height, t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed, yaw, keep_yaw)
+    return _vertical(
+        fw,
+        LANDING,
+        height,
+        t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed,
+        yaw,
+        keep_yaw,
+    )
 
 
 @kernel(rows, whole, real, real, real, real, real, real, real)
 def go_to(
-    fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, t: float, relative: float, linear: float
+    fleet: Fleet,
+    i: int,
+    x: float,
+    y: float,
+    z: float,
+    yaw: float,
+    t: float,
+    relative: float,
+    linear: float,
 ) -> int:
     """From the present set-point, with its velocity and acceleration, to a place and heading, at rest.
 
@@ -325,7 +427,9 @@ def go_to(
     """
     fw = fleet[i]
     _here(fw)
-    out, piece, t = fw.planner.out, np.zeros(PIECE, np.float32), _span(t)
+    out = fw.planner.out
+    piece = np.zeros(PIECE, np.float32)
+    t = _span(t)
     for axis in range(AXES):
         goal = F((x, y, z, yaw)[axis])
         if relative > 0.0:
@@ -343,7 +447,15 @@ def go_to(
 
 @kernel(rows, whole, real, real, real, real, real, real, real)
 def spiral(
-    fleet: Fleet, i: int, angle: float, r0: float, r1: float, climb: float, t: float, sideways: float, clockwise: float
+    fleet: Fleet,
+    i: int,
+    angle: float,
+    r0: float,
+    r1: float,
+    climb: float,
+    t: float,
+    sideways: float,
+    clockwise: float,
 ) -> int:
     """One piece of degree 7 from the radius r0 to r1 through an angle, rad, about a point beside or before the nose.
 
@@ -353,15 +465,19 @@ def spiral(
     """
     fw = fleet[i]
     _here(fw)
-    out, piece = fw.planner.out, np.zeros(PIECE, np.float32)
+    out = fw.planner.out
+    piece = np.zeros(PIECE, np.float32)
     turn = -abs(angle) if clockwise > 0.0 else abs(angle)
     yaw = float(out[P + 3])
     towards = yaw if sideways > 0.0 else yaw + math.copysign(0.5 * math.pi, turn)
-    cx, cy = float(out[P]) + r0 * math.cos(towards), float(out[P + 1]) + r0 * math.sin(towards)
+    cx = float(out[P]) + r0 * math.cos(towards)
+    cy = float(out[P + 1]) + r0 * math.sin(towards)
     begin = towards + math.pi
     span = max(t, 1e-3)
-    dr, w = (r1 - r0) / span, turn / span
-    start, end = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    dr = (r1 - r0) / span
+    w = turn / span
+    start = np.zeros(3, np.float32)
+    end = np.zeros(3, np.float32)
     for axis in range(2):
         centre = cy if axis else cx
         for stage in range(2):
@@ -369,7 +485,9 @@ def spiral(
             u = math.sin(phi) if axis else math.cos(phi)
             n = math.cos(phi) if axis else -math.sin(phi)
             row = end if stage else start
-            row[0], row[1], row[2] = F(centre + r * u), F(dr * u + r * w * n), F(2.0 * dr * w * n - r * w * w * u)
+            row[0] = F(centre + r * u)
+            row[1] = F(dr * u + r * w * n)
+            row[2] = F(2.0 * dr * w * n - r * w * w * u)
         connect(piece, axis, F(span), start, end)
     for axis in range(2, 4):
         gap = F(climb) if axis == 2 else F(turn)
@@ -394,14 +512,21 @@ def _possible(fw: Record, k: int, timescale: Single) -> bool:
 
 @kernel(rows, whole, real, real, real, real, real)
 def start_trajectory(
-    fleet: Fleet, i: int, slot: float, timescale: float, relative: float, relative_yaw: float, backwards: float
+    fleet: Fleet,
+    i: int,
+    slot: float,
+    timescale: float,
+    relative: float,
+    relative_yaw: float,
+    backwards: float,
 ) -> int:
     """Fly an uploaded trajectory; 8 where there is none, and, chosen, 1 where no drone can follow it.
 
     relative: shifted to the present set-point;  relative_yaw: turned to its heading about its start (chosen).
     """
     fw = fleet[i]
-    plan, k = fw.planner, int(slot)
+    plan = fw.planner
+    k = int(slot)
     if k < 0 or k >= TRAJECTORIES or plan.pieces[k] == 0 or not timescale > 0.0:
         return UNKNOWN
     if not _possible(fw, k, F(timescale)):
@@ -409,7 +534,9 @@ def start_trajectory(
     _here(fw)
     here = plan.out[0:4].copy()
     _start(fw, FLYING)
-    plan.slot, plan.timescale, plan.reversed = k, F(timescale), 1 if backwards > 0.0 else 0
+    plan.slot = k
+    plan.timescale = F(timescale)
+    plan.reversed = 1 if backwards > 0.0 else 0
     _find(fw, _total(fw) if plan.reversed else ZERO)
     for axis in range(AXES):
         moved = relative_yaw if axis == 3 else relative

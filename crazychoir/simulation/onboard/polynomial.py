@@ -16,7 +16,9 @@ P, V, A, J = 0, 4, 8, 12  # of an evaluation: p and yaw, and their derivatives
 ZERO, HALF, ONE, TWO, SIX = F(0), F(0.5), F(1), F(2), F(6)
 TURN, PI = F(2.0 * math.pi), F(math.pi)
 # Rows c4 to c7 by the gaps g0, g1, g2 that are left in p, p', p'' at the end, with no jerk there.
-CLOSE = np.array([[35, -15, 2.5], [-84, 39, -7], [70, -34, 6.5], [-20, 10, -2]], np.float32)
+CLOSE = np.array(
+    [[35, -15, 2.5], [-84, 39, -7], [70, -34, 6.5], [-20, 10, -2]], np.float32
+)
 
 
 @kernel()
@@ -32,14 +34,18 @@ def connect(c: Single, axis: int, duration: Single, start: Single, end: Single) 
     if duration <= ZERO:
         c[o] = end[0]
         return
-    c[o], c[o + 1], c[o + 2] = start[0], start[1], HALF * start[2]
+    c[o] = start[0]
+    c[o + 1] = start[1]
+    c[o + 2] = HALF * start[2]
     t = duration
     g0 = end[0] - (start[0] + t * (start[1] + t * HALF * start[2]))
     g1 = t * (end[1] - start[1] - t * start[2])
     g2 = t * t * (end[2] - start[2])
     power = t * t * t * t
     for row in range(4):
-        c[o + 4 + row] = (CLOSE[row, 0] * g0 + CLOSE[row, 1] * g1 + CLOSE[row, 2] * g2) / power
+        c[o + 4 + row] = (
+            CLOSE[row, 0] * g0 + CLOSE[row, 1] * g1 + CLOSE[row, 2] * g2
+        ) / power
         power *= t
 
 
@@ -53,7 +59,10 @@ def evaluate(c: Single, t: Single, out: Single) -> None:
             a = a * t + v
             v = v * t + p
             p = p * t + c[axis * TERMS + n]
-        out[P + axis], out[V + axis], out[A + axis], out[J + axis] = p, v, TWO * a, SIX * j
+        out[P + axis] = p
+        out[V + axis] = v
+        out[A + axis] = TWO * a
+        out[J + axis] = SIX * j
 
 
 @kernel()

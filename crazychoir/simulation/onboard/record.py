@@ -41,8 +41,12 @@ pid_fields = np.dtype(_reals("kp ki kd kff i_limit limit integral previous d1 d2
 
 setpoint_fields = np.dtype(
     [
-        *_wholes("mode_x mode_y mode_z mode_roll mode_pitch mode_yaw mode_quat body_velocity"),
-        *_reals("x y z vx vy vz ax ay az jx jy jz roll pitch yaw roll_rate pitch_rate yaw_rate thrust qx qy qz qw"),
+        *_wholes(
+            "mode_x mode_y mode_z mode_roll mode_pitch mode_yaw mode_quat body_velocity"
+        ),
+        *_reals(
+            "x y z vx vy vz ax ay az jx jy jz roll pitch yaw roll_rate pitch_rate yaw_rate thrust qx qy qz qw"
+        ),
     ]
 )
 """What a controller follows, in the firmware's units: m, m/s, m/s2, m/s3, deg, deg/s, thrust 0..65535.
@@ -53,19 +57,38 @@ pitch is positive nose up; rates of a full state and of the planner are those of
 planner_fields = np.dtype(
     [
         ("state", np.int64),
-        ("slot", np.int64),  # of the trajectory flown, -1: the one piece of a take-off, landing or go_to
+        (
+            "slot",
+            np.int64,
+        ),  # of the trajectory flown, -1: the one piece of a take-off, landing or go_to
         ("reversed", np.int64),
         ("begin", np.float32),  # s
         ("timescale", np.float32),
-        ("origin", np.float32, (4,)),  # of a relative trajectory: where it starts by its coefficients, m, rad
+        (
+            "origin",
+            np.float32,
+            (4,),
+        ),  # of a relative trajectory: where it starts by its coefficients, m, rad
         ("shift", np.float32, (4,)),  # where it starts now
         ("piece", np.float32, (PIECE,)),
-        ("out", np.float32, (16,)),  # p, yaw, v, yaw', a, yaw'', j, yaw''' of the last evaluation
-        ("last", np.float32, (4,)),  # p, yaw of the last set-point, or of the state while idle
+        (
+            "out",
+            np.float32,
+            (16,),
+        ),  # p, yaw, v, yaw', a, yaw'', j, yaw''' of the last evaluation
+        (
+            "last",
+            np.float32,
+            (4,),
+        ),  # p, yaw of the last set-point, or of the state while idle
         ("last_v", np.float32, (4,)),
         ("offset", np.int64, (TRAJECTORIES,)),  # float32 from the start of the memory
         ("pieces", np.int64, (TRAJECTORIES,)),  # 0: not defined
-        ("packed", np.int64, (TRAJECTORIES, 2)),  # of a compressed one: its first byte, its segments (0: it is not)
+        (
+            "packed",
+            np.int64,
+            (TRAJECTORIES, 2),
+        ),  # of a compressed one: its first byte, its segments (0: it is not)
         ("take_off_speed", np.float64),
         ("landing_speed", np.float64),
     ],
@@ -96,7 +119,9 @@ drone_fields = np.dtype(
         # sensors
         ("delays", np.float64, (12,)),  # of the low-pass filters
         *_reals("gx gy gz ax ay az"),  # filtered: deg/s, g
-        *_reals("acc_sum acc_count acc_scale"),  # m/s2; samples; what makes the weight of a drone that stands 1 g
+        *_reals(
+            "acc_sum acc_count acc_scale"
+        ),  # m/s2; samples; what makes the weight of a drone that stands 1 g
         # estimator
         *_reals("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
@@ -135,7 +160,10 @@ drone_fields = np.dtype(
         # power distribution
         ("request", np.float64, (4,)),  # 0..65535
         ("volts", np.float64, (4,)),
-        ("power_set", np.int64),  # motorPowerSet.enable: 1 each motor by its own of the next, 2 all by the first
+        (
+            "power_set",
+            np.int64,
+        ),  # motorPowerSet.enable: 1 each motor by its own of the next, 2 all by the first
         *_reals("power_1 power_2 power_3 power_4"),  # 0..65535
         *_reals("vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"),
         # What is not needed in each ms lies behind what is, so that of a thousand drones this fits into a cache.
@@ -159,8 +187,17 @@ def entries(module: ModuleType) -> Any:
 
     They take the array and the row: to hand over one record of so many fields takes 60 us, this 0.3 us.
     """
-    laws = {name: law for name, law in vars(module).items() if getattr(law, "signatures", ())}
-    return SimpleNamespace(**{name: law.overloads[law.signatures[0]].entry_point for name, law in laws.items()})
+    laws = {
+        name: law
+        for name, law in vars(module).items()
+        if getattr(law, "signatures", ())
+    }
+    return SimpleNamespace(
+        **{
+            name: law.overloads[law.signatures[0]].entry_point
+            for name, law in laws.items()
+        }
+    )
 
 
 # pid_rate, pid_attitude, velCtlPid, posCtlPid: kp, ki, kd, limit of the integral (chosen for velocity and position)
@@ -184,24 +221,81 @@ BRUSHLESS = {
     "pitch_rate": (200.0, 400.0, 2.5, 33.3),
 }
 MELLINGER_DEFAULTS = {
-    "massThrust": 132000.0, "kp_xy": 0.4, "kd_xy": 0.2, "ki_xy": 0.05, "i_range_xy": 2.0, "kp_z": 1.25, "kd_z": 0.4,
-    "ki_z": 0.05, "i_range_z": 0.4, "kR_xy": 70000.0, "kw_xy": 20000.0, "ki_m_xy": 0.0, "i_range_m_xy": 1.0,
-    "kR_z": 60000.0, "kw_z": 12000.0, "ki_m_z": 500.0, "i_range_m_z": 1500.0, "kd_omega_rp": 200.0,
-}  # fmt: skip
+    "massThrust": 132000.0,
+    "kp_xy": 0.4,
+    "kd_xy": 0.2,
+    "ki_xy": 0.05,
+    "i_range_xy": 2.0,
+    "kp_z": 1.25,
+    "kd_z": 0.4,
+    "ki_z": 0.05,
+    "i_range_z": 0.4,
+    "kR_xy": 70000.0,
+    "kw_xy": 20000.0,
+    "ki_m_xy": 0.0,
+    "i_range_m_xy": 1.0,
+    "kR_z": 60000.0,
+    "kw_z": 12000.0,
+    "ki_m_z": 500.0,
+    "i_range_m_z": 1500.0,
+    "kd_omega_rp": 200.0,
+}
 LEE_DEFAULTS = {
-    "J_x": 16.571710e-6, "J_y": 16.655602e-6, "J_z": 29.261652e-6, "Kpos_Px": 7.0, "Kpos_Py": 7.0, "Kpos_Pz": 7.0,
-    "Kpos_P_limit": 100.0, "Kpos_Dx": 4.0, "Kpos_Dy": 4.0, "Kpos_Dz": 4.0, "Kpos_D_limit": 100.0, "Kpos_I_limit": 2.0,
-    "KR_x": 0.007, "KR_y": 0.007, "KR_z": 0.008, "Kw_x": 0.00115, "Kw_y": 0.00115, "Kw_z": 0.002, "KI_x": 0.03,
-    "KI_y": 0.03, "KI_z": 0.03,
-}  # fmt: skip
+    "J_x": 16.571710e-6,
+    "J_y": 16.655602e-6,
+    "J_z": 29.261652e-6,
+    "Kpos_Px": 7.0,
+    "Kpos_Py": 7.0,
+    "Kpos_Pz": 7.0,
+    "Kpos_P_limit": 100.0,
+    "Kpos_Dx": 4.0,
+    "Kpos_Dy": 4.0,
+    "Kpos_Dz": 4.0,
+    "Kpos_D_limit": 100.0,
+    "Kpos_I_limit": 2.0,
+    "KR_x": 0.007,
+    "KR_y": 0.007,
+    "KR_z": 0.008,
+    "Kw_x": 0.00115,
+    "Kw_y": 0.00115,
+    "Kw_z": 0.002,
+    "KI_x": 0.03,
+    "KI_y": 0.03,
+    "KI_z": 0.03,
+}
 SCALARS: dict[str, float] = {
-    "vbat": 4.2, "vbat_low": 4.2, "ext_pos_std": 0.01, "ext_quat_std": 4.5e-3, "noise_xy": 0.5, "noise_z": 1.0,
-    "noise_gyro": 0.1, "max_pos": 100.0, "max_vel": 10.0, "locked_thrust": 1, "rate_roll_mode": 1,
-    "rate_pitch_mode": 1, "rate_yaw_mode": 0, "preflight_timeout": 30000, "landed_timeout": 3000,
-    "spinup_timeout": 2000, "tumble_check": 1, "controller": PID, "modes": -1, "x_vel_max": 1.0, "y_vel_max": 1.0,
-    "z_vel_max": 1.0, "roll_limit": 20.0, "pitch_limit": 20.0, "thrust_base": 36000.0, "thrust_minimum": 20000.0,
-    "stopping_at": -10000, "az": 1.0, "acc_scale": 1.0, "qw": 1.0, "acz": 0.0,
-}  # fmt: skip
+    "vbat": 4.2,
+    "vbat_low": 4.2,
+    "ext_pos_std": 0.01,
+    "ext_quat_std": 4.5e-3,
+    "noise_xy": 0.5,
+    "noise_z": 1.0,
+    "noise_gyro": 0.1,
+    "max_pos": 100.0,
+    "max_vel": 10.0,
+    "locked_thrust": 1,
+    "rate_roll_mode": 1,
+    "rate_pitch_mode": 1,
+    "rate_yaw_mode": 0,
+    "preflight_timeout": 30000,
+    "landed_timeout": 3000,
+    "spinup_timeout": 2000,
+    "tumble_check": 1,
+    "controller": PID,
+    "modes": -1,
+    "x_vel_max": 1.0,
+    "y_vel_max": 1.0,
+    "z_vel_max": 1.0,
+    "roll_limit": 20.0,
+    "pitch_limit": 20.0,
+    "thrust_base": 36000.0,
+    "thrust_minimum": 20000.0,
+    "stopping_at": -10000,
+    "az": 1.0,
+    "acc_scale": 1.0,
+    "qw": 1.0,
+    "acz": 0.0,
+}
 
 
 def fleet(n: int, platform: Platform) -> Fleet:
@@ -223,12 +317,14 @@ def fleet(n: int, platform: Platform) -> Fleet:
     if firmware.needs_arming:
         rows["thrust_base"] = 30000.0
     rows["auto_arm"] = not firmware.needs_arming
-    rows["thrust_max"], rows["thrust_min"] = firmware.thrust_max, firmware.thrust_min
-    rows["arm"], rows["torque_ratio"] = math.sqrt(0.5) * firmware.arm, firmware.thrust_to_torque
+    rows["thrust_max"] = firmware.thrust_max
+    rows["thrust_min"] = firmware.thrust_min
+    rows["arm"] = math.sqrt(0.5) * firmware.arm
+    rows["torque_ratio"] = firmware.thrust_to_torque
     rows["c0"], rows["c1"], rows["c2"], rows["c3"] = platform.rotor.voltage
-    rows["planner"]["slot"], rows["planner"]["timescale"] = -1, 1.0
+    rows["planner"]["slot"] = -1
+    rows["planner"]["timescale"] = 1.0
     rows["planner"]["take_off_speed"] = rows["planner"]["landing_speed"] = 0.5
     rows["volts"] = 2.5
     rows["wanted"]["qw"] = rows["level"]["qw"] = 1.0
     return rows
-

@@ -8,9 +8,19 @@ from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 NOT_INITIALISED, NOT_PASSED, PASSED, ARMING, READY, FLYING = range(6)
 LANDED, RESET, LEVEL_OUT, FREE_FALL, LOCKED, CRASHED = range(6, 12)
 STATES = (
-    "not initialised", "pre-flight checks not passed", "pre-flight checks passed", "arming", "ready to fly", "flying",
-    "landed", "reset", "warning: level out", "exception: free fall", "locked", "crashed",
-)  # fmt: skip
+    "not initialised",
+    "pre-flight checks not passed",
+    "pre-flight checks passed",
+    "arming",
+    "ready to fly",
+    "flying",
+    "landed",
+    "reset",
+    "warning: level out",
+    "exception: free fall",
+    "locked",
+    "crashed",
+)
 LEVEL_OUT_AFTER, FREE_FALL_AFTER, WATCHDOG, STILL = 500, 2000, 1000, 2000  # ms
 UPRIGHT, ON_ITS_BACK, FALLING = 0.5, -0.2, 0.1  # g
 TILTED_FOR, ON_ITS_BACK_FOR = 1000, 100  # ms
@@ -25,7 +35,10 @@ def _see_tumbling(fw: Record) -> None:
         fw.upright_at = fw.tick
     if fw.az >= ON_ITS_BACK:
         fw.not_upside_at = fw.tick
-    tilted = fw.tick - fw.upright_at > TILTED_FOR or fw.tick - fw.not_upside_at > ON_ITS_BACK_FOR
+    tilted = (
+        fw.tick - fw.upright_at > TILTED_FOR
+        or fw.tick - fw.not_upside_at > ON_ITS_BACK_FOR
+    )
     fw.tumbled = 1 if fw.tumble_check and tilted else 0
 
 
@@ -40,7 +53,8 @@ def _see_flying(fw: Record) -> None:
 
 @kernel()
 def _enter(fw: Record, state: int) -> None:
-    fw.state, fw.since = state, fw.tick
+    fw.state = state
+    fw.since = fw.tick
     if state in (RESET, NOT_PASSED, LOCKED, CRASHED):
         fw.armed = 0
         fw.arm_requested = 0
@@ -185,4 +199,5 @@ def recover(fleet: Fleet, i: int) -> bool:
 def feed_watchdog(fleet: Fleet, i: int) -> None:
     """Repeat within 1 s, from the first time on, or the drone is stopped for good."""
     fw = fleet[i]
-    fw.watchdog, fw.watchdog_at = 1, fw.tick
+    fw.watchdog = 1
+    fw.watchdog_at = fw.tick

@@ -18,7 +18,9 @@ def thrust_newtons(raw: float, firmware: Firmware) -> float:
     return raw * 4.0 * firmware.thrust_max / FULL
 
 
-def roll_pitch_yaw_rate_raw(roll: float, pitch: float, yaw_rate: float) -> tuple[float, float, float]:
+def roll_pitch_yaw_rate_raw(
+    roll: float, pitch: float, yaw_rate: float
+) -> tuple[float, float, float]:
     """Roll, pitch rad and yaw rate rad/s of the body (forward, left, up) as an RPYT packet carries them.
 
     In deg and deg/s; there pitch is positive nose up, and the firmware turns the yaw rate's sign. Rates likewise.

@@ -13,7 +13,12 @@ from cflib.crazyflie.syncLogger import SyncLogger
 
 def connect_with_callbacks(uri, cache):
     """The asynchronous way: link established, connected, fully connected, disconnected, in this order."""
-    cf, order, full, gone = Crazyflie(rw_cache=cache), [], threading.Event(), threading.Event()
+    cf, order, full, gone = (
+        Crazyflie(rw_cache=cache),
+        [],
+        threading.Event(),
+        threading.Event(),
+    )
     cf.link_established.add_callback(lambda uri: order.append("link"))
     cf.connected.add_callback(lambda uri: order.append("connected"))
     cf.fully_connected.add_callback(lambda uri: (order.append("full"), full.set()))
@@ -60,7 +65,9 @@ def log_by_callback(uri, cache):
         other.add_variable("supervisor.info", "uint16_t")
         for config, kept in ((fast, seen), (other, slow)):
             scf.cf.log.add_config(config)
-            config.data_received_cb.add_callback(lambda stamp, data, _, kept=kept: kept.append(data))
+            config.data_received_cb.add_callback(
+                lambda stamp, data, _, kept=kept: kept.append(data)
+            )
             config.start()
         time.sleep(0.5)
         fast.stop()
@@ -106,21 +113,35 @@ def parameters(uri, cache):
         assert param.get_value("pid_attitude.roll_kp") == "6.0"
         assert param.get_value("deck.bcFlow2") == "1"
         assert param.get_value("supervisor.prefltTimeout") == "30000"
-        param.add_update_callback(group="pid_attitude", name="roll_kp", cb=lambda name, value: heard.set())
-        param.add_update_callback(group="pid_attitude", cb=lambda name, value: group.append((name, value)))
+        param.add_update_callback(
+            group="pid_attitude", name="roll_kp", cb=lambda name, value: heard.set()
+        )
+        param.add_update_callback(
+            group="pid_attitude", cb=lambda name, value: group.append((name, value))
+        )
         param.set_value("pid_attitude.roll_kp", "5.5")
         assert heard.wait(2)
         assert param.get_value("pid_attitude.roll_kp") == "5.5"
         assert group == [("pid_attitude.roll_kp", "5.5")]
         param.set_value_raw("pid_attitude.pitch_kp", 0x06, 4.0)
         heard.clear()
-        param.add_update_callback(group="pid_attitude", name="pitch_kp", cb=lambda name, value: heard.set())
+        param.add_update_callback(
+            group="pid_attitude", name="pitch_kp", cb=lambda name, value: heard.set()
+        )
         param.request_param_update("pid_attitude.pitch_kp")
         assert heard.wait(2)
         assert param.get_value("pid_attitude.pitch_kp") == "4.0"
-        for controller in (2, 77, 1):  # the firmware takes any number, and flies on with what it has
+        for controller in (
+            2,
+            77,
+            1,
+        ):  # the firmware takes any number, and flies on with what it has
             heard.clear()
-            param.add_update_callback(group="stabilizer", name="controller", cb=lambda name, value: heard.set())
+            param.add_update_callback(
+                group="stabilizer",
+                name="controller",
+                cb=lambda name, value: heard.set(),
+            )
             param.set_value("stabilizer.controller", controller)
             assert heard.wait(2), controller
         try:
@@ -143,12 +164,18 @@ def persistent_parameters(uri, cache):
             return answers[0]
 
         assert param.toc.get_element_by_complete_name(name).is_persistent()
-        assert not param.toc.get_element_by_complete_name("hlCommander.vtoff").is_persistent()
+        assert not param.toc.get_element_by_complete_name(
+            "hlCommander.vtoff"
+        ).is_persistent()
         assert asked(param.persistent_get_state, name)[1].is_stored is False
         param.set_value(name, 240.0)
         assert asked(param.persistent_store, name) == (name, True)
         state = asked(param.persistent_get_state, name)[1]
-        assert (state.is_stored, state.default_value, state.stored_value) == (True, 250.0, 240.0)
+        assert (state.is_stored, state.default_value, state.stored_value) == (
+            True,
+            250.0,
+            240.0,
+        )
         assert asked(param.persistent_clear, name) == (name, True)
         assert asked(param.persistent_get_state, name)[1].stored_value is None
         assert asked(param.get_default_value, name) == (name, 250.0)
@@ -218,7 +245,9 @@ def lighthouse(uri, cache):
         writer.write_and_store_config(lambda success: done.set(), geos={0: geometry})
         assert done.wait(5)
         done.clear()
-        LighthouseMemHelper(scf.cf).read_all_geos(lambda geos: (read.append(geos), done.set()))
+        LighthouseMemHelper(scf.cf).read_all_geos(
+            lambda geos: (read.append(geos), done.set())
+        )
         assert done.wait(5)
         assert read[0][0].origin == [1.0, 2.0, 3.0], read
 
@@ -243,7 +272,10 @@ def multiranger(uri, cache):
     """Nothing is near in an empty room but the floor."""
     from cflib.utils.multiranger import Multiranger
 
-    with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf, Multiranger(scf) as ranger:
+    with (
+        SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf,
+        Multiranger(scf) as ranger,
+    ):
         time.sleep(0.5)
         assert ranger.front is ranger.up is None
         assert ranger.down is not None
@@ -251,6 +283,15 @@ def multiranger(uri, cache):
 
 
 PROGRAMS = (
-    console, connect_with_callbacks, log_synchronously, log_by_callback, log_too_much, parameters,
-    persistent_parameters, memories, lighthouse, statistics, multiranger,
-)  # fmt: skip
+    console,
+    connect_with_callbacks,
+    log_synchronously,
+    log_by_callback,
+    log_too_much,
+    parameters,
+    persistent_parameters,
+    memories,
+    lighthouse,
+    statistics,
+    multiranger,
+)

@@ -30,7 +30,9 @@ def emergency_stop(uri, cache):
         motors, config = [], LogConfig(name="motors", period_in_ms=10)
         config.add_variable("motor.m1", "uint16_t")
         scf.cf.log.add_config(config)
-        config.data_received_cb.add_callback(lambda stamp, data, _: motors.append(data["motor.m1"]))
+        config.data_received_cb.add_callback(
+            lambda stamp, data, _: motors.append(data["motor.m1"])
+        )
         config.start()
         scf.cf.high_level_commander.takeoff(0.3, 1.0)
         time.sleep(1.2)
@@ -104,5 +106,10 @@ def nobody_there(uri, cache):
 
 
 PROGRAMS = (
-    supervisor, emergency_stop, emergency_stop_watchdog, poses_from_outside, restart_by_a_wrong_packet, nobody_there,
-)  # fmt: skip
+    supervisor,
+    emergency_stop,
+    emergency_stop_watchdog,
+    poses_from_outside,
+    restart_by_a_wrong_packet,
+    nobody_there,
+)

@@ -6,7 +6,12 @@ import time
 from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.high_level_commander import HighLevelCommander
 from cflib.crazyflie.log import LogConfig
-from cflib.crazyflie.mem import CompressedSegment, CompressedStart, MemoryElement, Poly4D
+from cflib.crazyflie.mem import (
+    CompressedSegment,
+    CompressedStart,
+    MemoryElement,
+    Poly4D,
+)
 from cflib.crazyflie.syncCrazyflie import SyncCrazyflie
 from cflib.positioning.motion_commander import MotionCommander
 from cflib.positioning.position_hl_commander import PositionHlCommander
@@ -21,7 +26,9 @@ class Watched:
             config.add_variable(f"stateEstimate.{axis}", "float")
         config.add_variable("supervisor.info", "uint16_t")
         scf.cf.log.add_config(config)
-        config.data_received_cb.add_callback(lambda stamp, data, _: self.data.update(data))
+        config.data_received_cb.add_callback(
+            lambda stamp, data, _: self.data.update(data)
+        )
         config.start()
         time.sleep(0.2)
         self.home = self.p
@@ -98,7 +105,9 @@ def position_commander(uri, cache):
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         where = Watched(scf)
         x, y, _ = where.home
-        with PositionHlCommander(scf, x=x, y=y, z=0.0, default_height=0.4, default_velocity=0.4) as commander:
+        with PositionHlCommander(
+            scf, x=x, y=y, z=0.0, default_height=0.4, default_velocity=0.4
+        ) as commander:
             commander.go_to(x + 0.2, y + 0.2)
             commander.up(0.2)
             time.sleep(0.5)
@@ -114,8 +123,15 @@ def trajectory(uri, cache):
         (memory,) = scf.cf.mem.get_mems(MemoryElement.TYPE_TRAJ)
         rest = [0.0] * 8  # x(t) = 0.4 (35 t4 - 84 t5 + 70 t6 - 20 t7)
         ahead = [0.0, 0.0, 0.0, 0.0, 14.0, -33.6, 28.0, -8.0]
-        memory.trajectory = [Poly4D(1.0, x=Poly4D.Poly(ahead), y=Poly4D.Poly(rest), z=Poly4D.Poly(rest),
-                                    yaw=Poly4D.Poly(rest))]  # fmt: skip
+        memory.trajectory = [
+            Poly4D(
+                1.0,
+                x=Poly4D.Poly(ahead),
+                y=Poly4D.Poly(rest),
+                z=Poly4D.Poly(rest),
+                yaw=Poly4D.Poly(rest),
+            )
+        ]
         assert memory.write_data_sync()
         commander.define_trajectory(1, 0, 1)
         commander.takeoff(0.4, 1.2)
@@ -142,7 +158,10 @@ def compressed_trajectory(uri, cache):
         ]
         assert memory.write_data_sync()
         commander.define_trajectory(
-            2, 0, len(memory.trajectory), type=HighLevelCommander.TRAJECTORY_TYPE_POLY4D_COMPRESSED
+            2,
+            0,
+            len(memory.trajectory),
+            type=HighLevelCommander.TRAJECTORY_TYPE_POLY4D_COMPRESSED,
         )
         commander.takeoff(0.4, 1.2)
         time.sleep(1.6)
@@ -170,7 +189,17 @@ def set_points(uri, cache):
         hold(0.5, commander.send_velocity_world_setpoint, 0.0, 0.0, 0.1, 0.0)
         hold(0.5, commander.send_zdistance_setpoint, 0.0, 0.0, 0.0, 0.4)
         hold(0.5, commander.send_hover_setpoint, 0.0, 0.0, 0.0, 0.4)
-        hold(1.0, commander.send_full_state_setpoint, [x, y, 0.4], [0.0] * 3, [0.0] * 3, [0, 0, 0, 1], 0.0, 0.0, 0.0)
+        hold(
+            1.0,
+            commander.send_full_state_setpoint,
+            [x, y, 0.4],
+            [0.0] * 3,
+            [0.0] * 3,
+            [0, 0, 0, 1],
+            0.0,
+            0.0,
+            0.0,
+        )
         where.is_at(0.0, 0.0, 0.4, by=0.15)
         commander.send_notify_setpoint_stop()
         scf.cf.high_level_commander.land(0.0, 1.2)
@@ -179,5 +208,10 @@ def set_points(uri, cache):
 
 
 PROGRAMS = (
-    high_level, motion_commander, position_commander, trajectory, compressed_trajectory, set_points,
-)  # fmt: skip
+    high_level,
+    motion_commander,
+    position_commander,
+    trajectory,
+    compressed_trajectory,
+    set_points,
+)

@@ -18,7 +18,7 @@ CHAINS = 3
 PROGRAMS = (
     *((program,) for program in (*flights.PROGRAMS, *ends.PROGRAMS)),
     *(basics.PROGRAMS[k::CHAINS] for k in range(CHAINS)),
-)  # fmt: skip
+)
 """Programs of one drone each."""
 
 
@@ -31,8 +31,13 @@ def main(first):
         with SyncCrazyflie(uris[-1], cf=Crazyflie(rw_cache=cache)):
             pass  # the cache is not made for many who fill it at once
         threads = [
-            threading.Thread(target=_run, args=(programs, where, cache, results), daemon=True)
-            for programs, where in [*zip(PROGRAMS, uris, strict=False), ((swarms.three,), uris[-3:])]
+            threading.Thread(
+                target=_run, args=(programs, where, cache, results), daemon=True
+            )
+            for programs, where in [
+                *zip(PROGRAMS, uris, strict=False),
+                ((swarms.three,), uris[-3:]),
+            ]
         ]
         for thread in threads:
             thread.start()

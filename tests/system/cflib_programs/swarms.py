@@ -19,5 +19,7 @@ def three(uris, cache):
         swarm.reset_estimators()
         places = swarm.get_estimated_positions()
         assert len({round(place.x, 1) for place in places.values()}) > 1, places
-        swarm.parallel_safe(_hop, args_dict={uri: [0.3 + 0.1 * k] for k, uri in enumerate(uris)})
+        swarm.parallel_safe(
+            _hop, args_dict={uri: [0.3 + 0.1 * k] for k, uri in enumerate(uris)}
+        )
         swarm.sequential(lambda scf: scf.cf.param.set_value("led.bitmask", 255))

@@ -35,7 +35,11 @@ def found(serial=None):
             super()._require()
 
     drones = json.loads((Path(FOLDER) / "drones").read_text())
-    return [Dongle({(80, name): Receiver(port) for name, port in drones.items()})] if is_plugged() else []
+    return (
+        [Dongle({(80, name): Receiver(port) for name, port in drones.items()})]
+        if is_plugged()
+        else []
+    )
 
 
 if FOLDER:

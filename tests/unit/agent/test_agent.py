@@ -23,7 +23,12 @@ from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.trace import Trace
 from crazychoir.types import Acceleration
 
-BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.3,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 
 
 class Does(CFGuidance):
@@ -49,7 +54,12 @@ async def observe(agent, topic, drone=0):
     heard = []
     if OBSERVER not in agent.bus.ports:
         agent.bus.port(OBSERVER)
-    agent.bus.subscribe(topic, drone, OBSERVER, Call(agent.clock, lambda value, age: heard.append(value)))
+    agent.bus.subscribe(
+        topic,
+        drone,
+        OBSERVER,
+        Call(agent.clock, lambda value, age: heard.append(value)),
+    )
     return heard
 
 
@@ -90,7 +100,10 @@ async def is_refused(guidance):
     [
         (returns, {"success": True, "answer": 42}),
         (returns_nothing, {"success": True}),
-        (returns_a_list, "TypeError: mission() returned a list; allowed: a dictionary, or nothing"),
+        (
+            returns_a_list,
+            "TypeError: mission() returned a list; allowed: a dictionary, or nothing",
+        ),
         (raises, "drone 0: guidance failed: ValueError: no idea ("),
         (exits, "RuntimeError: the mission called sys.exit(3)"),
         (is_refused, {"success": False, "reason": "drone 9: refused: not today"}),
@@ -130,7 +143,10 @@ def test_a_result_is_the_same_whether_anybody_looks_on_or_not(watched):
 
     result = run_virtual(main)
     assert result["success"] is False
-    assert "mission() returned what cannot travel: value['seen']: found a set" in result["reason"]
+    assert (
+        "mission() returned what cannot travel: value['seen']: found a set"
+        in result["reason"]
+    )
 
 
 def test_an_observer_that_comes_when_the_mission_is_over_still_gets_the_result_once():
@@ -163,7 +179,9 @@ def test_an_operators_landing_is_the_result():
     run_virtual(main)
 
 
-def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operator_may_end_it(caplog):
+def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operator_may_end_it(
+    caplog,
+):
     async def main(clock):
         agent = Agent(clock, swarm(1), mission_of(stays), (0,))
         running = asyncio.create_task(agent.run())
@@ -189,7 +207,9 @@ def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operato
     ],
     ids=["before it is cleared", "after it is cleared"],
 )
-def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(pause, why):
+def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(
+    pause, why
+):
     async def main(clock):
         async def tries_again(guidance):
             await guidance.take_off()
@@ -207,7 +227,9 @@ def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(pa
         assert not agent.drones[0].status().stopped
         result = (await running)[0]
         assert not result["success"]
-        assert result["reason"].startswith(f"drone 0: stopped: {why}; crashed: hit the floor at 2.4")
+        assert result["reason"].startswith(
+            f"drone 0: stopped: {why}; crashed: hit the floor at 2.4"
+        )
         assert agent.drones[0].pilot.mode is Mode.CUT
 
     run_virtual(main)
@@ -233,7 +255,10 @@ def ended(does, at=None, act=lambda agent: None, drones=1, seconds=60.0, **fligh
         if at is not None:
             clock.call_at(round(at * SECOND), act, agent)
         looking, running = asyncio.create_task(look()), asyncio.create_task(agent.run())
-        await asyncio.wait([running, asyncio.create_task(clock.sleep(seconds))], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(
+            [running, asyncio.create_task(clock.sleep(seconds))],
+            return_when=asyncio.FIRST_COMPLETED,
+        )
         looking.cancel()
         assert running.done(), "it has not ended"
         return running.result(), agent, phases
@@ -279,13 +304,21 @@ class Cancels(CFDistributedFeedback):
 
 def test_a_step_that_raises_cancelled_error_ends_its_own_law_alone():
     async def main(clock):
-        agent = Agent(clock, swarm(2), SimpleNamespace(guidance=lambda i, config: Cancels()), (0, 1))
+        agent = Agent(
+            clock,
+            swarm(2),
+            SimpleNamespace(guidance=lambda i, config: Cancels()),
+            (0, 1),
+        )
         results = await agent.run()
         assert "drone 0: step raised CancelledError()" in results[0]["reason"]
         assert not results[0]["success"]
         assert results[1]["success"], results[1]
         assert results[1]["law_s"] == pytest.approx(Cancels.duration)
-        assert [agent.drones[i].pilot.mode for i in (0, 1)] == [Mode.GROUND, Mode.GROUND]
+        assert [agent.drones[i].pilot.mode for i in (0, 1)] == [
+            Mode.GROUND,
+            Mode.GROUND,
+        ]
 
     run_virtual(main)
 
@@ -297,16 +330,23 @@ def test_a_mission_that_raises_cancelled_error_has_failed():
 
     results, _, phases = ended(gives_up)
     assert not results[0]["success"]
-    assert "guidance failed: RuntimeError: the mission raised CancelledError()" in results[0]["reason"]
+    assert (
+        "guidance failed: RuntimeError: the mission raised CancelledError()"
+        in results[0]["reason"]
+    )
     assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND]
 
 
-@pytest.mark.parametrize("lands", [False, True], ids=["after its mission", "in its mission"])
+@pytest.mark.parametrize(
+    "lands", [False, True], ids=["after its mission", "in its mission"]
+)
 def test_a_drone_whose_motors_are_cut_on_its_way_down_is_no_success(lands):
     async def is_cut(guidance):
         await guidance.take_off()
         clock = guidance.member.clock
-        clock.call_at(clock.now_ns() + SECOND // 4, guidance.member.pilot.cut, "emergency stop")
+        clock.call_at(
+            clock.now_ns() + SECOND // 4, guidance.member.pilot.cut, "emergency stop"
+        )
         if lands:
             await guidance.land()
         return {"answer": 42}
@@ -314,7 +354,9 @@ def test_a_drone_whose_motors_are_cut_on_its_way_down_is_no_success(lands):
     results, _, phases = ended(is_cut)
     assert phases[-2:] == [Mode.LAND, Mode.CUT]
     assert not results[0]["success"]
-    assert results[0]["reason"] == ("drone 0: stopped: emergency stop" if lands else "drone 0: emergency stop")
+    assert results[0]["reason"] == (
+        "drone 0: stopped: emergency stop" if lands else "drone 0: emergency stop"
+    )
 
 
 def test_a_drone_that_its_guard_has_landed_for_good_is_no_success():
@@ -324,7 +366,9 @@ def test_a_drone_that_its_guard_has_landed_for_good_is_no_success():
             await guidance.sleep(0.05)
 
     def narrow(agent):
-        agent.drones[0].pilot.guard = Guard(Fence.box((-3.0, -3.0, -0.5), (3.0, 3.0, -0.05)))
+        agent.drones[0].pilot.guard = Guard(
+            Fence.box((-3.0, -3.0, -0.5), (3.0, 3.0, -0.05))
+        )
 
     results, _, phases = ended(waits, 2.5, narrow)
     assert phases[-2:] == [Mode.LAND, Mode.GROUND]
@@ -338,13 +382,19 @@ def blind(at, until):
 
     def close(agent):
         sample = agent.owners[0].cameras.sample
-        agent.owners[0].cameras.sample = lambda x, k: [None] * len(x) if agent.clock.now() < until else sample(x, k)
+        agent.owners[0].cameras.sample = lambda x, k: (
+            [None] * len(x) if agent.clock.now() < until else sample(x, k)
+        )
 
     return at, close
 
 
-@pytest.mark.parametrize("lands", [False, True], ids=["after its mission", "in its mission"])
-def test_a_drone_that_was_landed_for_lack_of_poses_is_no_success_though_its_mission_slept_through_it(lands):
+@pytest.mark.parametrize(
+    "lands", [False, True], ids=["after its mission", "in its mission"]
+)
+def test_a_drone_that_was_landed_for_lack_of_poses_is_no_success_though_its_mission_slept_through_it(
+    lands,
+):
     async def sleeps(guidance):
         await guidance.take_off()
         await guidance.sleep(6.0)
@@ -369,13 +419,19 @@ def test_drones_that_nobody_sees_land_whatever_keeps_them_clear_of_each_other(me
         await clock.sleep(4.0)
         blind(4.0, 60.0)[1](agent)
         await clock.sleep(1.6)
-        states, notes = agent.owners[0].world.states, [drone.pilot.note for drone in agent.drones.values()]
+        states, notes = (
+            agent.owners[0].world.states,
+            [drone.pilot.note for drone in agent.drones.values()],
+        )
         running.cancel()
         return states[:, 2].tolist(), notes
 
     heights, notes = run_virtual(main)
     assert max(heights) < 0.15, "of 0.3 m"
-    assert all(re.fullmatch(r"pose 1\.\d+ s old, limit 0.50 s: landing", note) for note in notes), notes
+    assert all(
+        re.fullmatch(r"pose 1\.\d+ s old, limit 0.50 s: landing", note)
+        for note in notes
+    ), notes
 
 
 def test_a_drone_that_crashed_is_no_success():
@@ -391,27 +447,41 @@ def test_a_drone_that_crashed_is_no_success():
         return lambda agent: agent.owners[0].world.states.__setitem__((0, 5), -speed)
 
     results, _, phases = ended(hovers, 5.0, gust(6.0))
-    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND], "its mission saw nothing of it"
+    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND], (
+        "its mission saw nothing of it"
+    )
     assert (results[0]["success"], results[0]["answer"]) == (False, 42)
-    assert re.fullmatch(r"drone 0: crashed: hit the floor at \d\.\d\d m/s, allowed 1 m/s", results[0]["reason"])
+    assert re.fullmatch(
+        r"drone 0: crashed: hit the floor at \d\.\d\d m/s, allowed 1 m/s",
+        results[0]["reason"],
+    )
     assert ended(hovers, 5.0, gust(1.0))[0][0] == {"success": True, "answer": 42}
 
     async def knows(guidance, **told):
         return {**await hovers(guidance), "success": False, **told}
 
-    for does, begins in ((knows, "crashed: hit"), (partial(knows, reason="a gust"), "a gust; crashed: hit")):
+    for does, begins in (
+        (knows, "crashed: hit"),
+        (partial(knows, reason="a gust"), "a gust; crashed: hit"),
+    ):
         assert ended(does, 5.0, gust(6.0))[0][0]["reason"].startswith(begins)
 
 
 def test_a_descent_may_take_as_long_as_it_is_planned():
-    results, agent, phases = ended(raises, takeoff_height=2.0, landing_speed=0.05, seconds=150.0)
+    results, agent, phases = ended(
+        raises, takeoff_height=2.0, landing_speed=0.05, seconds=150.0
+    )
     assert "ValueError: no idea" in results[0]["reason"]
     assert phases[-2:] == [Mode.LAND, Mode.GROUND]
     assert agent.clock.now() > 60.0
 
 
-@pytest.mark.parametrize("patience", [0.5, 6.0], ids=["still in the air", "on the ground"])
-def test_who_was_landed_on_command_does_not_take_off_again_whatever_it_catches(patience):
+@pytest.mark.parametrize(
+    "patience", [0.5, 6.0], ids=["still in the air", "on the ground"]
+)
+def test_who_was_landed_on_command_does_not_take_off_again_whatever_it_catches(
+    patience,
+):
     async def stubborn(guidance):
         while True:
             try:
@@ -427,7 +497,15 @@ def test_who_was_landed_on_command_does_not_take_off_again_whatever_it_catches(p
 
     results, _, phases = ended(stubborn, 2.0, land)
     assert results[0] == {"success": False, "reason": "landed on command"}
-    assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW, Mode.HOVER, Mode.LAND, Mode.GROUND]
+    assert phases == [
+        Mode.GROUND,
+        Mode.TAKEOFF,
+        Mode.HOVER,
+        Mode.FOLLOW,
+        Mode.HOVER,
+        Mode.LAND,
+        Mode.GROUND,
+    ]
 
 
 def test_what_a_mission_leaves_behind_flies_nothing():
@@ -461,13 +539,17 @@ def test_the_result_of_a_law_says_how_long_it_ran_where_it_ended_and_whom_it_did
 
     async def main(clock):
         config = swarm(2, network=cut, collision={"method": "off"})
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: Stay()), (0, 1))
+        agent = Agent(
+            clock, config, SimpleNamespace(guidance=lambda i, config: Stay()), (0, 1)
+        )
         return await agent.run()
 
     for i, result in run_virtual(main).items():
         assert result["success"], result
         assert result["law_s"] == pytest.approx(Stay.duration), "without its landing"
-        assert result["place"] == pytest.approx([*default_swarm(2).drone(i).home[:2], 0.3], abs=0.05)
+        assert result["place"] == pytest.approx(
+            [*default_swarm(2).drone(i).home[:2], 0.3], abs=0.05
+        )
         assert list(result["unheard_s"]) == [1 - i]
         assert 1.0 < result["unheard_s"][1 - i] < 2.0
 
@@ -476,11 +558,30 @@ def test_a_formation_that_is_not_reached_is_no_success_and_names_who_is_off_and_
     mission = load("bearing_formation")
     config = mission.swarm(None)
     goal = mission.goal(config)
-    at = {i: {"success": True, "law_s": 20.0, "place": p.tolist(), "unheard_s": {}} for i, p in goal.items()}
+    at = {
+        i: {"success": True, "law_s": 20.0, "place": p.tolist(), "unheard_s": {}}
+        for i, p in goal.items()
+    }
     assert mission.report(config, at) == {"success": True, "reasons": {}}
-    near = {**at, 3: {**at[3], "place": (goal[3] + [0.0, 0.009, 0.0]).tolist(), "unheard_s": {1: 2.0}}}
-    assert mission.report(config, near)["success"], "it was deaf for a while, and got there"
-    off = {**at, 2: {**at[2], "place": (goal[2] + [0.0, 0.3, 0.0]).tolist(), "unheard_s": {1: 2.5, 3: 0.25}}}
+    near = {
+        **at,
+        3: {
+            **at[3],
+            "place": (goal[3] + [0.0, 0.009, 0.0]).tolist(),
+            "unheard_s": {1: 2.0},
+        },
+    }
+    assert mission.report(config, near)["success"], (
+        "it was deaf for a while, and got there"
+    )
+    off = {
+        **at,
+        2: {
+            **at[2],
+            "place": (goal[2] + [0.0, 0.3, 0.0]).tolist(),
+            "unheard_s": {1: 2.5, 3: 0.25},
+        },
+    }
     assert mission.report(config, off) == {
         "success": False,
         "reasons": {
@@ -488,7 +589,9 @@ def test_a_formation_that_is_not_reached_is_no_success_and_names_who_is_off_and_
             "did not hear drone 1 for 2.50 s, drone 3 for 0.25 s"
         },
     }
-    assert mission.report(config, {2: {"success": False, "reason": "landed"}})["success"], "that is said elsewhere"
+    assert mission.report(config, {2: {"success": False, "reason": "landed"}})[
+        "success"
+    ], "that is said elsewhere"
 
 
 # What all hosts must have in common ---------------------------------------------------------------------------------
@@ -502,7 +605,9 @@ def test_a_mission_is_what_its_text_and_its_swarm_say_wherever_the_file_lies(tmp
 
     def hashed(folder, **changes):
         path = str(tmp_path / folder / "mine.py")
-        return mission_hash(default_swarm(3).replace(mission=path, **changes), load(path))
+        return mission_hash(
+            default_swarm(3).replace(mission=path, **changes), load(path)
+        )
 
     assert hashed("a") == hashed("b")
     assert hashed("a") != hashed("c")
@@ -533,9 +638,17 @@ def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
     whole = digest(one, two, b"state")
     assert whole == digest(one, two, b"state")
     another = (2, 16, 0, 5, b"y")
-    others = [(two, one, b"state"), (one, b"state"), (one, two, b"other"), (one, two), (one, another, b"state")]
+    others = [
+        (two, one, b"state"),
+        (one, b"state"),
+        (one, two, b"other"),
+        (one, two),
+        (one, another, b"state"),
+    ]
     assert len({whole, *(digest(*other) for other in others)}) == 1 + len(others)
-    assert whole == digest(one, (OBSERVER, 6, 0, 1, b"z"), two, b"state"), "who looks on changes nothing"
+    assert whole == digest(one, (OBSERVER, 6, 0, 1, b"z"), two, b"state"), (
+        "who looks on changes nothing"
+    )
 
 
 # An agent that comes back -------------------------------------------------------------------------------------------
@@ -560,7 +673,12 @@ class Wire:
     def carry(self, bus, j, topic, *message):
         there = [other for other in self.buses if other is not bus and j in other.ports]
         if bus in self.buses and there:
-            self.clock.call_at(self.clock.now_ns() + self.delay_ns, there[0].ports[j].deliver, topic.number, *message)
+            self.clock.call_at(
+                self.clock.now_ns() + self.delay_ns,
+                there[0].ports[j].deliver,
+                topic.number,
+                *message,
+            )
 
 
 class Plug:
@@ -571,7 +689,9 @@ class Plug:
 
     def forward(self, topic, source, to, payload, number, channel, flags, age):
         for j in to:
-            self.wire.carry(self.bus, j, topic, source, payload, number, channel, flags, age)
+            self.wire.carry(
+                self.bus, j, topic, source, payload, number, channel, flags, age
+            )
 
     def then(self, work):
         work()
@@ -600,7 +720,9 @@ class Counts(CFGuidance):
         return {"rounds": len(self.rounds)}
 
 
-@pytest.mark.parametrize("away", [0.3, 6.0], ids=["before it is lost", "after it was lost"])
+@pytest.mark.parametrize(
+    "away", [0.3, 6.0], ids=["before it is lost", "after it was lost"]
+)
 def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on(away):
     config, until = swarm(4, lost_after=2.0), 4.0 + away + 8.0
 
@@ -608,8 +730,19 @@ def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on
         wire, born = Wire(clock), {}
 
         def agent(ids, incarnation=1):
-            mission = SimpleNamespace(guidance=lambda i, config: born.setdefault((i, incarnation), Counts(until)))
-            made = Agent(clock, config, mission, ids, incarnation=incarnation, process=f"{ids[0]}-{incarnation}")
+            mission = SimpleNamespace(
+                guidance=lambda i, config: born.setdefault(
+                    (i, incarnation), Counts(until)
+                )
+            )
+            made = Agent(
+                clock,
+                config,
+                mission,
+                ids,
+                incarnation=incarnation,
+                process=f"{ids[0]}-{incarnation}",
+            )
             wire.plug(made.bus)
             return made, asyncio.create_task(made.run())
 
@@ -635,8 +768,15 @@ def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on
     last = max(born[3, 2].rounds)
     assert last > first + 100
     neighbors = config.graph().in_neighbors
-    for i, counts in ((0, born[0, 1]), (1, born[1, 1]), (2, born[2, 1]), (3, born[3, 2])):
-        assert all(set(counts.rounds[k]) == set(neighbors(i)) for k in range(first, last - 2)), i
+    for i, counts in (
+        (0, born[0, 1]),
+        (1, born[1, 1]),
+        (2, born[2, 1]),
+        (3, born[3, 2]),
+    ):
+        assert all(
+            set(counts.rounds[k]) == set(neighbors(i)) for k in range(first, last - 2)
+        ), i
         assert list(counts.rounds) == sorted(counts.rounds), "no round twice"
         if i != 3:
             assert len(counts.rounds) == max(counts.rounds) + 1, "nor left out"
@@ -649,7 +789,9 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
         return {"success": True}
 
     async def main(clock):
-        agent = Agent(clock, swarm(3, graph="path", lost_after=1.0), mission_of(hovers), (0, 1, 2))
+        agent = Agent(
+            clock, swarm(3, graph="path", lost_after=1.0), mission_of(hovers), (0, 1, 2)
+        )
         said, statuses = await observe(agent, LOG), await observe(agent, STATUS)
 
         def crash():
@@ -672,12 +814,19 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
 
 def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform():
     drones = [
-        {"id": i, "home": [i, 0, 0], "uri": f"udp://127.0.0.1:{19850 + i}", "platform": platform}
+        {
+            "id": i,
+            "home": [i, 0, 0],
+            "uri": f"udp://127.0.0.1:{19850 + i}",
+            "platform": platform,
+        }
         for i, platform in enumerate(("cf21", "cf21bl"))
     ]
 
     async def main(clock):
-        config = SwarmConfig.of({"name": "a", "drones": drones, "control": {"sender": "xyz"}})
+        config = SwarmConfig.of(
+            {"name": "a", "drones": drones, "control": {"sender": "xyz"}}
+        )
         agent = Agent(clock, config, mission_of(stays), config.ids, alone=False)
         return [watch.firmware.low for watch in agent._radios]
 

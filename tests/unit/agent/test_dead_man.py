@@ -13,7 +13,12 @@ class Room:
 
     def __init__(self, clock, patience=3.0):
         self.clock, self.bus, self.flies, self.landed = clock, Bus(clock), False, []
-        self.dead_man = DeadMan(clock, patience, lambda: self.flies, lambda why: self.landed.append((clock.now(), why)))
+        self.dead_man = DeadMan(
+            clock,
+            patience,
+            lambda: self.flies,
+            lambda why: self.landed.append((clock.now(), why)),
+        )
         CommandServer(self.bus.port(1), self.execute, lambda on: None)
         self.console = Console(Commander(self.bus.port(OBSERVER, 7)), (1, 9))
         self.watching = asyncio.create_task(self.dead_man.run())
@@ -24,7 +29,9 @@ class Room:
 
 
 @virtual
-async def test_drones_fly_on_as_long_as_a_console_is_there_and_land_so_long_after_it_has_gone(clock):
+async def test_drones_fly_on_as_long_as_a_console_is_there_and_land_so_long_after_it_has_gone(
+    clock,
+):
     room = Room(clock)
     says = asyncio.create_task(room.console.run())
     await clock.sleep(0.5)
@@ -55,6 +62,8 @@ def test_only_who_is_obeyed_says_that_it_is_a_console_and_only_where_drones_coun
     assert is_console(watched, "here")
     assert not is_console(default_swarm(2), "here")
     drones = [{"id": i, "home": [i, 0, 0], "host": "far"} for i in range(2)]
-    closed = watched.replace(drones=drones, hosts={"far": "10.0.0.1"}, security={"operators": ["desk"]})
+    closed = watched.replace(
+        drones=drones, hosts={"far": "10.0.0.1"}, security={"operators": ["desk"]}
+    )
     assert is_console(closed, "desk")
     assert not is_console(closed, "here")

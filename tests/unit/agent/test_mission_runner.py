@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.agent.mission_runner import FIT, LANDING_DEADLINE, GuidanceActor, checked
+from crazychoir.agent.mission_runner import (
+    FIT,
+    LANDING_DEADLINE,
+    GuidanceActor,
+    checked,
+)
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import Refused
 from crazychoir.guidance.member import PATIENCE
@@ -17,7 +22,13 @@ from crazychoir.types import State
 class Lands:
     """A pilot that is in the air until `down`, s; others keep it up until then, or nobody does."""
 
-    drone, held, mode, note, unreached = 4, False, Mode.LAND, "keeps clear of drone 2", False
+    drone, held, mode, note, unreached = (
+        4,
+        False,
+        Mode.LAND,
+        "keeps clear of drone 2",
+        False,
+    )
 
     def __init__(self, clock, down, kept_up):
         self.clock, self._down, self._kept_up, self.cut_at = clock, down, kept_up, None
@@ -65,17 +76,37 @@ async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(cloc
     monitor = SimpleNamespace(silent=False)
     barrier = SimpleNamespace(monitor=monitor, refused="")
     port = SimpleNamespace(bus=SimpleNamespace(clock=clock))
-    drone = SimpleNamespace(id=4, port=port, barrier=barrier, unfit=lambda: ["no such parameter", "battery at 3.1 V"])
+    drone = SimpleNamespace(
+        id=4,
+        port=port,
+        barrier=barrier,
+        unfit=lambda: ["no such parameter", "battery at 3.1 V"],
+    )
     config = SimpleNamespace(reached=(4,), radio=SimpleNamespace(connect_deadline=10.0))
     with pytest.raises(Refused, match="no such parameter; battery"):
         await GuidanceActor(drone, config, None)._until_fit()
     assert clock.now() == pytest.approx(10.0 + FIT, abs=0.1)
-    assert (barrier.refused, monitor.silent) == ("no such parameter; battery at 3.1 V", False)
+    assert (barrier.refused, monitor.silent) == (
+        "no such parameter; battery at 3.1 V",
+        False,
+    )
 
 
 def test_a_result_arrives_as_it_would_over_the_network():
-    result = checked({"far": np.float32(0.5), "n": np.int64(3), "by": {1: (2, 3)}, "at": np.arange(3.0)})
-    assert (result["success"], result["far"], result["n"], result["by"]) == (True, 0.5, 3, {1: [2, 3]})
+    result = checked(
+        {
+            "far": np.float32(0.5),
+            "n": np.int64(3),
+            "by": {1: (2, 3)},
+            "at": np.arange(3.0),
+        }
+    )
+    assert (result["success"], result["far"], result["n"], result["by"]) == (
+        True,
+        0.5,
+        3,
+        {1: [2, 3]},
+    )
     assert (type(result["far"]), type(result["n"])) == (float, int)
     assert isinstance(result["at"], np.ndarray)
     assert not result["at"].flags.writeable
@@ -136,5 +167,8 @@ async def test_what_has_broken_a_drone_is_said_once(clock):
     actor = GuidanceActor(drone, None, None)
     refused = "drone 4: refused: locked"
     assert actor._judged({"success": False, "reason": refused})["reason"] == refused
-    assert actor._judged({"success": False, "reason": "it fell"})["reason"] == "it fell; locked"
+    assert (
+        actor._judged({"success": False, "reason": "it fell"})["reason"]
+        == "it fell; locked"
+    )
     assert actor._judged({"success": False})["reason"] == "locked"

@@ -20,7 +20,13 @@ from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration
 
-FLIGHT = {"takeoff_height": 0.4, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6, "operator": True}
+FLIGHT = {
+    "takeoff_height": 0.4,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+    "operator": True,
+}
 
 
 class Stay(CFDistributedFeedback):
@@ -78,7 +84,9 @@ class Itself(CFGuidance):
 def config_of(n=3, **flight):
     drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0]} for i in range(n)]
     fence = {"min": [-2.0, -2.0, 0.0], "max": [4.0, 4.0, 3.0]}
-    return SwarmConfig.of({"name": "a", "drones": drones, "flight": {**FLIGHT, **flight}, "fence": fence})
+    return SwarmConfig.of(
+        {"name": "a", "drones": drones, "flight": {**FLIGHT, **flight}, "fence": fence}
+    )
 
 
 class Operator:
@@ -92,8 +100,13 @@ class Operator:
     async def order(self, verb, *drones, deadline=60.0):
         """What each drone answers: kind and words; of one drone, its alone."""
         ids = drones or self.agent.ids
-        answers = await asyncio.gather(*(self.commander.request(i, verb, deadline) for i in ids))
-        said = {i: (answer.kind, answer.detail) for i, answer in zip(ids, answers, strict=True)}
+        answers = await asyncio.gather(
+            *(self.commander.request(i, verb, deadline) for i in ids)
+        )
+        said = {
+            i: (answer.kind, answer.detail)
+            for i, answer in zip(ids, answers, strict=True)
+        }
         return said[drones[0]] if len(drones) == 1 else said
 
     def pilot(self, i):
@@ -111,7 +124,12 @@ def play(guidance, scene, config=None):
     config = config_of() if config is None else config
 
     async def main(clock):
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: guidance()), config.ids)
+        agent = Agent(
+            clock,
+            config,
+            SimpleNamespace(guidance=lambda i, config: guidance()),
+            config.ids,
+        )
         operator = Operator(agent)
         flying = asyncio.create_task(agent.run())
         await clock.sleep(1.0)
@@ -130,23 +148,37 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
         await operator.clock.sleep(5.0)
         assert await operator.order("arm") == dict.fromkeys(range(3), (DONE, "ready"))
         operator.pilot(1).unfit = lambda: ["battery at 3.10 V"]
-        assert await operator.order("arm", 1) == (REFUSED, "battery at 3.10 V: no take-off")
+        assert await operator.order("arm", 1) == (
+            REFUSED,
+            "battery at 3.10 V: no take-off",
+        )
         operator.pilot(1).unfit = list
         assert operator.modes() == [Mode.GROUND] * 3
-        assert await operator.order("take-off") == dict.fromkeys(range(3), (DONE, "hovering"))
+        assert await operator.order("take-off") == dict.fromkeys(
+            range(3), (DONE, "hovering")
+        )
         for verb in ("arm", "take-off"):
-            assert await operator.order(verb, 1) == (REFUSED, "it is in the air already")
+            assert await operator.order(verb, 1) == (
+                REFUSED,
+                "it is in the air already",
+            )
         await operator.clock.sleep(5.0)
         assert operator.modes() == [Mode.HOVER] * 3
         assert operator.task(0) == "waits for its operator: start, or lands in 294 s"
-        assert [operator.pilot(i).state.p[2] for i in range(3)] == pytest.approx([0.3, 0.4, 0.5], abs=0.02)
-        assert await operator.order("start") == dict.fromkeys(range(3), (DONE, "its mission goes on"))
+        assert [operator.pilot(i).state.p[2] for i in range(3)] == pytest.approx(
+            [0.3, 0.4, 0.5], abs=0.02
+        )
+        assert await operator.order("start") == dict.fromkeys(
+            range(3), (DONE, "its mission goes on")
+        )
         await operator.clock.sleep(1.0)
         assert operator.modes() == [Mode.FOLLOW] * 3
         assert await operator.order("start", 0) == (REFUSED, "its mission has started")
 
     results = play(Stay, scene)
-    assert all(result["success"] and result["references"] > 100 for result in results.values()), results
+    assert all(
+        result["success"] and result["references"] > 100 for result in results.values()
+    ), results
 
 
 def test_those_who_are_told_later_join():
@@ -163,7 +195,10 @@ def test_those_who_are_told_later_join():
 
 def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
     async def scene(operator):
-        assert await operator.order("take-off", 0) == (REFUSED, "it waits for its operator: start")
+        assert await operator.order("take-off", 0) == (
+            REFUSED,
+            "it waits for its operator: start",
+        )
         await operator.clock.sleep(10.0)
         await operator.order("start", 0)
         await operator.clock.sleep(5.0)
@@ -171,10 +206,15 @@ def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
         await operator.order("start", 1, 2)
 
     results = play(Itself, scene)
-    assert all(result["success"] and 15.9 < result["began"] < 16.5 for result in results.values()), results
+    assert all(
+        result["success"] and 15.9 < result["began"] < 16.5
+        for result in results.values()
+    ), results
 
 
-def test_an_operator_who_never_comes_ends_the_run_on_the_ground_or_lands_it(monkeypatch):
+def test_an_operator_who_never_comes_ends_the_run_on_the_ground_or_lands_it(
+    monkeypatch,
+):
     monkeypatch.setattr(base, "UNCOMMANDED", 5.0)
     monkeypatch.setattr(base, "PATIENCE", 8.0)
 
@@ -193,15 +233,26 @@ def test_hold_freezes_and_go_frees():
         await operator.clock.sleep(0.7)
         assert operator.modes() == [Mode.FOLLOW] * 3
         assert await operator.order("hold", 0) == (DONE, "held")
-        assert [drone.status().note for drone in operator.agent.drones.values()] == ["held by its operator", "", ""]
+        assert [drone.status().note for drone in operator.agent.drones.values()] == [
+            "held by its operator",
+            "",
+            "",
+        ]
         await operator.clock.sleep(5.0)
         assert operator.pilot(0).state.p[1] < 1.0
         assert operator.pilot(1).state.p[1] == pytest.approx(1.5, abs=0.05)
-        said = {0: (DONE, "goes on"), 1: (DONE, "was not held"), 2: (DONE, "was not held")}
+        said = {
+            0: (DONE, "goes on"),
+            1: (DONE, "was not held"),
+            2: (DONE, "was not held"),
+        }
         assert await operator.order("go") == said
         await operator.clock.sleep(5.0)
         assert operator.pilot(0).state.p[1] == pytest.approx(1.5, abs=0.05)
-        assert await operator.order("land", 0, deadline=0.5) == (ACCEPTED, "not done within 0.5 s")
+        assert await operator.order("land", 0, deadline=0.5) == (
+            ACCEPTED,
+            "not done within 0.5 s",
+        )
         assert await operator.order("hold", 0) == (REFUSED, "it is landing")
 
     results = play(There, scene)
@@ -223,10 +274,14 @@ def test_home_is_above_the_others_each_at_its_level_and_lands_where_it_took_off(
         assert await returning == dict.fromkeys(range(3), (DONE, "on ground"))
         assert list(highest.values()) == pytest.approx([0.8, 1.4, 2.0], abs=0.05)
         places = [operator.pilot(i).state.p for i in range(3)]
-        assert np.array(places) == pytest.approx(np.array([[i, 0.0, 0.0] for i in range(3)]), abs=0.05)
+        assert np.array(places) == pytest.approx(
+            np.array([[i, 0.0, 0.0] for i in range(3)]), abs=0.05
+        )
         assert await operator.order("home", 0) == (REFUSED, "it is on the ground")
 
-    assert {r["reason"] for r in play(There, scene).values()} == {"sent home on command"}
+    assert {r["reason"] for r in play(There, scene).values()} == {
+        "sent home on command"
+    }
 
 
 def test_a_return_may_be_held_and_goes_on():
@@ -263,10 +318,17 @@ def test_without_an_operator_missions_fly_by_themselves_and_say_so():
 def test_what_is_over_does_not_begin_again():
     async def scene(operator):
         assert (await operator.order("land", 0)) == (DONE, "on ground")
-        assert await operator.order("take-off", 0) == (REFUSED, "its mission is over: landed on command")
+        assert await operator.order("take-off", 0) == (
+            REFUSED,
+            "its mission is over: landed on command",
+        )
         await operator.order("land")
 
-    assert play(Stay, scene)[0] == {"success": True, "reason": "landed on command", "ended": "landed on command"}
+    assert play(Stay, scene)[0] == {
+        "success": True,
+        "reason": "landed on command",
+        "ended": "landed on command",
+    }
 
 
 # Flights on command ---------------------------------------------------------------------------------------------
@@ -274,7 +336,13 @@ def test_what_is_over_does_not_begin_again():
 
 def way(*places, seconds=4.0):
     """What a drone is told of a path through places."""
-    return path_message(spline(np.linspace(0.0, seconds, len(places)), np.array(places, dtype=float), degree=7))
+    return path_message(
+        spline(
+            np.linspace(0.0, seconds, len(places)),
+            np.array(places, dtype=float),
+            degree=7,
+        )
+    )
 
 
 async def told(operator, verb, i, deadline=60.0, **arguments):
@@ -284,9 +352,15 @@ async def told(operator, verb, i, deadline=60.0, **arguments):
 
 def test_a_drone_that_waits_flies_where_its_operator_wants_and_then_its_mission():
     async def scene(operator):
-        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (REFUSED, "it is on ground")
+        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (
+            REFUSED,
+            "it is on ground",
+        )
         await operator.order("take-off")
-        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6], yaw=0.5) == (DONE, "there")
+        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6], yaw=0.5) == (
+            DONE,
+            "there",
+        )
         assert operator.pilot(1).state.p == pytest.approx([1.0, 1.0, 0.6], abs=0.03)
         assert yaw_of(operator.pilot(1).state.q) == pytest.approx(0.5, abs=0.05)
         message = way((1.0, 1.0, 0.6), (1.3, 1.5, 0.9), (1.0, 2.0, 0.6))
@@ -307,7 +381,9 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
         await operator.order("take-off")
         await operator.order("start")
         await operator.clock.sleep(1.0)
-        assert (await told(operator, "fly", 0, **way((0, 0, 1.0), (0, 1, 1.0))))[1].startswith("its mission flies")
+        assert (await told(operator, "fly", 0, **way((0, 0, 1.0), (0, 1, 1.0))))[
+            1
+        ].startswith("its mission flies")
         await operator.order("hold", 0)
         assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (DONE, "there")
         await operator.order("go", 0)
@@ -358,7 +434,9 @@ def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
     async def scene(operator):
         await held_in_its_mission(operator)
         assert await told(operator, "go-to", 0, p=[-1.0, 1.0, 0.8]) == (DONE, "there")
-        assert await told(operator, "fly", 0, **way((-1.0, 1.0, 0.8), (-1.0, 2.0, 0.8))) == (DONE, "flown")
+        assert await told(
+            operator, "fly", 0, **way((-1.0, 1.0, 0.8), (-1.0, 2.0, 0.8))
+        ) == (DONE, "flown")
         await operator.order("land")
 
     play(Rests, scene)
@@ -371,7 +449,9 @@ def test_the_newer_command_counts_and_a_hold_ends_a_flight():
         await operator.clock.sleep(1.0)
         assert await told(operator, "go-to", 0, p=[-1.0, 0.0, 0.6]) == (DONE, "there")
         assert await first == (REFUSED, "it does what was commanded later")
-        flying = asyncio.create_task(told(operator, "fly", 0, **way((-1, 0, 0.6), (-1, 2, 0.6), seconds=8.0)))
+        flying = asyncio.create_task(
+            told(operator, "fly", 0, **way((-1, 0, 0.6), (-1, 2, 0.6), seconds=8.0))
+        )
         await operator.clock.sleep(4.0)
         await operator.order("hold", 0)
         assert await flying == (REFUSED, "it was held on its way")
@@ -388,9 +468,14 @@ def test_a_flight_on_command_ends_when_guidance_has_failed_and_says_so():
     async def scene(operator):
         await held_in_its_mission(operator)
         kind, why = await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6], duration=20.0)
-        assert (kind, why.startswith("its guidance has failed: RuntimeError: no idea")) == (REFUSED, True), why
+        assert (
+            kind,
+            why.startswith("its guidance has failed: RuntimeError: no idea"),
+        ) == (REFUSED, True), why
         y = operator.pilot(0).state.p[1]
-        assert (await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))[1].startswith("its guidance has failed: ")
+        assert (await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))[1].startswith(
+            "its guidance has failed: "
+        )
         await operator.clock.sleep(1.8)
         assert operator.pilot(0).mode is Mode.HOVER
         assert operator.pilot(0).state.p[1] - y < 0.2
@@ -403,10 +488,18 @@ def test_nothing_is_flown_on_command_while_a_stop_is_in_force():
         await operator.order("take-off")
         flying = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
         await operator.clock.sleep(0.5)
-        operator.agent.bus.stopped = True  # of the swarm: it has not reached these motors yet
-        for verb, arguments in (("go-to", {"p": [0.0, 1.0, 0.6]}), ("fly", way((0, 0, 1), (0, 1, 1)))):
+        operator.agent.bus.stopped = (
+            True  # of the swarm: it has not reached these motors yet
+        )
+        for verb, arguments in (
+            ("go-to", {"p": [0.0, 1.0, 0.6]}),
+            ("fly", way((0, 0, 1), (0, 1, 1))),
+        ):
             kind, why = await told(operator, verb, 1, **arguments)
-            assert (kind, why.startswith("emergency stop in force")) == (REFUSED, True), why
+            assert (kind, why.startswith("emergency stop in force")) == (
+                REFUSED,
+                True,
+            ), why
         assert (await flying)[1].startswith("emergency stop in force")
         operator.agent.bus.stopped = False
         assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (DONE, "there")
@@ -419,13 +512,24 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
     async def scene(operator):
         await operator.order("take-off")
         before = operator.pilot(0).state.p.copy()
-        fast, out = way((0, 0, 1), (0, 3, 1), seconds=0.5), way((0, 0, 1), (0, 9, 1), seconds=60.0)
+        fast, out = (
+            way((0, 0, 1), (0, 3, 1), seconds=0.5),
+            way((0, 0, 1), (0, 9, 1), seconds=60.0),
+        )
         for arguments, words in (
-            (fast, "Give it more time"), (out, "fence"), ({}, "coefficients"), (fast | {"durations": "x"}, "float"),
-        ):  # fmt: skip
+            (fast, "Give it more time"),
+            (out, "fence"),
+            ({}, "coefficients"),
+            (fast | {"durations": "x"}, "float"),
+        ):
             kind, why = await told(operator, "fly", 0, **arguments)
             assert (kind, words in why) == (REFUSED, True), why
-        for arguments in ({"p": [0.0, 1.0]}, {"p": [0.0, 1.0, float("nan")]}, {"p": [0, 0, 1], "speed": 3}, {}):
+        for arguments in (
+            {"p": [0.0, 1.0]},
+            {"p": [0.0, 1.0, float("nan")]},
+            {"p": [0, 0, 1], "speed": 3},
+            {},
+        ):
             kind, why = await told(operator, "go-to", 0, **arguments)
             assert (kind, "go-to" in why) == (REFUSED, True), why
         await operator.clock.sleep(1.0)
@@ -438,11 +542,20 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
 def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
     async def scene(operator):
         kind, said = await told(operator, "overview", 0)
-        assert (kind, said["links"], said["network"]["rules"], said["route"]) == (DONE, {}, [], [])
+        assert (kind, said["links"], said["network"]["rules"], said["route"]) == (
+            DONE,
+            {},
+            [],
+            [],
+        )
         await told(operator, "impair", 0, loss=0.5)
         await operator.order("take-off")
         kind, said = await told(operator, "overview", 0)
-        assert (kind, sorted(said["links"]), said["network"]["rules"]) == (DONE, [1, 2], [{"loss": 0.5}])
+        assert (kind, sorted(said["links"]), said["network"]["rules"]) == (
+            DONE,
+            [1, 2],
+            [{"loss": 0.5}],
+        )
         for sent, lost in said["links"].values():
             assert sent > 30
             assert 0.2 < lost / sent < 0.8
@@ -457,7 +570,10 @@ def test_a_flight_on_command_puts_off_the_end_of_waiting(monkeypatch):
     async def scene(operator):
         await operator.order("take-off", 0)
         for y in (2.0, 0.0, 2.0):
-            assert await told(operator, "go-to", 0, p=[0.0, y, 0.6], duration=4.0) == (DONE, "there")
+            assert await told(operator, "go-to", 0, p=[0.0, y, 0.6], duration=4.0) == (
+                DONE,
+                "there",
+            )
         assert operator.pilot(0).mode is Mode.HOVER
         await operator.clock.sleep(5.0)
         assert operator.pilot(0).mode is Mode.HOVER
@@ -502,17 +618,29 @@ async def in_flight(operator, *verbs, drone=0):
             await operator.order(verb, drone)
 
 
-@pytest.mark.parametrize(("verb", "words"), [("land", "landed on command"), ("home", "sent home on command")])
-def test_a_mission_that_its_operator_ends_in_flight_is_a_success_and_says_so(verb, words):
-    results = play(There, lambda operator: in_flight(operator, verb), config_of(1, operator=False))
+@pytest.mark.parametrize(
+    ("verb", "words"), [("land", "landed on command"), ("home", "sent home on command")]
+)
+def test_a_mission_that_its_operator_ends_in_flight_is_a_success_and_says_so(
+    verb, words
+):
+    results = play(
+        There, lambda operator: in_flight(operator, verb), config_of(1, operator=False)
+    )
     assert results == {0: {"success": True, "reason": words, "ended": words}}
 
 
 def test_landing_one_of_several_ends_those_that_cannot_go_on_without_it_as_a_success_too():
-    results = play(Exchanges, lambda operator: in_flight(operator, "land", drone=1), config_of(3, operator=False))
+    results = play(
+        Exchanges,
+        lambda operator: in_flight(operator, "land", drone=1),
+        config_of(3, operator=False),
+    )
     assert [result["success"] for result in results.values()] == [True] * 3, results
     assert results[1]["ended"] == "landed on command"
-    assert {results[i]["ended"] for i in (0, 2)} == {"drone 1: landed on command, and with it the team"}
+    assert {results[i]["ended"] for i in (0, 2)} == {
+        "drone 1: landed on command, and with it the team"
+    }
 
 
 @pytest.mark.parametrize("verbs", [("land", "stop"), ("stop", "land"), ("stop",)])
@@ -552,13 +680,22 @@ def test_a_drone_that_breaks_while_its_operator_lands_it_is_no_success():
         await in_flight(operator, "land")
 
     result = play(There, scene, config_of(1, operator=False))[0]
-    assert (result["success"], result["reason"]) == (False, "drone 0: hit the floor at 3 m/s")
+    assert (result["success"], result["reason"]) == (
+        False,
+        "drone 0: hit the floor at 3 m/s",
+    )
 
 
 def test_a_mission_whose_own_code_breaks_when_its_operator_ends_it_has_failed():
-    result = play(BreaksAtItsEnd, lambda operator: in_flight(operator, "land"), config_of(1, operator=False))[0]
+    result = play(
+        BreaksAtItsEnd,
+        lambda operator: in_flight(operator, "land"),
+        config_of(1, operator=False),
+    )[0]
     assert not result["success"]
-    assert result["reason"].startswith("landed on command; drone 0: guidance failed: ZeroDivisionError: in the clean")
+    assert result["reason"].startswith(
+        "landed on command; drone 0: guidance failed: ZeroDivisionError: in the clean"
+    )
 
 
 def test_a_landing_by_anything_else_than_an_operator_is_no_success():

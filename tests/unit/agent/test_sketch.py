@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from crazychoir.agent import sketch
-from crazychoir.agent.sketch import LOADED, MOST_ROWS, loaded_with_words, messages, planned, saved, shifted
+from crazychoir.agent.sketch import (
+    LOADED,
+    MOST_ROWS,
+    loaded_with_words,
+    messages,
+    planned,
+    saved,
+    shifted,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.access import MOST_BODY
 from crazychoir.dashboard.requests import Draw, read
@@ -23,7 +31,9 @@ def config_of(**tables):
 
 
 def test_strokes_become_a_flight_within_the_limits_that_were_set():
-    plan = planned((WAVE, DOWN), Pen(height=1.2, lift=0.3), config_of(), v_max=0.4, a_max=0.8)
+    plan = planned(
+        (WAVE, DOWN), Pen(height=1.2, lift=0.3), config_of(), v_max=0.4, a_max=0.8
+    )
     assert keeps(plan.path, Limits(v_max=0.4, a_max=0.8))
     assert 0.3 < plan.speed <= 0.4
     assert plan.deviation < 0.05
@@ -52,7 +62,9 @@ def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
 
 @pytest.mark.parametrize("slower", [0.0, -1.0, 0.99, 20.1, float("nan"), float("inf")])
 def test_no_time_that_is_none_or_less_than_the_limits_ask_for(slower):
-    with pytest.raises(ConfigError, match=r"drawing: slower: found .*; allowed: 1 to 20 times"):
+    with pytest.raises(
+        ConfigError, match=r"drawing: slower: found .*; allowed: 1 to 20 times"
+    ):
         planned((WAVE,), Pen(), config_of(), slower=slower)
 
 
@@ -72,17 +84,29 @@ LONG = [[(0.0, 4.0 * (-1.0) ** k, 0.0) for k in range(25)]]  # 192 m
 @pytest.mark.parametrize(
     ("strokes", "pen", "limits", "words"),
     [
-        ([[(0.0, 0.0, 0.0), (1.0, 900.0, 0.0)]], {}, {}, r"strokes\[0\]\[1\]: found \[900.0, 0.0, 1.0\]; .*fence"),
+        (
+            [[(0.0, 0.0, 0.0), (1.0, 900.0, 0.0)]],
+            {},
+            {},
+            r"strokes\[0\]\[1\]: found \[900.0, 0.0, 1.0\]; .*fence",
+        ),
         ([[(0.0, 0.0, 0.0), (1.0, 4.03, 0.0)]], {"smoothing": 0.02}, {}, "fence"),
         ([[(0.0, 0.0, 0.0), (1.0, float("nan"), 0.0)]], {}, {}, "fence"),
         (LONG, {}, {"v_max": 0.1}, "192 m, which take 1920 s; allowed: at most 1800 s"),
         (LONG, {}, {"v_max": 0.5, "slower": 5.0}, "1920 s"),
-        ([[(0.0, 0.0, 0.0)]] * 200, {"lift": 2.0}, {"v_max": 0.4}, "0 m, which take 1990 s"),
+        (
+            [[(0.0, 0.0, 0.0)]] * 200,
+            {"lift": 2.0},
+            {"v_max": 0.4},
+            "0 m, which take 1990 s",
+        ),
         (LONG + LONG, {}, {"v_max": 1.0}, "384 m; allowed: at most 113 m"),
         ([[(0.0, 0.0, 0.0)] * (MOST_ROWS + 1)], {}, {}, f"{MOST_ROWS + 1} rows"),
     ],
 )
-def test_what_is_far_too_large_is_refused_before_it_is_planned(unplanned, strokes, pen, limits, words):
+def test_what_is_far_too_large_is_refused_before_it_is_planned(
+    unplanned, strokes, pen, limits, words
+):
     with pytest.raises(ConfigError, match=words):
         planned(strokes, Pen(**pen), config_of(), **limits)
 
@@ -113,19 +137,31 @@ def test_each_drone_flies_it_beside_the_one_before():
 
 @pytest.mark.parametrize(
     ("offset", "good"),
-    [((0.0, 0.0, 0.0), False), ((0.3, 0.0, 0.0), False), ((0.0, 0.33, 0.0), True), ((0, 0, 0.61), True),
-     ((0.2, 0.2, 0.3), True), ((0.1, 0.1, 0.3), False)],
-)  # fmt: skip
+    [
+        ((0.0, 0.0, 0.0), False),
+        ((0.3, 0.0, 0.0), False),
+        ((0.0, 0.33, 0.0), True),
+        ((0, 0, 0.61), True),
+        ((0.2, 0.2, 0.3), True),
+        ((0.1, 0.1, 0.3), False),
+    ],
+)
 def test_drones_that_would_fly_into_each_other_are_not_sent(offset, good):
     config = config_of()
     path = planned((WAVE,), Pen(), config).path
     if good:
         assert len(messages(path, (2, 3), offset, config)) == 2
     else:
-        with pytest.raises(ConfigError, match=r"offset: .*0\.32 m aside, or 0\.6 m above"):
+        with pytest.raises(
+            ConfigError, match=r"offset: .*0\.32 m aside, or 0\.6 m above"
+        ):
             messages(path, (2, 3), offset, config)
-    assert len(messages(path, (0, 1), offset, config)) == 2, "leaders fly it from where they are"
-    assert len(messages(path, (2, 3), offset, config_of(collision={"method": "off"}))) == 2
+    assert len(messages(path, (0, 1), offset, config)) == 2, (
+        "leaders fly it from where they are"
+    )
+    assert (
+        len(messages(path, (2, 3), offset, config_of(collision={"method": "off"}))) == 2
+    )
 
 
 def test_strokes_are_saved_and_loaded():
@@ -134,14 +170,22 @@ def test_strokes_are_saved_and_loaded():
         read, _ = loaded_with_words(saved(drawn, kind), f"Word.{kind.upper()}")
         for stroke, again in zip(drawn, read, strict=True):
             columns = slice(0 if timed else 1, 3)
-            assert np.array(again)[:, columns] == pytest.approx(stroke[:, columns], abs=2e-4)
+            assert np.array(again)[:, columns] == pytest.approx(
+                stroke[:, columns], abs=2e-4
+            )
             assert (np.diff(np.array(again)[:, 0]) > 0.0).all()
 
 
 def circles(n, metres, count):
     """n places, t s, x, y m, on circles of so many metres each, `count` times."""
     turn = np.linspace(0.0, 2.0 * np.pi * count, n)
-    return np.column_stack([0.01 * np.arange(n), np.cos(turn) * metres / 6.28, np.sin(turn) * metres / 6.28])
+    return np.column_stack(
+        [
+            0.01 * np.arange(n),
+            np.cos(turn) * metres / 6.28,
+            np.sin(turn) * metres / 6.28,
+        ]
+    )
 
 
 @pytest.mark.parametrize("kind", ["csv", "svg"])
@@ -150,7 +194,10 @@ def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
     places = np.array(stroke)[:, 1:]
     assert 1000 < len(places) <= 1501, "2 mm apart"
     assert places[[0, -1]] == pytest.approx(np.array([[3.0 / 6.28, 0.0]] * 2), abs=1e-4)
-    far = [circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k]) for k in range(2 if kind == "csv" else 1)]
+    far = [
+        circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k])
+        for k in range(2 if kind == "csv" else 1)
+    ]
     strokes, _ = loaded_with_words(saved(far, kind), f"a.{kind}")
     assert 2500 < sum(map(len, strokes)) <= LOADED
     asked = json.dumps({"ask": "draw", "strokes": strokes})
@@ -159,16 +206,24 @@ def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
 
 
 def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
-    drawn = [np.array([[0.0, 0.01 * k, 0.0], [0.1, 0.01 * k, 0.1], [0.2, 0.01 * k, 0.2]]) for k in range(3000)]
+    drawn = [
+        np.array([[0.0, 0.01 * k, 0.0], [0.1, 0.01 * k, 0.1], [0.2, 0.01 * k, 0.2]])
+        for k in range(3000)
+    ]
     strokes, _ = loaded_with_words(saved(drawn, "csv"), "a.csv")
     assert [len(stroke) for stroke in strokes] == [2] * 3000
 
 
 @pytest.mark.parametrize(
     ("name", "text", "words"),
-    [("a.txt", "", "ends in .csv or .svg"), ("a.csv", "stroke,t,x\n", "no column y"), ("a.csv", "", "empty"),
-     ("a.csv", "stroke,t,x,y\n1,0,nan,2\n", "finite"), ("a.svg", "<svg>", "no line")],
-)  # fmt: skip
+    [
+        ("a.txt", "", "ends in .csv or .svg"),
+        ("a.csv", "stroke,t,x\n", "no column y"),
+        ("a.csv", "", "empty"),
+        ("a.csv", "stroke,t,x,y\n1,0,nan,2\n", "finite"),
+        ("a.svg", "<svg>", "no line"),
+    ],
+)
 def test_files_that_are_none_are_refused_by_name(name, text, words):
     with pytest.raises(ConfigError, match=words) as raised:
         loaded_with_words(text, name)
@@ -177,8 +232,8 @@ def test_files_that_are_none_are_refused_by_name(name, text, words):
 
 def test_a_path_is_moved_as_a_whole():
     path = planned((WAVE, DOWN), Pen(), config_of()).path
-    away = shifted(path, (1.0, -2.0, 0.5)).samples(np.linspace(0, path.duration, 50)) - path.samples(
+    away = shifted(path, (1.0, -2.0, 0.5)).samples(
         np.linspace(0, path.duration, 50)
-    )
+    ) - path.samples(np.linspace(0, path.duration, 50))
     assert np.allclose(away[:, 0:3], [1.0, -2.0, 0.5])
     assert np.allclose(away[:, 3:], 0.0)

@@ -24,7 +24,12 @@ from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, FullState, Goto, State, Velocity
 
 FENCE = {"min": [-2.0, -2.0, 0.0], "max": [2.0, 2.0, 2.0]}
-FLIGHT = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+FLIGHT = {
+    "takeoff_height": 0.5,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 READ_ONLY = np.zeros(3)
 READ_ONLY.flags.writeable = False
 NAN, INF = float("nan"), float("inf")
@@ -32,7 +37,15 @@ NAN, INF = float("nan"), float("inf")
 
 def config_of(uri="sim://", fence=FENCE, **flight):
     drones = [{"id": 0, "home": [0.0, 0.0, 0.0], "uri": uri}]
-    return SwarmConfig.of({"name": "a", "graph": "empty", "drones": drones, "flight": FLIGHT | flight, "fence": fence})
+    return SwarmConfig.of(
+        {
+            "name": "a",
+            "graph": "empty",
+            "drones": drones,
+            "flight": FLIGHT | flight,
+            "fence": fence,
+        }
+    )
 
 
 def fly(guidance, config=None, scene=None):
@@ -40,7 +53,9 @@ def fly(guidance, config=None, scene=None):
     config = config or config_of()
 
     async def main(clock):
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: guidance), (0,))
+        agent = Agent(
+            clock, config, SimpleNamespace(guidance=lambda i, config: guidance), (0,)
+        )
         flying = asyncio.create_task(agent.run())
         if scene is not None:
             await scene(agent, Commander(agent.bus.port(OBSERVER, 0xF1)))
@@ -91,9 +106,13 @@ def test_a_law_may_return_numbers_of_any_type(name, uri):
 
 @pytest.mark.parametrize(
     ("reference", "uri"),
-    [(Velocity(np.array([0, 0, 0])), "sim://single"), (Velocity([0, 0, 0], 1), "sim://unicycle"),
-     (Acceleration(np.array([0, 0, 0])), "sim://double"), (Goto(np.array([1, 0, 0])), "sim://unicycle")],
-)  # fmt: skip
+    [
+        (Velocity(np.array([0, 0, 0])), "sim://single"),
+        (Velocity([0, 0, 0], 1), "sim://unicycle"),
+        (Acceleration(np.array([0, 0, 0])), "sim://double"),
+        (Goto(np.array([1, 0, 0])), "sim://unicycle"),
+    ],
+)
 def test_a_robot_that_drives_takes_whole_numbers_too(reference, uri):
     result = fly(Law(reference), config_of(uri))
     assert result["success"], result
@@ -102,7 +121,10 @@ def test_a_robot_that_drives_takes_whole_numbers_too(reference, uri):
 @pytest.mark.parametrize(
     ("reference", "found"),
     [
-        (Acceleration(np.array([0, 1])), "Acceleration.a: found int64 array of shape (2,)"),
+        (
+            Acceleration(np.array([0, 1])),
+            "Acceleration.a: found int64 array of shape (2,)",
+        ),
         (Acceleration(np.zeros((3, 1))), "found float64 array of shape (3, 1)"),
         (Acceleration(np.array([0, 1j, 0])), "found complex128 array of shape (3,)"),
         (Acceleration(["0", "0", "1"]), "Acceleration.a: found list ['0', '0', '1']"),
@@ -111,7 +133,10 @@ def test_a_robot_that_drives_takes_whole_numbers_too(reference, uri):
         (FullState(np.zeros(13)), "FullState.flat: found float64 array of shape (13,)"),
         (Goto(None), "Goto.p: found NoneType None"),
         (np.array([0, 0, 1]), "found int64 array of shape (3,)"),
-        (Goto([0.0, 0.0, 0.0]), "Goto = [0.0, 0.0, 0.0]: outside the fence, at its edge, or on the floor"),
+        (
+            Goto([0.0, 0.0, 0.0]),
+            "Goto = [0.0, 0.0, 0.0]: outside the fence, at its edge, or on the floor",
+        ),
         (Goto([9, 0, 1]), "Goto = [9.0, 0.0, 1.0]: outside the fence"),
     ],
 )
@@ -122,13 +147,21 @@ def test_what_cannot_be_flown_is_refused_with_file_line_type_and_shape_and_the_d
     result = fly(Law(lambda me: (places.append(me.p.copy()), reference)[1]))
     assert (result["success"], result["references"]) == (False, 0)
     assert found in result["reason"]
-    assert f"({__file__}:{Law.step.__code__.co_firstlineno} Law.step)" in result["reason"]
+    assert (
+        f"({__file__}:{Law.step.__code__.co_firstlineno} Law.step)" in result["reason"]
+    )
     assert np.ptp(places, axis=0).max() < 0.01, "it hovers"
     assert result["place"] == pytest.approx([0.0, 0.0, 0.5], abs=0.02)
 
 
 def test_a_law_that_begins_to_return_nonsense_brakes_and_lands_by_the_safety_table():
-    law = Law(lambda me: Acceleration([0.1, 0, 0]) if law._steps < 20 else Acceleration(np.array(["x"] * 3)))
+    law = Law(
+        lambda me: (
+            Acceleration([0.1, 0, 0])
+            if law._steps < 20
+            else Acceleration(np.array(["x"] * 3))
+        )
+    )
     law.duration = 10.0
     modes = []
 
@@ -188,8 +221,15 @@ class Flies(CFGuidance):
         except ConfigError as error:
             pilot = self.member.pilot
             await self.sleep(1.0)
-            still = bool(np.linalg.norm(self.state.p - before) < 0.01) and pilot.mode is Mode.HOVER
-            return {"refused": str(error), "still": still, "at_once": self.member.clock.now() - began < 1.01}
+            still = (
+                bool(np.linalg.norm(self.state.p - before) < 0.01)
+                and pilot.mode is Mode.HOVER
+            )
+            return {
+                "refused": str(error),
+                "still": still,
+                "at_once": self.member.clock.now() - began < 1.01,
+            }
         finally:
             await self.land()
         return {"refused": ""}
@@ -214,9 +254,14 @@ OUTSIDE = {
     "beside the fence": [0.0, -2.001, 1.0],
 }
 NO_PLACE = {
-    "nan": [0.0, NAN, 1.0], "inf": [INF, 0.0, 1.0], "two numbers": [0.0, 1.0], "a text": "1,0,1", "nothing": None,
-    "texts": ["1", "0", "1"], "a matrix": [[0.0, 0.0, 1.0]],
-}  # fmt: skip
+    "nan": [0.0, NAN, 1.0],
+    "inf": [INF, 0.0, 1.0],
+    "two numbers": [0.0, 1.0],
+    "a text": "1,0,1",
+    "nothing": None,
+    "texts": ["1", "0", "1"],
+    "a matrix": [[0.0, 0.0, 1.0]],
+}
 INSIDE = {
     "as low as a take-off": [0.0, 0.0, ABOVE_FLOOR],
     "as high as it may be": [0.0, 0.0, HIGHEST - EDGE],
@@ -239,7 +284,9 @@ def test_a_goal_inside_is_flown_to(name):
     assert fly(Flies("go_to", INSIDE[name])) == {"success": True, "refused": ""}
 
 
-@pytest.mark.parametrize("options", [{"yaw": NAN}, {"yaw": "north"}, {"duration": NAN}, {"duration": INF}])
+@pytest.mark.parametrize(
+    "options", [{"yaw": NAN}, {"yaw": "north"}, {"duration": NAN}, {"duration": INF}]
+)
 def test_a_goal_without_a_yaw_or_a_duration_that_are_numbers_is_refused(options):
     result = fly(Flies("go_to", [0.5, 0.0, 1.0], **options))
     assert result["still"]
@@ -247,12 +294,16 @@ def test_a_goal_without_a_yaw_or_a_duration_that_are_numbers_is_refused(options)
 
 
 def way(*places, seconds=8.0):
-    return spline(np.linspace(0.0, seconds, len(places)), np.array(places, dtype=float), degree=7)
+    return spline(
+        np.linspace(0.0, seconds, len(places)), np.array(places, dtype=float), degree=7
+    )
 
 
 PATHS = {
     "on the floor": way((0, 0, 0.0), (0.5, 0, 0.0), (1, 0, 0.0)),
-    "that dips to the floor": way((0, 0, 1.0), (0.5, 0, 0.05), (1, 0, 1.0), seconds=20.0),
+    "that dips to the floor": way(
+        (0, 0, 1.0), (0.5, 0, 0.05), (1, 0, 1.0), seconds=20.0
+    ),
     "along the top of the fence": way((0, 0, HIGHEST), (1, 0, HIGHEST)),
     "that overshoots the fence between places inside": way(
         (1.9, 1.9, 1), (1.98, 0.6, 1), (1.99, 0.0, 1), (0, -1.9, 1), seconds=30.0
@@ -277,7 +328,10 @@ def test_a_path_without_a_duration_is_refused(duration):
     path.duration = duration
     result = fly(Flies("fly", path))
     assert result["still"]
-    assert "fly(): duration: found" in result["refused"] or "set-points" in result["refused"]
+    assert (
+        "fly(): duration: found" in result["refused"]
+        or "set-points" in result["refused"]
+    )
 
 
 def test_what_is_inside_the_room_the_guard_never_brakes_and_what_it_brakes_is_outside():
@@ -297,12 +351,20 @@ def test_what_is_inside_the_room_the_guard_never_brakes_and_what_it_brakes_is_ou
 
 
 def test_a_robot_that_drives_may_be_sent_along_the_floor():
-    assert fly(Flies("go_to", [1.0, 0.5, 0.0]), config_of("sim://unicycle"))["refused"] == ""
-    assert "outside" in fly(Flies("go_to", [2.0, 0.5, 0.0]), config_of("sim://unicycle"))["refused"]
+    assert (
+        fly(Flies("go_to", [1.0, 0.5, 0.0]), config_of("sim://unicycle"))["refused"]
+        == ""
+    )
+    assert (
+        "outside"
+        in fly(Flies("go_to", [2.0, 0.5, 0.0]), config_of("sim://unicycle"))["refused"]
+    )
 
 
 def test_a_floor_of_the_fence_above_the_ground_counts():
-    high = config_of(fence={"min": [-2.0, -2.0, -0.0], "max": [2.0, 2.0, 2.0]}, ground=-0.5)
+    high = config_of(
+        fence={"min": [-2.0, -2.0, -0.0], "max": [2.0, 2.0, 2.0]}, ground=-0.5
+    )
     assert fly(Flies("go_to", [0.0, 0.0, 0.01]), high)["refused"] == ""
 
 
@@ -323,9 +385,15 @@ def test_an_operators_goals_and_paths_are_refused_before_the_drone_moves():
         before, began = pilot.state.p.copy(), agent.clock.now()
         asked = {name: ("go-to", {"p": p}) for name, p in (OUTSIDE | NO_PLACE).items()}
         asked |= {
-            f"{key} {x}": ("go-to", {"p": [0.5, 0, 1], key: x}) for key in ("yaw", "duration") for x in (NAN, INF)
+            f"{key} {x}": ("go-to", {"p": [0.5, 0, 1], key: x})
+            for key in ("yaw", "duration")
+            for x in (NAN, INF)
         }
-        asked |= {name: ("fly", path_message(path)) for name, path in PATHS.items() if not isinstance(path, Whole)}
+        asked |= {
+            name: ("fly", path_message(path))
+            for name, path in PATHS.items()
+            if not isinstance(path, Whole)
+        }
         for name, (verb, arguments) in asked.items():
             heard[name] = await commander.request(0, verb, 60.0, **arguments)
         assert agent.clock.now() - began < 2.0
@@ -347,15 +415,33 @@ def test_a_drawing_on_the_floor_or_at_the_top_of_the_fence_is_refused(height):
         planned([stroke], Pen(height=height), config_of())
     path = planned([stroke], Pen(height=1.0), config_of()).path
     with pytest.raises(ConfigError, match="path of drone 0"):
-        messages(path, (0,), (0.0, 0.0, 0.0), config_of(fence={"min": [-2, -2, 0], "max": [0.95, 2, 2]}))
+        messages(
+            path,
+            (0,),
+            (0.0, 0.0, 0.0),
+            config_of(fence={"min": [-2, -2, 0], "max": [0.95, 2, 2]}),
+        )
 
 
 @pytest.mark.parametrize(
     ("home", "words"),
-    [([2.0, 0.0, 0.0], "nearer than 0.005 m"), ([0.0, 0.0, 2.0], "nearer than 0.005 m"), ([2.1, 0, 0], "outside"),
-     ([0, 0, -0.1], "outside"), ([NAN, 0, 0], "home"), ([INF, 0, 0], "home")],
-)  # fmt: skip
+    [
+        ([2.0, 0.0, 0.0], "nearer than 0.005 m"),
+        ([0.0, 0.0, 2.0], "nearer than 0.005 m"),
+        ([2.1, 0, 0], "outside"),
+        ([0, 0, -0.1], "outside"),
+        ([NAN, 0, 0], "home"),
+        ([INF, 0, 0], "home"),
+    ],
+)
 def test_a_start_from_where_no_drone_can_rise_is_refused_with_the_key(home, words):
-    raw = {"name": "a", "graph": "empty", "drones": [{"id": 0, "home": home}], "fence": FENCE}
-    with pytest.raises(ConfigError, match=rf"drones\[0\]\.home.*{words}|drones\[0\]\.home"):
+    raw = {
+        "name": "a",
+        "graph": "empty",
+        "drones": [{"id": 0, "home": home}],
+        "fence": FENCE,
+    }
+    with pytest.raises(
+        ConfigError, match=rf"drones\[0\]\.home.*{words}|drones\[0\]\.home"
+    ):
         SwarmConfig.of(raw)

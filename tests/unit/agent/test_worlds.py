@@ -26,7 +26,12 @@ from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.remote import OFF
 
-BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.5,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 
 
 class Wire:
@@ -39,7 +44,15 @@ class Wire:
     def forward(self, topic, source, to, payload, number, channel, flags, age):
         for j in to if not self.torn else ():
             if j in self.there.ports:
-                self.there.ports[j].deliver(topic.number, source, payload, number, channel, flags, age + self.late)
+                self.there.ports[j].deliver(
+                    topic.number,
+                    source,
+                    payload,
+                    number,
+                    channel,
+                    flags,
+                    age + self.late,
+                )
 
     def then(self, work):
         work()
@@ -58,7 +71,15 @@ def wired(one, other):
 
 def swarm(**tables):
     drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
-    return SwarmConfig.of({"name": "a", "drones": drones, "flight": BRISK, "world": {"owned": True}, **tables})
+    return SwarmConfig.of(
+        {
+            "name": "a",
+            "drones": drones,
+            "flight": BRISK,
+            "world": {"owned": True},
+            **tables,
+        }
+    )
 
 
 class Hops(CFGuidance):
@@ -106,14 +127,18 @@ def fly(config, meanwhile=None, mission=MISSION):
     async def nothing(clock, *parts):
         await clock.sleep(0.0)
 
-    return run_virtual(lambda clock: two_processes(clock, config, meanwhile or nothing, mission))
+    return run_virtual(
+        lambda clock: two_processes(clock, config, meanwhile or nothing, mission)
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.013])
 def test_a_flight_is_the_same_bit_by_bit_wherever_the_body_is(delay):
     config = swarm(plant={"command_delay": delay}, mocap={"latency": 0.02})
     apart, world = fly(config)
-    together = run_virtual(lambda clock: Agent(clock, config, MISSION, config.ids).run())
+    together = run_virtual(
+        lambda clock: Agent(clock, config, MISSION, config.ids).run()
+    )
     assert apart == together
     assert all(result["success"] for result in apart.values()), apart
     assert world.report()["commands"] > 100
@@ -125,7 +150,10 @@ def test_all_drones_of_the_world_are_in_one_and_obey_their_own_agents():
     async def meanwhile(clock, world, agent, wires):
         assert agent.owners == []
         await clock.sleep(2.0)
-        seen.update({i: world.owners[0].world.state(i).p.tolist() for i in (0, 1)}, flown=world.flown)
+        seen.update(
+            {i: world.owners[0].world.state(i).p.tolist() for i in (0, 1)},
+            flown=world.flown,
+        )
 
     _, world = fly(swarm(), meanwhile=meanwhile)
     assert seen["flown"] == [0, 1]
@@ -179,13 +207,23 @@ class Foreign:
         return getattr(self._world, name)
 
 
-def test_a_world_that_has_no_delay_of_its_own_gets_the_delay_of_the_swarm_file(monkeypatch):
+def test_a_world_that_has_no_delay_of_its_own_gets_the_delay_of_the_swarm_file(
+    monkeypatch,
+):
     monkeypatch.setitem(sys.modules, "foreign", SimpleNamespace(world=Foreign))
-    monkeypatch.setitem(engines.OURS, MOTORS, EntryPoint(MOTORS, "foreign:world", "crazychoir.worlds"))
+    monkeypatch.setitem(
+        engines.OURS, MOTORS, EntryPoint(MOTORS, "foreign:world", "crazychoir.worlds")
+    )
     drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
 
     async def main(clock):
-        world = WorldProcess(clock, swarm(drones=drones, plant={"command_delay": 0.03}), "world", "here", 1)
+        world = WorldProcess(
+            clock,
+            swarm(drones=drones, plant={"command_delay": 0.03}),
+            "world",
+            "here",
+            1,
+        )
         return [body.link for body in world.bodies], world.owners[0].world
 
     links, world = run_virtual(main)
@@ -195,9 +233,13 @@ def test_a_world_that_has_no_delay_of_its_own_gets_the_delay_of_the_swarm_file(m
 
 def test_a_world_in_which_nobody_can_fly_what_is_sent_is_refused_at_its_start():
     async def main(clock):
-        with pytest.raises(ConfigError, match="drone 0: sender: found frpy; allowed: fpqr"):
+        with pytest.raises(
+            ConfigError, match="drone 0: sender: found frpy; allowed: fpqr"
+        ):
             WorldProcess(clock, swarm(control={"sender": "frpy"}), "world", "here", 1)
-        with pytest.raises(ConfigError, match="drone 0: sender: found vel; allowed: fpqr"):
+        with pytest.raises(
+            ConfigError, match="drone 0: sender: found vel; allowed: fpqr"
+        ):
             Agent(clock, swarm(control={"sender": "vel"}), MISSION, (0, 1))
 
     run_virtual(main)
@@ -214,7 +256,9 @@ def test_a_cut_reaches_the_body():
 
     results, _ = fly(swarm(), meanwhile=meanwhile)
     assert all(speed < -1.0 for speed in fell.values()), fell
-    assert all("emergency stop" in result["reason"] for result in results.values()), results
+    assert all("emergency stop" in result["reason"] for result in results.values()), (
+        results
+    )
 
 
 def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send():
@@ -224,7 +268,10 @@ def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send()
         operator = Commander(world.bus.port(OBSERVER + 1))
         await clock.sleep(2.5)
         refused = await operator.request(BODIES, "land")
-        seen.update(refused=refused.kind, missing=await operator.emergency_stop([BODIES], deadline=1.0))
+        seen.update(
+            refused=refused.kind,
+            missing=await operator.emergency_stop([BODIES], deadline=1.0),
+        )
         await clock.sleep(0.2)
         seen.update({i: world.owners[0].world.state(i).v[2] for i in (0, 1)})
 
@@ -238,7 +285,10 @@ def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send()
 async def started_again(clock, config):
     """The owner of a world, the agent that has flown its drones for 3 s, and what ends that and starts another one."""
     world = WorldProcess(clock, config, "world", "here", 1)
-    first, second = (Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False) for n in (1, 2))
+    first, second = (
+        Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False)
+        for n in (1, 2)
+    )
     tasks = [asyncio.create_task(world.serve()), asyncio.create_task(first.run())]
     wires = wired(first.bus, world.bus)
 
@@ -263,7 +313,11 @@ async def started_again(clock, config):
 def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender):
     drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
     flight = BRISK | {"speed_limit": 0.9}
-    tables = {"drones": drones, "flight": flight, "control": {"sender": sender}} if sender == "xyz" else {}
+    tables = (
+        {"drones": drones, "flight": flight, "control": {"sender": sender}}
+        if sender == "xyz"
+        else {}
+    )
     config = swarm(**tables)
 
     async def main(clock):
@@ -293,7 +347,9 @@ def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes
             await clock.sleep(1.0)
             drones = again().drones
             await clock.sleep(30.0)
-            return {i: drone.result for i, drone in drones.items()}, [d.pilot.unfit() for d in drones.values()]
+            return {i: drone.result for i, drone in drones.items()}, [
+                d.pilot.unfit() for d in drones.values()
+            ]
 
     results, problems = run_virtual(main)
     assert OFF in results[1]["reason"], results
@@ -301,9 +357,13 @@ def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes
 
 
 @pytest.mark.parametrize("length", [0.6, 1.2, 1.8, 2.4, 3.6])
-def test_who_is_cut_off_from_its_body_lets_its_firmware_land_it_and_does_so_where_it_sees_it_again(length):
+def test_who_is_cut_off_from_its_body_lets_its_firmware_land_it_and_does_so_where_it_sees_it_again(
+    length,
+):
     drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
-    config = swarm(drones=drones, flight=BRISK | {"takeoff_height": 1.2, "landing_speed": 0.4})
+    config = swarm(
+        drones=drones, flight=BRISK | {"takeoff_height": 1.2, "landing_speed": 0.4}
+    )
     seen = {"sinks": []}
 
     async def meanwhile(clock, world, agent, wires):
@@ -317,7 +377,9 @@ def test_who_is_cut_off_from_its_body_lets_its_firmware_land_it_and_does_so_wher
                 seen["sinks"].append(world.owners[0].world.state(0).v[2])
         seen["down"] = [world.owners[0].world.state(i).p[2] for i in (0, 1)]
 
-    _, world = fly(config, meanwhile, SimpleNamespace(guidance=lambda i, config: Stays(20.0)))
+    _, world = fly(
+        config, meanwhile, SimpleNamespace(guidance=lambda i, config: Stays(20.0))
+    )
     assert min(seen["sinks"]) > -1.0, "it falls"
     assert max(seen["down"]) < 0.05
     assert world.report()["crashed"] == []
@@ -348,10 +410,18 @@ def test_the_owner_ends_when_nobody_flies_any_more(caplog):
         return results, clock.now() - ends["asked"]
 
     results, later = run_virtual(main)
-    assert all(result["success"] for result in results.values()), "they saw the floor when they landed"
+    assert all(result["success"] for result in results.values()), (
+        "they saw the floor when they landed"
+    )
     assert later > 2.0 + LEFT_ALONE
-    said = [record.getMessage() for record in caplog.records if "world:" in record.getMessage()]
-    assert said == ["world: Ctrl-C: it goes on until the agents of drone(s) 0, 1 have ended"]
+    said = [
+        record.getMessage()
+        for record in caplog.records
+        if "world:" in record.getMessage()
+    ]
+    assert said == [
+        "world: Ctrl-C: it goes on until the agents of drone(s) 0, 1 have ended"
+    ]
 
 
 def test_agents_that_have_just_ended_are_no_news(caplog):
@@ -378,7 +448,9 @@ def test_an_owner_that_cannot_go_on_ends_with_the_reason(how, caplog):
         serving = asyncio.create_task(world.serve())
         await clock.sleep(1.0)
         if how == "refused":
-            world.refuse(Refused("swarm a", "another owns the world of drone(s) 0, 1 too"))
+            world.refuse(
+                Refused("swarm a", "another owns the world of drone(s) 0, 1 too")
+            )
         else:
             world.owners[0].world.states = None
         await serving
@@ -387,7 +459,9 @@ def test_an_owner_that_cannot_go_on_ends_with_the_reason(how, caplog):
     with caplog.at_level(logging.CRITICAL):
         report = run_virtual(main)
     assert not report["success"]
-    assert ("another owns" if how == "refused" else "world failed: ") in report["reason"]
+    assert ("another owns" if how == "refused" else "world failed: ") in report[
+        "reason"
+    ]
 
 
 def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
@@ -397,7 +471,9 @@ def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
     config = SwarmConfig.of({"name": "a", "drones": [drone], "mocap": mocap})
 
     async def main(clock):
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: Stays()), (0,))
+        agent = Agent(
+            clock, config, SimpleNamespace(guidance=lambda i, config: Stays()), (0,)
+        )
         (owner,) = agent.owners
         told = []
         owner.world.see = lambda i, pose: told.append(pose)

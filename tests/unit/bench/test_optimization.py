@@ -19,37 +19,69 @@ NEIGHBORS = {i: ring(5).in_neighbors(i) for i in range(5)}
 
 
 def row(name, algorithm, agents, rate):
-    return {"name": name, "algorithm": algorithm, "agents": agents, "rounds_per_s": rate}
+    return {
+        "name": name,
+        "algorithm": algorithm,
+        "agents": agents,
+        "rounds_per_s": rate,
+    }
 
 
 def test_ratios_take_the_better_of_ours():
-    rows = [row("crazychoir", "consensus", 10, 300.0), row("crazychoir", "consensus", 10, 500.0),
-            row(PATTERN, "consensus", 10, 50.0), row("crazychoir", "dual decomposition", 20, 90.0),
-            row(PATTERN, "dual decomposition", 20, None)]  # fmt: skip
+    rows = [
+        row("crazychoir", "consensus", 10, 300.0),
+        row("crazychoir", "consensus", 10, 500.0),
+        row(PATTERN, "consensus", 10, 50.0),
+        row("crazychoir", "dual decomposition", 20, 90.0),
+        row(PATTERN, "dual decomposition", 20, None),
+    ]
     assert ratios(rows) == [
         {"agents": 10, "algorithm": "consensus", "ratio": 10.0, "promised": 10.0},
-        {"agents": 20, "algorithm": "dual decomposition", "ratio": None, "promised": 3.0},
+        {
+            "agents": 20,
+            "algorithm": "dual decomposition",
+            "ratio": None,
+            "promised": 3.0,
+        },
     ]
 
 
 def test_the_table_fits_into_80_columns_a_line_a_row():
-    rows = [row(name, "dual decomposition", 20, 12345.6) | {"processes": 20, "cpu_us_per_message": 1234.5}
-            for name in ("crazychoir", PATTERN)]  # fmt: skip
+    rows = [
+        row(name, "dual decomposition", 20, 12345.6)
+        | {"processes": 20, "cpu_us_per_message": 1234.5}
+        for name in ("crazychoir", PATTERN)
+    ]
     console = Console(width=80, file=io.StringIO())
     console.print(bench_optimization.table({"rows": rows, "ratios": ratios(rows)}))
     lines = console.file.getvalue().splitlines()
     assert [line.split() for line in lines[3:5]] == [
         ["dual", "decomposition", "20", "crazychoir", "20", "12,345.6", "1,234.5"],
-        ["dual", "decomposition", "20", "DISROPT's", "pattern", "20", "12,345.6", "1,234.5"],
+        [
+            "dual",
+            "decomposition",
+            "20",
+            "DISROPT's",
+            "pattern",
+            "20",
+            "12,345.6",
+            "1,234.5",
+        ],
     ]
-    assert lines[-1].rstrip() == "dual decomposition, 20 agents: 1 times DISROPT's pattern"
+    assert (
+        lines[-1].rstrip() == "dual decomposition, 20 agents: 1 times DISROPT's pattern"
+    )
 
 
 @pytest.mark.parametrize("name", ["consensus", "dual decomposition"])
 def test_both_programs_come_to_the_same_point(name):
     """The pattern's agents in threads, with mailboxes for MPI."""
     boxes = {(i, j): queue.Queue() for i in NEIGHBORS for j in NEIGHBORS[i]}
-    make = peers_mpi4py_rounds.consensus if name == "consensus" else peers_mpi4py_rounds.dual_decomposition
+    make = (
+        peers_mpi4py_rounds.consensus
+        if name == "consensus"
+        else peers_mpi4py_rounds.dual_decomposition
+    )
     last = {}
 
     def run(i):

@@ -9,7 +9,16 @@ import numpy as np
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import Envelope, Frame, decode_frame, encode_frame
 from crazychoir.errors import CodecError
-from crazychoir.types import FPQR, Acceleration, Failure, FullState, Goto, Pose, State, Status
+from crazychoir.types import (
+    FPQR,
+    Acceleration,
+    Failure,
+    FullState,
+    Goto,
+    Pose,
+    State,
+    Status,
+)
 
 VALUES: tuple[Any, ...] = (
     None,
@@ -35,7 +44,9 @@ VALUES: tuple[Any, ...] = (
     Failure(3, "x = nan"),
 )
 ATTACKS = (
-    *(bytes([head]) + b"\xff\xff\xff\xff" for head in (0xDB, 0xDD, 0xDF, 0xC6, 0xC9)),  # str, array, map, bin, ext 32
+    *(
+        bytes([head]) + b"\xff\xff\xff\xff" for head in (0xDB, 0xDD, 0xDF, 0xC6, 0xC9)
+    ),  # str, array, map, bin, ext 32
     *(bytes([head]) + b"\xff\xff" for head in (0xDA, 0xDC, 0xDE, 0xC5, 0xC8)),
     b"\x91" * 40,
     b"\x91" * 2000,
@@ -54,8 +65,14 @@ def payloads() -> list[bytes]:
 
 def frames() -> list[bytes]:
     """Valid frames with those payloads."""
-    envelopes = [Envelope(k, 3, (1, 2), 100 + k, k, 0.01, "bearing", payload) for k, payload in enumerate(payloads())]
-    return [encode_frame(Frame("cf3", 1 << 63, 2, envelopes[k : k + 3])) for k in range(0, len(envelopes), 2)]
+    envelopes = [
+        Envelope(k, 3, (1, 2), 100 + k, k, 0.01, "bearing", payload)
+        for k, payload in enumerate(payloads())
+    ]
+    return [
+        encode_frame(Frame("cf3", 1 << 63, 2, envelopes[k : k + 3]))
+        for k in range(0, len(envelopes), 2)
+    ]
 
 
 def mutants(corpus: list[bytes], count: int, seed: int) -> Iterator[bytes]:
@@ -101,7 +118,9 @@ def noise(rng: random.Random, data: bytearray, corpus: list[bytes]) -> bytearray
 DAMAGES = (flip, flip, overwrite, truncate, splice, attack, noise)
 
 
-def campaign(count: int, seed: int, decode_payload: Callable[[bytes], Any] = decode) -> dict[str, int]:
+def campaign(
+    count: int, seed: int, decode_payload: Callable[[bytes], Any] = decode
+) -> dict[str, int]:
     """Decode damaged frames and payloads; what is still a value must encode again. Any error but CodecError escapes."""
     seen = {"frames": 0, "values": 0, "refused": 0}
     for data in mutants(frames(), count // 2, seed):
@@ -118,7 +137,9 @@ def campaign(count: int, seed: int, decode_payload: Callable[[bytes], Any] = dec
     return seen
 
 
-def judge(payload: bytes, decode_payload: Callable[[bytes], Any], seen: dict[str, int]) -> None:
+def judge(
+    payload: bytes, decode_payload: Callable[[bytes], Any], seen: dict[str, int]
+) -> None:
     try:
         value = decode_payload(payload)
     except CodecError:

@@ -11,9 +11,20 @@ from crazychoir.errors import CodecError
 
 SECOND = 1_000_000_000
 NONSENSE = [
-    None, [], [1, 2], [1, 2, 3, 4], [1.5], [True], ["1"], [-1], [1 << 62], [(1 << 64) - 1], [1000, 5, 4],
-    [1000, 5, 5000], {"t": 1},
-]  # fmt: skip
+    None,
+    [],
+    [1, 2],
+    [1, 2, 3, 4],
+    [1.5],
+    [True],
+    ["1"],
+    [-1],
+    [1 << 62],
+    [(1 << 64) - 1],
+    [1000, 5, 4],
+    [1000, 5, 5000],
+    {"t": 1},
+]
 
 
 @dataclass
@@ -82,9 +93,13 @@ def test_the_shortest_way_counts_until_its_age_outweighs_it_or_it_is_forgotten()
         pair.wait(1.0)
         pair.ask(0.05, 0.0, 0.03)
         assert pair.found().offset == pytest.approx(0.0, abs=1e-9)
-    assert pair.found().error == pytest.approx(0.001 + DRIFT * pair.now / SECOND, abs=2e-4)
+    assert pair.found().error == pytest.approx(
+        0.001 + DRIFT * pair.now / SECOND, abs=2e-4
+    )
     pair.ask(0.05, 0.0, 0.03)
-    assert pair.found().offset == pytest.approx(0.01, abs=1e-9), "it was the oldest of too many"
+    assert pair.found().offset == pytest.approx(0.01, abs=1e-9), (
+        "it was the oldest of too many"
+    )
 
 
 def test_another_clock_is_noticed_at_its_first_answer():

@@ -15,7 +15,18 @@ from crazychoir.bus import codec
 from crazychoir.bus.array_codec import ARRAY, DTYPES
 from crazychoir.bus.codec import MAX_DEPTH, decode, encode, register
 from crazychoir.errors import CodecError
-from crazychoir.types import FPQR, Acceleration, FullState, Goto, PerNeighbor, Pose, State, Status, Vec, Wire
+from crazychoir.types import (
+    FPQR,
+    Acceleration,
+    FullState,
+    Goto,
+    PerNeighbor,
+    Pose,
+    State,
+    Status,
+    Vec,
+    Wire,
+)
 
 
 class Color(IntEnum):
@@ -33,12 +44,19 @@ def same(sent, got):
         )
     if isinstance(sent, Wire):
         return type(sent) is type(got) and all(
-            same(a, b) for a, b in zip(msgspec.structs.astuple(sent), msgspec.structs.astuple(got), strict=True)
+            same(a, b)
+            for a, b in zip(
+                msgspec.structs.astuple(sent), msgspec.structs.astuple(got), strict=True
+            )
         )
     if isinstance(sent, list | tuple):
         return type(got) is list and len(sent) == len(got) and all(map(same, sent, got))
     if isinstance(sent, dict):
-        return type(got) is dict and list(sent) == list(got) and all(same(sent[k], got[k]) for k in sent)
+        return (
+            type(got) is dict
+            and list(sent) == list(got)
+            and all(same(sent[k], got[k]) for k in sent)
+        )
     if isinstance(sent, np.generic):
         return same(sent.item(), got)
     return type(sent) is type(got) and (sent == got or (sent != sent and got != got))
@@ -46,7 +64,9 @@ def same(sent, got):
 
 INTS = st.integers(-(2**63), 2**64 - 1)
 ARRAYS = st.sampled_from([np.dtype(name) for name in DTYPES]).flatmap(
-    lambda dtype: hnp.arrays(dtype, hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4))
+    lambda dtype: hnp.arrays(
+        dtype, hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4)
+    )
 )
 FLOATS = st.floats(width=64)
 
@@ -63,14 +83,28 @@ WIRES = st.one_of(
     wire(FullState, 14, 0),
     wire(Goto, 3, 2),
     wire(FPQR, 4, 0),
-    st.builds(Status, phase=st.text(), cost=FLOATS, suspect=st.lists(st.integers(0, 9)), note=st.text()),
+    st.builds(
+        Status,
+        phase=st.text(),
+        cost=FLOATS,
+        suspect=st.lists(st.integers(0, 9)),
+        note=st.text(),
+    ),
 )
 SCALARS = st.one_of(st.none(), st.booleans(), INTS, FLOATS, st.text(), st.binary())
-LEAVES = st.one_of(SCALARS, ARRAYS, WIRES, st.integers(-100, 100).map(np.int32), st.floats(width=32).map(np.float32))
+LEAVES = st.one_of(
+    SCALARS,
+    ARRAYS,
+    WIRES,
+    st.integers(-100, 100).map(np.int32),
+    st.floats(width=32).map(np.float32),
+)
 KEYS = st.one_of(st.text(), INTS, st.tuples(st.integers(0, 9), st.integers(0, 9)))
 VALUES = st.recursive(
     LEAVES,
-    lambda parts: st.one_of(st.lists(parts), st.tuples(parts, parts), st.dictionaries(KEYS, parts)),
+    lambda parts: st.one_of(
+        st.lists(parts), st.tuples(parts, parts), st.dictionaries(KEYS, parts)
+    ),
     max_leaves=12,
 )
 
@@ -107,8 +141,14 @@ def test_arrays_of_every_dtype_order_and_layout(name):
 
 def test_arrays_arrive_as_aligned_read_only_views():
     payload = encode(np.arange(6.0))
-    arrays = [decode(payload), decode(encode(np.arange(6).reshape(2, 3))), decode(encode(State.at([1, 2, 3]))).flat]
-    arrays += decode(encode(["x", np.arange(3.0), {"s": State.at([1, 2, 3]).flat}]))[1:2]
+    arrays = [
+        decode(payload),
+        decode(encode(np.arange(6).reshape(2, 3))),
+        decode(encode(State.at([1, 2, 3]))).flat,
+    ]
+    arrays += decode(encode(["x", np.arange(3.0), {"s": State.at([1, 2, 3]).flat}]))[
+        1:2
+    ]
     for array in arrays:
         assert array.flags.aligned
         assert not array.flags.writeable
@@ -161,7 +201,10 @@ def test_what_cannot_travel_is_named_with_its_place(value, where, what):
 
 
 def test_vectors_of_references_may_be_lists_or_integers():
-    assert same(Acceleration(np.array([0.0, 0.0, 1.0]), 2.0), decode(encode(Acceleration([0, 0, 1], 2))))
+    assert same(
+        Acceleration(np.array([0.0, 0.0, 1.0]), 2.0),
+        decode(encode(Acceleration([0, 0, 1], 2))),
+    )
     assert same(FPQR(np.ones(4)), decode(encode(FPQR(np.ones(4, int)))))
 
 
@@ -293,10 +336,14 @@ def test_a_field_of_a_wire_type_takes_float_arrays_only(layouts):
     register(Track)
     with pytest.raises(CodecError):
         encode(Track(np.zeros(2, np.float32), []))
-    forged = msgspec.msgpack.encode([msgspec.msgpack.Ext(1, encode(np.zeros((1, 1), np.float32))), []])
+    forged = msgspec.msgpack.encode(
+        [msgspec.msgpack.Ext(1, encode(np.zeros((1, 1), np.float32))), []]
+    )
     with pytest.raises(CodecError, match="allowed: float64"):
         decode(bytes([64 | 63]) + forged)
-    forged = msgspec.msgpack.encode([msgspec.msgpack.Ext(1, encode(State.at([1, 2, 3]))), []])
+    forged = msgspec.msgpack.encode(
+        [msgspec.msgpack.Ext(1, encode(State.at([1, 2, 3]))), []]
+    )
     with pytest.raises(CodecError, match="in a field"):
         decode(bytes([64 | 63]) + forged)
 
@@ -312,13 +359,29 @@ def test_classes_that_cannot_be_checked_are_not_registered(layouts):
 def test_numbers_on_the_wire_do_not_change():
     assert encode(1.5) == b"\x41" + struct.pack("<d", 1.5)
     assert encode(np.array([1.0])) == b"\x42" + bytes(7) + struct.pack("<d", 1.0)
-    assert encode(Goto(np.array([1.0, 2.0, 3.0]), 4.0, 5.0)) == b"\x54" + bytes(7) + struct.pack("<5d", 4, 5, 1, 2, 3)
-    assert encode(State(np.arange(13.0), 4.0, np.array([5.0, 6.0, 7.0]))) == b"\x51" + bytes(7) + struct.pack(
-        "<17d", 4, *range(13), 5, 6, 7
-    )
+    assert encode(Goto(np.array([1.0, 2.0, 3.0]), 4.0, 5.0)) == b"\x54" + bytes(
+        7
+    ) + struct.pack("<5d", 4, 5, 1, 2, 3)
+    assert encode(
+        State(np.arange(13.0), 4.0, np.array([5.0, 6.0, 7.0]))
+    ) == b"\x51" + bytes(7) + struct.pack("<17d", 4, *range(13), 5, 6, 7)
     assert {name: tag for name, (tag, *_) in codec.LAYOUTS.items()} == {
-        "Pose": 16, "State": 17, "Acceleration": 18, "FullState": 19, "Goto": 20, "FPQR": 21, "Status": 22,
-        "FRPY": 23, "Vel": 24, "XYZ": 25, "Body": 26, "Failure": 27, "Acc": 40, "Drive": 41, "Velocity": 42,
-        "Plan": 43, "LinkStatus": 44,
-    }  # fmt: skip
+        "Pose": 16,
+        "State": 17,
+        "Acceleration": 18,
+        "FullState": 19,
+        "Goto": 20,
+        "FPQR": 21,
+        "Status": 22,
+        "FRPY": 23,
+        "Vel": 24,
+        "XYZ": 25,
+        "Body": 26,
+        "Failure": 27,
+        "Acc": 40,
+        "Drive": 41,
+        "Velocity": 42,
+        "Plan": 43,
+        "LinkStatus": 44,
+    }
     assert math.isnan(decode(encode(math.nan)))

@@ -7,7 +7,14 @@ from virtual_time import virtual
 
 from crazychoir.bus import commands
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Answer, Commander, CommandServer
+from crazychoir.bus.commands import (
+    ACCEPTED,
+    DONE,
+    REFUSED,
+    Answer,
+    Commander,
+    CommandServer,
+)
 from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
 from crazychoir.errors import Refused
@@ -25,7 +32,9 @@ class Swarm:
         self.servers = {i: self.serve(i) for i in ids}
 
     def serve(self, i):
-        return CommandServer(self.bus.port(i), self.execute, lambda on: self.stops.append((i, on)))
+        return CommandServer(
+            self.bus.port(i), self.execute, lambda on: self.stops.append((i, on))
+        )
 
     async def note(self, verb, arguments):
         self.done.append((verb, arguments))
@@ -82,7 +91,9 @@ async def test_refusals_carry_their_reason(clock):
 
     swarm = Swarm(clock, 1, execute=refuse)
     assert await swarm.operator.request(1, "fly") == Answer(1, REFUSED, "battery low")
-    assert await swarm.operator.request(1, "go") == Answer(1, REFUSED, "KeyError: 'height'")
+    assert await swarm.operator.request(1, "go") == Answer(
+        1, REFUSED, "KeyError: 'height'"
+    )
 
 
 @virtual
@@ -156,7 +167,9 @@ async def test_equal_numbers_of_other_issuers_and_lives_are_other_requests(clock
     for channel in ("f1", "f2"):
         for _ in range(2):
             ask(swarm.servers[1], encode(["go", {}, 1.0]), 1, channel)
-    swarm.servers[1].port.deliver(REQUEST.number, OBSERVER + 1, encode(["go", {}, 1.0]), 1, "f1", 0, 0.0)
+    swarm.servers[1].port.deliver(
+        REQUEST.number, OBSERVER + 1, encode(["go", {}, 1.0]), 1, "f1", 0, 0.0
+    )
     await clock.sleep(0.1)
     assert len(swarm.done) == 3
 
@@ -182,7 +195,9 @@ async def test_a_resent_request_says_how_much_time_remains(clock):
     came = losing(swarm.bus.ports[1], lambda *message: True)
     with pytest.raises(TimeoutError):
         await swarm.operator.request(1, "go", deadline=0.25)
-    assert [decode(payload)[2] for _, payload in came] == pytest.approx([0.25, 0.15, 0.05])
+    assert [decode(payload)[2] for _, payload in came] == pytest.approx(
+        [0.25, 0.15, 0.05]
+    )
 
 
 @virtual
@@ -198,7 +213,9 @@ async def test_a_replay_is_not_done_again_after_its_answer_was_forgotten(clock):
     ask(server, encode(["go", {}, 5.0]), 1)
     await clock.sleep(0.1)
     assert len(swarm.done) == done
-    assert [decode(payload) for _, payload in came] == [[REFUSED, "it is older than what was asked since"]]
+    assert [decode(payload) for _, payload in came] == [
+        [REFUSED, "it is older than what was asked since"]
+    ]
     ask(server, encode(["go", {}, 5.0]), 1, "f2")
     await clock.sleep(0.1)
     assert len(swarm.done) == done + 1, "of another life of the operator"
@@ -210,7 +227,14 @@ async def test_a_replay_is_not_done_again_after_its_answer_was_forgotten(clock):
 @virtual
 async def test_malformed_requests_and_answers_are_counted(clock):
     swarm = Swarm(clock, 1)
-    bodies = [b"", b"\xff", encode(3), encode(["go"]), encode([1, {}, 1.0]), encode(["go", 3, 1.0])]
+    bodies = [
+        b"",
+        b"\xff",
+        encode(3),
+        encode(["go"]),
+        encode([1, {}, 1.0]),
+        encode(["go", 3, 1.0]),
+    ]
     for number, body in enumerate([*bodies, encode(["go", {}, "soon"])]):
         ask(swarm.servers[1], body, number)
     await clock.sleep(0.1)
@@ -225,8 +249,12 @@ async def test_answers_to_a_former_life_of_the_operator_are_not_taken(clock):
     swarm = Swarm(clock)
     request = asyncio.create_task(swarm.operator.request(1, "go", deadline=1.0))
     await clock.sleep(0.1)
-    swarm.operator.port.deliver(ANSWER.number, 1, encode([DONE, "old"]), 1, "f0", 0, 0.0)
-    swarm.operator.port.deliver(ANSWER.number, 1, encode([DONE, "now"]), 1, "f1", 0, 0.0)
+    swarm.operator.port.deliver(
+        ANSWER.number, 1, encode([DONE, "old"]), 1, "f0", 0, 0.0
+    )
+    swarm.operator.port.deliver(
+        ANSWER.number, 1, encode([DONE, "now"]), 1, "f1", 0, 0.0
+    )
     assert await request == Answer(1, DONE, "now")
 
 
@@ -236,7 +264,9 @@ async def test_nobody_answers_for_another(clock):
     request = asyncio.create_task(swarm.operator.request(1, "land", deadline=1.0))
     await clock.sleep(0.1)
     for kind in (ACCEPTED, DONE, REFUSED):
-        swarm.operator.port.deliver(ANSWER.number, 2, encode([kind, None]), 1, "f1", 0, 0.0)
+        swarm.operator.port.deliver(
+            ANSWER.number, 2, encode([kind, None]), 1, "f1", 0, 0.0
+        )
     with pytest.raises(TimeoutError, match="drone 1: no answer to 'land'"):
         await request
 
@@ -297,19 +327,29 @@ async def test_a_stop_persists_over_a_restart(clock):
 async def test_a_late_repeat_of_a_clear_does_not_undo_a_later_stop(clock):
     swarm = Swarm(clock, 1)
     for number, clear in [(1, False), (2, True), (3, False), (2, True), (1, False)]:
-        swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, encode(clear), number, "f1", 0, 0.0)
+        swarm.servers[1].port.deliver(
+            ESTOP.number, OBSERVER, encode(clear), number, "f1", 0, 0.0
+        )
     assert swarm.bus.stopped
     assert swarm.stops == [(1, True), (1, False), (1, True)]
 
 
 @virtual
-async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_after_a_newer_clear(clock):
+async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_after_a_newer_clear(
+    clock,
+):
     swarm = Swarm(clock, 1)
     came = losing(swarm.operator.port, lambda *message: False)
-    said = {"stop": encode(False), "alone": encode(commands.ALONE), "clear": encode(True)}
+    said = {
+        "stop": encode(False),
+        "alone": encode(commands.ALONE),
+        "clear": encode(True),
+    }
 
     def hear(number, what, channel="f1"):
-        swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, said[what], number, channel, 0, 0.0)
+        swarm.servers[1].port.deliver(
+            ESTOP.number, OBSERVER, said[what], number, channel, 0, 0.0
+        )
 
     hear(3, "stop")
     hear(2, "clear")
@@ -319,7 +359,9 @@ async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_a
     assert (swarm.bus.stopped, swarm.stops) == (False, [(1, True), (1, False)])
     hear(7, "alone")
     hear(6, "stop")
-    assert (swarm.bus.stopped, len(swarm.stops)) == (True, 4), "one of the swarm counts after one of its own"
+    assert (swarm.bus.stopped, len(swarm.stops)) == (True, 4), (
+        "one of the swarm counts after one of its own"
+    )
     hear(1, "clear", "f2")
     assert not swarm.bus.stopped, "another life of the operator"
     assert len(came) == 7, "all are acknowledged"
@@ -331,7 +373,9 @@ async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_a
 @virtual
 async def test_who_is_taken_out_of_a_stop_s_targets_is_told_no_more(clock):
     swarm, targets = Swarm(clock, 1), [1, 2, 3]
-    stopping = asyncio.create_task(swarm.operator.emergency_stop(targets, deadline=math.inf))
+    stopping = asyncio.create_task(
+        swarm.operator.emergency_stop(targets, deadline=math.inf)
+    )
     await clock.sleep(100.0)
     assert not stopping.done()
     targets.remove(2)
@@ -344,6 +388,8 @@ async def test_a_stop_that_cannot_be_read_is_a_stop(clock):
     swarm = Swarm(clock, 1)
     for number, payload in enumerate([b"\xff", encode(1), encode("clear")]):
         swarm.bus.stopped = False
-        swarm.servers[1].port.deliver(ESTOP.number, OBSERVER, payload, number, "f1", 0, 0.0)
+        swarm.servers[1].port.deliver(
+            ESTOP.number, OBSERVER, payload, number, "f1", 0, 0.0
+        )
         assert swarm.bus.stopped
     assert swarm.stops == [(1, True)] * 3

@@ -32,7 +32,13 @@ ENVELOPES = st.builds(
     channel=st.text(max_size=20),
     flags=ADDRESSES,
 )
-FRAMES = st.builds(Frame, st.text(max_size=20), COUNTS, st.integers(0, 255), st.lists(ENVELOPES, max_size=8))
+FRAMES = st.builds(
+    Frame,
+    st.text(max_size=20),
+    COUNTS,
+    st.integers(0, 255),
+    st.lists(ENVELOPES, max_size=8),
+)
 
 
 def envelope(topic=1, source=3, to=(1,), number=0, payload=b"x", channel="", age=0.0):
@@ -52,7 +58,11 @@ def test_frames_arrive_as_they_were_sent(frame):
 
 @given(st.binary(max_size=100))
 def test_random_bytes_raise_nothing_but_codec_error(data):
-    for received in (data, bytes([VERSION]) + data, bytes([VERSION]) + b"\x94\xa1a\x01\x01\x91\x98" + data):
+    for received in (
+        data,
+        bytes([VERSION]) + data,
+        bytes([VERSION]) + b"\x94\xa1a\x01\x01\x91\x98" + data,
+    ):
         try:
             decode_frame(received)
         except CodecError:
@@ -61,7 +71,9 @@ def test_random_bytes_raise_nothing_but_codec_error(data):
 
 def test_another_version_is_told_apart():
     data = encode_frame(Frame("cf3", 1, 2, []))
-    with pytest.raises(FrameVersionError, match=f"version {VERSION + 1}; allowed: {VERSION}") as caught:
+    with pytest.raises(
+        FrameVersionError, match=f"version {VERSION + 1}; allowed: {VERSION}"
+    ) as caught:
         decode_frame(bytes([VERSION + 1]) + data[1:])
     assert caught.value.found == VERSION + 1
     assert isinstance(caught.value, CodecError)
@@ -70,7 +82,9 @@ def test_another_version_is_told_apart():
     assert not isinstance(caught.value, FrameVersionError)
 
 
-def raw(topic=1, source=3, to=(1,), number=0, flags=0, age=0.0, channel="", payload=b"x"):
+def raw(
+    topic=1, source=3, to=(1,), number=0, flags=0, age=0.0, channel="", payload=b"x"
+):
     fields = [topic, source, to, number, flags, age, channel, payload]
     return bytes([VERSION]) + msgspec.msgpack.encode(["cf3", 1, 2, [fields]])
 
@@ -123,7 +137,11 @@ def test_frames_are_bounded_both_ways():
 
 
 def test_what_cannot_be_encoded_is_a_codec_error():
-    for bad in (envelope(number=2**64), envelope(channel="\ud800"), envelope(payload=object())):
+    for bad in (
+        envelope(number=2**64),
+        envelope(channel="\ud800"),
+        envelope(payload=object()),
+    ):
         with pytest.raises(CodecError, match="frame: cannot be encoded"):
             encode_frame(Frame("cf3", 1, 2, [bad]))
 
@@ -145,7 +163,12 @@ def test_a_buffer_keeps_the_order_and_is_empty_when_taken():
     frames = buffer.take()
     assert len(frames) == 1
     frame = decode_frame(frames[0])
-    assert (frame.process, frame.incarnation, frame.kind, frame.envelopes) == ("cf3", 7, 2, sent)
+    assert (frame.process, frame.incarnation, frame.kind, frame.envelopes) == (
+        "cf3",
+        7,
+        2,
+        sent,
+    )
     assert len(buffer) == 0
     assert buffer.take() == []
 
@@ -154,8 +177,12 @@ def test_only_the_newest_of_a_stream_is_kept_when_conflating():
     buffer = FrameBuffer("cf3", 7, 1, conflate=True)
     for number in range(3):
         for source in (3, 4):
-            buffer.add(envelope(source=source, number=number, payload=bytes([number, source])))
-    assert [(one.source, one.number, one.payload) for one in contents(buffer.take())] == [
+            buffer.add(
+                envelope(source=source, number=number, payload=bytes([number, source]))
+            )
+    assert [
+        (one.source, one.number, one.payload) for one in contents(buffer.take())
+    ] == [
         (3, 2, b"\x02\x03"),
         (4, 2, b"\x02\x04"),
     ]
@@ -165,7 +192,10 @@ def test_only_the_newest_of_a_stream_is_kept_when_conflating():
     assert [one.source for one in contents(buffer.take())] == [4, 3]
 
 
-@pytest.mark.parametrize("other", [{"topic": 2}, {"source": 4}, {"to": (2,)}, {"to": (1, 2)}, {"channel": "b"}])
+@pytest.mark.parametrize(
+    "other",
+    [{"topic": 2}, {"source": 4}, {"to": (2,)}, {"to": (1, 2)}, {"channel": "b"}],
+)
 def test_different_streams_are_not_conflated(other):
     buffer = FrameBuffer("cf3", 7, 1, conflate=True)
     buffer.add(envelope())
@@ -173,11 +203,20 @@ def test_different_streams_are_not_conflated(other):
     assert len(contents(buffer.take())) == 2
 
 
-@given(st.lists(st.integers(0, 700), max_size=60), st.integers(0, 24), st.text(max_size=10))
-def test_frames_are_split_below_the_limit_and_nothing_is_lost(sizes, addressees, channel):
+@given(
+    st.lists(st.integers(0, 700), max_size=60), st.integers(0, 24), st.text(max_size=10)
+)
+def test_frames_are_split_below_the_limit_and_nothing_is_lost(
+    sizes, addressees, channel
+):
     buffer = FrameBuffer("cf3", 2**64 - 1, 255, limit=1200)
     sent = [
-        envelope(number=2**64 - 1 - k, to=(2**32 - 1,) * addressees, payload=bytes(size), channel=channel)
+        envelope(
+            number=2**64 - 1 - k,
+            to=(2**32 - 1,) * addressees,
+            payload=bytes(size),
+            channel=channel,
+        )
         for k, size in enumerate(sizes)
     ]
     for one in sent:
@@ -192,11 +231,16 @@ def test_the_largest_payload_fits_a_frame_and_one_byte_more_is_refused_by_the_se
     """msgpack adds one byte of kind and five of its own to bytes of this size."""
     largest = encode(bytes(MAX_PAYLOAD - 6))
     assert len(largest) == MAX_PAYLOAD
-    with pytest.raises(CodecError, match=r"value: 600001 bytes when encoded; allowed: 600000. Send less, or in parts."):
+    with pytest.raises(
+        CodecError,
+        match=r"value: 600001 bytes when encoded; allowed: 600000. Send less, or in parts.",
+    ):
         encode(bytes(MAX_PAYLOAD - 5))
     buffer = FrameBuffer("\N{SNOWMAN}" * MAX_NAME, 2**64 - 1, 255)
     to, name = (2**32 - 1,) * MAX_DESTINATIONS, "\N{SNOWMAN}" * MAX_NAME
-    buffer.add(Envelope(2**16 - 1, 2**32 - 1, to, 2**64 - 1, 2**32 - 1, 1e9, name, largest))
+    buffer.add(
+        Envelope(2**16 - 1, 2**32 - 1, to, 2**64 - 1, 2**32 - 1, 1e9, name, largest)
+    )
     (frame,) = buffer.take()
     assert len(frame) <= MAX_FRAME
     (arrived,) = decode_frame(frame).envelopes

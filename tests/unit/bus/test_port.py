@@ -9,7 +9,19 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import Partition, Rule
 from crazychoir.bus.port import ANY, OBSERVER, Bus, Interest
-from crazychoir.bus.topics import COMMAND, HEARTBEAT, LOG, POSE, REQUEST, RESULT, ROSTER, ROUND, STATE, STATUS, TRUTH
+from crazychoir.bus.topics import (
+    COMMAND,
+    HEARTBEAT,
+    LOG,
+    POSE,
+    REQUEST,
+    RESULT,
+    ROSTER,
+    ROUND,
+    STATE,
+    STATUS,
+    TRUTH,
+)
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import FPQR, FRPY, XYZ, FullState, Pose, State, Status, Vel
 
@@ -43,7 +55,9 @@ class Network:
         self.messages, self.changes, self.later = [], 0, []
 
     def forward(self, topic, source, to, payload, number, channel, flags, age):
-        self.messages.append((topic.name, source, to, payload, number, channel, flags, age))
+        self.messages.append(
+            (topic.name, source, to, payload, number, channel, flags, age)
+        )
 
     def then(self, work):
         self.later.append(work)
@@ -58,7 +72,9 @@ async def test_actors_of_one_drone_get_the_very_object(clock):
     boxes = [reading(bus, STATE, 1, 1), reading(bus, STATE, 1, 1)]
     state = State.at((1, 2, 3))
     one.publish(STATE, state, age=0.02)
-    assert all(box.peek() is state and box.age() == pytest.approx(0.02) for box in boxes)
+    assert all(
+        box.peek() is state and box.age() == pytest.approx(0.02) for box in boxes
+    )
     assert (one.counters.sent, one.counters.bytes) == (0, 0)
 
 
@@ -74,7 +90,11 @@ async def test_other_drones_get_a_copy_through_the_codec(clock):
     assert np.array_equal(got.flat, state.flat)
     assert not got.flat.flags.writeable
     assert box.age() == pytest.approx(0.02)
-    assert (one.counters.sent, one.counters.bytes, two.counters.received) == (1, len(encode(state)), 1)
+    assert (one.counters.sent, one.counters.bytes, two.counters.received) == (
+        1,
+        len(encode(state)),
+        1,
+    )
     assert two.heard_ns == {1: 0}
 
 
@@ -157,7 +177,9 @@ async def test_what_has_no_way_is_counted(clock):
 @virtual
 async def test_impairment_is_on_drones_and_not_on_observers(clock):
     bus, one, _, _ = ports(clock, 1, 2, OBSERVER, impairment=LOSS)
-    drone, observer, own = (reading(bus, STATE, 1, reader) for reader in (2, OBSERVER, 1))
+    drone, observer, own = (
+        reading(bus, STATE, 1, reader) for reader in (2, OBSERVER, 1)
+    )
     one.publish(STATE, State.at((1, 2, 3)))
     assert (drone.received, observer.received, own.received) == (0, 1, 1)
     assert (one.counters.sent, one.counters.lost) == (1, 1)
@@ -166,16 +188,27 @@ async def test_impairment_is_on_drones_and_not_on_observers(clock):
 @virtual
 async def test_impairment_is_on_impaired_topics_alone(clock):
     bus, one, two = ports(clock, 1, 2, impairment=LOSS)
-    rounds, requests, truth = handling(two, ROUND), handling(two, REQUEST), reading(bus, TRUTH, 1, 2)
+    rounds, requests, truth = (
+        handling(two, ROUND),
+        handling(two, REQUEST),
+        reading(bus, TRUTH, 1, 2),
+    )
     one.send(ROUND, (2,), b"")
     one.send(REQUEST, (2,), b"")
     one.publish(TRUTH, State.at((0, 0, 0)))
-    assert (len(rounds), len(requests), truth.received, one.counters.lost) == (0, 1, 1, 1)
+    assert (len(rounds), len(requests), truth.received, one.counters.lost) == (
+        0,
+        1,
+        1,
+        1,
+    )
 
 
 @virtual
 async def test_a_delayed_message_arrives_later_and_older(clock):
-    bus, one, two = ports(clock, 1, 2, impairment=Impairment(1, [Rule({"delay": 0.05})]))
+    bus, one, two = ports(
+        clock, 1, 2, impairment=Impairment(1, [Rule({"delay": 0.05})])
+    )
     box, seen = reading(bus, STATE, 1, 2), handling(two, ROUND)
     one.publish(STATE, State.at((1, 2, 3)), age=0.01)
     one.send(ROUND, (2,), b"", 1)
@@ -188,7 +221,13 @@ async def test_a_delayed_message_arrives_later_and_older(clock):
 
 @virtual
 async def test_duplicates_arrive_twice_and_each_receiver_has_a_fate_of_its_own(clock):
-    _, one, two, three = ports(clock, 1, 2, 3, impairment=Impairment(1, [Rule({"duplicate": 1.0}, edge=(1, 2))]))
+    _, one, two, three = ports(
+        clock,
+        1,
+        2,
+        3,
+        impairment=Impairment(1, [Rule({"duplicate": 1.0}, edge=(1, 2))]),
+    )
     seen = [handling(port, ROUND) for port in (two, three)]
     one.send(ROUND, (2, 3), b"")
     await clock.sleep(0.01)
@@ -203,7 +242,9 @@ async def test_verdicts_are_those_of_number_channel_and_attempt(clock):
     for number in range(40):
         one.send(ROUND, (2,), b"", number, "main", 0, number % 3)
     fresh = Impairment(5, [Rule({"loss": 0.5})])
-    wanted = [k for k in range(40) if fresh.verdict(1, 2, "main", k, k % 3, 0, 0.0).deliveries]
+    wanted = [
+        k for k in range(40) if fresh.verdict(1, 2, "main", k, k % 3, 0, 0.0).deliveries
+    ]
     assert [message[2] for message in seen] == wanted
     assert one.counters.lost == 40 - len(wanted)
 
@@ -211,7 +252,9 @@ async def test_verdicts_are_those_of_number_channel_and_attempt(clock):
 @virtual
 async def test_partitions_count_from_go(clock):
     await clock.sleep(100.0)
-    _, one, two = ports(clock, 1, 2, impairment=Impairment(1, [], [Partition(1.0, 2.0, (1,))]))
+    _, one, two = ports(
+        clock, 1, 2, impairment=Impairment(1, [], [Partition(1.0, 2.0, (1,))])
+    )
     seen = handling(two, ROUND)
     for number in range(6):
         one.send(ROUND, (2,), b"", number)
@@ -228,7 +271,10 @@ async def test_a_late_reader_gets_the_latched_value_with_its_age(clock):
     status = Status("hover", cost=1.5, relaxed=1.25)
     one.publish(STATUS, status, age=0.25)
     await clock.sleep(0.5)
-    boxes = [reading(bus, STATUS, source, reader) for source, reader in [(1, 2), (ANY, OBSERVER), (1, 1)]]
+    boxes = [
+        reading(bus, STATUS, source, reader)
+        for source, reader in [(1, 2), (ANY, OBSERVER), (1, 1)]
+    ]
     assert boxes[0].peek() == status
     assert boxes[1].peek() == (1, status)
     assert boxes[2].peek() is status
@@ -250,7 +296,13 @@ async def test_a_latched_value_goes_to_a_reader_in_another_process(clock):
     await clock.sleep(2.0)
     bus.add_remote_interests([Interest("result", ANY, OBSERVER)])
     [(topic, source, to, payload, number, _, _, age)] = bus.forwarder.messages
-    assert (topic, source, to, payload, number) == ("result", 1, [OBSERVER], encode({"success": True}), 0)
+    assert (topic, source, to, payload, number) == (
+        "result",
+        1,
+        [OBSERVER],
+        encode({"success": True}),
+        0,
+    )
     assert age == 2.0
 
 
@@ -301,7 +353,11 @@ async def test_any_is_every_other_drone_with_its_name(clock):
     for x, port in enumerate((one, two, late)):
         port.publish(STATE, State.at((x, 0, 0)))
     assert [(source, state.p[0]) for source, state in seen] == [(2, 1.0), (3, 2.0)]
-    assert [(source, state.p[0]) for source, state in watched] == [(1, 0.0), (2, 1.0), (3, 2.0)]
+    assert [(source, state.p[0]) for source, state in watched] == [
+        (1, 0.0),
+        (2, 1.0),
+        (3, 2.0),
+    ]
     assert named.peek().p[0] == 1.0
 
 
@@ -330,20 +386,30 @@ async def test_interests_in_drones_elsewhere_are_told_once(clock):
 async def test_remote_readers_come_and_go(clock):
     bus, one, two = ports(clock, 1, 2)
     bus.forwarder = Network()
-    wanted = [Interest("state", ANY, 7), Interest("state", 1, 8), Interest("round", 1, 8), Interest("state", 9, 8)]
+    wanted = [
+        Interest("state", ANY, 7),
+        Interest("state", 1, 8),
+        Interest("round", 1, 8),
+        Interest("state", 9, 8),
+    ]
     bus.add_remote_interests(wanted)
     bus.add_remote_interests([*wanted, Interest("nonsense", ANY, 8)])
     one.publish(ROUND, b"goes along edges")
     for port in (one, two):
         port.publish(STATE, State.at((1, 2, 3)))
-    assert [(source, to) for _, source, to, *_ in bus.forwarder.messages] == [(1, [7, 8]), (2, [7])]
+    assert [(source, to) for _, source, to, *_ in bus.forwarder.messages] == [
+        (1, [7, 8]),
+        (2, [7]),
+    ]
     bus.drop_readers([7])
     one.publish(STATE, State.at((1, 2, 3)))
     assert [to for _, _, to, *_ in bus.forwarder.messages[2:]] == [[8]]
 
 
 @virtual
-async def test_a_drone_that_crashes_is_silent_and_keeps_its_readers_when_it_is_back(clock):
+async def test_a_drone_that_crashes_is_silent_and_keeps_its_readers_when_it_is_back(
+    clock,
+):
     bus, _, two = ports(clock, 1, 2)
     box, own = reading(bus, STATE, 1, 2), reading(bus, STATE, 1, 1)
     back = reading(bus, STATE, 2, 1)
@@ -371,14 +437,21 @@ async def test_a_drone_that_comes_back_reads_again(clock):
 # What is wrong with a payload ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("payload", [b"", b"\xff\xff", encode(3.0), encode(Pose(np.zeros(7))), encode([1, 2])])
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"\xff\xff", encode(3.0), encode(Pose(np.zeros(7))), encode([1, 2])],
+)
 def test_what_is_not_a_state_is_counted_and_goes_nowhere(payload):
     @virtual
     async def check(clock):
         bus, _, two = ports(clock, 1, 2)
         box = reading(bus, STATE, 1, 2)
         two.deliver(STATE.number, 1, payload, 0, "", 0, 0.0)
-        assert (box.received, two.counters.malformed, two.counters.received) == (0, 1, 1)
+        assert (box.received, two.counters.malformed, two.counters.received) == (
+            0,
+            1,
+            1,
+        )
 
     check()
 
@@ -427,7 +500,13 @@ async def test_whoever_reads_commands_gets_each_type_of_them(clock):
     bus, one, _ = ports(clock, 1, 2)
     box = reading(bus, COMMAND, 1, 2)
     x = np.ones(14)
-    for command in (FPQR(x[:4]), FRPY(x[:4]), Vel(x[:4]), XYZ("land", x[:5]), FullState(x)):
+    for command in (
+        FPQR(x[:4]),
+        FRPY(x[:4]),
+        Vel(x[:4]),
+        XYZ("land", x[:5]),
+        FullState(x),
+    ):
         one.publish(COMMAND, command)
         heard = box.peek()
         assert type(heard) is type(command)

@@ -10,7 +10,12 @@ from crazychoir.bus.presence import Presence, PresenceMonitor
 from crazychoir.bus.topics import HEARTBEAT, ROUND
 from crazychoir.runtime.actor import ON_FAILURE
 
-ABSENT, ALIVE, SUSPECT, LOST = Presence.ABSENT, Presence.ALIVE, Presence.SUSPECT, Presence.LOST
+ABSENT, ALIVE, SUSPECT, LOST = (
+    Presence.ABSENT,
+    Presence.ALIVE,
+    Presence.SUSPECT,
+    Presence.LOST,
+)
 
 
 class Team:
@@ -22,13 +27,20 @@ class Team:
         self.bus.impairment.begin(clock.now())
         ids = range(1, n + 1)
         self.monitors = {
-            i: PresenceMonitor(self.bus.port(i), tuple(j for j in ids if j != i), lambda: b"beat", lost_after)
+            i: PresenceMonitor(
+                self.bus.port(i),
+                tuple(j for j in ids if j != i),
+                lambda: b"beat",
+                lost_after,
+            )
             for i in ids
         }
         self.diaries = {i: [] for i in ids}
         self.tasks = {}
         for i in ids:
-            self.monitors[i].listeners.append(lambda j, state, i=i: self.note(i, j, state))
+            self.monitors[i].listeners.append(
+                lambda j, state, i=i: self.note(i, j, state)
+            )
             self.start(i)
 
     def note(self, i, j, state):
@@ -59,7 +71,9 @@ async def test_silence_makes_suspect_and_then_lost(clock):
 
 @virtual
 async def test_who_was_never_heard_is_absent_and_not_lost(clock):
-    team = Team(clock, 2, Impairment(1, [Rule({"loss": 1.0}, edge=(2, 1), directed=True)]))
+    team = Team(
+        clock, 2, Impairment(1, [Rule({"loss": 1.0}, edge=(2, 1), directed=True)])
+    )
     await clock.sleep(10.0)
     team.monitors[1].token_gone(2)
     await clock.sleep(10.0)
@@ -95,7 +109,9 @@ async def test_a_partition_looks_like_a_silent_peer_on_both_sides(clock):
     await clock.sleep(30.0)
     for i, others in [(1, (3, 4)), (4, (1, 2))]:
         after = [entry for entry in team.diaries[i] if entry[0] > 1.0]
-        assert [(j, state) for _, j, state in after] == [(j, state) for state in (SUSPECT, ALIVE) for j in others]
+        assert [(j, state) for _, j, state in after] == [
+            (j, state) for state in (SUSPECT, ALIVE) for j in others
+        ]
         assert all(11.0 <= when <= 11.3 for when, _, state in after if state is SUSPECT)
         assert all(13.0 <= when <= 13.3 for when, _, state in after if state is ALIVE)
 
@@ -104,7 +120,12 @@ async def test_a_partition_looks_like_a_silent_peer_on_both_sides(clock):
 async def test_a_long_partition_loses_the_other_side_only(clock):
     team = Team(clock, 4, Impairment(1, [], [Partition(10.0, 99.0, (1, 2))]))
     await clock.sleep(30.0)
-    assert [team.monitors[i].those(LOST) for i in (1, 2, 3, 4)] == [[3, 4], [3, 4], [1, 2], [1, 2]]
+    assert [team.monitors[i].those(LOST) for i in (1, 2, 3, 4)] == [
+        [3, 4],
+        [3, 4],
+        [1, 2],
+        [1, 2],
+    ]
     assert [team.monitors[i].those(ALIVE) for i in (1, 2, 3, 4)] == [[2], [1], [4], [3]]
 
 
@@ -112,7 +133,9 @@ async def test_a_long_partition_loses_the_other_side_only(clock):
 async def test_heavy_loss_is_not_silence(clock):
     team = Team(clock, 3, Impairment(7, [Rule({"loss": 0.2})]))
     await clock.sleep(60.0)
-    assert not any(state is LOST for diary in team.diaries.values() for _, _, state in diary)
+    assert not any(
+        state is LOST for diary in team.diaries.values() for _, _, state in diary
+    )
 
 
 @virtual
@@ -133,7 +156,9 @@ async def test_a_token_that_goes_is_suspect_at_once_and_lost_in_time(clock):
     team.monitors[1].token_gone(2)
     assert (clock.now(), 2, SUSPECT) in team.diaries[1]
     await clock.sleep(3.0)
-    assert team.monitors[1].state(2) is LOST  # its heartbeats still come; its process is going
+    assert (
+        team.monitors[1].state(2) is LOST
+    )  # its heartbeats still come; its process is going
 
 
 @virtual

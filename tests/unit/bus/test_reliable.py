@@ -8,7 +8,16 @@ from crazychoir.bus.reliable import FORMER, MAX_AGE, MAX_PENDING, Reliable
 from crazychoir.bus.topics import ROSTER
 from crazychoir.runtime.clock import run_virtual
 
-BAD = Rule({"loss": 0.5, "duplicate": 0.3, "reorder": 0.3, "reorder_delay": 0.08, "delay": 0.01, "jitter": 0.02})
+BAD = Rule(
+    {
+        "loss": 0.5,
+        "duplicate": 0.3,
+        "reorder": 0.3,
+        "reorder_delay": 0.08,
+        "delay": 0.01,
+        "jitter": 0.02,
+    }
+)
 
 
 def pair(clock, impairment=None):
@@ -38,7 +47,12 @@ def test_in_order_and_once_under_loss_duplicates_and_reordering(seed):
             one.send(ROSTER, 2, payload)
             await clock.sleep(0.004)
         await clock.sleep(12.0)
-        return seen, one.given_up, one.port.counters.resent, [one._outgoing[2].pending, two._incoming[1].early]
+        return (
+            seen,
+            one.given_up,
+            one.port.counters.resent,
+            [one._outgoing[2].pending, two._incoming[1].early],
+        )
 
     seen, given_up, resent, left = run_virtual(main)
     assert seen == numbers(60)
@@ -53,7 +67,11 @@ async def test_without_loss_nothing_is_resent(clock):
         one.send(ROSTER, 2, payload)
     assert seen == numbers(5)
     await clock.sleep(2.0)
-    assert (one.port.counters.resent, one.port.counters.sent, two.port.counters.sent) == (0, 5, 5)
+    assert (
+        one.port.counters.resent,
+        one.port.counters.sent,
+        two.port.counters.sent,
+    ) == (0, 5, 5)
 
 
 @virtual
@@ -71,7 +89,9 @@ async def test_both_directions_at_once(clock):
 async def test_a_lost_acknowledgement_is_drawn_anew(clock):
     """The only message; its acknowledgement is lost half of the time, for each seed."""
     for seed in range(30):
-        _, one, _, seen = pair(clock, Impairment(seed, [Rule({"loss": 0.6}, edge=(2, 1), directed=True)]))
+        _, one, _, seen = pair(
+            clock, Impairment(seed, [Rule({"loss": 0.6}, edge=(2, 1), directed=True)])
+        )
         one.send(ROSTER, 2, b"x")
         await clock.sleep(8.0)
         assert (seen, one._outgoing[2].pending, one.given_up) == ([b"x"], {}, 0)
@@ -82,7 +102,9 @@ async def test_resends_back_off(clock):
     _, one, _, seen = pair(clock, Impairment(1, [], [Partition(0.0, 6.0, (1,))]))
     one.send(ROSTER, 2, b"x")
     await clock.sleep(5.9)
-    assert 12 <= one.port.counters.resent <= 17  # after 30, 60, 120, 240, 480 ms, and then each 500 ms
+    assert (
+        12 <= one.port.counters.resent <= 17
+    )  # after 30, 60, 120, 240, 480 ms, and then each 500 ms
     await clock.sleep(0.7)
     assert seen == [b"x"]
 
@@ -147,7 +169,9 @@ async def test_it_is_bounded_in_messages(clock):
 
 @virtual
 async def test_what_is_too_old_is_given_up_and_what_follows_arrives(clock):
-    _, one, two, seen = pair(clock, Impairment(1, [], [Partition(0.0, MAX_AGE + 2.0, (1,))]))
+    _, one, two, seen = pair(
+        clock, Impairment(1, [], [Partition(0.0, MAX_AGE + 2.0, (1,))])
+    )
     one.send(ROSTER, 2, b"old")
     await clock.sleep(10.0)
     one.send(ROSTER, 2, b"younger")

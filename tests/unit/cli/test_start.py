@@ -11,13 +11,30 @@ from crazychoir.cli.compute import solve
 from crazychoir.routing.distributed.pickup_delivery import METHODS
 from crazychoir.solve.solving import solve_here
 
-HEAVY = {"numpy", "numba", "scipy", "zenoh", "highspy", "matplotlib", "msgspec", "asyncio", "rich.live"}
+HEAVY = {
+    "numpy",
+    "numba",
+    "scipy",
+    "zenoh",
+    "highspy",
+    "matplotlib",
+    "msgspec",
+    "asyncio",
+    "rich.live",
+}
 
 
-@pytest.mark.parametrize("module", [f"crazychoir.cli.{name}" for name in ("crazychoir", "agent", "world", "mocap")])
+@pytest.mark.parametrize(
+    "module",
+    [f"crazychoir.cli.{name}" for name in ("crazychoir", "agent", "world", "mocap")],
+)
 def test_a_command_line_starts_without_what_is_heavy(module):
     program = f"import sys, json, {module}; print(json.dumps(list(sys.modules)))"
-    loaded = json.loads(subprocess.run([sys.executable, "-c", program], check=True, capture_output=True).stdout)
+    loaded = json.loads(
+        subprocess.run(
+            [sys.executable, "-c", program], check=True, capture_output=True
+        ).stdout
+    )
     assert module in loaded
     assert HEAVY & set(loaded) == set()
 
@@ -31,4 +48,6 @@ def test_its_version_is_told():
 def test_solve_offers_the_methods_that_there_are():
     option = solve.solve.__annotations__["method"].__metadata__[0]
     assert option.help == f"Recovery of the plan: {', '.join(METHODS)}."
-    assert solve.solve.__defaults__[0] == METHODS[0] == solve_here.__kwdefaults__["method"]
+    assert (
+        solve.solve.__defaults__[0] == METHODS[0] == solve_here.__kwdefaults__["method"]
+    )

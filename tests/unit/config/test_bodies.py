@@ -7,14 +7,25 @@ from crazychoir.errors import ConfigError
 
 
 def swarm(*drones, **tables):
-    rows = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}", **drone}
-            for i, drone in enumerate(drones)]  # fmt: skip
+    rows = [
+        {
+            "id": i,
+            "home": [float(i), 0.0, 0.0],
+            "uri": f"udp://127.0.0.1:{19850 + i}",
+            **drone,
+        }
+        for i, drone in enumerate(drones)
+    ]
     return {"name": "lab", "drones": rows, **tables}
 
 
-@pytest.mark.parametrize("drones", [({"body": "a"}, {"body": "a"}), ({"body": "cf1"}, {})])
+@pytest.mark.parametrize(
+    "drones", [({"body": "a"}, {"body": "a"}), ({"body": "cf1"}, {})]
+)
 def test_two_drones_with_one_body_are_refused(drones):
-    with pytest.raises(ConfigError, match=r"drones\[1\].body = \"(a|cf1)\": drones\[0\] has this body"):
+    with pytest.raises(
+        ConfigError, match=r"drones\[1\].body = \"(a|cf1)\": drones\[0\] has this body"
+    ):
         SwarmConfig.of(swarm(*drones))
 
 
@@ -22,7 +33,14 @@ OFTEN = {"log_rate": 50.0}
 
 
 def test_drones_that_no_camera_sees_may_have_any_body():
-    config = SwarmConfig.of(swarm({"body": "cf1"}, {"pose": "onboard"}, {"uri": "sim://", "body": "cf1"}, radio=OFTEN))
+    config = SwarmConfig.of(
+        swarm(
+            {"body": "cf1"},
+            {"pose": "onboard"},
+            {"uri": "sim://", "body": "cf1"},
+            radio=OFTEN,
+        )
+    )
     assert config.seen == (0,)
     assert config.source(POSE, 0) == config.source(TRUTH, 0) == EYES
     assert config.source(BODY, 0) == BODIES
@@ -31,11 +49,15 @@ def test_drones_that_no_camera_sees_may_have_any_body():
 
 
 def test_a_replay_without_a_file_is_refused():
-    with pytest.raises(ConfigError, match=r"mocap.file: found nothing; allowed: a recording"):
+    with pytest.raises(
+        ConfigError, match=r"mocap.file: found nothing; allowed: a recording"
+    ):
         SwarmConfig.of(swarm({}, mocap={"source": "replay"}))
 
 
-def test_a_recording_is_relative_to_the_swarm_file_and_its_folder_nobodys_business(tmp_path):
+def test_a_recording_is_relative_to_the_swarm_file_and_its_folder_nobodys_business(
+    tmp_path,
+):
     config = SwarmConfig.of(swarm({}, mocap={"source": "replay", "file": "a.csv"}))
     (tmp_path / "s.json").write_text(config.dumps())
     loaded = SwarmConfig.load(tmp_path / "s.json")

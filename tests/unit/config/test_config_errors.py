@@ -134,7 +134,11 @@ CASES = {
         "x.toml: edges[1] = [0, 9]: there is no drone 9; this swarm has 0 to 3. "
         "Add a [[drones]] with id = 9, or mend the list.",
     ),
-    "loop": ("edges = [[2, 2]]", "", "x.toml: edges[0] = [2, 2]: a loop; an edge joins two drones. Remove it."),
+    "loop": (
+        "edges = [[2, 2]]",
+        "",
+        "x.toml: edges[0] = [2, 2]: a loop; an edge joins two drones. Remove it.",
+    ),
     "same id": (
         "",
         "[[drones]]\nid = 1\nhome = [2, 2, 0]",
@@ -349,7 +353,10 @@ def swarm_text(keys: str, last: str) -> str:
     """Four drones in a square; those before the last get neighbours when it has some."""
     homes = ([0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0])
     rest = "neighbors = []\n" if "neighbors" in last else ""
-    drones = "\n".join(f"[[drones]]\nid = {i}\nhome = {home}\n{rest if i < 3 else ''}" for i, home in enumerate(homes))
+    drones = "\n".join(
+        f"[[drones]]\nid = {i}\nhome = {home}\n{rest if i < 3 else ''}"
+        for i, home in enumerate(homes)
+    )
     return f'name = "x"\n{keys}\n{drones}\n{last}\n'
 
 
@@ -368,14 +375,38 @@ def test_the_square_itself_is_right() -> None:
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("a = [", "x.toml: found Invalid value (at end of document); allowed: TOML text. Mend the line."),
-        ('{"name": ', "x.toml: found Input data was truncated; allowed: JSON text. Mend the line."),
-        ('name = "x"\ndrones = []', "x.toml: drones: found no drone; allowed: one or more. Add a [[drones]]."),
-        ('{"name": "x"}', "x.toml: drones: found nothing; allowed: a list of drones: one table [[drones]] each. "),
-        ('name = "x"\ndrones = [3]', "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, platform"),
-        ('name = "x"\ndrones = 3', "x.toml: drones: found 3; allowed: a list of drones"),
-        ("drones = []", 'x.toml: name: found nothing; allowed: 1 to 40 of a-z, 0-9, _ and -. Add for example name = "'),
-        ('name = "X\\n"\ndrones = []', 'x.toml: name: found "X\\n"; allowed: 1 to 40 of a-z'),
+        (
+            "a = [",
+            "x.toml: found Invalid value (at end of document); allowed: TOML text. Mend the line.",
+        ),
+        (
+            '{"name": ',
+            "x.toml: found Input data was truncated; allowed: JSON text. Mend the line.",
+        ),
+        (
+            'name = "x"\ndrones = []',
+            "x.toml: drones: found no drone; allowed: one or more. Add a [[drones]].",
+        ),
+        (
+            '{"name": "x"}',
+            "x.toml: drones: found nothing; allowed: a list of drones: one table [[drones]] each. ",
+        ),
+        (
+            'name = "x"\ndrones = [3]',
+            "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, platform",
+        ),
+        (
+            'name = "x"\ndrones = 3',
+            "x.toml: drones: found 3; allowed: a list of drones",
+        ),
+        (
+            "drones = []",
+            'x.toml: name: found nothing; allowed: 1 to 40 of a-z, 0-9, _ and -. Add for example name = "',
+        ),
+        (
+            'name = "X\\n"\ndrones = []',
+            'x.toml: name: found "X\\n"; allowed: 1 to 40 of a-z',
+        ),
     ],
 )
 def test_broken_texts(text: str, error: str) -> None:
@@ -397,16 +428,24 @@ def test_neighbors_of_some_only() -> None:
 
 def test_a_process_on_two_hosts() -> None:
     hosts = {"a": "10.0.0.1", "b": "10.0.0.2"}
-    drones = [{"id": i, "home": [i, 0, 0], "host": host} for i, host in enumerate(hosts)]
+    drones = [
+        {"id": i, "home": [i, 0, 0], "host": host} for i, host in enumerate(hosts)
+    ]
     with pytest.raises(ConfigError) as caught:
-        SwarmConfig.of({"name": "x", "hosts": hosts, "drones": drones, "processes": [[0, 1]]}, "x.toml")
+        SwarmConfig.of(
+            {"name": "x", "hosts": hosts, "drones": drones, "processes": [[0, 1]]},
+            "x.toml",
+        )
     assert str(caught.value) == (
         "x.toml: processes[0] = [0, 1]: drones of several hosts; a process is on one host. Split it."
     )
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    for path, reason in ((tmp_path / "none.toml", "No such file or directory"), (tmp_path, "Is a directory")):
+    for path, reason in (
+        (tmp_path / "none.toml", "No such file or directory"),
+        (tmp_path, "Is a directory"),
+    ):
         with pytest.raises(ConfigError) as caught:
             SwarmConfig.load(path)
         assert str(caught.value) == (
@@ -419,8 +458,14 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_nobody_asks_for_an_unknown_drone() -> None:
-    for wrong in (default_swarm(3).drone, default_swarm(3).endpoint, default_swarm(3).process):
-        with pytest.raises(ConfigError, match=r"^swarm default: found drone 9; allowed: 0 to 2\.$"):
+    for wrong in (
+        default_swarm(3).drone,
+        default_swarm(3).endpoint,
+        default_swarm(3).process,
+    ):
+        with pytest.raises(
+            ConfigError, match=r"^swarm default: found drone 9; allowed: 0 to 2\.$"
+        ):
             wrong(9)
     with pytest.raises(ConfigError, match="found no drone"):
         default_swarm(0)
@@ -433,11 +478,22 @@ def test_hostile_depth_is_a_config_error() -> None:
 
 
 def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
-    structs = [kind for kind in vars(tables).values() if isinstance(kind, type) and issubclass(kind, tables.Table)]
+    structs = [
+        kind
+        for kind in vars(tables).values()
+        if isinstance(kind, type) and issubclass(kind, tables.Table)
+    ]
     assert len(structs) == 21
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
-            said = next((t for t in (entry.type, *get_args(entry.type)) if get_origin(t) is Annotated), None)
+            said = next(
+                (
+                    t
+                    for t in (entry.type, *get_args(entry.type))
+                    if get_origin(t) is Annotated
+                ),
+                None,
+            )
             if said is None:
                 assert issubclass(entry.type, tables.Table), entry.name
                 continue

@@ -3,7 +3,7 @@ import pytest
 from crazychoir.config.editing import lines_of, with_keys, write_keys
 from crazychoir.errors import ConfigError
 
-FILE = '''# our lab
+FILE = """# our lab
 name = "lab"   # a name
 [[drones]]
 id = 0
@@ -18,11 +18,14 @@ id = 1
 fast = true
 [mocap]
 body = 3
-'''
+"""
 
 
 def test_keys_are_replaced_and_added_and_all_else_stays_to_the_byte():
-    text = with_keys(FILE, {0: {"body": "new one"}, 1: {"body": "b", "body_offset": [0.0, -0.01, 0.02]}})
+    text = with_keys(
+        FILE,
+        {0: {"body": "new one"}, 1: {"body": "b", "body_offset": [0.0, -0.01, 0.02]}},
+    )
     assert text == FILE.replace('body = "old"', 'body = "new one"').replace(
         "id = 1\n", 'id = 1\nbody = "b"\nbody_offset = [0.0, -0.01, 0.02]\n'
     )

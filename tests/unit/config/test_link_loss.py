@@ -3,12 +3,23 @@
 import numpy as np
 import pytest
 
-from crazychoir.config.link_loss import BRAKES, CUT, STRAYS, TILTED, crowded, flies_on, inset, slow_enough
+from crazychoir.config.link_loss import (
+    BRAKES,
+    CUT,
+    STRAYS,
+    TILTED,
+    crowded,
+    flies_on,
+    inset,
+    slow_enough,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 
 
 @pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
-@pytest.mark.parametrize(("speed", "acceleration"), [(0.3, 1.0), (1.0, 2.0), (5.0, 2.0)])
+@pytest.mark.parametrize(
+    ("speed", "acceleration"), [(0.3, 1.0), (1.0, 2.0), (5.0, 2.0)]
+)
 def test_it_is_the_worst_place_of_all(sender, speed, acceleration) -> None:
     d = np.linspace(0.0, 50.0, 200_001)
     v = np.minimum(speed, np.sqrt(d * acceleration / BRAKES))
@@ -24,7 +35,9 @@ def swarm(speed: float, home: float = 0.0, **changes: object) -> SwarmConfig:
 
 def test_it_stays_inside_by_what_keep_out_leaves() -> None:
     found = inset(swarm(0.5), "frpy")
-    assert found.needed == found.given == pytest.approx(flies_on(0.5, 2.0, "frpy") - 0.5)
+    assert (
+        found.needed == found.given == pytest.approx(flies_on(0.5, 2.0, "frpy") - 0.5)
+    )
     wide = {"keep_out": {"min": [-6, -6, -1], "max": [6, 6, 4]}}
     assert inset(swarm(0.5, **wide), "frpy").needed == 0.0
 
@@ -40,7 +53,10 @@ def test_it_says_with_which_speed_limit_there_is_room(sender) -> None:
     found = inset(swarm(1.5), sender)
     assert found.given < found.needed
     slower = inset(swarm(found.slow_enough), sender)
-    assert f"lower speed_limit to {int(100 * found.slow_enough) / 100:.2f} m/s" in found.problem
+    assert (
+        f"lower speed_limit to {int(100 * found.slow_enough) / 100:.2f} m/s"
+        in found.problem
+    )
     assert slower.problem == ""
     assert slower.needed == slower.given == pytest.approx(found.given)
     assert slow_enough(0.9 * STRAYS[sender], 2.0, sender) == 0.0
@@ -49,22 +65,42 @@ def test_it_says_with_which_speed_limit_there_is_room(sender) -> None:
 def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
     homes, numbers = ((0.0, 0.0), (0.6, 0.0), (0.0, 0.5), (0.0, 1.2)), (0, 0, 1, 0)
     drones = [
-        {"id": i, "home": [*home, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}", "dongle": k}
+        {
+            "id": i,
+            "home": [*home, 0.0],
+            "uri": f"udp://127.0.0.1:{19850 + i}",
+            "dongle": k,
+        }
         for i, (home, k) in enumerate(zip(homes, numbers, strict=True))
     ]
     config = SwarmConfig.of({"name": "a", "drones": drones})
     fast = dict.fromkeys(config.ids, "fpqr")
-    assert crowded(config, 0, fast).startswith("starts 0.60 m from drone 1, which the same dongle reaches")
+    assert crowded(config, 0, fast).startswith(
+        "starts 0.60 m from drone 1, which the same dongle reaches"
+    )
     assert "1.14 m are needed" in crowded(config, 0, fast)
     assert [crowded(config, i, fast) for i in (1, 2, 3)] == [""] * 3
     assert crowded(config, 0, dict.fromkeys(config.ids, "frpy")) == ""
     assert crowded(config, 0, {0: "fpqr", 3: "fpqr"}) == "", "drone 1 is sent places"
     assert "0.79 m are needed" in crowded(config, 0, fast | {1: "frpy"})
-    assert crowded(config, 0, fast).endswith("or on two dongles, or send frpy or vel or xyz")
+    assert crowded(config, 0, fast).endswith(
+        "or on two dongles, or send frpy or vel or xyz"
+    )
 
 
 def test_who_strays_little_is_offered_only_what_strays_less() -> None:
-    drones = [{"id": i, "home": [0.2 * i, 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"} for i in range(2)]
-    config = SwarmConfig.of({"name": "a", "drones": drones, "collision": {"method": "off"}})
-    for sender, offered in (("frpy", "vel or xyz"), ("fullstate", "vel or xyz"), ("vel", "xyz")):
-        assert crowded(config, 0, dict.fromkeys(config.ids, sender)).endswith(f"two dongles, or send {offered}")
+    drones = [
+        {"id": i, "home": [0.2 * i, 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"}
+        for i in range(2)
+    ]
+    config = SwarmConfig.of(
+        {"name": "a", "drones": drones, "collision": {"method": "off"}}
+    )
+    for sender, offered in (
+        ("frpy", "vel or xyz"),
+        ("fullstate", "vel or xyz"),
+        ("vel", "xyz"),
+    ):
+        assert crowded(config, 0, dict.fromkeys(config.ids, sender)).endswith(
+            f"two dongles, or send {offered}"
+        )

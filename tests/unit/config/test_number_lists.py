@@ -9,20 +9,27 @@ from hypothesis import strategies as st
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 
-WORDS = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 9)), min_size=1, max_size=6)
+WORDS = st.lists(
+    st.tuples(st.integers(0, 60), st.integers(0, 9)), min_size=1, max_size=6
+)
 BLANKS = st.sampled_from(["", " ", "  "])
 
 
 @given(words=WORDS, blank=BLANKS, zeros=st.sampled_from(["", "0", "000"]))
 def test_numbers_and_ranges_are_read_each_number_once(words, blank, zeros):
-    text = ",".join(f"{blank}{zeros}{a}{blank}-{blank}{a + n}" if n else f"{blank}{a}{blank}" for a, n in words)
+    text = ",".join(
+        f"{blank}{zeros}{a}{blank}-{blank}{a + n}" if n else f"{blank}{a}{blank}"
+        for a, n in words
+    )
     expected = dict.fromkeys(k for a, n in words for k in range(a, a + n + 1))
     assert parse_spans(text, "--drones", "drones") == list(expected)
 
 
 @given(first=st.integers(0, 50), far=st.integers(0, 50), step=st.integers(1, 60))
 def test_a_step_leaves_numbers_out(first, far, step):
-    found = parse_spans(f"{first}-{first + far}:{step}", "--channels", "channels", 125, steps=True)
+    found = parse_spans(
+        f"{first}-{first + far}:{step}", "--channels", "channels", 125, steps=True
+    )
     assert found == list(range(first, first + far + 1, step))
 
 

@@ -10,7 +10,10 @@ from crazychoir.radio.budget import rates
 
 
 def swarm(*uris: str, head: str = "", keys: str = "") -> SwarmConfig:
-    rows = [f'[[drones]]\nid = {i}\nhome = [{i}, 0, 0]\nuri = "{uri}"\n{keys}\n' for i, uri in enumerate(uris)]
+    rows = [
+        f'[[drones]]\nid = {i}\nhome = [{i}, 0, 0]\nuri = "{uri}"\n{keys}\n'
+        for i, uri in enumerate(uris)
+    ]
     return SwarmConfig.loads(f'name = "lab"\n{head}\n' + "\n".join(rows), "lab.toml")
 
 
@@ -22,26 +25,50 @@ def udp(n: int, dongles: int = 1, **control: object) -> SwarmConfig:
     ]
     radio = control.pop("radio", {})
     tables = {"control": control, "radio": radio}
-    text = "".join(f"[{name}]\n" + "".join(f"{k} = {v!r}\n" for k, v in t.items()) for name, t in tables.items())
+    text = "".join(
+        f"[{name}]\n" + "".join(f"{k} = {v!r}\n" for k, v in t.items())
+        for name, t in tables.items()
+    )
     return SwarmConfig.loads('name = "lab"\n' + text + "".join(rows), "lab.toml")
 
 
 def test_dongles_come_from_the_key_or_the_uri() -> None:
     config = swarm("radio://2/80/2M/E7E7E7E700", "udp://10.0.0.1:19850", "sim://")
     assert config.dongles == {0: (1,), 2: (0,)}
-    assert (config.reached, config.seen, config.owned, config.elsewhere) == ((0, 1), (0, 1), (), (0, 1))
+    assert (config.reached, config.seen, config.owned, config.elsewhere) == (
+        (0, 1),
+        (0, 1),
+        (),
+        (0, 1),
+    )
 
 
 def test_owners_listen_below_the_drones() -> None:
-    ports = {process: int(at.rpartition(":")[2]) for process, at in udp(4, 3).endpoints().items()}
-    assert ports == {DONGLES - 2: 7455, DONGLES - 1: 7456, DONGLES: 7457, MOCAP: 7458, 0: 7460, 1: 7461, 2: 7462,
-                     3: 7463}  # fmt: skip
+    ports = {
+        process: int(at.rpartition(":")[2])
+        for process, at in udp(4, 3).endpoints().items()
+    }
+    assert ports == {
+        DONGLES - 2: 7455,
+        DONGLES - 1: 7456,
+        DONGLES: 7457,
+        MOCAP: 7458,
+        0: 7460,
+        1: 7461,
+        2: 7462,
+        3: 7463,
+    }
     assert list(ports) == sorted(ports), "each process connects to those before it"
 
 
 def test_who_says_what() -> None:
     config = swarm("udp://h:1", "sim://")
-    assert [config.source(topic, 0) for topic in (POSE, TRUTH, LINK, STATE)] == [EYES, EYES, BODIES, 0]
+    assert [config.source(topic, 0) for topic in (POSE, TRUTH, LINK, STATE)] == [
+        EYES,
+        EYES,
+        BODIES,
+        0,
+    ]
     assert config.source(POSE, 1) == 1
     own = swarm("udp://h:1", head="[radio]\nlog_rate = 50", keys='pose = "onboard"')
     assert (own.source(POSE, 0), own.seen) == (BODIES, ())
@@ -51,20 +78,55 @@ def test_who_says_what() -> None:
 @pytest.mark.parametrize(
     ("uris", "head", "keys", "text"),
     [
-        (["udp://127.0.0.1"], "", "", "drones[0].uri: found \"udp://127.0.0.1\"; allowed: udp://HOST:PORT"),
+        (
+            ["udp://127.0.0.1"],
+            "",
+            "",
+            'drones[0].uri: found "udp://127.0.0.1"; allowed: udp://HOST:PORT',
+        ),
         (["udp://127.0.0.1:0"], "", "", "udp://HOST:PORT"),
         (["radio://0/126/2M/E7E7E7E7E7"], "", "", "a channel of 0 to 125"),
         (["radio://0/80/3M/E7E7E7E7E7"], "", "", "250K, 1M or 2M"),
         (["radio://0/80/2M/E7"], "", "", "an address of 10 hexadecimal digits"),
-        (["udp://a:1", "udp://a:1"], "", "", "drones[1].uri = \"udp://a:1\": drones[0] has this address"),
-        (["radio://0/80/2M/E7E7E7E7E7", "radio://0/80/2M/e7e7e7e7e7"], "", "", "drones[0] has this address"),
+        (
+            ["udp://a:1", "udp://a:1"],
+            "",
+            "",
+            'drones[1].uri = "udp://a:1": drones[0] has this address',
+        ),
+        (
+            ["radio://0/80/2M/E7E7E7E7E7", "radio://0/80/2M/e7e7e7e7e7"],
+            "",
+            "",
+            "drones[0] has this address",
+        ),
         (["radio://0/80/2M/E7E7E7E7E7"], "", "dongle = 1", "its uri says dongle 0"),
-        (["udp://a:1"], "[[radio.dongles]]\ndongle = 0\nhost = 'x'", "", "there is no such host"),
-        (["udp://a:1"], "[hosts]\nx = '10.0.0.1'", "host = 'x'", "Add [[radio.dongles]] with dongle and host"),
-        (["udp://a:1"], "", 'pose = "onboard"', "radio.log_rate = 10.0: drones[0] says itself where it is"),
-        (["udp://a:1"], "base_port = 1025", "", "owners of worlds and radios listen down to base_port - 3"),
+        (
+            ["udp://a:1"],
+            "[[radio.dongles]]\ndongle = 0\nhost = 'x'",
+            "",
+            "there is no such host",
+        ),
+        (
+            ["udp://a:1"],
+            "[hosts]\nx = '10.0.0.1'",
+            "host = 'x'",
+            "Add [[radio.dongles]] with dongle and host",
+        ),
+        (
+            ["udp://a:1"],
+            "",
+            'pose = "onboard"',
+            "radio.log_rate = 10.0: drones[0] says itself where it is",
+        ),
+        (
+            ["udp://a:1"],
+            "base_port = 1025",
+            "",
+            "owners of worlds and radios listen down to base_port - 3",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused(uris: list[str], head: str, keys: str, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
         swarm(*uris, head=head, keys=keys)
@@ -84,14 +146,34 @@ def test_four_drones_at_100_hz_are_too_much_for_one_dongle() -> None:
 @pytest.mark.parametrize(
     ("n", "rate", "says"),
     [
-        (4, 13.0, "4 x 50 set-points, 4 x 22 poses, echoes and requests; it carries 250, 31 set-points a second and "
-                  "drone. Use more dongles, send frpy or vel or fullstate (40 Hz at most), or measure its capacity."),
-        (3, 0.0, "it carries 250, 49 set-points a second and drone. Use more dongles, set command_rate = 50 to 61 "),
-        (3, 70.0, "Use more dongles, set command_rate = 50 to 61 ([radio]), or measure its capacity."),
-        (3, 13.0, "radio.command_rate: found 13.0; allowed: 50 to 61 Hz, for what is sent by dongle 0 (fpqr). Leave "),
-        (6, 13.0, "13 set-points a second and drone. Use more dongles, send vel (19 Hz at most), or measure its cap"),
+        (
+            4,
+            13.0,
+            "4 x 50 set-points, 4 x 22 poses, echoes and requests; it carries 250, 31 set-points a second and "
+            "drone. Use more dongles, send frpy or vel or fullstate (40 Hz at most), or measure its capacity.",
+        ),
+        (
+            3,
+            0.0,
+            "it carries 250, 49 set-points a second and drone. Use more dongles, set command_rate = 50 to 61 ",
+        ),
+        (
+            3,
+            70.0,
+            "Use more dongles, set command_rate = 50 to 61 ([radio]), or measure its capacity.",
+        ),
+        (
+            3,
+            13.0,
+            "radio.command_rate: found 13.0; allowed: 50 to 61 Hz, for what is sent by dongle 0 (fpqr). Leave ",
+        ),
+        (
+            6,
+            13.0,
+            "13 set-points a second and drone. Use more dongles, send vel (19 Hz at most), or measure its cap",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
     with pytest.raises(ConfigError) as caught:
         rates(udp(n, sender="fpqr", radio={"command_rate": rate}))
@@ -103,23 +185,33 @@ def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
 def test_of_drones_that_say_where_they_are_logs_are_counted() -> None:
     uris = [f"udp://127.0.0.1:{19850 + i}" for i in range(4)]
     config = swarm(*uris, head="[radio]\nlog_rate = 25", keys='pose = "onboard"')
-    with pytest.raises(ConfigError, match="4 x 30 set-points, 4 x 37 logs, echoes and requests; it carries 250"):
+    with pytest.raises(
+        ConfigError,
+        match="4 x 30 set-points, 4 x 37 logs, echoes and requests; it carries 250",
+    ):
         rates(config)
 
 
 def test_what_dongles_leave() -> None:
     assert rates(udp(2, sender="fpqr")) == {0: 84.0}
-    assert rates(udp(2, sender="fpqr", radio={"command_rate": 100.0})) == {0: 100.0}, "asked for, and just carried"
+    assert rates(udp(2, sender="fpqr", radio={"command_rate": 100.0})) == {0: 100.0}, (
+        "asked for, and just carried"
+    )
     assert rates(udp(4, sender="frpy")) == {0: 31.0}
     assert rates(udp(6, 3, sender="frpy")) == {0: 84.0, 1: 84.0, 2: 84.0}
-    assert rates(udp(1, sender="fpqr", radio={"pose_rate": 100.0})) == {0: 100.0}, "one alone never changes channels"
+    assert rates(udp(1, sender="fpqr", radio={"pose_rate": 100.0})) == {0: 100.0}, (
+        "one alone never changes channels"
+    )
     with pytest.raises(ConfigError, match="5 x 50 set-points"):
         rates(udp(5, sender="fpqr"))
 
 
 def test_plans_count_as_they_are_sent() -> None:
     assert rates(udp(5, sender="xyz")) == {0: 0.0}
-    with pytest.raises(ConfigError, match=r"5 x 37 poses, .* 5 x 10 plans; .* 212\.5 with room .* a lower pose_rate"):
+    with pytest.raises(
+        ConfigError,
+        match=r"5 x 37 poses, .* 5 x 10 plans; .* 212\.5 with room .* a lower pose_rate",
+    ):
         rates(udp(5, sender="xyz", radio={"pose_rate": 25.0}))
 
 
@@ -133,11 +225,16 @@ def test_what_drones_say_counts_as_well() -> None:
     with pytest.raises(ConfigError, match="6 x 10 to plans; it carries 250"):
         rates(udp(6, sender="xyz"))
     assert rates(udp(7, sender="xyz", radio={"capacity": 350.0})) == {0: 0.0}
-    with pytest.raises(ConfigError, match=r"say 224 .*: 200 logs, 2 x 12 echoes and answers; .* a lower log_rate"):
+    with pytest.raises(
+        ConfigError,
+        match=r"say 224 .*: 200 logs, 2 x 12 echoes and answers; .* a lower log_rate",
+    ):
         rates(udp(2, sender="vel", radio={"log_rate": 100.0}))
 
 
-def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_otherwise() -> None:
+def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_otherwise() -> (
+    None
+):
     config = swarm("udp://127.0.0.1:19850", "sim://")
     assert [config.control_of(i).sender for i in config.ids] == ["frpy", "fpqr"]
     said = config.replace(control={"sender": "fpqr"})
@@ -147,12 +244,22 @@ def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_other
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ('"posCtlPid.xKp" = "two"', 'x.toml: radio.parameters.posCtlPid.xKp: found "two"; allowed: a number.'),
-        ("posCtlPid.xKp = 2.0", 'x.toml: radio.parameters: found "posCtlPid"; allowed: GROUP.NAME, as posCtlPid.xKp.'),
+        (
+            '"posCtlPid.xKp" = "two"',
+            'x.toml: radio.parameters.posCtlPid.xKp: found "two"; allowed: a number.',
+        ),
+        (
+            "posCtlPid.xKp = 2.0",
+            'x.toml: radio.parameters: found "posCtlPid"; allowed: GROUP.NAME, as posCtlPid.xKp.',
+        ),
     ],
 )
-def test_a_parameter_of_the_firmware_has_a_group_and_is_a_number(line: str, said: str) -> None:
-    text = f'name = "x"\n[radio.parameters]\n{line}\n[[drones]]\nid = 0\nhome = [0, 0, 0]'
+def test_a_parameter_of_the_firmware_has_a_group_and_is_a_number(
+    line: str, said: str
+) -> None:
+    text = (
+        f'name = "x"\n[radio.parameters]\n{line}\n[[drones]]\nid = 0\nhome = [0, 0, 0]'
+    )
     with pytest.raises(ConfigError) as caught:
         SwarmConfig.loads(text, "x.toml")
     assert str(caught.value).startswith(said)
@@ -160,5 +267,7 @@ def test_a_parameter_of_the_firmware_has_a_group_and_is_a_number(line: str, said
 
 def test_poses_of_virtual_drones_come_at_a_port_of_their_own() -> None:
     text = 'name = "x"\n[mocap]\nport = 19850\n[[drones]]\nid = 0\nhome = [0, 0, 0]\nuri = "udp://127.0.0.1:19850"'
-    with pytest.raises(ConfigError, match=r"x.toml: mocap.port = 19850: drones\[0\] has this port"):
+    with pytest.raises(
+        ConfigError, match=r"x.toml: mocap.port = 19850: drones\[0\] has this port"
+    ):
         SwarmConfig.loads(text, "x.toml")

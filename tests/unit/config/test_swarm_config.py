@@ -15,7 +15,13 @@ from hypothesis import strategies as st
 
 from crazychoir.bus.port import BODIES
 from crazychoir.bus.topics import BODY, POSE, STATE, TRUTH
-from crazychoir.config.swarm_config import WORLD, SwarmConfig, default_swarm, demo_swarm, find_swarm
+from crazychoir.config.swarm_config import (
+    WORLD,
+    SwarmConfig,
+    default_swarm,
+    demo_swarm,
+    find_swarm,
+)
 from crazychoir.errors import ConfigError
 from crazychoir.radio.budget import rates
 from crazychoir.team.graph import Graph, erdos_renyi_connected, named, path, ring
@@ -44,13 +50,21 @@ home = [0, 1, 0]
 
 
 def square(keys: str = "", first: str = "", last: str = "") -> SwarmConfig:
-    return SwarmConfig.loads(SQUARE.format(keys=keys, first=first, last=last), "square.toml")
+    return SwarmConfig.loads(
+        SQUARE.format(keys=keys, first=first, last=last), "square.toml"
+    )
 
 
 finite = st.floats(-3, 3, allow_nan=False)
 plain = st.recursive(
-    st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(min_size=1), inner, max_size=3),
+    st.booleans()
+    | st.integers(-(2**62), 2**62)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.text(min_size=1), inner, max_size=3)
+    ),
     max_leaves=8,
 )
 free = st.dictionaries(st.text(min_size=1), plain, max_size=3)
@@ -60,20 +74,45 @@ free = st.dictionaries(st.text(min_size=1), plain, max_size=3)
 def swarms(draw: st.DrawFn) -> dict[str, object]:
     """Plain values of a swarm file that holds all rules."""
     ids = draw(st.lists(st.integers(0, 9999), min_size=1, max_size=6, unique=True))
-    hosts = draw(st.sampled_from([{}, {"a": "10.0.0.1", "b-2": "lab.example.org", "c": "fe80::1"}]))
+    hosts = draw(
+        st.sampled_from(
+            [{}, {"a": "10.0.0.1", "b-2": "lab.example.org", "c": "fe80::1"}]
+        )
+    )
     drones = []
     for n, i in enumerate(ids):
-        drone = {"id": i, "home": [n - 3, draw(finite), 0.5], "yaw": draw(finite), "leader": draw(st.booleans())}
+        drone = {
+            "id": i,
+            "home": [n - 3, draw(finite), 0.5],
+            "yaw": draw(finite),
+            "leader": draw(st.booleans()),
+        }
         drone |= {"role": draw(st.text()), "options": draw(free)}
         drone |= {"host": draw(st.sampled_from(list(hosts)))} if hosts else {}
         drones.append(drone)
-    edges = draw(st.lists(st.permutations(ids).map(lambda order: order[:2]), max_size=4)) if len(ids) > 1 else []
-    network = {"loss": draw(st.floats(0, 1)), "edges": [{"source": ids[0], "delay": 0.1}]}
+    edges = (
+        draw(st.lists(st.permutations(ids).map(lambda order: order[:2]), max_size=4))
+        if len(ids) > 1
+        else []
+    )
+    network = {
+        "loss": draw(st.floats(0, 1)),
+        "edges": [{"source": ids[0], "delay": 0.1}],
+    }
     return {
         "name": draw(st.from_regex(r"[a-z0-9_-]{1,40}", fullmatch=True)),
         "mission_options": draw(free),
         "seed": draw(st.integers(0, 2**63 - 1)),
-        **draw(st.sampled_from([{"graph": "path"}, {"edges": edges, "directed": True}, {"edges": edges}, {}])),
+        **draw(
+            st.sampled_from(
+                [
+                    {"graph": "path"},
+                    {"edges": edges, "directed": True},
+                    {"edges": edges},
+                    {},
+                ]
+            )
+        ),
         "hosts": hosts,
         "security": {"operators": list(hosts)},
         "network": draw(st.sampled_from([{}, network])),
@@ -97,7 +136,11 @@ def test_round_trip_through_text_keeps_everything(raw: dict[str, object]) -> Non
 @given(swarms())
 def test_processes_cover_the_swarm_and_endpoints_differ(raw: dict[str, object]) -> None:
     config = SwarmConfig.of(raw)
-    assert sorted(i for group in config.groups() for i in group) == list(config.ids) == list(config.graph().ids)
+    assert (
+        sorted(i for group in config.groups() for i in group)
+        == list(config.ids)
+        == list(config.graph().ids)
+    )
     assert len(dict.fromkeys(config.endpoints().values())) == len(config.groups())
 
 
@@ -109,9 +152,23 @@ def test_any_text_is_a_swarm_or_a_config_error(text: str) -> None:
 
 def test_defaults() -> None:
     config = square()
-    assert (config.start, config.start_deadline, config.lost_after, config.lease) == ("all", 30.0, 5.0, 1.0)
-    assert (config.base_port, config.mission, config.processes, config.hosts) == (7460, None, None, {})
-    assert (config.mocap.rate, config.plant.inputs, config.flight.takeoff_height) == (100.0, "rates", 1.0)
+    assert (config.start, config.start_deadline, config.lost_after, config.lease) == (
+        "all",
+        30.0,
+        5.0,
+        1.0,
+    )
+    assert (config.base_port, config.mission, config.processes, config.hosts) == (
+        7460,
+        None,
+        None,
+        {},
+    )
+    assert (config.mocap.rate, config.plant.inputs, config.flight.takeoff_height) == (
+        100.0,
+        "rates",
+        1.0,
+    )
     assert config.drone(1).home == (1.0, 0.0, 0.0)
     assert config.drone(1).uri == "sim://"
     assert config.impairment() == {}
@@ -124,7 +181,10 @@ def test_defaults() -> None:
         ('graph = "path"', path(4)),
         ('graph = "erdos-renyi:0.5"', named("erdos-renyi:0.5", 4, seed=3)),
         ("edges = [[0, 1], [3, 2]]", Graph.from_edges(4, [(0, 1), (2, 3)])),
-        ("edges = [[0, 1], [3, 2]]\ndirected = true", Graph.from_edges(4, [(0, 1), (3, 2)], directed=True)),
+        (
+            "edges = [[0, 1], [3, 2]]\ndirected = true",
+            Graph.from_edges(4, [(0, 1), (3, 2)], directed=True),
+        ),
         ("directed = true", ring(4, directed=True)),
         (
             'graph = "erdos-renyi:0.5"\ndirected = true',
@@ -157,11 +217,20 @@ def test_endpoints() -> None:
 
 @pytest.mark.parametrize(
     ("address", "endpoint"),
-    [("10.0.0.7", "tls/10.0.0.7:7460"), ("fe80::1", "tls/[fe80::1]:7460"), ("lab.local", "tls/lab.local:7460")],
+    [
+        ("10.0.0.7", "tls/10.0.0.7:7460"),
+        ("fe80::1", "tls/[fe80::1]:7460"),
+        ("lab.local", "tls/lab.local:7460"),
+    ],
 )
 def test_endpoint_of_a_host(address: str, endpoint: str) -> None:
     drones = [{"id": 0, "home": [0, 0, 0], "host": "lab"}]
-    raw = {"name": "a", "hosts": {"lab": address}, "security": {"operators": ["lab"]}, "drones": drones}
+    raw = {
+        "name": "a",
+        "hosts": {"lab": address},
+        "security": {"operators": ["lab"]},
+        "drones": drones,
+    }
     assert SwarmConfig.of(raw).endpoint(0) == endpoint
 
 
@@ -169,14 +238,26 @@ def test_only_lightweight_drones_without_an_owner_are_in_their_agents() -> None:
     assert square().owned == ()
     assert square(first='uri = "sim://motors"').owned == (0,)
     assert square("world.owned = true").owned == (0, 1, 2, 3)
-    assert [square().source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [2, 2, 2, 2]
+    assert [square().source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [
+        2,
+        2,
+        2,
+        2,
+    ]
     owned = square("world.owned = true")
     body = BODIES + 2
-    assert [owned.source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [body, body, body, 2]
+    assert [owned.source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [
+        body,
+        body,
+        body,
+        2,
+    ]
 
 
 def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
-    assert list(square("world.owned = true\nbase_port = 9000").endpoints().items())[:2] == [
+    assert list(square("world.owned = true\nbase_port = 9000").endpoints().items())[
+        :2
+    ] == [
         (WORLD, "tcp/127.0.0.1:8999"),
         (0, "tcp/127.0.0.1:9000"),
     ]
@@ -192,17 +273,28 @@ def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
 
 
 def test_partitions_name_every_drone() -> None:
-    config = square(last="[[network.partitions]]\nat = 2\ngroups = [[1]]\n[network]\nloss = 0.0\n")
-    assert config.impairment() == {"loss": 0.0, "partitions": [{"at": 2.0, "groups": [[1], [0, 2, 3]]}]}
-    whole = square(last="[[network.partitions]]\nat = 2\nuntil = 3\ngroups = [[1, 0], [2, 3]]\n")
-    assert whole.impairment()["partitions"] == [{"at": 2.0, "until": 3.0, "groups": [[1, 0], [2, 3]]}]
+    config = square(
+        last="[[network.partitions]]\nat = 2\ngroups = [[1]]\n[network]\nloss = 0.0\n"
+    )
+    assert config.impairment() == {
+        "loss": 0.0,
+        "partitions": [{"at": 2.0, "groups": [[1], [0, 2, 3]]}],
+    }
+    whole = square(
+        last="[[network.partitions]]\nat = 2\nuntil = 3\ngroups = [[1, 0], [2, 3]]\n"
+    )
+    assert whole.impairment()["partitions"] == [
+        {"at": 2.0, "until": 3.0, "groups": [[1, 0], [2, 3]]}
+    ]
 
 
 def test_replace_checks_again() -> None:
     config = square()
     assert config.replace(graph="path", seed=8).graph() == path(4)
     assert config.replace(network={"loss": 0.3}).impairment() == {"loss": 0.3}
-    assert config.replace(drones=[msgspec.structs.replace(config.drone(2), id=9)]).ids == (9,)
+    assert config.replace(
+        drones=[msgspec.structs.replace(config.drone(2), id=9)]
+    ).ids == (9,)
     assert config.replace(processes=[[0, 1, 2, 3]]).replace(processes=None) == config
     with pytest.raises(ConfigError, match=r"^swarm square: start: found 5; allowed"):
         config.replace(start=5)
@@ -227,19 +319,30 @@ def test_digest_counts_what_hosts_must_agree_on() -> None:
         config.replace(flight={"speed_limit": 0.5}),
     ]
     assert [one.digest() for one in same] == [config.digest()] * len(same)
-    assert len(dict.fromkeys(one.digest() for one in [config, *other])) == len(other) + 1
-    folders = [config.replace(mission=f"/{folder}/own.py") for folder in ("home/a", "srv")]
+    assert (
+        len(dict.fromkeys(one.digest() for one in [config, *other])) == len(other) + 1
+    )
+    folders = [
+        config.replace(mission=f"/{folder}/own.py") for folder in ("home/a", "srv")
+    ]
     assert folders[0].digest() == folders[1].digest()
 
 
 def test_digest_does_not_depend_on_the_order_of_free_keys_or_the_hash_seed() -> None:
-    forward, backward = (square().replace(mission_options=o) for o in ({"a": 1, "b": 2}, {"b": 2, "a": 1}))
+    forward, backward = (
+        square().replace(mission_options=o)
+        for o in ({"a": 1, "b": 2}, {"b": 2, "a": 1})
+    )
     assert forward.digest() == backward.digest()
     program = "from crazychoir.config.swarm_config import demo_swarm; print(demo_swarm().digest())"
     for seed in ("1", "2"):
         environment = {**os.environ, "PYTHONHASHSEED": seed}
         said = subprocess.run(
-            [sys.executable, "-c", program], env=environment, capture_output=True, check=True, cwd=ROOT
+            [sys.executable, "-c", program],
+            env=environment,
+            capture_output=True,
+            check=True,
+            cwd=ROOT,
         )
         assert said.stdout.decode().strip() == demo_swarm().digest()
 
@@ -253,20 +356,31 @@ def test_default_swarm(n: int) -> None:
 
 def test_demo_swarm() -> None:
     config = demo_swarm()
-    assert (config.name, config.mission, config.graph()) == ("demo", "pickup_delivery", ring(6))
-    assert [drone.home[:2] for drone in config.drones] == [(x, y) for y in (0.0, 0.6) for x in (0.0, 0.6, 1.2)]
+    assert (config.name, config.mission, config.graph()) == (
+        "demo",
+        "pickup_delivery",
+        ring(6),
+    )
+    assert [drone.home[:2] for drone in config.drones] == [
+        (x, y) for y in (0.0, 0.6) for x in (0.0, 0.6, 1.2)
+    ]
 
 
 def test_find_swarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert find_swarm(None) == (demo_swarm(), "the built-in demo swarm: six drones, pickup_delivery")
+    assert find_swarm(None) == (
+        demo_swarm(),
+        "the built-in demo swarm: six drones, pickup_delivery",
+    )
     Path("swarm.toml").write_text(SQUARE.format(keys="", first="", last=""))
     assert find_swarm(None) == (square(), "swarm.toml of this folder")
     Path("other.json").write_text(default_swarm(2).dumps())
     assert find_swarm("other.json") == (default_swarm(2), "other.json")
 
 
-def test_a_mission_path_is_relative_to_the_swarm_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mission_path_is_relative_to_the_swarm_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "lab").mkdir()
     file = tmp_path / "lab" / "own.toml"
     file.write_text(SQUARE.format(keys='mission = "../own.py"', first="", last=""))
@@ -275,56 +389,105 @@ def test_a_mission_path_is_relative_to_the_swarm_file(tmp_path: Path, monkeypatc
     (tmp_path / "child.json").write_text(config.dumps())
     assert SwarmConfig.load(tmp_path / "child.json") == config
     monkeypatch.chdir(tmp_path)
-    assert default_swarm(1).replace(mission="here.py").mission == str(tmp_path / "here.py")
+    assert default_swarm(1).replace(mission="here.py").mission == str(
+        tmp_path / "here.py"
+    )
 
 
-@pytest.mark.parametrize("file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml", "virtual4.toml"])
+@pytest.mark.parametrize(
+    "file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml", "virtual4.toml"]
+)
 def test_the_examples_of_deploy_load(file: str) -> None:
     config = SwarmConfig.load(ROOT / "deploy" / file)
     assert config.name == Path(file).stem
     assert config.graph().is_connected
-    assert len(config.drones) == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4}[config.name]
+    assert (
+        len(config.drones)
+        == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4}[config.name]
+    )
     assert SwarmConfig.loads(config.dumps()) == config
 
 
 def test_dongles_carry_the_six_of_the_laboratory_if_their_uris_say_so() -> None:
     text = (ROOT / "deploy" / "lab6.toml").read_text()
-    config = SwarmConfig.loads(re.sub(r"id = (\d)", r'id = \1\nuri = "udp://127.0.0.1:1985\1"', text), "lab6.toml")
+    config = SwarmConfig.loads(
+        re.sub(r"id = (\d)", r'id = \1\nuri = "udp://127.0.0.1:1985\1"', text),
+        "lab6.toml",
+    )
     assert rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
 
 
 def test_the_readme_of_deploy_names_every_key() -> None:
     text = (ROOT / "deploy" / "README.md").read_text()
     for entry in msgspec.structs.fields(SwarmConfig):
-        assert f"`{entry.encode_name}`" in text or f"[{entry.encode_name}]" in text, entry.encode_name
-    tables = ("flight", "fence", "mocap", "plant", "motors", "mujoco", "world", "network")
-    row = {line.split("|")[1].strip(" `[]"): line for line in text.splitlines() if line.startswith("| `[")}
+        assert f"`{entry.encode_name}`" in text or f"[{entry.encode_name}]" in text, (
+            entry.encode_name
+        )
+    tables = (
+        "flight",
+        "fence",
+        "mocap",
+        "plant",
+        "motors",
+        "mujoco",
+        "world",
+        "network",
+    )
+    row = {
+        line.split("|")[1].strip(" `[]"): line
+        for line in text.splitlines()
+        if line.startswith("| `[")
+    }
     for table in tables:
         for entry in msgspec.structs.fields(type(getattr(demo_swarm(), table))):
-            assert f"`{entry.name}`" in row[table] or f".{entry.name}]]" in row[table], f"{table}.{entry.name}"
+            assert (
+                f"`{entry.name}`" in row[table] or f".{entry.name}]]" in row[table]
+            ), f"{table}.{entry.name}"
     for entry in msgspec.structs.fields(type(demo_swarm().drones[0])):
-        assert f"`{entry.name}`" in row["drones"] or f".{entry.name}]" in row["drones"], entry.name
+        assert (
+            f"`{entry.name}`" in row["drones"] or f".{entry.name}]" in row["drones"]
+        ), entry.name
 
 
-def test_files_of_options_are_relative_to_the_swarm_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_options_are_relative_to_the_swarm_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "lab").mkdir()
-    text = square().replace(mission_options={"instance": "../own.json", "drawing": "a.csv", "method": "x"}).dumps()
+    text = (
+        square()
+        .replace(
+            mission_options={
+                "instance": "../own.json",
+                "drawing": "a.csv",
+                "method": "x",
+            }
+        )
+        .dumps()
+    )
     (tmp_path / "lab" / "own.json").write_text(text)
     monkeypatch.chdir("/")
     config = SwarmConfig.load(tmp_path / "lab" / "own.json")
-    found = {"instance": str(tmp_path / "own.json"), "drawing": str(tmp_path / "lab" / "a.csv"), "method": "x"}
+    found = {
+        "instance": str(tmp_path / "own.json"),
+        "drawing": str(tmp_path / "lab" / "a.csv"),
+        "method": "x",
+    }
     assert config.mission_options == found
     assert SwarmConfig.loads(config.dumps()) == config
 
 
 @pytest.mark.parametrize("key", ["drawing", "instance", "uri"])
-def test_a_file_name_that_is_not_text_reaches_another_process(tmp_path: Path, key: str) -> None:
+def test_a_file_name_that_is_not_text_reaches_another_process(
+    tmp_path: Path, key: str
+) -> None:
     folder = tmp_path / "l\udce4b"
     folder.mkdir()
     uri = "replay://a.csv" if key == "uri" else "sim://"
     drones = [{"id": 0, "home": [0, 0, 0], "uri": uri}, {"id": 1, "home": [1, 0, 0]}]
     options = {} if key == "uri" else {key: "a.csv"}
-    (folder / "own.json").write_text(square().replace(drones=drones, graph="path", mission_options=options).dumps())
+    (folder / "own.json").write_text(
+        square().replace(drones=drones, graph="path", mission_options=options).dumps()
+    )
     config = SwarmConfig.load(folder / "own.json")
     assert config.files
     handed_over = config.dumps()
@@ -333,10 +496,18 @@ def test_a_file_name_that_is_not_text_reaches_another_process(tmp_path: Path, ke
 
 
 def test_a_name_that_no_file_can_have_is_refused_with_its_key(tmp_path: Path) -> None:
-    for key, changes in (("mission_options.drawing", {}), ("drone 0: uri", {"uri": "replay://a\0b.csv"})):
+    for key, changes in (
+        ("mission_options.drawing", {}),
+        ("drone 0: uri", {"uri": "replay://a\0b.csv"}),
+    ):
         drones = [{"id": 0, "home": [0, 0, 0], **changes}]
         options = {} if changes else {"drawing": "a\0b.csv"}
-        raw = {"name": "one", "drones": drones, "graph": "empty", "mission_options": options}
+        raw = {
+            "name": "one",
+            "drones": drones,
+            "graph": "empty",
+            "mission_options": options,
+        }
         (tmp_path / "own.json").write_text(json.dumps(raw))
         with pytest.raises(ConfigError, match=rf"^{key}: found 'a\\x00b.csv'"):
             SwarmConfig.load(tmp_path / "own.json")
@@ -344,24 +515,40 @@ def test_a_name_that_no_file_can_have_is_refused_with_its_key(tmp_path: Path) ->
 
 def test_a_file_is_found_by_a_name_that_the_locale_cannot_say(tmp_path: Path) -> None:
     raw = {"name": "one", "drones": [{"id": 0, "home": [0, 0, 0]}], "graph": "empty"}
-    (tmp_path / "own.json").write_text(json.dumps(raw | {"mission_options": {"drawing": "h\xf6rz.csv"}}))
+    (tmp_path / "own.json").write_text(
+        json.dumps(raw | {"mission_options": {"drawing": "h\xf6rz.csv"}})
+    )
     (tmp_path / "h\xf6rz.csv").write_text("0,0,1")
     load = "import sys; from crazychoir import SwarmConfig; config = SwarmConfig.load(sys.argv[1])"
     code = f"{load}; print(*(path.exists() for path in config.files.values()))"
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     command = [sys.executable, "-c", code, str(tmp_path / "own.json")]
-    done = subprocess.run(command, env=os.environ | ascii_only, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command,
+        env=os.environ | ascii_only,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stdout == "True\n", done.stderr
 
 
-def test_recordings_that_drones_replay_are_relative_to_the_swarm_file_and_count_by_content(tmp_path: Path) -> None:
-    drones = [{"id": 0, "home": [0, 0, 0], "uri": "replay://../a.csv?drone=2"}, {"id": 1, "home": [1, 0, 0]}]
+def test_recordings_that_drones_replay_are_relative_to_the_swarm_file_and_count_by_content(
+    tmp_path: Path,
+) -> None:
+    drones = [
+        {"id": 0, "home": [0, 0, 0], "uri": "replay://../a.csv?drone=2"},
+        {"id": 1, "home": [1, 0, 0]},
+    ]
     for lab in ("here", "there"):
         (tmp_path / lab / "lab").mkdir(parents=True)
         (tmp_path / lab / "a.csv").write_text("t,x,y,z,yaw")
         text = square().replace(drones=drones, graph="path").dumps()
         (tmp_path / lab / "lab" / "own.json").write_text(text)
-    here, there = (SwarmConfig.load(tmp_path / lab / "lab" / "own.json") for lab in ("here", "there"))
+    here, there = (
+        SwarmConfig.load(tmp_path / lab / "lab" / "own.json")
+        for lab in ("here", "there")
+    )
     assert here.drone(0).uri == f"replay://{tmp_path / 'here' / 'a.csv'}?drone=2"
     assert here.drone(1).uri == "sim://"
     assert here.digest() == there.digest()

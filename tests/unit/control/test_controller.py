@@ -21,22 +21,41 @@ HOVER = [PAPER.weight, 0.0, 0.0, 0.0]
 
 def tracking(gains=STANDARD):
     return HierarchicalController(
-        FlatnessPositionCtrl(gains), GeometryAttitudeCtrl(gains), FPQRSender(), FullStateTraj()
+        FlatnessPositionCtrl(gains),
+        GeometryAttitudeCtrl(gains),
+        FPQRSender(),
+        FullStateTraj(),
     )
 
 
 def accelerating():
-    return HierarchicalController(FlatnessAccelerationCtrl(), GeometryAttitudeCtrl(), FPQRSender(), AccelerationTraj())
+    return HierarchicalController(
+        FlatnessAccelerationCtrl(),
+        GeometryAttitudeCtrl(),
+        FPQRSender(),
+        AccelerationTraj(),
+    )
 
 
 def test_hovering_in_place_takes_the_weight_and_no_rates():
-    np.testing.assert_allclose(tracking().command(HERE, FullState.at((0, 0, 1)), 0.0).flat, HOVER, atol=1e-12)
-    np.testing.assert_allclose(accelerating().command(HERE, Acceleration(np.zeros(3)), 0.0).flat, HOVER, atol=1e-12)
+    np.testing.assert_allclose(
+        tracking().command(HERE, FullState.at((0, 0, 1)), 0.0).flat, HOVER, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        accelerating().command(HERE, Acceleration(np.zeros(3)), 0.0).flat,
+        HOVER,
+        atol=1e-12,
+    )
 
 
 def test_a_wish_to_go_forward_pitches_forward():
     assert tracking().command(HERE, FullState.at((1, 0, 1)), 0.0).flat[2] > 0.1
-    assert accelerating().command(HERE, Acceleration(np.array([0.0, 1.0, 0.0])), 0.0).flat[1] < -0.1
+    assert (
+        accelerating()
+        .command(HERE, Acceleration(np.array([0.0, 1.0, 0.0])), 0.0)
+        .flat[1]
+        < -0.1
+    )
 
 
 def test_without_a_reference_it_holds_the_place():
@@ -54,25 +73,36 @@ def test_a_reference_that_is_not_finite_is_refused_counted_and_the_last_one_held
     assert law.refused == 1
 
 
-@pytest.mark.parametrize("bad", [Acceleration(np.array([0.0, np.inf, 0.0])), Acceleration(np.zeros(3), np.nan)])
+@pytest.mark.parametrize(
+    "bad",
+    [Acceleration(np.array([0.0, np.inf, 0.0])), Acceleration(np.zeros(3), np.nan)],
+)
 def test_an_acceleration_that_is_not_finite_is_refused(bad):
     law = accelerating()
     assert np.all(np.isfinite(law.command(HERE, bad, 0.0).flat))
-    np.testing.assert_allclose(law.command(HERE, Acceleration(np.zeros(3)), 0.01).flat, HOVER, atol=1e-12)
+    np.testing.assert_allclose(
+        law.command(HERE, Acceleration(np.zeros(3)), 0.01).flat, HOVER, atol=1e-12
+    )
     assert law.refused == 1
 
 
 def test_a_reference_of_another_kind_is_refused():
     law = tracking()
-    np.testing.assert_allclose(law.command(HERE, Acceleration(np.ones(3)), 0.0).flat, HOVER, atol=1e-12)
+    np.testing.assert_allclose(
+        law.command(HERE, Acceleration(np.ones(3)), 0.0).flat, HOVER, atol=1e-12
+    )
     assert law.refused == 1
 
 
 @pytest.mark.parametrize("flat", [np.zeros(13), np.zeros(14, dtype=np.float32)])
 def test_a_reference_of_another_shape_or_precision_is_refused(flat):
     law = tracking()
-    np.testing.assert_allclose(law.command(HERE, FullState(flat), 0.0).flat, HOVER, atol=1e-12)
-    np.testing.assert_allclose(accelerating().command(HERE, Acceleration(flat), 0.0).flat, HOVER, atol=1e-12)
+    np.testing.assert_allclose(
+        law.command(HERE, FullState(flat), 0.0).flat, HOVER, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        accelerating().command(HERE, Acceleration(flat), 0.0).flat, HOVER, atol=1e-12
+    )
     assert law.refused == 1
 
 
@@ -87,11 +117,16 @@ def test_with_a_broken_state_it_keeps_the_thrust_and_does_not_turn():
 def test_strategies_are_exchanged_at_run_time():
     law = tracking()
     law.pos_strategy, law.traj_handler = FlatnessAccelerationCtrl(), AccelerationTraj()
-    assert law.command(HERE, Acceleration(np.array([0.0, 0.0, 1.0])), 0.0).thrust > PAPER.weight
+    assert (
+        law.command(HERE, Acceleration(np.array([0.0, 0.0, 1.0])), 0.0).thrust
+        > PAPER.weight
+    )
     assert law.refused == 0
 
 
-@pytest.mark.parametrize("far", [(100, 0, 1), (0, -100, 1), (0, 0, 100), (0, 0, -100), (50, 50, -50)])
+@pytest.mark.parametrize(
+    "far", [(100, 0, 1), (0, -100, 1), (0, 0, 100), (0, 0, -100), (50, 50, -50)]
+)
 def test_tilt_thrust_and_rates_stay_within_their_limits(far):
     position = FlatnessPositionCtrl()
     out = position.desired(HERE, FullState.at(far).flat, 0.0)
@@ -103,7 +138,9 @@ def test_tilt_thrust_and_rates_stay_within_their_limits(far):
 
 
 def test_a_falling_reference_meets_no_singularity():
-    out = FlatnessPositionCtrl().desired(HERE, FullState.at((0, 0, 1), a=(0, 0, -GRAVITY)).flat, 0.0)
+    out = FlatnessPositionCtrl().desired(
+        HERE, FullState.at((0, 0, 1), a=(0, 0, -GRAVITY)).flat, 0.0
+    )
     np.testing.assert_allclose(out[7:10], [0.0, 0.0, 1.0], atol=1e-12)
     assert out[0] == pytest.approx(0.2 * PAPER.weight)
 
@@ -115,12 +152,18 @@ def fly(gains=STANDARD, noise=0.0, seconds=6.0, **world):
         CFIntegrator([0], np.zeros((1, 3)), **world),
         PointToPoint(start, goal, 1.0, duration_for(start, goal, 1.0)),
     )
-    mocap, velocity, law = SimulatedMocap([0], 1, noise, 2.0 * noise), VelocityFilter(), tracking(gains)
+    mocap, velocity, law = (
+        SimulatedMocap([0], 1, noise, 2.0 * noise),
+        VelocityFilter(),
+        tracking(gains),
+    )
     errors = []
     for k in range(round(seconds / engine.dt)):
         [pose] = mocap.sample(engine.states, k)
         state = velocity.update(pose, engine.time)
-        engine.command(0, law.command(state, plan.sample(engine.time), engine.time).flat)
+        engine.command(
+            0, law.command(state, plan.sample(engine.time), engine.time).flat
+        )
         engine.step()
         errors.append(np.linalg.norm(engine.states[0, :3] - plan.sample(engine.time).p))
     return max(errors), errors[-1]

@@ -19,7 +19,9 @@ def test_a_gain_that_is_set_flies_from_the_next_tick_on():
     parameters, far = Parameters(chosen), FullState.at((0.5, 0, 1))
     before = chosen.tracker.command(HERE, far, 0.0).flat[2]
     assert parameters.set("control.kr", [7.0, 7.0, 4.0]) == (7.0, 7.0, 4.0)
-    assert chosen.tracker.command(HERE, far, 0.5).flat[2] == pytest.approx(7.0 / 8.0 * before, rel=1e-6)
+    assert chosen.tracker.command(HERE, far, 0.5).flat[2] == pytest.approx(
+        7.0 / 8.0 * before, rel=1e-6
+    )
     assert parameters.get("control.kr") == (7.0, 7.0, 4.0)
 
 
@@ -30,7 +32,11 @@ def test_a_gain_that_is_set_flies_from_the_next_tick_on():
         ("control.kp", [6.0, 6.0], "three finite numbers"),
         ("control.kp", [6.0, float("nan"), 6.0], "three finite numbers"),
         ("control.max_tilt", "high", "a finite number"),
-        ("control.max_tilt", 2.0, r"0\.2 to 1\.2"),  # beyond pi/2 it would fly away from where it is to be
+        (
+            "control.max_tilt",
+            2.0,
+            r"0\.2 to 1\.2",
+        ),  # beyond pi/2 it would fly away from where it is to be
         ("control.max_tilt", 0.0, r"0\.2 to 1\.2"),
         ("control.thrust_delay", 5.0, r"0 to 0\.2"),
         ("control.rate_delay", 5.0, r"0 to 0\.2"),
@@ -61,7 +67,11 @@ def test_gains_are_judged_with_the_attitude_control_that_flies_them():
     """Behind roll and pitch that is the firmware's, of 6 1/s."""
     fast = {"kp": [20, 20, 10], "kv": [3, 3, 5], "kr": [10, 10, 4]}
     chosen = controls(Control(sender="frpy"), PLATFORMS["cf21"], "motors")
-    assert controls(Control(gains=fast), PLATFORMS["cf21"], "motors").gains.kr == (10.0, 10.0, 4.0)
+    assert controls(Control(gains=fast), PLATFORMS["cf21"], "motors").gains.kr == (
+        10.0,
+        10.0,
+        4.0,
+    )
     with pytest.raises(ConfigError, match="bear 0 ms"):
         controls(Control(sender="frpy", gains=fast), PLATFORMS["cf21"], "motors")
     with pytest.raises(ConfigError, match="bear 0 ms"):
@@ -73,7 +83,9 @@ def test_gains_that_the_firmware_does_not_obey_are_refused(sender):
     with pytest.raises(ConfigError, match=r"control.gains.*fpqr or frpy"):
         controls(Control(sender=sender, gains={"kp": [5, 5, 9]}), plant="motors")
     with pytest.raises(ConfigError, match="no such parameter"):
-        Parameters(controls(Control(sender=sender), plant="motors")).set("control.kp", [5.0, 5.0, 9.0])
+        Parameters(controls(Control(sender=sender), plant="motors")).set(
+            "control.kp", [5.0, 5.0, 9.0]
+        )
 
 
 @pytest.mark.parametrize("platform", PLATFORMS.values(), ids=lambda row: row.name)
@@ -81,9 +93,15 @@ def test_gains_that_the_firmware_does_not_obey_are_refused(sender):
 def test_every_sender_hovers_every_platform(platform, sender):
     chosen = controls(Control(sender=sender), platform, "motors")
     command = chosen.tracker.command(HERE, FullState.at((0, 0, 1)), 0.0)
-    expected = {"fpqr": [platform.weight, 0, 0, 0], "frpy": [platform.weight, 0, 0, 0], "vel": np.zeros(4)}
+    expected = {
+        "fpqr": [platform.weight, 0, 0, 0],
+        "frpy": [platform.weight, 0, 0, 0],
+        "vel": np.zeros(4),
+    }
     expected["fullstate"] = FullState.at((0, 0, 1)).flat
-    np.testing.assert_allclose(command.flat, expected.get(sender, [0, 0, 1, 0, 0.2]), atol=1e-12)
+    np.testing.assert_allclose(
+        command.flat, expected.get(sender, [0, 0, 1, 0, 0.2]), atol=1e-12
+    )
     assert (chosen.follower is None) == (sender in ("vel", "xyz", "fullstate"))
 
 

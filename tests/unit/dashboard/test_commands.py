@@ -2,7 +2,14 @@ import asyncio
 
 from virtual_time import virtual
 
-from crazychoir.bus.commands import ACCEPTED, DONE, NOT_READY, REFUSED, Commander, CommandServer
+from crazychoir.bus.commands import (
+    ACCEPTED,
+    DONE,
+    NOT_READY,
+    REFUSED,
+    Commander,
+    CommandServer,
+)
 from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import REQUEST
 from crazychoir.config.swarm_config import SwarmConfig
@@ -32,7 +39,11 @@ class Swarm:
         bus = self.bus = Bus(clock)
         self.obeyed, self.stopped = [], []
         for i in (0, 1):
-            CommandServer(bus.port(i), self.executor(i), lambda on, i=i: self.stopped.append((i, on)))
+            CommandServer(
+                bus.port(i),
+                self.executor(i),
+                lambda on, i=i: self.stopped.append((i, on)),
+            )
         self.commander = Commander(bus.port(OBSERVER))
         self.watch = Watch(clock)
         self.desk = Desk(self, self.watch)
@@ -59,12 +70,18 @@ class Swarm:
 
 
 @virtual
-async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_and_who_is_silent(clock):
+async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_and_who_is_silent(
+    clock,
+):
     swarm = Swarm(clock)
     receipt = swarm.desk.order("take-off", seconds=5.0)
     assert {kind for kind, _ in receipt.answers.values()} == {SENT}
     await clock.sleep(0.2)
-    assert receipt.answers == {0: (ACCEPTED, ""), 1: (REFUSED, "it is on the ground"), 2: (SENT, "")}
+    assert receipt.answers == {
+        0: (ACCEPTED, ""),
+        1: (REFUSED, "it is on the ground"),
+        2: (SENT, ""),
+    }
     await clock.sleep(1.0)
     assert receipt.answers[0] == (DONE, "hovering")
     await clock.sleep(ACKNOWLEDGED - 1.2 + 0.1)
@@ -74,7 +91,10 @@ async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_
     assert clock.now() >= 5.0
     assert receipt.answers[2][0] == SILENT
     assert not receipt.done()
-    assert [(line.drone, line.level) for line in swarm.watch.after(0)] == [(1, "warning"), (2, "warning")]
+    assert [(line.drone, line.level) for line in swarm.watch.after(0)] == [
+        (1, "warning"),
+        (2, "warning"),
+    ]
 
 
 @virtual
@@ -85,7 +105,9 @@ async def test_nobody_obeys_in_a_replay_and_when_all_have_gone(clock):
     assert swarm.desk.ended() == REPLAYED
     receipt = swarm.desk.order("land")
     assert receipt.answers == dict.fromkeys(range(3), (REFUSED, REPLAYED))
-    assert swarm.desk.stop().answers[0][0] == SENT, "a stop is sent whatever is believed"
+    assert swarm.desk.stop().answers[0][0] == SENT, (
+        "a stop is sent whatever is believed"
+    )
     await clock.sleep(1.0)
     assert swarm.obeyed == []
     swarm.replays = False
@@ -113,7 +135,9 @@ async def test_what_was_begun_and_refused_after_a_later_order_is_withdrawn_by_it
 @virtual
 async def test_only_those_that_are_meant_are_asked_each_with_its_own_arguments(clock):
     swarm = Swarm(clock)
-    receipt = swarm.desk.order("go-to", [0], each=lambda i: {"p": [i, 1.0, 2.0]}, words="[0, 1, 2] m")
+    receipt = swarm.desk.order(
+        "go-to", [0], each=lambda i: {"p": [i, 1.0, 2.0]}, words="[0, 1, 2] m"
+    )
     await swarm.desk.settled(receipt)
     assert swarm.obeyed == [("go-to", {"p": [0, 1.0, 2.0]})]
     assert receipt.done()
@@ -125,8 +149,12 @@ async def test_what_is_accepted_and_not_done_in_time_is_said(clock):
     swarm = Swarm(clock)
     receipt = swarm.desk.order("land", [0], seconds=0.5)
     await swarm.desk.settled(receipt)
-    assert receipt.answers == {0: (UNFINISHED, "accepted, not done within 0.5 s")}, "it may do it yet"
-    assert [line.text for line in swarm.watch.after(0)] == ["land: unfinished: accepted, not done within 0.5 s"]
+    assert receipt.answers == {0: (UNFINISHED, "accepted, not done within 0.5 s")}, (
+        "it may do it yet"
+    )
+    assert [line.text for line in swarm.watch.after(0)] == [
+        "land: unfinished: accepted, not done within 0.5 s"
+    ]
 
 
 @virtual
@@ -144,7 +172,9 @@ async def test_who_is_not_ready_yet_is_asked_again(clock):
     assert receipt.answers == {0: (DONE, "hovering")}
     assert 5.0 <= clock.now() < 5.5
     CommandServer(swarm.bus.ports[0], swarm.executor(1), print)
-    assert (await swarm.desk.settled(swarm.desk.order("take-off", [0]))).answers[0][0] == REFUSED
+    assert (await swarm.desk.settled(swarm.desk.order("take-off", [0]))).answers[0][
+        0
+    ] == REFUSED
     assert clock.now() < 6.0
 
 
@@ -154,10 +184,17 @@ async def test_a_stop_is_heard_by_all_that_are_there_and_the_silent_are_named(cl
     receipt = swarm.desk.stop()
     await clock.sleep(0.2)
     assert swarm.stopped == [(0, True), (1, True)]
-    assert receipt.answers == {0: (DONE, "motors off"), 1: (DONE, "motors off"), 2: (SENT, "")}
+    assert receipt.answers == {
+        0: (DONE, "motors off"),
+        1: (DONE, "motors off"),
+        2: (SENT, ""),
+    }
     assert swarm.bus.stopped
     await swarm.desk.settled(receipt)
-    assert receipt.answers[2] == (SILENT, f"no acknowledgement within {STOP:g} s, still sent")
+    assert receipt.answers[2] == (
+        SILENT,
+        f"no acknowledgement within {STOP:g} s, still sent",
+    )
     cleared = await swarm.desk.settled(swarm.desk.stop([0, 1], clear=True))
     assert cleared.done()
     assert not swarm.bus.stopped
@@ -177,7 +214,10 @@ async def test_a_stop_is_sent_until_it_is_heard_however_late(clock):
     hears = swarm.deaf(0)
     receipt = await swarm.desk.settled(swarm.desk.stop())
     await clock.sleep(300.0)
-    assert receipt.answers[0] == (SILENT, f"no acknowledgement within {STOP:g} s, still sent")
+    assert receipt.answers[0] == (
+        SILENT,
+        f"no acknowledgement within {STOP:g} s, still sent",
+    )
     version = swarm.desk.version
     hears()
     await clock.sleep(0.3)
@@ -188,7 +228,9 @@ async def test_a_stop_is_sent_until_it_is_heard_however_late(clock):
 
 
 @virtual
-async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leaves_that_of_the_swarm(clock):
+async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leaves_that_of_the_swarm(
+    clock,
+):
     swarm = Swarm(clock)
     hears = swarm.deaf(0)
     first, second = swarm.desk.stop(), swarm.desk.stop()
@@ -222,7 +264,10 @@ async def test_a_stop_withdraws_whatever_would_move_its_drones(clock):
     swarm = Swarm(clock)
     hears = swarm.deaf(1)
     going = swarm.desk.order("go-to", [0, 1], each=lambda i: {"p": [0, 0, 1]})
-    flying, worse = swarm.desk.order("fly", [1], 500.0), swarm.desk.order("impair", [1], each=lambda i: {"loss": 0.1})
+    flying, worse = (
+        swarm.desk.order("fly", [1], 500.0),
+        swarm.desk.order("impair", [1], each=lambda i: {"loss": 0.1}),
+    )
     await clock.sleep(0.2)
     assert going.answers == {0: (ACCEPTED, ""), 1: (WITHDRAWN, "by fly")}
     lines = swarm.watch.count
@@ -279,7 +324,9 @@ async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(c
 
 
 @virtual
-async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for_it_again(clock):
+async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for_it_again(
+    clock,
+):
     swarm, asked = Swarm(clock), []
 
     async def later(verb, arguments):
@@ -293,7 +340,10 @@ async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for
     await clock.sleep(0.1)
     assert rising.answers == {0: (ACCEPTED, "")}
     hears, lines = swarm.deaf(0), swarm.watch.count
-    deliver, swarm.commander.port.deliver = swarm.commander.port.deliver, lambda *message: None
+    deliver, swarm.commander.port.deliver = (
+        swarm.commander.port.deliver,
+        lambda *message: None,
+    )
     await clock.sleep(1.0)
     holding = swarm.desk.order("hold", [0])
     assert rising.answers == {0: (ACCEPTED, "")}, "it says by itself what comes of it"
@@ -310,7 +360,9 @@ async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for
 
 
 @virtual
-async def test_changes_of_the_network_are_made_in_the_order_in_which_they_were_ordered(clock):
+async def test_changes_of_the_network_are_made_in_the_order_in_which_they_were_ordered(
+    clock,
+):
     swarm, told = Swarm(clock), []
 
     async def note(verb, arguments):
@@ -328,7 +380,10 @@ async def test_changes_of_the_network_are_made_in_the_order_in_which_they_were_o
         await swarm.desk.settled(receipt)
     assert told == words
     hears = swarm.deaf(0)
-    late = [swarm.desk.order("impair", [0], each=lambda i, k=k: {"loss": k}) for k in (0.2, 0.3)]
+    late = [
+        swarm.desk.order("impair", [0], each=lambda i, k=k: {"loss": k})
+        for k in (0.2, 0.3)
+    ]
     began = clock.now()
     await swarm.desk.settled(late[1])
     assert [receipt.answers[0][0] for receipt in late] == [SILENT, SILENT]
@@ -346,7 +401,9 @@ async def test_a_stop_counts_while_what_was_ordered_before_is_still_prepared(clo
 
     def fly():
         told = asyncio.create_task(prepared())
-        return swarm.desk.order("fly", [0], 60.0, each=lambda i: told.result()[i], first=told)
+        return swarm.desk.order(
+            "fly", [0], 60.0, each=lambda i: told.result()[i], first=told
+        )
 
     flying = fly()
     await clock.sleep(1.0)
@@ -364,14 +421,19 @@ async def test_a_stop_counts_while_what_was_ordered_before_is_still_prepared(clo
 @virtual
 async def test_what_cannot_be_prepared_is_refused_with_the_reason(clock):
     swarm = Swarm(clock)
-    errors = (ConfigError("path", 7, "less"), "path: found 7; allowed: less."), (OSError("full"), "OSError: full")
+    errors = (
+        (ConfigError("path", 7, "less"), "path: found 7; allowed: less."),
+        (OSError("full"), "OSError: full"),
+    )
     for error, why in errors:
 
         async def fails(error=error):
             raise error
 
         told = asyncio.create_task(fails())
-        receipt = swarm.desk.order("fly", [0, 1], 60.0, each=lambda i, told=told: told.result()[i], first=told)
+        receipt = swarm.desk.order(
+            "fly", [0, 1], 60.0, each=lambda i, told=told: told.result()[i], first=told
+        )
         await swarm.desk.settled(receipt)
         for kind, words in receipt.answers.values():
             assert kind == REFUSED
@@ -419,6 +481,9 @@ async def test_that_a_drone_accepts_is_told_once_however_often_it_says_so(clock)
     swarm, told = Swarm(clock), []
     port = swarm.bus.ports[0]
     handle = port.handlers[REQUEST.number]
-    port.handlers[REQUEST.number] = lambda *message: (handle(*message), handle(*message))
+    port.handlers[REQUEST.number] = lambda *message: (
+        handle(*message),
+        handle(*message),
+    )
     await swarm.commander.request(0, "land", 5.0, lambda: told.append(clock.now()))
     assert len(told) == 1

@@ -8,7 +8,16 @@ from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.event_log import KEPT as LINES
 from crazychoir.dashboard.event_log import Watch
-from crazychoir.dashboard.model import AGE, COLUMNS, KEPT, SILENT, STALE, WANTED, WINDOW, SwarmModel
+from crazychoir.dashboard.model import (
+    AGE,
+    COLUMNS,
+    KEPT,
+    SILENT,
+    STALE,
+    WANTED,
+    WINDOW,
+    SwarmModel,
+)
 from crazychoir.types import FullState, LinkStatus, State, Status
 
 
@@ -17,7 +26,10 @@ class Seen:
 
     def __init__(self, clock):
         self.clock, self.bus, self.watch = clock, Bus(clock), Watch(clock)
-        drones = [{"id": 3, "home": [0, 0, 0]}, {"id": 7, "home": [1.0, 0, 0], "leader": True}]
+        drones = [
+            {"id": 3, "home": [0, 0, 0]},
+            {"id": 7, "home": [1.0, 0, 0], "leader": True},
+        ]
         self.config = SwarmConfig.of({"name": "a", "drones": drones, "edges": [[3, 7]]})
         self.ports = {i: self.bus.port(i) for i in (3, 7)}
         self.bus.port(OBSERVER)
@@ -52,13 +64,17 @@ async def test_a_frame_has_a_row_a_drone_and_nan_for_what_was_not_heard(clock):
     assert seen.model.position(3) is None
     assert seen.model.position(7).tolist() == [0.0, 1.0, 2.0]
     await clock.sleep(REFERENCE.max_age)
-    assert np.isnan(seen.frame()[1][1, WANTED]).all(), "a reference that is not renewed is none"
+    assert np.isnan(seen.frame()[1][1, WANTED]).all(), (
+        "a reference that is not renewed is none"
+    )
 
 
 @virtual
 async def test_states_come_at_most_thirty_times_a_second(clock):
     seen, heard = Seen(clock), []
-    seen.model._rows = type("Rows", (), {"__setitem__": lambda self, key, value: heard.append(clock.now())})()
+    seen.model._rows = type(
+        "Rows", (), {"__setitem__": lambda self, key, value: heard.append(clock.now())}
+    )()
     async for _ in clock.ticks(100.0):
         if clock.now() >= 2.0:
             break
@@ -83,14 +99,34 @@ async def test_the_share_of_lost_messages_is_that_of_the_last_seconds(clock):
 @virtual
 async def test_a_row_of_the_table_says_what_is_known_and_who_is_not_heard(clock):
     seen = Seen(clock)
-    seen.ports[3].publish(STATUS, Status("hovering", "waits", cost=1.5, round=4, process="p", host="h", note="low"))
+    seen.ports[3].publish(
+        STATUS,
+        Status(
+            "hovering", "waits", cost=1.5, round=4, process="p", host="h", note="low"
+        ),
+    )
     await clock.sleep(0.5)  # a seldom value waits for its drone's turn
-    seen.ports[3].publish(LINK, LinkStatus("up", latency=0.0071, rssi=-61.0, battery=3.912))
+    seen.ports[3].publish(
+        LINK, LinkStatus("up", latency=0.0071, rssi=-61.0, battery=3.912)
+    )
     await clock.sleep(0.1)
     row = seen.row(3)
-    expected = {"phase": "hovering", "task": "waits", "cost": 1.5, "round": 4, "process": "p", "host": "h",
-                "note": "low", "heard": True, "link": "up", "latency": 0.0071, "rssi": -61.0, "battery": 3.91,
-                "age": None, "answered": None}  # fmt: skip
+    expected = {
+        "phase": "hovering",
+        "task": "waits",
+        "cost": 1.5,
+        "round": 4,
+        "process": "p",
+        "host": "h",
+        "note": "low",
+        "heard": True,
+        "link": "up",
+        "latency": 0.0071,
+        "rssi": -61.0,
+        "battery": 3.91,
+        "age": None,
+        "answered": None,
+    }
     assert {key: row[key] for key in expected} == expected
     assert seen.row(7)["heard"] is False
     await clock.sleep(STALE)
@@ -101,7 +137,10 @@ async def test_a_row_of_the_table_says_what_is_known_and_who_is_not_heard(clock)
 async def test_what_was_heard_of_a_radio_is_forgotten_once_its_owner_is_silent(clock):
     seen = Seen(clock)
     for _ in range(20):
-        seen.ports[3].publish(LINK, LinkStatus("up", rssi=-61.0, battery=3.9, latency=0.004, answered=0.98))
+        seen.ports[3].publish(
+            LINK,
+            LinkStatus("up", rssi=-61.0, battery=3.9, latency=0.004, answered=0.98),
+        )
         await clock.sleep(0.1)
         last = seen.row(3)
         assert clock.now() < 0.5 or (last["battery"], last["answered"]) == (3.9, 0.98)
@@ -119,18 +158,28 @@ async def test_what_was_heard_of_a_radio_is_forgotten_once_its_owner_is_silent(c
 async def test_the_log_has_phases_notes_lines_and_results_with_levels(clock):
     seen, port = Seen(clock), None
     port = seen.ports[3]
-    for status in (Status("on ground"), Status("on ground"), Status("taking off", note="braking"), Status("hovering"),
-                   Status("landing", note="battery 2.9 V below 3.0 V: landing", grave=True)):  # fmt: skip
+    for status in (
+        Status("on ground"),
+        Status("on ground"),
+        Status("taking off", note="braking"),
+        Status("hovering"),
+        Status("landing", note="battery 2.9 V below 3.0 V: landing", grave=True),
+    ):
         port.publish(STATUS, status)
         await clock.sleep(0.25)
     port.publish(LOG, "drone 3: guidance failed: no idea")
     port.publish(RESULT, {"success": False, "reason": "no idea"})
     await clock.sleep(0.1)
     assert seen.lines() == [
-        (3, "info", "on ground"), (3, "info", "taking off"), (3, "warning", "braking"), (3, "info", "hovering"),
-        (3, "info", "landing"), (3, "error", "battery 2.9 V below 3.0 V: landing"),
-        (3, "error", "guidance failed: no idea"), (3, "error", "mission ended: no idea"),
-    ]  # fmt: skip
+        (3, "info", "on ground"),
+        (3, "info", "taking off"),
+        (3, "warning", "braking"),
+        (3, "info", "hovering"),
+        (3, "info", "landing"),
+        (3, "error", "battery 2.9 V below 3.0 V: landing"),
+        (3, "error", "guidance failed: no idea"),
+        (3, "error", "mission ended: no idea"),
+    ]
 
 
 @virtual
@@ -138,7 +187,9 @@ async def test_costs_are_noted_by_rounds(clock):
     seen = Seen(clock)
     for k, cost, relaxed in ((1, 9.0, math.nan), (1, 9.0, 8.0), (2, 7.0, 5.0)):
         for i in (3, 7):
-            seen.ports[i].publish(STATUS, Status("mission", round=k, cost=cost + i, relaxed=relaxed))
+            seen.ports[i].publish(
+                STATUS, Status("mission", round=k, cost=cost + i, relaxed=relaxed)
+            )
         await clock.sleep(0.25)
     assert seen.model.costs() == [(1, 14.0, 8.0), (2, 12.0, 5.0)]
     seen.ports[3].publish(STATUS, Status("mission", round=3, cost=6.0))
@@ -168,7 +219,10 @@ async def test_a_log_keeps_its_newest_lines(clock):
     watch = Watch(clock)
     for k in range(LINES + 5):
         watch.add(str(k))
-    assert [line.text for line in watch.after(LINES + 3)] == [str(LINES + 3), str(LINES + 4)]
+    assert [line.text for line in watch.after(LINES + 3)] == [
+        str(LINES + 3),
+        str(LINES + 4),
+    ]
     assert len(watch.after(0)) == LINES
 
 
@@ -178,4 +232,7 @@ async def test_a_row_says_whether_a_stop_of_the_swarm_is_in_force(clock):
     for i, phase in ((3, "stopped"), (7, "on ground")):
         seen.ports[i].publish(STATUS, Status(phase, stopped=i == 7))
     await clock.sleep(0.1)
-    assert [(row["phase"], row["stopped"]) for row in seen.model.table()] == [("stopped", False), ("on ground", True)]
+    assert [(row["phase"], row["stopped"]) for row in seen.model.table()] == [
+        ("stopped", False),
+        ("on ground", True),
+    ]

@@ -1,6 +1,8 @@
 import pytest
 
-pytest.importorskip("nicegui", reason="the page needs: pip install 'crazychoir[dashboard]'")
+pytest.importorskip(
+    "nicegui", reason="the page needs: pip install 'crazychoir[dashboard]'"
+)
 
 import trustme
 
@@ -17,11 +19,18 @@ def named(port, *names):
 
 @pytest.mark.parametrize(
     ("host", "port", "hosts"),
-    [("127.0.0.1", 8765, named(8765, *LOCAL)), ("::1", 8765, named(8765, *LOCAL)),
-     ("127.0.0.2", 8765, named(8765, *LOCAL, "127.0.0.2")), ("127.0.0.1", 443, named(443, *LOCAL)),
-     ("127.0.0.2", 80, (*named(80, *LOCAL, "127.0.0.2"), *LOCAL, "127.0.0.2")), ("0.0.0.0", 80, None)],  # noqa: S104
-)  # fmt: skip
-def test_a_page_may_be_called_as_it_is_served_and_without_the_port_that_browsers_leave_out(host, port, hosts):
+    [
+        ("127.0.0.1", 8765, named(8765, *LOCAL)),
+        ("::1", 8765, named(8765, *LOCAL)),
+        ("127.0.0.2", 8765, named(8765, *LOCAL, "127.0.0.2")),
+        ("127.0.0.1", 443, named(443, *LOCAL)),
+        ("127.0.0.2", 80, (*named(80, *LOCAL, "127.0.0.2"), *LOCAL, "127.0.0.2")),
+        ("0.0.0.0", 80, None),  # noqa: S104
+    ],
+)
+def test_a_page_may_be_called_as_it_is_served_and_without_the_port_that_browsers_leave_out(
+    host, port, hosts
+):
     assert Served(host, password=PASSWORD).hosts(port) == hosts
 
 
@@ -30,7 +39,10 @@ def pem(tmp_path_factory):
     """Files of a certificate, of its key, of another key, of its authority, of none of these."""
     folder, authority = tmp_path_factory.mktemp("pem"), trustme.CA()
     mine, other = authority.issue_cert("localhost"), authority.issue_cert("localhost")
-    files = {name: folder / f"{name}.pem" for name in ("certificate", "key", "other", "authority", "text")}
+    files = {
+        name: folder / f"{name}.pem"
+        for name in ("certificate", "key", "other", "authority", "text")
+    }
     mine.cert_chain_pems[0].write_to_path(files["certificate"])
     mine.private_key_pem.write_to_path(files["key"])
     other.private_key_pem.write_to_path(files["other"])
@@ -45,10 +57,16 @@ def test_a_page_with_a_certificate_has_another_port_that_is_left_out(pem):
     assert served.hosts(80) == named(80, *LOCAL)
 
 
-@pytest.mark.parametrize("credentials", [{"password": PASSWORD}, {"authority": "authority"}])
+@pytest.mark.parametrize(
+    "credentials", [{"password": PASSWORD}, {"authority": "authority"}]
+)
 def test_other_machines_come_in_with_a_password_or_a_certificate(pem, credentials):
     tls = {"certificate": pem["certificate"], "key": pem["key"]}
-    served = Served("0.0.0.0", **tls, **{name: pem.get(found, found) for name, found in credentials.items()})  # noqa: S104
+    served = Served(
+        "0.0.0.0",  # noqa: S104
+        **tls,
+        **{name: pem.get(found, found) for name, found in credentials.items()},
+    )
     assert served.hosts(8765) is None
 
 
@@ -56,15 +74,43 @@ def test_other_machines_come_in_with_a_password_or_a_certificate(pem, credential
     ("host", "files", "said"),
     [
         ("0.0.0.0", {}, "--host: found 0.0.0.0; allowed: a password or an authority"),  # noqa: S104
-        ("localhost", {"certificate": "certificate"}, "--certificate: found without --key"),
-        ("localhost", {"authority": "authority"}, "--authority: found no --certificate and no --key"),
-        ("localhost", {"certificate": "certificate", "key": "other"}, "key values mismatch; a PEM certificate"),
-        ("localhost", {"certificate": "text", "key": "key"}, "a PEM certificate and its own key"),
+        (
+            "localhost",
+            {"certificate": "certificate"},
+            "--certificate: found without --key",
+        ),
+        (
+            "localhost",
+            {"authority": "authority"},
+            "--authority: found no --certificate and no --key",
+        ),
+        (
+            "localhost",
+            {"certificate": "certificate", "key": "other"},
+            "key values mismatch; a PEM certificate",
+        ),
+        (
+            "localhost",
+            {"certificate": "text", "key": "key"},
+            "a PEM certificate and its own key",
+        ),
         ("localhost", {"certificate": "certificate", "key": "missing"}, "No such file"),
-        ("0.0.0.0", {"certificate": "certificate", "key": "key", "authority": "text"}, "no certificate or crl found"),  # noqa: S104
+        (
+            "0.0.0.0",  # noqa: S104
+            {"certificate": "certificate", "key": "key", "authority": "text"},
+            "no certificate or crl found",
+        ),
     ],
-)  # fmt: skip
-def test_what_nobody_could_come_in_with_is_refused_before_it_is_served(pem, host, files, said):
+)
+def test_what_nobody_could_come_in_with_is_refused_before_it_is_served(
+    pem, host, files, said
+):
     with pytest.raises(ConfigError) as raised:
-        Served(host, **{name: pem.get(file, pem["text"].with_name(file)) for name, file in files.items()})
+        Served(
+            host,
+            **{
+                name: pem.get(file, pem["text"].with_name(file))
+                for name, file in files.items()
+            },
+        )
     assert said in str(raised.value)

@@ -17,7 +17,15 @@ from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.operator import Operator
 from crazychoir.dashboard.polling import LATER, Overview, TaskBoard
-from crazychoir.dashboard.stream import FLOOD, MOST_ASKED, MOST_PAGES, PER_SECONDS, POLICY, TOO_MANY, Stream
+from crazychoir.dashboard.stream import (
+    FLOOD,
+    MOST_ASKED,
+    MOST_PAGES,
+    PER_SECONDS,
+    POLICY,
+    TOO_MANY,
+    Stream,
+)
 from crazychoir.errors import Refused
 from crazychoir.types import State, Status
 
@@ -56,18 +64,35 @@ class Server:
     def __init__(self, clock):
         self.clock, self.obeyed = clock, []
         drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0]} for i in range(3)]
-        self.config = SwarmConfig.of({"name": "a", "drones": drones, "edges": [[0, 1], [1, 2]]})
+        self.config = SwarmConfig.of(
+            {"name": "a", "drones": drones, "edges": [[0, 1], [1, 2]]}
+        )
         self.bus = Bus(clock)
         self.sent = 0
-        self.networks, self.routes = [Impairment(1) for _ in range(3)], [[], [[1.0, 2.0, 0.5], [0.123, 0, 0.5]], []]
+        self.networks, self.routes = (
+            [Impairment(1) for _ in range(3)],
+            [[], [[1.0, 2.0, 0.5], [0.123, 0, 0.5]], []],
+        )
         for i in range(3):
-            CommandServer(self.bus.port(i), lambda verb, arguments, i=i: self.execute(i, verb, arguments), print)
+            CommandServer(
+                self.bus.port(i),
+                lambda verb, arguments, i=i: self.execute(i, verb, arguments),
+                print,
+            )
         self.commander, self.watch = Commander(self.bus.port(OBSERVER)), Watch(clock)
         self.desk, self.replays = Desk(self, self.watch), False
         self.model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
-        self.overview, self.board = Overview(self.desk), TaskBoard(self.desk, self.model)
-        self.stream = Stream(self.model, self.desk, self.watch, self.overview, self.board)
-        self.actors = [asyncio.create_task(one.run()) for one in (self.stream, self.overview, self.board)]
+        self.overview, self.board = (
+            Overview(self.desk),
+            TaskBoard(self.desk, self.model),
+        )
+        self.stream = Stream(
+            self.model, self.desk, self.watch, self.overview, self.board
+        )
+        self.actors = [
+            asyncio.create_task(one.run())
+            for one in (self.stream, self.overview, self.board)
+        ]
 
     def is_there(self, i):
         return i in self.bus.ports
@@ -77,7 +102,11 @@ class Server:
         if verb == "overview":
             self.sent += 10
             links = {1: [self.sent, 3 * self.sent // 10]} if i == 0 else {}
-            return {"links": links, "network": self.networks[i].describe(), "route": self.routes[i]}
+            return {
+                "links": links,
+                "network": self.networks[i].describe(),
+                "route": self.routes[i],
+            }
         if verb == "impair":
             return Impairment(1).describe()
         if i == 0 and verb.startswith("task"):
@@ -113,14 +142,20 @@ def served(test):
 
 
 @virtual
-async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_nobody_waits_for_it(clock):
+async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_nobody_waits_for_it(
+    clock,
+):
     server = Server(clock)
     quick, slow = server.page(), server.page(slow=0.5)
     server.bus.ports[1].publish(STATE, State.at((1.0, 2.0, 3.0)))
     await clock.sleep(2.0)
     assert abs(len(quick.frames) - 2.0 * RATE) <= 2
     assert 3 <= len(slow.frames) <= 5
-    assert np.frombuffer(quick.frames[-1][1], "<f4", offset=8)[17:20].tolist() == [1.0, 2.0, 3.0]
+    assert np.frombuffer(quick.frames[-1][1], "<f4", offset=8)[17:20].tolist() == [
+        1.0,
+        2.0,
+        3.0,
+    ]
     assert clock.now() - slow.frames[-1][0] < 0.6, "the newest, not the next"
     assert quick.told("about")[0]["ids"] == [0, 1, 2]
     assert len(quick.told("drones")) == 4
@@ -147,7 +182,9 @@ async def test_nobody_is_asked_anything_while_nobody_looks_on(clock):
 
 
 @virtual
-async def test_a_command_of_one_page_shows_on_every_page_and_on_those_that_come_later(clock):
+async def test_a_command_of_one_page_shows_on_every_page_and_on_those_that_come_later(
+    clock,
+):
     server = Server(clock)
     one, other = server.page(), server.page()
     await clock.sleep(0.5)
@@ -158,16 +195,30 @@ async def test_a_command_of_one_page_shows_on_every_page_and_on_those_that_come_
     await clock.sleep(0.2)
     for page in (one, other, late):
         (receipt,) = page.told("receipts")[-1]
-        assert (receipt["verb"], receipt["answers"]) == ("hold", {"2": ["done", {"id": 4}]})
+        assert (receipt["verb"], receipt["answers"]) == (
+            "hold",
+            {"2": ["done", {"id": 4}]},
+        )
     await server.end()
 
 
 @served
-async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(clock, server, page):
-    bad = ["{", "[]", '{"ask":"explode"}', '{"ask":"order","verb":"land","drones":[7]}', '{"ask":"go-to","drones":[1]}',
-           '{"ask":"draw","strokes":[[[0,0,1e9]]]}', '{"ask":"fly","drones":[1]}', '{"ask":"impair","loss":1.5}',
-           '{"ask":"load","name":"a.svg","text":""}', '{"ask":"impair","drones":[0,1,2],"loss":0.1}',
-           '{"ask":"draw","strokes":' + "[" * 3000]  # fmt: skip
+async def test_what_is_malformed_or_wrong_is_refused_and_the_page_stays(
+    clock, server, page
+):
+    bad = [
+        "{",
+        "[]",
+        '{"ask":"explode"}',
+        '{"ask":"order","verb":"land","drones":[7]}',
+        '{"ask":"go-to","drones":[1]}',
+        '{"ask":"draw","strokes":[[[0,0,1e9]]]}',
+        '{"ask":"fly","drones":[1]}',
+        '{"ask":"impair","loss":1.5}',
+        '{"ask":"load","name":"a.svg","text":""}',
+        '{"ask":"impair","drones":[0,1,2],"loss":0.1}',
+        '{"ask":"draw","strokes":' + "[" * 3000,
+    ]
     for text in bad:
         page.asks.put_nowait(text)
     await clock.sleep(1.0)
@@ -195,7 +246,12 @@ async def test_a_stop_waits_for_nothing_that_was_asked_before(clock, server, pag
     page.asks.put_nowait({"ask": "stop"})
     await clock.sleep(0.3)
     assert server.bus.stopped
-    (receipt,) = [one for told in page.told("receipts") for one in told if one["verb"] == "emergency stop"][-1:]
+    (receipt,) = [
+        one
+        for told in page.told("receipts")
+        for one in told
+        if one["verb"] == "emergency stop"
+    ][-1:]
     assert {kind for kind, _ in receipt["answers"].values()} == {"done"}
     assert not server.those("task_add")
     await clock.sleep(5.0)
@@ -203,7 +259,9 @@ async def test_a_stop_waits_for_nothing_that_was_asked_before(clock, server, pag
 
 
 @served
-async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock, server, page):
+async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(
+    clock, server, page
+):
 
     async def aside(work, strokes, pen, config, **limits):
         await clock.sleep(2.0 if pen.height == 0.5 else 1.0)
@@ -212,13 +270,17 @@ async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(clock
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(operator, "_aside", aside)
         for height in (0.5, 0.7):
-            page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
+            page.asks.put_nowait(
+                {"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height}
+            )
         await clock.sleep(3.5)
     assert [plan["points"][-1] for plan in page.told("plan")] == [[1.0, 0.0, 0.7]]
 
 
 @virtual
-async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wait(clock):
+async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wait(
+    clock,
+):
     server, planning, most, begun = Server(clock), [], [], []
     page = server.page()
 
@@ -233,7 +295,9 @@ async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wai
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(operator, "_aside", aside)
         for height in (0.5, 0.6, 0.7, 0.8):
-            page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height})
+            page.asks.put_nowait(
+                {"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height}
+            )
             await clock.sleep(0.1)
         await clock.sleep(3.0)
     assert (begun, max(most)) == ([0.5, 0.8], 1)
@@ -242,7 +306,9 @@ async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wai
 
 
 @served
-async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(clock, server, page):
+async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(
+    clock, server, page
+):
     await clock.sleep(0.1)
     for _ in range(MOST_ASKED + 100):
         page.asks.put_nowait({"ask": "order", "verb": "hold", "drones": [0]})
@@ -264,17 +330,27 @@ async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(cloc
 @served
 async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock, server, page):
     await clock.sleep(1.5)
-    for words in ({"ask": "order", "verb": "hold"}, {"ask": "add-task", "pickup": [1.0, 2.0]}, {"ask": "stop"}, None):
+    for words in (
+        {"ask": "order", "verb": "hold"},
+        {"ask": "add-task", "pickup": [1.0, 2.0]},
+        {"ask": "stop"},
+        None,
+    ):
         page.asks.put_nowait(words)
     await page.serving
-    assert [receipt.verb for receipt in server.desk.receipts][:2] == ["hold", "emergency stop"]
+    assert [receipt.verb for receipt in server.desk.receipts][:2] == [
+        "hold",
+        "emergency stop",
+    ]
     await clock.sleep(1.0)
     assert server.bus.stopped
     assert server.those("task_add")
 
 
 @served
-async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_stays(clock, server, page):
+async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_stays(
+    clock, server, page
+):
 
     def fails(*arguments, **named):
         raise AssertionError("unknown status keyword 'a' in marked section")
@@ -307,13 +383,17 @@ async def test_a_page_that_floods_its_line_is_closed(clock, server, page):
 
 
 @served
-async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(clock, server, page):
+async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(
+    clock, server, page
+):
     await clock.sleep(4.0)
     assert page.told("links")[-1] == {"0-1": 0.3}
 
 
 @served
-async def test_routes_are_told_with_the_news_and_forgotten_of_who_answers_no_more(clock, server, page):
+async def test_routes_are_told_with_the_news_and_forgotten_of_who_answers_no_more(
+    clock, server, page
+):
     await clock.sleep(2.0)
     assert page.told("routes")[-1] == {"1": [[1.0, 2.0, 0.5], [0.12, 0.0, 0.5]]}
     execute = server.execute
@@ -330,30 +410,43 @@ async def test_routes_are_told_with_the_news_and_forgotten_of_who_answers_no_mor
 
 
 @served
-async def test_the_network_that_is_simulated_is_told_and_by_drone_where_these_differ(clock, server, page):
+async def test_the_network_that_is_simulated_is_told_and_by_drone_where_these_differ(
+    clock, server, page
+):
     for network in server.networks:
         network.update({"loss": 0.3})
     await clock.sleep(2.0)
     assert page.told("network")[-1] == {"rules": [{"loss": 0.3}], "words": "loss 0.3"}
     server.networks[1].update({"clear": True})
     await clock.sleep(2.0)
-    assert page.told("network")[-1]["words"] == "drones 0, 2: loss 0.3 | drones 1: nothing: perfect"
+    assert (
+        page.told("network")[-1]["words"]
+        == "drones 0, 2: loss 0.3 | drones 1: nothing: perfect"
+    )
 
 
 @served
-async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(clock, server, page):
+async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(
+    clock, server, page
+):
     await clock.sleep(3.0)
     assert page.told("tasks")[-1] == [{"id": 4}]
-    page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0})
+    page.asks.put_nowait(
+        {"ask": "add-task", "pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0}
+    )
     page.asks.put_nowait({"ask": "cancel-task", "id": 4})
     await clock.sleep(1.0)
     asked = {"pickup": [1.0, 2.0], "delivery": [0.0, 1.0], "load": 2.0}
-    assert server.those("task_add") == [(1, "task_add", asked)], "drone 0 is known to refuse"
+    assert server.those("task_add") == [(1, "task_add", asked)], (
+        "drone 0 is known to refuse"
+    )
     assert server.those("task_cancel") == [(1, "task_cancel", {"id": 4})]
 
 
 @served
-async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody_else(clock, server, page):
+async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody_else(
+    clock, server, page
+):
     added = []
 
     async def slow(i, verb, arguments):
@@ -377,7 +470,9 @@ async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody
 
 
 @served
-async def test_tasks_are_those_of_who_hears_more_than_half_of_the_swarm(clock, server, page):
+async def test_tasks_are_those_of_who_hears_more_than_half_of_the_swarm(
+    clock, server, page
+):
     execute = server.execute
 
     async def own(i, verb, arguments):
@@ -389,7 +484,9 @@ async def test_tasks_are_those_of_who_hears_more_than_half_of_the_swarm(clock, s
     async def say(seconds, **silent):
         for _ in range(round(4 * seconds)):
             for i in range(3):
-                server.bus.ports[i].publish(STATUS, Status("mission", suspect=silent.get(f"d{i}", [])))
+                server.bus.ports[i].publish(
+                    STATUS, Status("mission", suspect=silent.get(f"d{i}", []))
+                )
             await clock.sleep(0.25)
 
     server.execute = own
@@ -421,22 +518,39 @@ async def test_a_mission_without_tasks_is_asked_seldom(clock):
 
 
 @served
-async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(clock, server, page):
-    for words in ({"loss": 0.3}, {"loss": 0.5, "delay": 0.1, "drones": [1]}, {"loss": 0, "drones": [2, 0]},
-                  {"cut": True, "drones": [0]}, {"clear": True}):  # fmt: skip
+async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(
+    clock, server, page
+):
+    for words in (
+        {"loss": 0.3},
+        {"loss": 0.5, "delay": 0.1, "drones": [1]},
+        {"loss": 0, "drones": [2, 0]},
+        {"cut": True, "drones": [0]},
+        {"clear": True},
+    ):
         page.asks.put_nowait({"ask": "impair", **words})
     await clock.sleep(0.5)
     told = [arguments for i, verb, arguments in server.those("impair") if i == 0]
-    assert [{key: value for key, value in one.items() if value is not None} for one in told] == [
-        {"loss": 0.3}, {"loss": 0.5, "delay": 0.1, "drone": 1}, {"loss": 0.0, "edge": [2, 0]},
-        {"cut": {"since": 0.0, "a": [0]}}, {"clear": True},
-    ]  # fmt: skip
+    assert [
+        {key: value for key, value in one.items() if value is not None} for one in told
+    ] == [
+        {"loss": 0.3},
+        {"loss": 0.5, "delay": 0.1, "drone": 1},
+        {"loss": 0.0, "edge": [2, 0]},
+        {"cut": {"since": 0.0, "a": [0]}},
+        {"clear": True},
+    ]
     assert len(server.those("impair")) == 15, "every drone is told"
 
 
 @virtual
-async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_what_is_in_force(clock):
-    server, network = Server(clock), Impairment(1, partitions=[Partition(5.0, 9.0, (1,), (2,))])
+async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_what_is_in_force(
+    clock,
+):
+    server, network = (
+        Server(clock),
+        Impairment(1, partitions=[Partition(5.0, 9.0, (1,), (2,))]),
+    )
 
     async def execute(i, verb, arguments):
         if verb == "impair":
@@ -451,9 +565,10 @@ async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_wha
     receipt = server.desk.receipts[-1]
     assert receipt.words == "cut off, 2"
     assert receipt.answers[0] == (
-        "done", "1 apart from 2, from 5 s after GO to 9 s; 0 apart from the others, from GO to the end; "
+        "done",
+        "1 apart from 2, from 5 s after GO to 9 s; 0 apart from the others, from GO to the end; "
         "2 apart from the others, from GO to the end",
-    )  # fmt: skip
+    )
     page.asks.put_nowait({"ask": "impair", "clear": True})
     await clock.sleep(0.5)
     assert server.desk.receipts[-1].answers[0] == ("done", "nothing: perfect")
@@ -461,12 +576,17 @@ async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_wha
 
 
 @served
-async def test_a_goal_is_for_the_first_and_the_others_keep_their_distance(clock, server, page):
-    page.asks.put_nowait({"ask": "go-to", "drones": [2, 0], "p": [1, 1, 1], "offset": [0, 0.5, 0]})
+async def test_a_goal_is_for_the_first_and_the_others_keep_their_distance(
+    clock, server, page
+):
+    page.asks.put_nowait(
+        {"ask": "go-to", "drones": [2, 0], "p": [1, 1, 1], "offset": [0, 0.5, 0]}
+    )
     await clock.sleep(0.5)
     assert server.those("go-to") == [
-        (2, "go-to", {"p": [1.0, 1.0, 1.0], "yaw": None}), (0, "go-to", {"p": [1.0, 1.5, 1.0], "yaw": None}),
-    ]  # fmt: skip
+        (2, "go-to", {"p": [1.0, 1.0, 1.0], "yaw": None}),
+        (0, "go-to", {"p": [1.0, 1.5, 1.0], "yaw": None}),
+    ]
 
 
 @virtual
@@ -486,7 +606,9 @@ async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
         await clock.sleep(0.5)
         page.asks.put_nowait({"ask": "fly", "drones": [1]})
         await clock.sleep(0.5)
-        assert [receipt.verb for receipt in server.desk.receipts] == ["fly"], "it is told at once"
+        assert [receipt.verb for receipt in server.desk.receipts] == ["fly"], (
+            "it is told at once"
+        )
         page.asks.put_nowait({"ask": "stop"})
         await clock.sleep(0.2)
         assert server.bus.stopped
@@ -528,9 +650,19 @@ async def test_what_was_planned_and_shown_is_flown(clock):
     assert made["kind"] == "svg"
     page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": made["text"]})
     await clock.sleep(0.2)
-    assert [row[1:] for row in page.told("strokes")[0][0]] == [row[1:] for row in stroke]
+    assert [row[1:] for row in page.told("strokes")[0][0]] == [
+        row[1:] for row in stroke
+    ]
     assert page.told("remarks") == [[]]
-    page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": '<svg><path id="e"/><path d="M0 0h9"/></svg>'})
+    page.asks.put_nowait(
+        {
+            "ask": "load",
+            "name": "a.svg",
+            "text": '<svg><path id="e"/><path d="M0 0h9"/></svg>',
+        }
+    )
     await clock.sleep(0.2)
-    assert page.told("remarks")[-1] == ['<path id="e"> in line 1: left out: it has no size']
+    assert page.told("remarks")[-1] == [
+        '<path id="e"> in line 1: left out: it has no size'
+    ]
     await server.end()

@@ -20,7 +20,9 @@ from crazychoir.optimization.picture import draw_convergence
 from crazychoir.recording.video import write_video
 
 FULL = Path("/dev/full")
-needs_full = pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here, which is a disk without room")
+needs_full = pytest.mark.skipif(
+    not FULL.exists(), reason="no /dev/full here, which is a disk without room"
+)
 
 
 @pytest.fixture
@@ -41,9 +43,16 @@ def places(tmp_path):
     }
 
 
-WRONG = ("it is a folder", "its folder is a file", "two folders are missing", "its name is too long",
-         "it is a link into no folder", "it has another ending", "it is standard output",
-         "it has a zero byte")  # fmt: skip
+WRONG = (
+    "it is a folder",
+    "its folder is a file",
+    "two folders are missing",
+    "its name is too long",
+    "it is a link into no folder",
+    "it has another ending",
+    "it is standard output",
+    "it has a zero byte",
+)
 
 
 @pytest.mark.parametrize("wrong", WRONG)
@@ -73,7 +82,10 @@ def test_a_protected_file_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("crazychoir.files.output_files.os.open", refuse)
     with pytest.raises(ConfigError, match="Permission denied"):
         require_writable_file(path, "--picture")
-    with pytest.raises(ConfigError, match="Permission denied"), written_file(path, "picture") as place:
+    with (
+        pytest.raises(ConfigError, match="Permission denied"),
+        written_file(path, "picture") as place,
+    ):
         place.write_text("another")
     assert path.read_text() == "mine"
 
@@ -99,9 +111,16 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path, name):
 
 def test_two_options_cannot_name_one_file(tmp_path):
     (tmp_path / "link.png").symlink_to("x.png")
-    require_different({"--save": tmp_path / "x.csv", "--picture": tmp_path / "x.png", "--video": None})
-    with pytest.raises(ConfigError, match=r"--video: found .*link\.png; allowed: another file than that of --picture"):
-        require_different({"--picture": tmp_path / "x.png", "--video": tmp_path / "link.png"})
+    require_different(
+        {"--save": tmp_path / "x.csv", "--picture": tmp_path / "x.png", "--video": None}
+    )
+    with pytest.raises(
+        ConfigError,
+        match=r"--video: found .*link\.png; allowed: another file than that of --picture",
+    ):
+        require_different(
+            {"--picture": tmp_path / "x.png", "--video": tmp_path / "link.png"}
+        )
 
 
 def write_half(path, error):
@@ -113,7 +132,9 @@ def write_half(path, error):
 def test_what_fails_in_between_leaves_the_old_file_and_no_other(tmp_path):
     path = tmp_path / "x.csv"
     path.write_text("old")
-    with pytest.raises(ConfigError, match=r"x\.csv; allowed: a file that can be written\. Disk quota"):
+    with pytest.raises(
+        ConfigError, match=r"x\.csv; allowed: a file that can be written\. Disk quota"
+    ):
         write_half(path, OSError(122, "Disk quota exceeded"))
     with pytest.raises(ValueError, match="mine"):
         write_half(path, ValueError("mine"))
@@ -151,10 +172,16 @@ WRITERS = {".png": draw, ".csv": save, ".json": save, ".npz": save, ".gif": film
 
 
 @pytest.mark.parametrize("ending", WRITERS)
-def test_functions_raise_an_error_of_the_project_where_they_cannot_write(tmp_path, ending):
+def test_functions_raise_an_error_of_the_project_where_they_cannot_write(
+    tmp_path, ending
+):
     (tmp_path / f"folder{ending}").mkdir()
     (tmp_path / "file").write_text("kept")
-    for path in (tmp_path / f"folder{ending}", tmp_path / "file" / f"x{ending}", tmp_path / "a" / "b" / f"x{ending}"):
+    for path in (
+        tmp_path / f"folder{ending}",
+        tmp_path / "file" / f"x{ending}",
+        tmp_path / "a" / "b" / f"x{ending}",
+    ):
         with pytest.raises(ConfigError):
             WRITERS[ending](path)
     assert sorted(os.listdir(tmp_path)) == ["file", f"folder{ending}"]

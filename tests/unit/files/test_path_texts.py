@@ -23,7 +23,9 @@ from crazychoir.types import Status
 
 UMLAUT = "schön"
 OTHER_BYTES = os.fsdecode(b"b\xfcse")  # Latin-1 where names are UTF-8
-IN_ASCII = UMLAUT.encode().decode("ascii", "surrogateescape")  # as a process under LC_ALL=C sees it
+IN_ASCII = UMLAUT.encode().decode(
+    "ascii", "surrogateescape"
+)  # as a process under LC_ALL=C sees it
 PACKAGE = Path(crazychoir.__file__).parent
 
 any_text = st.text(st.characters(exclude_categories=())) | st.binary().map(
@@ -58,7 +60,10 @@ def test_texts_anywhere_in_a_value_are_made_to_travel():
     status = Status(phase=OTHER_BYTES, note=IN_ASCII)
     value = {OTHER_BYTES: [status, (OTHER_BYTES, 3), np.ones(2)]}
     arrived = decode(encode(value))
-    assert (arrived[r"b\xfcse"][0].phase, arrived[r"b\xfcse"][0].note) == (r"b\xfcse", UMLAUT)
+    assert (arrived[r"b\xfcse"][0].phase, arrived[r"b\xfcse"][0].note) == (
+        r"b\xfcse",
+        UMLAUT,
+    )
     assert arrived[r"b\xfcse"][1] == [r"b\xfcse", 3]
     assert decode(encode(status)).phase == r"b\xfcse"
     assert msgspec.json.decode(as_json(status))["note"] == UMLAUT
@@ -79,16 +84,27 @@ def test_a_swarm_with_such_a_mission_is_read_back_and_has_a_digest(name, tmp_pat
 
 
 def test_the_digest_is_the_same_in_every_locale():
-    here, there = (default_swarm(2).replace(mission=f"/x/{name}.py") for name in (UMLAUT, IN_ASCII))
+    here, there = (
+        default_swarm(2).replace(mission=f"/x/{name}.py") for name in (UMLAUT, IN_ASCII)
+    )
     assert here.digest() == there.digest()
 
 
 def test_a_name_in_a_utf8_file_is_found_where_the_locale_lacks_its_letters(tmp_path):
     (tmp_path / UMLAUT).touch()
     program = "from crazychoir.files.path_texts import as_path; print(open(as_path('sch\\xf6n')).read() == '')"
-    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    environment = os.environ | {
+        "LC_ALL": "C",
+        "PYTHONUTF8": "0",
+        "PYTHONCOERCECLOCALE": "0",
+    }
     done = subprocess.run(
-        [sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (done.stdout, done.stderr) == ("True\n", "")
     assert as_path(UMLAUT) == UMLAUT
@@ -100,25 +116,46 @@ def test_a_name_in_a_utf8_file_is_found_where_the_locale_lacks_its_letters(tmp_p
 def test_every_text_file_is_read_and_written_with_an_encoding():
     select = ["--isolated", "--preview", "--select", "PLW1514", "--no-cache"]
     done = subprocess.run(
-        [sys.executable, "-m", "ruff", "check", *select, str(PACKAGE), str(PACKAGE.parent / "agents")],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "ruff",
+            "check",
+            *select,
+            str(PACKAGE),
+            str(PACKAGE.parent / "agents"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout
     found = [
         f"{path.name}:{node.lineno}"
         for path in sorted(PACKAGE.rglob("*.py"))
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "write_text"
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr == "write_text"
         and "encoding" not in [keyword.arg for keyword in node.keywords]
-    ]  # fmt: skip
+    ]
     assert found == []
 
 
 def test_the_consoles_are_made_in_one_place_and_print_names_as_they_are():
     from crazychoir.launch.console import STDERR, STDOUT
 
-    makes = re.compile(r"from rich\.console import [^\n]*\bConsole\b|from_markup|from rich import print")
-    sources = {path.name: path.read_text(encoding="utf-8") for path in (PACKAGE / "cli").glob("*.py")}
-    assert [name for name, source in sources.items() if makes.search(source)] == ["show.py"]
+    makes = re.compile(
+        r"from rich\.console import [^\n]*\bConsole\b|from_markup|from rich import print"
+    )
+    sources = {
+        path.name: path.read_text(encoding="utf-8")
+        for path in (PACKAGE / "cli").glob("*.py")
+    }
+    assert [name for name, source in sources.items() if makes.search(source)] == [
+        "show.py"
+    ]
     for console in (STDERR, STDOUT):
-        assert str(console.render_str("[red]x[/] [/] :smile:")) == "[red]x[/] [/] :smile:"
+        assert (
+            str(console.render_str("[red]x[/] [/] :smile:")) == "[red]x[/] [/] :smile:"
+        )

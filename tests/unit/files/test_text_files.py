@@ -21,17 +21,39 @@ from crazychoir.routing.instance.instance import Instance
 
 MARK = codecs.BOM_UTF8
 LI_LIM = Path(__file__).parents[1] / "data" / "li_lim_small.txt"
-INSTANCE = {"home": [[0, 0]], "pickup": [[1, 0]], "delivery": [[2, 0]], "load": [1], "capacity": [1], "name": "höhe"}
+INSTANCE = {
+    "home": [[0, 0]],
+    "pickup": [[1, 0]],
+    "delivery": [[2, 0]],
+    "load": [1],
+    "capacity": [1],
+    "name": "höhe",
+}
 SWARM = 'name = "lab"\nseed = 3 # größer\n\n[[drones]]\nid = 0\nhome = [0, 0, 0]\nuri = "radio://0/80/2M/E7E7E7E701"\n'
 FILES = {
-    "instance.json": (json.dumps(INSTANCE, indent=1, ensure_ascii=False), lambda p: Instance.load(p).tasks.to_json()),
+    "instance.json": (
+        json.dumps(INSTANCE, indent=1, ensure_ascii=False),
+        lambda p: Instance.load(p).tasks.to_json(),
+    ),
     "li_lim.txt": (LI_LIM.read_text(), lambda p: Instance.load(p).to_json()),
     "swarm.toml": (SWARM, lambda p: SwarmConfig.load(p).dumps()),
-    "swarm.json": (SwarmConfig.loads(SWARM).dumps(), lambda p: SwarmConfig.load(p).dumps()),
-    "radio.toml": (SWARM, lambda p: dongles(read_addresses(p).removeprefix("\ufeff"), "swarm")),
-    "poses.csv": (f"{','.join(HEAD)}\n0.0,cf1,0,0,1,0,0,0,1\n", lambda p: [f.time for f in read_recording(p)]),
+    "swarm.json": (
+        SwarmConfig.loads(SWARM).dumps(),
+        lambda p: SwarmConfig.load(p).dumps(),
+    ),
+    "radio.toml": (
+        SWARM,
+        lambda p: dongles(read_addresses(p).removeprefix("\ufeff"), "swarm"),
+    ),
+    "poses.csv": (
+        f"{','.join(HEAD)}\n0.0,cf1,0,0,1,0,0,0,1\n",
+        lambda p: [f.time for f in read_recording(p)],
+    ),
     "table.csv": ("t,x\n0,1\n1,2\n", lambda p: read_table(p, ("t", "x"))["x"].tolist()),
-    "drawing.svg": ('<svg>\n<path d="M0 0 L10 0"/>\n</svg>\n', lambda p: [s.tolist() for s in read_svg(p)]),
+    "drawing.svg": (
+        '<svg>\n<path d="M0 0 L10 0"/>\n</svg>\n',
+        lambda p: [s.tolist() for s in read_svg(p)],
+    ),
 }
 """By name: a text, and what a reader makes of it."""
 UTF_8_ALONE = tuple(name for name in FILES if name not in ("table.csv", "drawing.svg"))
@@ -39,9 +61,20 @@ UTF_8_ALONE = tuple(name for name in FILES if name not in ("table.csv", "drawing
 
 
 @pytest.mark.parametrize("name", FILES)
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(mark=st.booleans(), ending=st.sampled_from(["\n", "\r\n"]), blank=st.integers(0, 3), data=st.data())
-def test_marks_ends_of_lines_and_blank_lines_change_nothing(name, mark, ending, blank, data, tmp_path):
+@settings(
+    max_examples=15,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(
+    mark=st.booleans(),
+    ending=st.sampled_from(["\n", "\r\n"]),
+    blank=st.integers(0, 3),
+    data=st.data(),
+)
+def test_marks_ends_of_lines_and_blank_lines_change_nothing(
+    name, mark, ending, blank, data, tmp_path
+):
     text, read = FILES[name]
     plain = tmp_path / name
     plain.write_text(text, encoding="utf-8")
@@ -67,7 +100,9 @@ def test_marks_ends_of_lines_and_blank_lines_change_nothing(name, mark, ending, 
         ("utf-32", "a text in UTF-32"),
     ],
 )
-def test_another_encoding_is_named_with_the_file_and_what_to_do(name, encoding, said, tmp_path):
+def test_another_encoding_is_named_with_the_file_and_what_to_do(
+    name, encoding, said, tmp_path
+):
     text, read = FILES[name]
     path = tmp_path / name
     path.write_bytes(text.encode(encoding))
@@ -81,8 +116,16 @@ def test_another_encoding_is_named_with_the_file_and_what_to_do(name, encoding, 
 def test_a_byte_that_is_not_utf_8_is_named_by_line_and_column(name, tmp_path):
     text, read = FILES[name]
     path = tmp_path / name
-    path.write_bytes(MARK + "größe\r\n".encode() + "grö".encode() + "ß".encode("latin-1") + text.encode())
-    with pytest.raises(ConfigError, match=r"bytes that are not UTF-8: 0xdf at line 2, column 4 \(byte "):
+    path.write_bytes(
+        MARK
+        + "größe\r\n".encode()
+        + "grö".encode()
+        + "ß".encode("latin-1")
+        + text.encode()
+    )
+    with pytest.raises(
+        ConfigError, match=r"bytes that are not UTF-8: 0xdf at line 2, column 4 \(byte "
+    ):
         read(path)
 
 
@@ -102,7 +145,10 @@ def test_an_empty_instance_is_said_to_be_empty(content, tmp_path):
         Instance.load(path)
 
 
-@given(st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\r\ufeff")), st.booleans())
+@given(
+    st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0\r\ufeff")),
+    st.booleans(),
+)
 def test_every_text_comes_back(text, mark):
     data = text.encode()
     assert decode_text(MARK + data if mark else data, "here", "a text") == text

@@ -125,7 +125,9 @@ def test_a_user_is_named_as_far_as_the_system_knows():
 def test_each_cache_is_warned_of_once_in_a_process_and_in_those_that_it_starts():
     program = "from crazychoir.files.user_folders import first_warning as f; print(f('laws'), f('tables'), f('tables'))"
     assert [first_warning("laws"), first_warning("laws")] == [True, False]
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    said = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert said.stdout.split() == ["False", "True", "False"]
 
 
@@ -136,7 +138,9 @@ def test_matplotlib_is_given_a_folder_only_where_it_has_none(monkeypatch, tmp_pa
     user_folders.prepare_matplotlib()
     assert "MPLCONFIGDIR" not in os.environ
     monkeypatch.setenv("HOME", "/proc")
-    monkeypatch.setattr(user_folders, "_may_write", lambda folder: not str(folder).startswith("/proc"))
+    monkeypatch.setattr(
+        user_folders, "_may_write", lambda folder: not str(folder).startswith("/proc")
+    )
     user_folders.prepare_matplotlib()
     assert os.environ["MPLCONFIGDIR"] == str(tmp_path / "private" / "matplotlib")
     monkeypatch.setenv("MPLCONFIGDIR", "/own")
@@ -154,9 +158,13 @@ def test_no_library_complains_to_a_user_without_a_home(place):
 
 def imported(place, private):
     """What matplotlib says when a mission imports it."""
-    environment = homeless(PYTHONPATH=os.pathsep.join(sys.path), CRAZYCHOIR_RUNTIME_DIR=str(private))
+    environment = homeless(
+        PYTHONPATH=os.pathsep.join(sys.path), CRAZYCHOIR_RUNTIME_DIR=str(private)
+    )
     if place is not None:
         environment["HOME"] = place
     program = "import crazychoir, matplotlib, matplotlib.figure; print(matplotlib.get_cachedir())"
     command = [*as_user(), sys.executable, "-c", program]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, cwd="/")
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True, cwd="/"
+    )

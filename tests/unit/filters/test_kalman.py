@@ -7,7 +7,13 @@ from crazychoir.filters.kalman import CALLED, DOUBTS, A, D, KalmanFilter, P
 from crazychoir.filters.motion import Commanded
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.numerics.math3d import conjugate, exponential, logarithm, product, quaternion_of_yaw
+from crazychoir.numerics.math3d import (
+    conjugate,
+    exponential,
+    logarithm,
+    product,
+    quaternion_of_yaw,
+)
 from crazychoir.platforms import PAPER
 from crazychoir.types import Pose
 
@@ -46,12 +52,17 @@ def angle(state, q):
 def covariances(f):
     pp, pv, pd, vv, vd, dd = f._memory[P:A]
     aa, aw, ww = f._memory[A:CALLED]
-    return np.array([[pp, pv, pd], [pv, vv, vd], [pd, vd, dd]]), np.array([[aa, aw], [aw, ww]])
+    return np.array([[pp, pv, pd], [pv, vv, vd], [pd, vd, dd]]), np.array(
+        [[aa, aw], [aw, ww]]
+    )
 
 
 def test_a_pilot_may_take_either_filter():
     motion = Commanded(PAPER.flat, 0.0)
-    filters: list[StateFilter] = [VelocityFilter(motion=motion), KalmanFilter(motion=motion)]
+    filters: list[StateFilter] = [
+        VelocityFilter(motion=motion),
+        KalmanFilter(motion=motion),
+    ]
     for f in filters:
         f.commanded = HOVER
         assert f.update(pose(0.0), 0.0).age == 0.0
@@ -62,7 +73,9 @@ def test_before_the_first_pose_there_is_no_state_and_it_may_come_late():
     f = told()
     assert f.predict(3.0) is None
     state = f.update(pose(5.0, age=0.01), 100.0)
-    np.testing.assert_allclose(state.flat, [5, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        state.flat, [5, 0, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0], atol=1e-12
+    )
     assert f.measured == pytest.approx(99.99)
 
 
@@ -92,7 +105,12 @@ def test_a_gap_longer_than_the_horizon_leaves_its_mean_velocity():
 
 
 @pytest.mark.parametrize(
-    "flat", [STILL * np.nan, [np.inf, 0, 1, 0, 0, 0, 1], *([0, 0, 1, 0, 0, 0, n] for n in (0.0, 0.49, 2.1, 1e200))]
+    "flat",
+    [
+        STILL * np.nan,
+        [np.inf, 0, 1, 0, 0, 0, 1],
+        *([0, 0, 1, 0, 0, 0, n] for n in (0.0, 0.49, 2.1, 1e200)),
+    ],
 )
 def test_a_pose_that_is_not_readable_counts_as_missing(flat):
     bad = Pose(np.array(flat, dtype=float))
@@ -109,7 +127,12 @@ def test_a_pose_that_is_not_readable_counts_as_missing(flat):
 
 def test_nobody_writes_into_a_state():
     f = KalmanFilter()
-    for state in (f.update(pose(0.0), 0.0), f.update(pose(0.01), 0.01), f.predict(0.02), f.update(pose(9.0), 0.03)):
+    for state in (
+        f.update(pose(0.0), 0.0),
+        f.update(pose(0.01), 0.01),
+        f.predict(0.02),
+        f.update(pose(9.0), 0.03),
+    ):
         with pytest.raises(ValueError, match="read-only"):
             state.p[0] = 1.0
 
@@ -124,25 +147,37 @@ def test_the_speed_is_that_of_the_newest_state():
     assert f.speed == pytest.approx(np.linalg.norm(f.predict(0.34).v))
 
 
-@pytest.mark.parametrize("f", [VelocityFilter(), KalmanFilter(), told()], ids=["derivative", "kalman", "told"])
+@pytest.mark.parametrize(
+    "f",
+    [VelocityFilter(), KalmanFilter(), told()],
+    ids=["derivative", "kalman", "told"],
+)
 def test_the_body_rates_are_right_where_the_heading_passes_pi(f):
     rate, worst = 2.0, 0.0
     if isinstance(f, KalmanFilter):
         f.commanded = np.array([f.commanded[0], 0.0, 0.0, rate])
     for k in range(400):
-        q = quaternion_of_yaw(math.remainder(2.5 + 0.01 * rate * k, 2.0 * math.pi))  # w changes its sign at pi
+        q = quaternion_of_yaw(
+            math.remainder(2.5 + 0.01 * rate * k, 2.0 * math.pi)
+        )  # w changes its sign at pi
         state = f.update(Pose(np.array([0.0, 0.0, 1.0, *q])), 0.01 * k)
-        worst = max(worst, np.linalg.norm(state.w - [0.0, 0.0, rate])) if k > 20 else 0.0
+        worst = (
+            max(worst, np.linalg.norm(state.w - [0.0, 0.0, rate])) if k > 20 else 0.0
+        )
         assert angle(state, q) < 1e-2
     assert worst < 2e-4
 
 
-@pytest.mark.parametrize("bad", [[0.3, 0, 1, 0, 0, 0, 1], [0.0, 0, 1, 1, 0, 0, 0]], ids=["place", "attitude"])
+@pytest.mark.parametrize(
+    "bad", [[0.3, 0, 1, 0, 0, 0, 1], [0.0, 0, 1, 1, 0, 0, 0]], ids=["place", "attitude"]
+)
 def test_an_outlier_is_refused_and_leaves_no_trace(bad):
     f, clean = told(), told()
     for k in range(200):
         good = Pose(STILL)
-        state = f.update(Pose(np.array(bad, dtype=float)) if k == 100 else good, 0.01 * k)
+        state = f.update(
+            Pose(np.array(bad, dtype=float)) if k == 100 else good, 0.01 * k
+        )
         expected = clean.predict(0.01 * k) if k == 100 else clean.update(good, 0.01 * k)
         np.testing.assert_allclose(state.flat, expected.flat, atol=1e-12)
         assert state.age == (pytest.approx(0.01) if k == 100 else 0.0)
@@ -159,7 +194,14 @@ def test_poses_that_stay_elsewhere_are_believed_in_the_end():
     assert state.v[0] == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize("bad", [np.full(4, np.nan), command(1.0, 0.0, np.nan, 0.0), command(np.inf, 0.0, 0.0, 0.0)])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        np.full(4, np.nan),
+        command(1.0, 0.0, np.nan, 0.0),
+        command(np.inf, 0.0, 0.0, 0.0),
+    ],
+)
 def test_commands_that_are_not_numbers_are_not_taken(bad):
     f = told()
     flying(f, 50, speed=0.0)
@@ -170,9 +212,18 @@ def test_commands_that_are_not_numbers_are_not_taken(bad):
 
 def test_the_latency_is_bridged_by_the_commands_of_that_time():
     """Thrust and rates change each tick; the poses are 30 ms late, the state is that of now."""
-    motion, truth, f = Commanded(PAPER.flat, 0.0), [np.array([*STILL[:3], 0, 0, 0, *STILL[3:], 0, 0, 0.0])], told()
+    motion, truth, f = (
+        Commanded(PAPER.flat, 0.0),
+        [np.array([*STILL[:3], 0, 0, 0, *STILL[3:], 0, 0, 0.0])],
+        told(),
+    )
     for k in range(150):
-        f.commanded = command(1.0 + 0.2 * math.sin(0.2 * k), 2.0 * math.sin(0.3 * k), 1.5 * math.cos(0.25 * k), 0.4)
+        f.commanded = command(
+            1.0 + 0.2 * math.sin(0.2 * k),
+            2.0 * math.sin(0.3 * k),
+            1.5 * math.cos(0.25 * k),
+            0.4,
+        )
         truth.append(motion.after(truth[-1], f.commanded, 0.01))
         if k < 2:
             f.predict(0.01 * (k + 1))
@@ -203,7 +254,9 @@ def test_half_a_second_without_poses_is_flown_by_the_commands_and_the_thrust_tha
 
 
 @pytest.mark.parametrize("ground", [0.0, -0.05])
-def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_jump(ground):
+def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_jump(
+    ground,
+):
     """Also from lower than the floor was believed to be."""
     draw, f = np.random.default_rng(1), KalmanFilter(motion=Commanded(PAPER.flat, 0.0))
     place = np.array([0.0, 0.0, ground, 0.0, 0.0, 0.0, 1.0])
@@ -211,7 +264,9 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
         f.commanded = HOVER * (0.0 if k < 200 else 0.9)
         state = f.update(noisy(place, draw), 0.01 * k)
         assert k < 20 or np.linalg.norm(state.v) < 0.03
-    assert np.linalg.norm(f._memory[D:P]) < 0.1  # what the floor carries is not summed up
+    assert (
+        np.linalg.norm(f._memory[D:P]) < 0.1
+    )  # what the floor carries is not summed up
     f.commanded = 1.2 * HOVER
     for k in range(1, 50):
         t = 0.01 * k
@@ -222,7 +277,10 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
 
 
 def test_a_floor_that_is_not_where_it_was_believed_does_no_harm():
-    f, high = KalmanFilter(motion=Commanded(PAPER.flat, 0.0)), np.array([0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0])
+    f, high = (
+        KalmanFilter(motion=Commanded(PAPER.flat, 0.0)),
+        np.array([0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]),
+    )
     for k in range(300):
         state = f.update(Pose(high), 0.01 * k)
         f.commanded = HOVER * (0.0 if k < 100 else 0.8)
@@ -244,7 +302,12 @@ def test_the_rate_of_the_cameras_tells_when_a_pose_was_measured():
 @pytest.mark.parametrize("gap", [0.1, 0.3, 1.0])
 def test_poses_that_were_late_come_together_and_nothing_seems_fast(gap, spread):
     """A program that stood still reads in a moment what came meanwhile; none of it says that it is old."""
-    f, speeds, n, read = KalmanFilter(horizon=2.0, period=0.01), [], round(100 * gap), 0.0
+    f, speeds, n, read = (
+        KalmanFilter(horizon=2.0, period=0.01),
+        [],
+        round(100 * gap),
+        0.0,
+    )
     for k in range(300 + n):
         seen, age = 0.01 * k, 0.002
         read = max(seen + age, read + spread, 2.0 + gap + age if k >= 200 else 0.0)
@@ -255,7 +318,9 @@ def test_poses_that_were_late_come_together_and_nothing_seems_fast(gap, spread):
 
 
 @pytest.mark.parametrize("rate", [50, 100, 240])
-def test_whatever_comes_the_covariances_stay_positive_and_bounded_and_the_state_finite(rate):
+def test_whatever_comes_the_covariances_stay_positive_and_bounded_and_the_state_finite(
+    rate,
+):
     draw, f, at_rest = np.random.default_rng(rate), told(), STILL.copy()
     largest = 0.0
     for k in range(10 * rate):

@@ -75,7 +75,9 @@ def measured(jitter, period):
     instants = []
     for k in range(2000):
         late = jitter * draw.exponential() if k else 0.0
-        motion.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * k + late)
+        motion.update(
+            Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * k + late
+        )
         instants.append(motion.measured)
     return np.array(instants)
 
@@ -89,14 +91,19 @@ def test_the_rate_of_the_cameras_tells_when_a_pose_was_measured(jitter):
 def test_poses_that_are_missed_are_counted_and_a_clock_that_is_wrong_is_followed():
     motion, fast = VelocityFilter(period=0.01), 1.0001
     for k in (*range(1000), *range(1005, 20_000, 3)):
-        motion.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * fast * k)
+        motion.update(
+            Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * fast * k
+        )
         assert motion.measured == pytest.approx(1.0 + 0.01 * fast * k, abs=2e-3)
 
 
 def test_a_very_late_pose_is_not_taken_for_two():
     motion = VelocityFilter(period=0.01)
     for k in range(10):
-        motion.update(Pose(np.array([0.01 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 1.0 + 0.01 * k + 0.007 * (k == 5))
+        motion.update(
+            Pose(np.array([0.01 * k, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])),
+            1.0 + 0.01 * k + 0.007 * (k == 5),
+        )
     assert motion.measured == pytest.approx(1.09, abs=1e-4)
 
 
@@ -115,7 +122,12 @@ def test_a_pose_whose_quaternion_is_none_counts_as_missing(size):
 
 def test_nobody_writes_into_a_state():
     f = VelocityFilter()
-    for state in (f.update(pose(0.0), 0.0), f.update(pose(0.1), 0.01), f.predict(0.02), f.update(pose(np.nan), 0.03)):
+    for state in (
+        f.update(pose(0.0), 0.0),
+        f.update(pose(0.1), 0.01),
+        f.predict(0.02),
+        f.update(pose(np.nan), 0.03),
+    ):
         with pytest.raises(ValueError, match="read-only"):
             state.p[0] = 1.0
 

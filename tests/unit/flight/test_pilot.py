@@ -37,12 +37,25 @@ TICK = 0.01
 class Flown:
     """One drone, its pilot, and what both did: positions, references, modes, notes."""
 
-    def __init__(self, clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)), plant=None, noise=0.0, reached="no"):
+    def __init__(
+        self,
+        clock,
+        fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)),
+        plant=None,
+        noise=0.0,
+        reached="no",
+    ):
         self.clock = clock
         self.bus = Bus(clock)
         self.world = CFIntegrator((0,), np.zeros((1, 3)), np.zeros(1), **(plant or {}))
         self.draw, self.noise = np.random.default_rng(5), noise
-        self.pilot = Pilot(self.bus.port(0), SimulatedLink(self.world, 0), Flight(), Fence.box(*fence), reached=reached)
+        self.pilot = Pilot(
+            self.bus.port(0),
+            SimulatedLink(self.world, 0),
+            Flight(),
+            Fence.box(*fence),
+            reached=reached,
+        )
         self.track, self.references = [], []
 
     @property
@@ -50,7 +63,15 @@ class Flown:
         """The truth."""
         return self.world.state(0).p
 
-    async def fly(self, seconds, *, poses=True, each=lambda: None, drift=lambda: 0.0, sinks=lambda z: z):
+    async def fly(
+        self,
+        seconds,
+        *,
+        poses=True,
+        each=lambda: None,
+        drift=lambda: 0.0,
+        sinks=lambda z: z,
+    ):
         """Let it fly; `each` is called before every tick; drift: m along x by which the cameras see it elsewhere;
         sinks: the height that they see.
         """
@@ -65,7 +86,11 @@ class Flown:
             seen[2] = sinks(seen[2])
             seen += self.noise * self.draw.standard_normal(7)
             pose, gate = Pose(seen, 0.0) if poses else None, self.pilot._gate
-            self.pilot.tick(pose if pose is None or gate is None else self.pilot._believed(pose, gate))
+            self.pilot.tick(
+                pose
+                if pose is None or gate is None
+                else self.pilot._believed(pose, gate)
+            )
             self.bus.stages.run()
             self.track.append(truth.p)
             self.references.append(self.pilot._flown)
@@ -141,7 +166,9 @@ async def test_it_follows_accelerations_full_states_and_goals(clock):
 
 
 @virtual
-async def test_it_remembers_why_the_safety_table_has_landed_it_and_no_landing_that_was_asked_for(clock):
+async def test_it_remembers_why_the_safety_table_has_landed_it_and_no_landing_that_was_asked_for(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     drone.pilot.land("enough")
@@ -211,7 +238,9 @@ async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
     await drone.fly(2.0)
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
     assert drone.pilot.take_off() == 0.0
-    assert drone.pilot.note.endswith("motors cut, for good: no take-off until its agent is started again")
+    assert drone.pilot.note.endswith(
+        "motors cut, for good: no take-off until its agent is started again"
+    )
 
 
 @virtual
@@ -242,13 +271,16 @@ async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
         first.setdefault(drone.pilot.mode, clock.now() - t0)
         notes.append(drone.pilot.note)
 
-    await drone.fly(2.0, each=look, drift=lambda: 6.0 * (clock.now() - t0))  # something carries it away
+    await drone.fly(
+        2.0, each=look, drift=lambda: 6.0 * (clock.now() - t0)
+    )  # something carries it away
     assert list(first) == [Mode.HOVER, Mode.LAND, Mode.CUT]
     said = [note.split(" m outside")[1] for note in dict.fromkeys(notes) if note]
     assert [text.partition(",")[2] for text in dict.fromkeys(said)] == [
-        " limit 0.00 m: braking", " limit 0.25 m: landing, for good",
+        " limit 0.00 m: braking",
+        " limit 0.25 m: landing, for good",
         " in the keep-out zone: motors cut, for good",
-    ]  # fmt: skip
+    ]
 
 
 async def led_out(clock, reference):
@@ -265,41 +297,62 @@ async def led_out(clock, reference):
     assert actions == {Action.NOMINAL, Action.BRAKE}
     assert 2.7 < max(p[0] for p in drone.track) < 3.2
     assert drone.pilot.mode is Mode.FOLLOW
-    assert drone.pilot.note.endswith(("m outside the fence, limit 0.00 m: braking", "inside the fence: braking"))
+    assert drone.pilot.note.endswith(
+        ("m outside the fence, limit 0.00 m: braking", "inside the fence: braking")
+    )
     assert 100 < drone.pilot.at_fence < 700, "ticks of 8 s in which it was held"
     return drone
 
 
 @virtual
-async def test_a_flight_to_a_place_outside_ends_at_the_fence_and_says_for_how_long_it_was_there(clock):
+async def test_a_flight_to_a_place_outside_ends_at_the_fence_and_says_for_how_long_it_was_there(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     seconds = drone.pilot.go_to([9.0, 0.0, 1.0])
-    assert drone.pilot.note == "[9.0, 0.0, 1.0] is outside the fence: flies to [3.0, 0.0, 1.0]"
+    assert (
+        drone.pilot.note
+        == "[9.0, 0.0, 1.0] is outside the fence: flies to [3.0, 0.0, 1.0]"
+    )
     await drone.fly(seconds + 2.0)
     assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1)
     await drone.fly(drone.pilot.go_to([2.9, 0.0, 1.0]) + 1.0)
-    assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1), "inside it is not held"
+    assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1), (
+        "inside it is not held"
+    )
 
 
 def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplog):
     async def scene(clock):
-        drone = await led_out(clock, lambda t: FullState.at([t, 0.0, 1.0], [1.0, 0.0, 0.0]))
+        drone = await led_out(
+            clock, lambda t: FullState.at([t, 0.0, 1.0], [1.0, 0.0, 0.0])
+        )
         drone.bus.subscribe(LOG, 0, 0, heard := DropOldest(clock, "log", 9))
-        await drone.fly(60.0, each=lambda: drone.pilot.follow(FullState.at([9.0, 0.0, 1.0])))
+        await drone.fly(
+            60.0, each=lambda: drone.pilot.follow(FullState.at([9.0, 0.0, 1.0]))
+        )
         drone.pilot.land()
         await drone.fly(10.0)
         assert drone.pilot.mode is Mode.GROUND
         return drone.pilot.note, heard.take()
 
     note, heard = run_virtual(scene)
-    said = [message for message in caplog.messages if "inside the fence" in message or "outside the fence" in message]
+    said = [
+        message
+        for message in caplog.messages
+        if "inside the fence" in message or "outside the fence" in message
+    ]
     assert 3 <= len(said) <= 8, "over a minute of it"
     assert int(re.search(r"braked it (\d+) times in this flight", note)[1]) > len(said)
     assert heard == [f"drone 0: {note}"], "and is in the result of the run"
 
 
-@pytest.mark.parametrize("rule", dict.fromkeys((*TABLE, *REACHED)), ids=lambda rule: f"{rule.measure} {rule.limit:g}")
+@pytest.mark.parametrize(
+    "rule",
+    dict.fromkeys((*TABLE, *REACHED)),
+    ids=lambda rule: f"{rule.measure} {rule.limit:g}",
+)
 def test_who_lands_for_its_safety_or_is_cut_says_that_it_is_grave(rule):
     """Every rule of the safety tables; what it is asked to do by others is not."""
 
@@ -311,7 +364,10 @@ def test_who_lands_for_its_safety_or_is_cut_says_that_it_is_grave(rule):
         drone.pilot._say("other", "it is all right")
         return said, drone.pilot.grave
 
-    assert run_virtual(scene) == (("why", rule.action in (Action.LAND, Action.CUT)), False)
+    assert run_virtual(scene) == (
+        ("why", rule.action in (Action.LAND, Action.CUT)),
+        False,
+    )
 
 
 @virtual
@@ -332,11 +388,16 @@ def test_a_line_names_its_drone_once_and_says_what_one_on_the_ground_does(caplog
         drone.pilot.guidance_failed("no idea")
 
     run_virtual(scene)
-    assert caplog.messages == ["drone 0: lost", "drone 0: guidance failed (no idea): stays on the ground"]
+    assert caplog.messages == [
+        "drone 0: lost",
+        "drone 0: guidance failed (no idea): stays on the ground",
+    ]
 
 
 @virtual
-async def test_a_path_out_of_the_fence_at_the_speed_limit_ends_in_hovering_at_the_fence(clock):
+async def test_a_path_out_of_the_fence_at_the_speed_limit_ends_in_hovering_at_the_fence(
+    clock,
+):
     await led_out(clock, lambda t: FullState.at([t, 0.0, 1.0], [1.0, 0.0, 0.0]))
 
 
@@ -356,7 +417,9 @@ def test_to_hover_may_be_asked_for_in_each_step_also_by_who_was_pushed_aside(asi
     async def case(clock):
         drone = Flown(clock)
         await drone.hovering()
-        await drone.fly(0.5, each=lambda: drone.pilot.follow(Acceleration([1.5, 0.0, 0.0])))
+        await drone.fly(
+            0.5, each=lambda: drone.pilot.follow(Acceleration([1.5, 0.0, 0.0]))
+        )
 
         def hover():
             drone.pilot.clearance.aside = aside
@@ -383,7 +446,9 @@ async def test_when_guidance_has_failed_it_hovers_then_lands(clock):
 
 
 @virtual
-async def test_when_guidance_has_failed_before_the_take_off_it_stays_on_the_ground(clock):
+async def test_when_guidance_has_failed_before_the_take_off_it_stays_on_the_ground(
+    clock,
+):
     drone = Flown(clock)
     drone.pilot.guidance_failed("no idea")
     assert drone.pilot.note == "guidance failed (no idea): stays on the ground"
@@ -455,7 +520,12 @@ async def test_poses_that_are_not_numbers_are_no_poses(clock):
 async def test_references_of_another_shape_or_kind_are_not_flown(clock):
     drone = Flown(clock)
     await drone.hovering()
-    for bad in (FullState(np.zeros(13)), Acceleration(np.zeros(2)), drone.pilot.state, None):
+    for bad in (
+        FullState(np.zeros(13)),
+        Acceleration(np.zeros(2)),
+        drone.pilot.state,
+        None,
+    ):
         await drone.fly(0.2, each=lambda bad=bad: drone.pilot.follow(bad))
         assert "not flown" in drone.pilot.note
     assert drone.pilot.mode is Mode.HOVER
@@ -475,7 +545,9 @@ async def test_a_held_drone_follows_nothing_until_it_is_let_go(clock):
 
 
 @virtual
-async def test_a_held_drone_lands_for_its_operator_and_for_safety_but_not_for_guidance(clock):
+async def test_a_held_drone_lands_for_its_operator_and_for_safety_but_not_for_guidance(
+    clock,
+):
     for why in ("landing on command", "pose"):
         drone = Flown(clock)
         await drone.hovering()
@@ -492,7 +564,9 @@ async def test_a_held_drone_lands_for_its_operator_and_for_safety_but_not_for_gu
 
 
 @virtual
-async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_cameras_say(clock):
+async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_cameras_say(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     drone.pilot.limits = Flight(ground=-0.3)
@@ -514,7 +588,9 @@ def fastest(drone, since):
 
 
 @virtual
-async def test_a_reference_far_away_that_comes_back_after_braking_is_flown_to_within_the_limits(clock):
+async def test_a_reference_far_away_that_comes_back_after_braking_is_flown_to_within_the_limits(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     await drone.fly(1.0, each=lambda: drone.pilot.follow(FullState.at([0.0, 0.0, 1.0])))
@@ -536,12 +612,16 @@ async def test_a_full_state_that_runs_away_is_followed_within_the_limits(clock):
 
     def away():
         t = clock.now() - t0
-        drone.pilot.follow(FullState.at([2.0 * t**2, 0.0, 1.0], [4.0 * t, 0.0, 0.0], [4.0, 0.0, 0.0]))
+        drone.pilot.follow(
+            FullState.at([2.0 * t**2, 0.0, 1.0], [4.0 * t, 0.0, 0.0], [4.0, 0.0, 0.0])
+        )
 
     await drone.fly(1.3, each=away)
     speed, acceleration = fastest(drone, since)
     assert 1.5 * Flight().speed_limit < speed < 2.05 * Flight().speed_limit
-    assert Flight().acceleration_limit < acceleration < 2.1 * Flight().acceleration_limit
+    assert (
+        Flight().acceleration_limit < acceleration < 2.1 * Flight().acceleration_limit
+    )
 
 
 @virtual
@@ -559,14 +639,20 @@ async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
 @virtual
 async def test_its_state_tells_what_it_has_commanded_after_the_limits(clock):
     drone, told = Flown(clock), []
-    drone.bus.subscribe(STATE, 0, 0, Call(clock, lambda state, age: told.append(state.a.tolist())))
+    drone.bus.subscribe(
+        STATE, 0, 0, Call(clock, lambda state, age: told.append(state.a.tolist()))
+    )
     await drone.fly(0.05)
     assert told[-1] == [0.0, 0.0, 0.0], "on the ground"
     await drone.fly(drone.pilot.take_off() + 0.5)
     wanted = [0.8, -0.4, 0.0]
-    await drone.fly(0.2, each=lambda: drone.pilot.follow(Acceleration(np.array(wanted))))
+    await drone.fly(
+        0.2, each=lambda: drone.pilot.follow(Acceleration(np.array(wanted)))
+    )
     assert told[-1] == pytest.approx(wanted, abs=1e-9)
-    await drone.fly(0.1, each=lambda: drone.pilot.follow(Acceleration(np.array([40.0, 0.0, 0.0]))))
+    await drone.fly(
+        0.1, each=lambda: drone.pilot.follow(Acceleration(np.array([40.0, 0.0, 0.0])))
+    )
     assert told[-1] == pytest.approx([Flight().acceleration_limit, 0.0, 0.0], abs=1e-9)
     drone.pilot.hover()
     await drone.fly(0.2)
@@ -592,7 +678,10 @@ async def accelerated(clock, period):
     drone = Flown(clock, fence=((-3.0, -3.0, 0.0), (30.0, 3.0, 2.5)))
     await drone.hovering()
     since, ticks = len(drone.track), iter(range(10**6))
-    wanted = lambda: next(ticks) % period or drone.pilot.follow(Acceleration([2.0, 0.0, 0.0]))  # noqa: E731
+
+    def wanted():
+        return next(ticks) % period or drone.pilot.follow(Acceleration([2.0, 0.0, 0.0]))
+
     await drone.fly(6.0, each=wanted)
     speed, _ = fastest(drone, since)
     assert 0.95 * Flight().speed_limit < speed < 1.2 * Flight().speed_limit
@@ -601,7 +690,9 @@ async def accelerated(clock, period):
 
 
 @virtual
-async def test_an_acceleration_that_goes_on_leads_to_the_speed_limit_and_no_further(clock):
+async def test_an_acceleration_that_goes_on_leads_to_the_speed_limit_and_no_further(
+    clock,
+):
     for period in (1, 25):
         await accelerated(clock, period)
 
@@ -610,9 +701,11 @@ async def test_an_acceleration_that_goes_on_leads_to_the_speed_limit_and_no_furt
 
 
 DOWNWARDS = (
-    Acceleration([0.0, 0.0, -2.0]), Acceleration([1.0, 0.0, -1.0]),
-    FullState.at((0.0, 0.0, -3.0), (0.0, 0.0, -1.0)), Goto((0.0, 0.0, -3.0)),
-)  # fmt: skip
+    Acceleration([0.0, 0.0, -2.0]),
+    Acceleration([1.0, 0.0, -1.0]),
+    FullState.at((0.0, 0.0, -3.0), (0.0, 0.0, -1.0)),
+    Goto((0.0, 0.0, -3.0)),
+)
 
 
 async def led_down(clock, reference):
@@ -635,7 +728,9 @@ async def test_the_fence_has_its_floor_where_that_is_above_the_ground(clock):
     drone = Flown(clock, fence=((-3.0, -3.0, 0.5), (3.0, 3.0, 2.5)))
     await drone.hovering()
     since = len(drone.track)
-    await drone.fly(4.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -1.0])))
+    await drone.fly(
+        4.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -1.0]))
+    )
     assert 0.45 < min(p[2] for p in drone.track[since:]) < 0.6
     await drone.fly(drone.pilot.go_to([0.0, 0.0, 0.0]) + 1.0)
     assert 0.48 < drone.p[2] < 0.62
@@ -648,19 +743,26 @@ async def test_the_fence_has_its_floor_where_that_is_above_the_ground(clock):
 @virtual
 async def test_a_fall_is_stopped_with_what_the_motors_can(clock):
     drone = Flown(clock)
-    limits, fence = Flight(speed_limit=3.0, acceleration_limit=20.0), Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 4.5))
+    limits, fence = (
+        Flight(speed_limit=3.0, acceleration_limit=20.0),
+        Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 4.5)),
+    )
     drone.pilot = Pilot(drone.bus.port(1), SimulatedLink(drone.world, 0), limits, fence)
     await drone.fly(0.05)
     await drone.fly(drone.pilot.take_off(4.0) + 0.5)
     since = len(drone.track)
-    await drone.fly(3.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -9.0])))
+    await drone.fly(
+        3.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, -9.0]))
+    )
     speed, _ = fastest(drone, since)
     assert speed > 2.5
     assert drone.world.impact[0] < 0.5
 
 
 @virtual
-async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_inside(clock):
+async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_inside(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     t0, plans = clock.now(), []
@@ -688,8 +790,12 @@ def tilt(drone):
 
 LIVELY = {
     "hovering": None,
-    "a FullState": lambda t: FullState.at((np.sin(t), 0.0, 1.0), (np.cos(t), 0.0, 0.0), (-np.sin(t), 0.0, 0.0)),
-    "an Acceleration": lambda t: Acceleration([1.5 * np.sin(2.5 * t), 1.5 * np.cos(2.5 * t), 0.0]),
+    "a FullState": lambda t: FullState.at(
+        (np.sin(t), 0.0, 1.0), (np.cos(t), 0.0, 0.0), (-np.sin(t), 0.0, 0.0)
+    ),
+    "an Acceleration": lambda t: Acceleration(
+        [1.5 * np.sin(2.5 * t), 1.5 * np.cos(2.5 * t), 0.0]
+    ),
 }
 PLANTS = ({}, {"rate_lag": 0.03, "command_delay": 0.02}, {"rate_lag": 0.086})
 
@@ -790,7 +896,9 @@ async def test_a_goto_that_moves_is_flown_after(clock):
     drone = Flown(clock)
     await drone.hovering()
     t0 = clock.now()
-    await drone.fly(4.0, each=lambda: drone.pilot.follow(Goto([0.3 * (clock.now() - t0), 0.0, 1.0])))
+    await drone.fly(
+        4.0, each=lambda: drone.pilot.follow(Goto([0.3 * (clock.now() - t0), 0.0, 1.0]))
+    )
     assert drone.p[0] > 0.4
     here = Goto([1.2, 0.0, 1.0])
     await drone.fly(4.0, each=lambda: drone.pilot.follow(here))
@@ -804,7 +912,10 @@ async def test_the_same_goto_is_flown_anew_after_something_else(clock):
     goal = Goto([1.0, 0.0, 1.0])
     drone.pilot.follow(goal)
     await drone.fly(1.0)
-    for otherwise in (drone.pilot.hover, lambda: drone.pilot.follow(Acceleration([-1.0, 0.0, 0.0]))):
+    for otherwise in (
+        drone.pilot.hover,
+        lambda: drone.pilot.follow(Acceleration([-1.0, 0.0, 0.0])),
+    ):
         otherwise()
         await drone.fly(0.2)
         otherwise()
@@ -817,23 +928,32 @@ async def test_the_same_goto_is_flown_anew_after_something_else(clock):
 
 
 @virtual
-async def test_who_had_to_land_for_the_fence_comes_back_inside_and_does_not_rise_again(clock):
+async def test_who_had_to_land_for_the_fence_comes_back_inside_and_does_not_rise_again(
+    clock,
+):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
     t0 = clock.now()
-    await drone.fly(0.8, drift=lambda: min(4.0 * (clock.now() - t0), 0.9))  # the cameras are moved
+    await drone.fly(
+        0.8, drift=lambda: min(4.0 * (clock.now() - t0), 0.9)
+    )  # the cameras are moved
     assert drone.pilot.mode is Mode.LAND
     await drone.fly(drone.pilot.remaining() + 1.0, drift=lambda: 0.9)
     assert drone.pilot.mode is Mode.GROUND, drone.pilot.note
     assert drone.p[0] + 0.9 < 0.45
     assert drone.pilot.take_off() == 0.0
-    assert "m outside the fence, limit 0.25 m: landing, for good: no take-off until" in drone.pilot.note
+    assert (
+        "m outside the fence, limit 0.25 m: landing, for good: no take-off until"
+        in drone.pilot.note
+    )
     await drone.fly(1.0)
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
 
 
 @virtual
-async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_cut(clock):
+async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_cut(
+    clock,
+):
     flying, waiting = Flown(clock), Flown(clock)
     await waiting.fly(0.1)
     await flying.hovering()
@@ -845,8 +965,13 @@ async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_c
     for drone in (flying, waiting):
         drone.bus.stopped = False
     assert flying.pilot.take_off() == 0.0
-    assert flying.pilot.note == "emergency stop: no take-off until its agent is started again"
-    assert waiting.pilot.take_off() > 0.0, "its agent was started after the stop, its motors were never cut"
+    assert (
+        flying.pilot.note
+        == "emergency stop: no take-off until its agent is started again"
+    )
+    assert waiting.pilot.take_off() > 0.0, (
+        "its agent was started after the stop, its motors were never cut"
+    )
 
 
 @virtual
@@ -885,12 +1010,19 @@ async def test_a_place_that_is_none_changes_nothing(clock):
 
 
 @virtual
-async def test_a_landing_under_way_stops_at_once_and_takes_the_time_that_it_promised(clock):
+async def test_a_landing_under_way_stops_at_once_and_takes_the_time_that_it_promised(
+    clock,
+):
     drone, height = Flown(clock), 2.0
     await drone.hovering()
     await drone.fly(drone.pilot.go_to([0.0, 0.0, height]) + 0.5)
     t0 = clock.now()
-    await drone.fly(1.5, each=lambda: drone.pilot.follow(FullState.at([clock.now() - t0, 0.0, height], [1.0, 0, 0])))
+    await drone.fly(
+        1.5,
+        each=lambda: drone.pilot.follow(
+            FullState.at([clock.now() - t0, 0.0, height], [1.0, 0, 0])
+        ),
+    )
     here, speed, since = drone.p[0], drone.world.state(0).v[0], len(drone.track)
     seconds, t0 = drone.pilot.land(), clock.now()
     while drone.pilot.airborne:
@@ -970,7 +1102,9 @@ async def test_after_guidance_has_failed_in_a_flight_it_hovers(clock):
 
 
 @virtual
-async def test_after_guidance_has_failed_in_a_flight_on_command_it_hovers_too_and_lands(clock):
+async def test_after_guidance_has_failed_in_a_flight_on_command_it_hovers_too_and_lands(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     drone.pilot.hold()
@@ -1011,7 +1145,9 @@ async def test_no_flight_begins_while_the_safety_table_brakes(clock):
 
 
 @virtual
-async def test_a_flight_may_begin_where_references_were_missing_and_a_lost_pose_still_brakes_it(clock):
+async def test_a_flight_may_begin_where_references_were_missing_and_a_lost_pose_still_brakes_it(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     drone.pilot.follow(Acceleration([0.0, 0.0, 0.0]))
@@ -1085,7 +1221,9 @@ class Supervised(Flown):
         super().__init__(clock)
         self.link = self.pilot.link = Frail(self.pilot.link, clock)
         self.failures, self.given_up = [], False
-        self.life = asyncio.ensure_future(Supervisor(clock, "drone 0", self.failed).run([self.pilot]))
+        self.life = asyncio.ensure_future(
+            Supervisor(clock, "drone 0", self.failed).run([self.pilot])
+        )
 
     def failed(self, actor, error, again):
         self.failures.append(error)
@@ -1159,7 +1297,9 @@ async def test_at_rest_without_a_landing_that_is_over_is_not_down(clock):
 
 
 @virtual
-async def test_after_a_failed_tick_the_drone_is_steadied_and_commanded_again_at_the_next_pose(clock):
+async def test_after_a_failed_tick_the_drone_is_steadied_and_commanded_again_at_the_next_pose(
+    clock,
+):
     drone = Supervised(clock)
     await drone.hovering()
     drone.pilot.go_to([2.0, 0.0, 1.0])
@@ -1178,7 +1318,9 @@ async def test_after_a_failed_tick_the_drone_is_steadied_and_commanded_again_at_
 
 
 @virtual
-async def test_a_link_that_fails_for_a_third_of_a_second_is_survived_and_one_for_good_is_given_up(clock):
+async def test_a_link_that_fails_for_a_third_of_a_second_is_survived_and_one_for_good_is_given_up(
+    clock,
+):
     drone = Supervised(clock)
     await drone.hovering()
     start = clock.now()
@@ -1195,10 +1337,17 @@ async def test_a_link_that_fails_for_a_third_of_a_second_is_survived_and_one_for
 
 
 @virtual
-async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_the_process(clock):
+async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_the_process(
+    clock,
+):
     drone = Supervised(clock)
     await drone.hovering()
-    for error in (asyncio.CancelledError("a job of somebody"), StopIteration(), GeneratorExit(), KeyError("x")):
+    for error in (
+        asyncio.CancelledError("a job of somebody"),
+        StopIteration(),
+        GeneratorExit(),
+        KeyError("x"),
+    ):
         raised = once()
 
         def fails(command, raised=raised, error=error):
@@ -1227,9 +1376,12 @@ async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(cloc
     traffic = Traffic(drone.bus.ports[0], (0, *others))
     room = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
     drone.pilot = Pilot(
-        drone.bus.ports[0], SimulatedLink(drone.world, 0), Flight(takeoff_height=0.3), room,
+        drone.bus.ports[0],
+        SimulatedLink(drone.world, 0),
+        Flight(takeoff_height=0.3),
+        room,
         collision=CollisionFilter(Collision(), traffic, room, 2.0, 1.0, 0.0),
-    )  # fmt: skip
+    )
 
     def heard():
         for j in others:
@@ -1248,13 +1400,17 @@ async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(cloc
 
 
 @virtual
-async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_one_inside_is_not(clock):
+async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_one_inside_is_not(
+    clock,
+):
     for far, seconds, cut in ((2.0, 0.4, False), (9.0, 0.15, False), (9.0, 0.3, True)):
         drone = Flown(clock, reached="seen")
         await drone.hovering()
         await drone.fly(seconds, drift=lambda far=far: far)
         assert (drone.pilot.mode is Mode.CUT) is cut, (far, seconds)
-        assert drone.p == pytest.approx([0.0, 0.0, 1.0], abs=0.2), "a pose that jumps moves nobody"
+        assert drone.p == pytest.approx([0.0, 0.0, 1.0], abs=0.2), (
+            "a pose that jumps moves nobody"
+        )
     assert "seen 5.50 m outside the limit area: motors cut" in drone.pilot.note
     drone = Flown(clock, reached="seen")
     await drone.hovering()
@@ -1270,15 +1426,22 @@ async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(cloc
         await drone.hovering()
         drone.pilot.guard.tell("link", silent)
         began = clock.now()
-        await drone.fly(1.9, sinks=lambda z, began=began: max(0.0, 1.0 - (clock.now() - began)))
+        await drone.fly(
+            1.9, sinks=lambda z, began=began: max(0.0, 1.0 - (clock.now() - began))
+        )
         assert drone.pilot.airborne
         await drone.fly(0.3, sinks=lambda z: 0.0)
         assert drone.pilot.mode is Mode.GROUND
-        assert drone.pilot.brought_down == f"{why}seen on the floor, where it should fly: landing"
+        assert (
+            drone.pilot.brought_down
+            == f"{why}seen on the floor, where it should fly: landing"
+        )
 
 
 @virtual
-async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_nobody_sees_it(clock):
+async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_nobody_sees_it(
+    clock,
+):
     for measure in ("pose", "battery"):
         drone = Flown(clock, reached="seen")
         await drone.hovering()
@@ -1292,12 +1455,22 @@ async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_n
 
 
 @virtual
-async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stand_or_others_keep_it_down(clock):
+async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stand_or_others_keep_it_down(
+    clock,
+):
     down, up = (
-        {"filter": SimpleNamespace(gives_way_to=1), "evasion": lambda *given, a=a, **options: np.array([0.5, 0.0, a])}
+        {
+            "filter": SimpleNamespace(gives_way_to=1),
+            "evasion": lambda *given, a=a, **options: np.array([0.5, 0.0, a]),
+        }
         for a in (0.0, 3.0)
     )
-    flights = ((True, {}, Mode.CUT), (False, {}, Mode.TAKEOFF), (True, down, Mode.TAKEOFF), (True, up, Mode.CUT))
+    flights = (
+        (True, {}, Mode.CUT),
+        (False, {}, Mode.TAKEOFF),
+        (True, down, Mode.TAKEOFF),
+        (True, up, Mode.CUT),
+    )
     for turns, others, mode in flights:
         drone = Flown(clock, reached="seen")
         drone.pilot.turning = lambda turns=turns: turns
@@ -1328,13 +1501,22 @@ class Deaf:
 async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(clock):
     bus, link = Bus(clock), Deaf([0.0, 0.0, 0.02])
     fence = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
-    pilot = Pilot(bus.port(0), link, Flight(), fence, chosen=controls(Control(sender="xyz")), reached="seen")
+    pilot = Pilot(
+        bus.port(0),
+        link,
+        Flight(),
+        fence,
+        chosen=controls(Control(sender="xyz")),
+        reached="seen",
+    )
 
     async def fly(seconds, silent=None, far=0.0):
         began = clock.now()
         while clock.now() - began < seconds and pilot.mode is not Mode.CUT:
             await clock.sleep(TICK)
-            pilot.guard.tell("link", 0.05 if silent is None else silent + clock.now() - began)
+            pilot.guard.tell(
+                "link", 0.05 if silent is None else silent + clock.now() - began
+            )
             pilot.tick(Pose(np.array([*link.p, 0.0, 0.0, 0.0, 1.0]), 0.0))
             bus.stages.run()
             far = max(far, link.p[2] - link.sent[-1].flat[2])
@@ -1345,7 +1527,9 @@ async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(c
     link.hears, height = False, link.p[2]
     far = await fly(40.0, silent=0.0)
     assert far < 0.15, "the first line that it hears leads no further down"
-    assert (pilot.mode, pilot.unreached, pilot.remaining()) == (Mode.LAND, True, 0.0), "its mission need not wait"
+    assert (pilot.mode, pilot.unreached, pilot.remaining()) == (Mode.LAND, True, 0.0), (
+        "its mission need not wait"
+    )
     assert link.p[2] == height > 0.9
     link.hears = True
     await fly(0.2)
@@ -1368,7 +1552,9 @@ async def test_a_landing_that_is_heard_though_nothing_is_answered_comes_down(clo
 
 
 @virtual
-async def test_the_next_flight_is_not_landed_for_a_pose_that_the_last_landing_lost(clock):
+async def test_the_next_flight_is_not_landed_for_a_pose_that_the_last_landing_lost(
+    clock,
+):
     drone = Flown(clock)
     await drone.hovering()
     await drone.fly(drone.pilot.land() - 0.7)
@@ -1382,7 +1568,9 @@ async def test_the_next_flight_is_not_landed_for_a_pose_that_the_last_landing_lo
 
 
 @virtual
-async def test_who_lands_already_is_handed_to_its_firmware_when_its_body_is_not_its_own(clock):
+async def test_who_lands_already_is_handed_to_its_firmware_when_its_body_is_not_its_own(
+    clock,
+):
     drone = Flown(clock, reached="seen")
     await drone.hovering()
     drone.pilot.link = link = Told(drone.pilot.link)
@@ -1394,7 +1582,9 @@ async def test_who_lands_already_is_handed_to_its_firmware_when_its_body_is_not_
     await drone.fly(0.05)
     assert [plan.verb for plan in link.plans] == ["land"]
     await drone.fly(1.0)
-    assert 4 <= len(link.plans) <= 7, "said again, that its owner does not take its agent for gone"
+    assert 4 <= len(link.plans) <= 7, (
+        "said again, that its owner does not take its agent for gone"
+    )
 
 
 @virtual
@@ -1415,12 +1605,18 @@ async def test_late_frames_do_not_hide_a_body_outside_and_a_gap_does(clock):
 @virtual
 async def test_a_high_drone_that_nobody_sees_has_the_time_that_its_landing_takes(clock):
     for height, seconds in ((1.0, 20.0), (8.0, 25.5)):
-        drone = Flown(clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 10.0)), reached="seen")
+        drone = Flown(
+            clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 10.0)), reached="seen"
+        )
         await drone.fly(0.05)
         await drone.fly(drone.pilot.take_off(height) + 0.5)
         drone.pilot.link = Told(drone.pilot.link)
         await drone.fly(0.6, poses=False)
-        (limit,) = (rule.limit for rule in drone.pilot.guard.table if rule.measure == "pose" and rule.latched)
+        (limit,) = (
+            rule.limit
+            for rule in drone.pilot.guard.table
+            if rule.measure == "pose" and rule.latched
+        )
         assert limit == pytest.approx(seconds, abs=0.5)
 
 

@@ -27,9 +27,18 @@ class Driven:
 
     def __init__(self, clock, uri, yaw=0.5):
         self.clock, self.bus, self.draw = clock, Bus(clock), np.random.default_rng(1)
-        self.world, flight = world_of(uri, [(0.3, -0.2, 0.0)], [yaw]), Flight(speed_limit=0.8)
+        self.world, flight = (
+            world_of(uri, [(0.3, -0.2, 0.0)], [yaw]),
+            Flight(speed_limit=0.8),
+        )
         kind, chosen = ROBOTS[uri]
-        self.pilot = Pilot(self.bus.port(0), self.world.link(0, kind), flight, ROOM, chosen=chosen(flight))
+        self.pilot = Pilot(
+            self.bus.port(0),
+            self.world.link(0, kind),
+            flight,
+            ROOM,
+            chosen=chosen(flight),
+        )
         self.track = []
 
     @property
@@ -64,7 +73,9 @@ def test_it_neither_takes_off_nor_lands_and_needs_no_room_above_the_floor(uri):
         robot = await ready(clock, uri)
         await robot.drive(1.0)
         assert robot.pilot.guard.latched == ""
-        assert not robot.pilot.guard.acts, "though it stands on the floor, and is seen a little below it"
+        assert not robot.pilot.guard.acts, (
+            "though it stands on the floor, and is seen a little below it"
+        )
         assert robot.state.p == pytest.approx([0.3, -0.2, 0.0], abs=0.01)
         await robot.drive(robot.pilot.land() + 1.0)
         assert robot.pilot.mode is Mode.GROUND
@@ -119,7 +130,9 @@ def test_it_comes_to_rest_inside_the_fence(uri):
     @virtual
     async def test(clock):
         robot = await ready(clock, uri)
-        await robot.drive(12.0, lambda: robot.pilot.follow(Velocity(np.array([0.7, 0.0, 0.0]))))
+        await robot.drive(
+            12.0, lambda: robot.pilot.follow(Velocity(np.array([0.7, 0.0, 0.0])))
+        )
         assert robot.pilot.guard.latched == ""
         assert max(p[0] for p in robot.track) < 2.0 + 0.2
         assert robot.track[-1][0] > 1.5, "it came there, braked, and tried again"
@@ -133,7 +146,9 @@ def test_a_velocity_beyond_the_limits_is_cut_and_one_that_is_none_is_not_driven(
     @virtual
     async def test(clock):
         robot = await ready(clock, uri)
-        await robot.drive(1.0, lambda: robot.pilot.follow(Velocity(np.array([-5.0, 0.0, 0.0]))))
+        await robot.drive(
+            1.0, lambda: robot.pilot.follow(Velocity(np.array([-5.0, 0.0, 0.0])))
+        )
         assert 0.7 < np.linalg.norm(robot.state.v) < 0.83
         for wrong in (np.zeros(2), np.array([np.nan, 0.0, 0.0])):
             assert not robot.pilot.follow(Velocity(wrong))
@@ -148,7 +163,9 @@ async def test_only_a_double_integrator_obeys_an_acceleration(clock):
         assert not robot.pilot.follow(Acceleration(np.ones(3)))
         assert "Return a Velocity" in robot.pilot.note
     robot = await ready(clock, DOUBLE)
-    await robot.drive(0.5, lambda: robot.pilot.follow(Acceleration(np.array([1.0, 0.0, 0.0]))))
+    await robot.drive(
+        0.5, lambda: robot.pilot.follow(Acceleration(np.array([1.0, 0.0, 0.0])))
+    )
     assert robot.state.v == pytest.approx([0.5, 0.0, 0.0], abs=0.05)
 
 
@@ -170,7 +187,9 @@ async def test_a_unicycle_follows_a_reference_that_moves(clock):
 async def test_another_goal_is_driven_to_from_where_it_is(clock):
     robot = await ready(clock, UNICYCLE)
     await robot.drive(1.0, lambda: robot.pilot.follow(Goto(np.array([1.5, 0.0, 0.0]))))
-    await robot.drive(12.0, lambda: robot.pilot.follow(Goto(np.array([-1.0, 0.5, 0.0]))))
+    await robot.drive(
+        12.0, lambda: robot.pilot.follow(Goto(np.array([-1.0, 0.5, 0.0])))
+    )
     assert robot.pilot.gap([-1.0, 0.5, 0.0]) < 0.04
     assert np.abs(np.diff(np.array(robot.track), axis=0)).max() <= 0.8 * TICK + 1e-9
     robot.pilot.hold()
@@ -182,7 +201,9 @@ async def test_another_goal_is_driven_to_from_where_it_is(clock):
 async def test_a_drone_flies_a_velocity_too(clock):
     robot = Driven(clock, SINGLE)
     robot.world = CFIntegrator((0,), np.array([[0.3, -0.2, 0.0]]))
-    robot.pilot = Pilot(robot.bus.port(1), SimulatedLink(robot.world, 0), Flight(speed_limit=0.8), ROOM)
+    robot.pilot = Pilot(
+        robot.bus.port(1), SimulatedLink(robot.world, 0), Flight(speed_limit=0.8), ROOM
+    )
     await robot.drive(0.05)
     await robot.drive(robot.pilot.take_off() + 0.5)
     wanted = np.array([0.3, -0.2, 0.1])
@@ -194,7 +215,9 @@ async def test_a_drone_flies_a_velocity_too(clock):
 
 
 @virtual
-async def test_a_unicycle_that_is_stopped_on_its_way_stands_where_it_is_and_not_at_its_goal(clock):
+async def test_a_unicycle_that_is_stopped_on_its_way_stands_where_it_is_and_not_at_its_goal(
+    clock,
+):
     robot = await ready(clock, UNICYCLE)
     robot.pilot.go_to([1.8, -0.2, 0.0], yaw=0.0)
     await robot.drive(1.0)

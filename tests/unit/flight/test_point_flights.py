@@ -28,7 +28,9 @@ def test_a_plan_that_has_waited_in_vain_goes_on_to_its_place_from_another_start(
     assert isinstance(flights.plan, PointToPoint)
     assert flights.sample(11.0).p == pytest.approx(ASIDE.p)
     assert flights.sample(99.0).p == pytest.approx(GOAL)
-    assert (flights.remaining(11.0), flights.waited) == pytest.approx((7.0 + IN_VAIN, IN_VAIN)), "in its time"
+    assert (flights.remaining(11.0), flights.waited) == pytest.approx(
+        (7.0 + IN_VAIN, IN_VAIN)
+    ), "in its time"
     assert not flights.resume(ASIDE, 11.0), "it has not waited since then"
 
 

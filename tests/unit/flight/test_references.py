@@ -13,7 +13,9 @@ from crazychoir.types import Acceleration, FullState, Goto, Velocity
 
 READ_ONLY = np.array([0.0, 0.0, 1.0])
 READ_ONLY.flags.writeable = False
-UNALIGNED = np.frombuffer(b"\0" + np.array([0.0, 0.0, 1.0]).tobytes(), dtype=np.uint8)[1:].view(np.float64)
+UNALIGNED = np.frombuffer(b"\0" + np.array([0.0, 0.0, 1.0]).tobytes(), dtype=np.uint8)[
+    1:
+].view(np.float64)
 GOOD = {
     "integers": np.array([0, 0, 1]),
     "a list": [0, 0, 1],
@@ -28,7 +30,9 @@ GOOD = {
     "big-endian": np.array([0.0, 0.0, 1.0]).astype(">f8"),
     "every second entry": np.array([0.0, 9.0, 0.0, 9.0, 1.0])[::2],
     "backwards": np.array([1.0, 0.0, 0.0])[::-1],
-    "a row of a column-major matrix": np.asfortranarray([[0.0, 0.0, 1.0], [9.0, 9.0, 9.0]])[0],
+    "a row of a column-major matrix": np.asfortranarray(
+        [[0.0, 0.0, 1.0], [9.0, 9.0, 9.0]]
+    )[0],
     "read-only": READ_ONLY,
     "unaligned": UNALIGNED,
     "a subclass": np.array([0.0, 0.0, 1.0]).view(np.recarray),
@@ -58,7 +62,12 @@ KINDS = {"a": Acceleration, "v": Velocity, "p": Goto}
 
 
 def is_for_kernels(array):
-    return type(array) is np.ndarray and array.dtype == np.float64 and array.dtype.isnative and array.flags.carray
+    return (
+        type(array) is np.ndarray
+        and array.dtype == np.float64
+        and array.dtype.isnative
+        and array.flags.carray
+    )
 
 
 @pytest.mark.parametrize("name", GOOD)
@@ -78,7 +87,9 @@ def test_what_does_not_is_refused_with_its_type_and_shape(name, field):
     reference = KINDS[field](BAD[name])
     assert taken(reference) is None
     text = unflyable(reference)
-    assert text.startswith(f"{KINDS[field].__name__}.{field}: found {described(BAD[name])}")
+    assert text.startswith(
+        f"{KINDS[field].__name__}.{field}: found {described(BAD[name])}"
+    )
     assert "allowed: 3 finite numbers of shape (3,)" in text
     if isinstance(BAD[name], np.ndarray):
         assert f"{BAD[name].dtype} array of shape {BAD[name].shape}" in text
@@ -100,7 +111,14 @@ def test_a_duration_that_is_no_number_is_refused(duration):
 
 
 @pytest.mark.parametrize(
-    "flat", [list(range(14)), np.arange(14), np.arange(14, dtype=np.float32), np.arange(28.0)[::2] / 2.0, range(14)]
+    "flat",
+    [
+        list(range(14)),
+        np.arange(14),
+        np.arange(14, dtype=np.float32),
+        np.arange(28.0)[::2] / 2.0,
+        range(14),
+    ],
 )
 def test_a_full_state_of_fourteen_numbers_is_converted(flat):
     found = taken(FullState(flat))
@@ -108,20 +126,31 @@ def test_a_full_state_of_fourteen_numbers_is_converted(flat):
     assert found.flat.tolist() == list(range(14))
 
 
-@pytest.mark.parametrize("flat", [None, np.zeros(13), np.zeros((14, 1)), [0.0] * 13 + [np.nan], ["0"] * 14])
+@pytest.mark.parametrize(
+    "flat", [None, np.zeros(13), np.zeros((14, 1)), [0.0] * 13 + [np.nan], ["0"] * 14]
+)
 def test_a_full_state_of_anything_else_is_refused(flat):
     assert taken(FullState(flat)) is None
     assert unflyable(FullState(flat)).startswith("FullState.flat: found")
 
 
-@pytest.mark.parametrize("thing", [None, 3, "up", np.zeros(3), (0.0, 0.0, 1.0), Acceleration, object()])
+@pytest.mark.parametrize(
+    "thing", [None, 3, "up", np.zeros(3), (0.0, 0.0, 1.0), Acceleration, object()]
+)
 def test_what_is_no_reference_is_refused(thing):
     assert taken(thing) is None
-    assert "allowed: Acceleration(...), FullState(...), Goto(...), Velocity(...) or None" in unflyable(thing)
+    assert (
+        "allowed: Acceleration(...), FullState(...), Goto(...), Velocity(...) or None"
+        in unflyable(thing)
+    )
 
 
 def test_what_needs_no_conversion_is_taken_as_it_is():
-    for reference in (Acceleration(np.zeros(3)), Velocity(np.zeros(3), 0.5), FullState(np.zeros(14))):
+    for reference in (
+        Acceleration(np.zeros(3)),
+        Velocity(np.zeros(3), 0.5),
+        FullState(np.zeros(14)),
+    ):
         assert taken(reference) is reference
         assert unflyable(reference) == ""
 

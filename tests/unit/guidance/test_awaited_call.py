@@ -23,13 +23,27 @@ from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import FullState
 
-BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.3,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 PATH = PointToPoint(FullState.at([0.0, 0.0, 0.3]), [0.5, 0.0, 0.3], 0.0, 3.0)
 CALLS = {
-    "take_off": (0.3,), "go_to": ([0.1, 0.0, 0.3],), "fly": (PATH,), "land": (), "sleep": (0.1,), "rendezvous": (),
-    "wait_for_start": (), "optimize": (SimpleNamespace(done=True),), "send": (1,), "receive": (),
-    "asynchronous_receive": (), "neighbors_exchange": (1,),
-}  # fmt: skip
+    "take_off": (0.3,),
+    "go_to": ([0.1, 0.0, 0.3],),
+    "fly": (PATH,),
+    "land": (),
+    "sleep": (0.1,),
+    "rendezvous": (),
+    "wait_for_start": (),
+    "optimize": (SimpleNamespace(done=True),),
+    "send": (1,),
+    "receive": (),
+    "asynchronous_receive": (),
+    "neighbors_exchange": (1,),
+}
 """Every verb of the mission API that is awaited, and what it is given."""
 
 
@@ -50,7 +64,12 @@ class Does(CFGuidance):
 def result_of(does, drones=1):
     async def main(clock):
         mission = SimpleNamespace(guidance=lambda i, config: Does(does))
-        agent = Agent(clock, default_swarm(drones).replace(flight=BRISK), mission, tuple(range(drones)))
+        agent = Agent(
+            clock,
+            default_swarm(drones).replace(flight=BRISK),
+            mission,
+            tuple(range(drones)),
+        )
         async with asyncio.timeout(300.0):
             return (await agent.run())[0]
 
@@ -60,9 +79,15 @@ def result_of(does, drones=1):
 def test_every_coroutine_function_of_the_mission_api_is_among_those_tried():
     public = {name for name in dir(CFGuidance) if not name.startswith("_")}
     functions = {
-        name: inspect.unwrap(getattr(CFGuidance, name)) for name in public if callable(getattr(CFGuidance, name))
+        name: inspect.unwrap(getattr(CFGuidance, name))
+        for name in public
+        if callable(getattr(CFGuidance, name))
     }
-    coroutines = {name for name, function in functions.items() if inspect.iscoroutinefunction(function)}
+    coroutines = {
+        name
+        for name, function in functions.items()
+        if inspect.iscoroutinefunction(function)
+    }
     assert coroutines - {"mission", "asked"} == {*CALLS}
 
 
@@ -81,9 +106,7 @@ def test_a_forgotten_await_is_named_with_its_line(verb, flies):
     line = []
     result = result_of(forgets)
     assert not result["success"]
-    words = (
-        f"{__file__}:{line[0]}: self.{verb}(...) was called without await, so it did nothing: write `await self.{verb}"
-    )
+    words = f"{__file__}:{line[0]}: self.{verb}(...) was called without await, so it did nothing: write `await self.{verb}"  # noqa: E501
     assert words in result["reason"]
 
 
@@ -148,11 +171,25 @@ def test_a_wrong_argument_is_an_error_of_the_line_that_gives_it():
 # Reasons -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("empty", ["", " ", "\n", None, "drone 0: on ground: ", "drone 0:"])
+@pytest.mark.parametrize(
+    "empty", ["", " ", "\n", None, "drone 0: on ground: ", "drone 0:"]
+)
 def test_no_outcome_and_no_error_has_an_empty_reason(empty):
-    outcomes = [failure(empty)["reason"], spoken(empty, "it is not known"), str(Refused("drone 0", empty))]
-    outcomes += [Refused("drone 0", empty).reason, AgentFailed(1, empty).reason, str(AgentFailed(1, empty))]
-    outcomes += [str(Interrupted(empty or "")), str(CrazyChoirError(empty or "")), str(CrazyChoirError())]
+    outcomes = [
+        failure(empty)["reason"],
+        spoken(empty, "it is not known"),
+        str(Refused("drone 0", empty)),
+    ]
+    outcomes += [
+        Refused("drone 0", empty).reason,
+        AgentFailed(1, empty).reason,
+        str(AgentFailed(1, empty)),
+    ]
+    outcomes += [
+        str(Interrupted(empty or "")),
+        str(CrazyChoirError(empty or "")),
+        str(CrazyChoirError()),
+    ]
     for text in outcomes:
         assert text.strip()
         assert not text.strip().endswith(":"), text
@@ -166,7 +203,10 @@ def test_a_reason_that_is_there_stays_as_it_is():
 
 @pytest.mark.parametrize("mode", Mode)
 def test_what_a_drone_does_has_a_reason_in_every_mode(mode):
-    assert standing(SimpleNamespace(mode=mode, note="")) == f"{mode.value}: {UNSAID_OF[mode]}"
+    assert (
+        standing(SimpleNamespace(mode=mode, note=""))
+        == f"{mode.value}: {UNSAID_OF[mode]}"
+    )
     assert standing(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
 
 

@@ -44,7 +44,17 @@ MISSION = """
     def check(config, force): {check}
     def report(config, results): {report}; return {{}}
 """
-PLACES = ("init", "bind", "helper", "mission", "height", "step", "guidance", "check", "report")
+PLACES = (
+    "init",
+    "bind",
+    "helper",
+    "mission",
+    "height",
+    "step",
+    "guidance",
+    "check",
+    "report",
+)
 
 
 def written(folder, place, call):
@@ -52,14 +62,20 @@ def written(folder, place, call):
     parts["kind"] = "Law" if place in ("height", "step") else "Own"
     file = folder / "own.py"
     file.write_text(dedent(MISSION.format(**parts)))
-    line = next(k for k, text in enumerate(file.read_text().splitlines(), 1) if place == "" or call in text)
+    line = next(
+        k
+        for k, text in enumerate(file.read_text().splitlines(), 1)
+        if place == "" or call in text
+    )
     return file, f"{file}:{line}"
 
 
 @pytest.mark.parametrize("place", PLACES)
 def test_a_mission_that_exits_anywhere_is_told_by_file_and_line(place, tmp_path):
     file, where = written(tmp_path, place, "import sys; sys.exit(3)")
-    said = CliRunner().invoke(app, ["run", str(file), "--fast", "--drones", "1", "--json"])
+    said = CliRunner().invoke(
+        app, ["run", str(file), "--fast", "--drones", "1", "--json"]
+    )
     assert said.exit_code in (1, 2)
     assert where in said.output, said.output
     assert "sys.exit(3)" in said.output
@@ -70,7 +86,9 @@ def test_a_mission_that_exits_anywhere_is_told_by_file_and_line(place, tmp_path)
 def test_a_file_that_exits_when_it_is_imported_is_told_by_file_and_line(call, tmp_path):
     file = tmp_path / "own.py"
     file.write_text(f"a = 1\n{call}\n")
-    with pytest.raises(ConfigError, match=r"own\.py:2: found the mission file called sys\.exit\("):
+    with pytest.raises(
+        ConfigError, match=r"own\.py:2: found the mission file called sys\.exit\("
+    ):
         load(str(file))
     for words in (["run", str(file), "--fast"], ["simulate", str(file)]):
         said = CliRunner().invoke(app, words)
@@ -80,16 +98,26 @@ def test_a_file_that_exits_when_it_is_imported_is_told_by_file_and_line(call, tm
 def test_an_agent_whose_mission_file_exits_tells_it_too(tmp_path):
     (tmp_path / "own.py").write_text("exit(0)\n")
     swarm = tmp_path / "a.toml"
-    swarm.write_text('name = "a"\nmission = "own.py"\ngraph = "empty"\ndrones = [{id = 0, home = [0, 0, 0]}]\n')
+    swarm.write_text(
+        'name = "a"\nmission = "own.py"\ngraph = "empty"\ndrones = [{id = 0, home = [0, 0, 0]}]\n'
+    )
     said = CliRunner().invoke(agent_app, ["--swarm", str(swarm), "--id", "0"])
-    assert (said.exit_code, "own.py:1: found the mission file called sys.exit(0)" in said.stderr) == (2, True)
+    assert (
+        said.exit_code,
+        "own.py:1: found the mission file called sys.exit(0)" in said.stderr,
+    ) == (2, True)
 
 
 def test_a_mission_that_exits_in_flight_lands_its_drone_and_the_others_fly_on(tmp_path):
-    file, where = written(tmp_path, "mission", "import sys; sys.exit(3) if self.id == 1 else None")
+    file, where = written(
+        tmp_path, "mission", "import sys; sys.exit(3) if self.id == 1 else None"
+    )
     result = fly_fast(default_swarm(3), load(str(file)))
     assert [one["success"] for one in result["results"].values()] == [True, False, True]
-    assert f"RuntimeError: the mission called sys.exit(3) ({where} mission)" in result["reasons"][1]
+    assert (
+        f"RuntimeError: the mission called sys.exit(3) ({where} mission)"
+        in result["reasons"][1]
+    )
 
 
 class Exits:
@@ -117,9 +145,14 @@ class Exits:
 
 @pytest.mark.parametrize("part", ["message", "step"])
 @pytest.mark.parametrize("asynchronous", [False, True])
-def test_an_algorithm_that_exits_at_one_agent_ends_all_and_is_told_by_file_and_line(part, asynchronous):
+def test_an_algorithm_that_exits_at_one_agent_ends_all_and_is_told_by_file_and_line(
+    part, asynchronous
+):
     team = {i: Exits(part if i == 2 else "") for i in range(3)}
     for agent in team.values():
         agent.asynchronous = asynchronous
-    with pytest.raises(CrazyChoirError, match=rf"test_exits\.py:\d+: found {part}\(\) of agent 2 called sys\.exit\("):
+    with pytest.raises(
+        CrazyChoirError,
+        match=rf"test_exits\.py:\d+: found {part}\(\) of agent 2 called sys\.exit\(",
+    ):
         simulate(team, graphs.path(3))

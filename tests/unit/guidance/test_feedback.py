@@ -30,7 +30,9 @@ TICK = 0.01
 class Told(CFDistributedFeedback):
     """A law that does what the test says at each step: raise it, or return it."""
 
-    def __init__(self, says=lambda me, heard: Acceleration(-2.0 * me.v), rate=100.0, duration=3.0):
+    def __init__(
+        self, says=lambda me, heard: Acceleration(-2.0 * me.v), rate=100.0, duration=3.0
+    ):
         self.says, self.rate, self.duration = says, rate, duration
         self.heard, self.times = [], []
 
@@ -53,7 +55,9 @@ class Drone:
         config = default_swarm(3)
         self.pilot = Pilot(ports[0], SimulatedLink(self.world, 0), config.flight, fence)
         self.pilot.mode = Mode.HOVER
-        law.bind(Member(0, config, clock, Communicator(ports[0], graphs.path(3)), self.pilot))
+        law.bind(
+            Member(0, config, clock, Communicator(ports[0], graphs.path(3)), self.pilot)
+        )
 
     def tick(self, neighbor=True):
         """A period goes by in the world; then the neighbour is heard, and the cameras are."""
@@ -125,21 +129,39 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         for port, law in zip([bus.port(0), bus.port(1)], laws, strict=True):
             fence = Fence.box((-3, -3, -0.2), (3, 3, 2))
             seen = VelocityFilter()
-            pilot = Pilot(port, SimulatedLink(world, port.address), config.flight, fence, state_filter=seen)
+            pilot = Pilot(
+                port,
+                SimulatedLink(world, port.address),
+                config.flight,
+                fence,
+                state_filter=seen,
+            )
             pilot.mode = Mode.HOVER
-            law.bind(Member(port.address, config, clock, Communicator(port, graphs.path(2)), pilot))
+            law.bind(
+                Member(
+                    port.address,
+                    config,
+                    clock,
+                    Communicator(port, graphs.path(2)),
+                    pilot,
+                )
+            )
         endings = [asyncio.create_task(law.run_law()) for law in laws]
         for k in range(10):
             await clock.sleep(TICK)
             for i in order:
-                laws[i].member.pilot.tick(Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0])))
+                laws[i].member.pilot.tick(
+                    Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0]))
+                )
         await clock.sleep(TICK / 2)
         for ending in endings:
             ending.cancel()
         return [[heard[1 - i].p[1] for heard in laws[i].heard] for i in (0, 1)]
 
     for heard in run_virtual(main):
-        assert heard[1:] == pytest.approx([0.1 * k for k in range(10)][-len(heard) + 1 :])
+        assert heard[1:] == pytest.approx(
+            [0.1 * k for k in range(10)][-len(heard) + 1 :]
+        )
 
 
 @virtual
@@ -184,7 +206,9 @@ async def test_it_hears_its_neighbours_with_their_ages_and_no_stale_ones(clock):
 
 
 @virtual
-async def test_a_neighbour_that_moves_is_heard_where_it_is_though_messages_are_lost(clock):
+async def test_a_neighbour_that_moves_is_heard_where_it_is_though_messages_are_lost(
+    clock,
+):
     law = Told()
     drone = Drone(clock, law)
     await drone.fly(0.1)
@@ -192,7 +216,9 @@ async def test_a_neighbour_that_moves_is_heard_where_it_is_though_messages_are_l
     for k in range(100):
         await clock.sleep(TICK)
         if k % 5 == 0:
-            drone.neighbor.publish(STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0)))
+            drone.neighbor.publish(
+                STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0))
+            )
         drone.tick(neighbor=False)
         assert law.heard[-1][1].p == pytest.approx([1.0 + 0.5 * k * TICK, 0.0, 1.0])
         assert law.heard[-1][1].age == pytest.approx(k % 5 * TICK)
@@ -206,7 +232,9 @@ async def test_a_pause_of_the_law_is_not_made_up_for_in_one_step(clock):
     drone, ending = await flown(clock, law, seconds=0.5)
     await clock.sleep(0.3)
     for k in range(30):
-        drone.neighbor.publish(STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0)))
+        drone.neighbor.publish(
+            STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0))
+        )
     drone.tick(neighbor=False)
     assert law.heard[-1][1].v == pytest.approx([0.5, 0.0, 0.0])
     ending.cancel()
@@ -227,7 +255,9 @@ def failing(error):
     return law
 
 
-@pytest.mark.parametrize("error", [ValueError("no idea"), SystemExit(3), Hung("a second")], ids=repr)
+@pytest.mark.parametrize(
+    "error", [ValueError("no idea"), SystemExit(3), Hung("a second")], ids=repr
+)
 def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
     law = failing(error)
 
@@ -242,9 +272,13 @@ def test_an_error_of_step_ends_the_law_and_the_pilot_flies_on(error):
 
 
 @pytest.mark.parametrize(
-    "error", [asyncio.CancelledError("of another"), StopIteration(), GeneratorExit()], ids=lambda error: repr(error)
+    "error",
+    [asyncio.CancelledError("of another"), StopIteration(), GeneratorExit()],
+    ids=lambda error: repr(error),
 )
-def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tick(error):
+def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tick(
+    error,
+):
     law = failing(error)
 
     async def main(clock):
@@ -252,7 +286,10 @@ def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tic
         await drone.fly(0.1)
         ending = asyncio.create_task(law.run_law())
         await drone.fly(2.0)
-        with pytest.raises(RuntimeError, match=r"drone 0: step raised (CancelledError|StopIteration|GeneratorExit)"):
+        with pytest.raises(
+            RuntimeError,
+            match=r"drone 0: step raised (CancelledError|StopIteration|GeneratorExit)",
+        ):
             await ending
         assert len(law.times) == 51, "called no more"
         assert drone.pilot.state.age == pytest.approx(0.0, abs=1e-9)
@@ -260,7 +297,9 @@ def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tic
     run_virtual(main)
 
 
-@pytest.mark.parametrize("wanted", [Acceleration("abc"), Acceleration(["a", "b", "c"])], ids=repr)
+@pytest.mark.parametrize(
+    "wanted", [Acceleration("abc"), Acceleration(["a", "b", "c"])], ids=repr
+)
 def test_what_nobody_can_fly_does_not_end_the_tick(wanted):
     async def main(clock):
         drone, ending = await flown(clock, Told(lambda me, heard: wanted), seconds=1.0)
@@ -273,7 +312,11 @@ def test_what_nobody_can_fly_does_not_end_the_tick(wanted):
 
 @virtual
 async def test_none_lets_it_come_to_rest_and_hover_at_once_and_it_is_asked_on(clock):
-    law = Told(lambda me, heard: Acceleration(np.array([0.5, 0.0, 0.0])) if len(law.times) <= 100 else None)
+    law = Told(
+        lambda me, heard: (
+            Acceleration(np.array([0.5, 0.0, 0.0])) if len(law.times) <= 100 else None
+        )
+    )
     drone, ending = await flown(clock, law, seconds=1.01)
     assert np.linalg.norm(drone.world.state(0).v) > 0.1
     await drone.fly(2 * TICK)
@@ -287,7 +330,9 @@ async def test_none_lets_it_come_to_rest_and_hover_at_once_and_it_is_asked_on(cl
 
 @virtual
 async def test_a_law_that_hears_nobody_for_long_hovers_to_its_end_and_knows_whom(clock):
-    law = Told(lambda me, heard: Acceleration(-2.0 * me.v) if heard else None, duration=10.0)
+    law = Told(
+        lambda me, heard: Acceleration(-2.0 * me.v) if heard else None, duration=10.0
+    )
     drone, ending = await flown(clock, law, seconds=1.0)
     place = drone.world.state(0).p.copy()
     await drone.fly(9.2, neighbor=False)
@@ -304,7 +349,10 @@ async def test_a_pilot_that_lands_while_nobody_is_heard_names_whom(clock):
     await drone.fly(1.0, neighbor=False)
     drone.pilot.land("landing on command")
     await drone.fly(0.1, neighbor=False)
-    assert str(await ending) == "drone 0: landing: landing on command; hears nothing of drone(s) 1"
+    assert (
+        str(await ending)
+        == "drone 0: landing: landing on command; hears nothing of drone(s) 1"
+    )
 
 
 class High(Told):
@@ -321,9 +369,15 @@ class High(Told):
 @virtual
 async def test_a_height_beyond_the_fence_is_refused_before_anybody_flies(clock):
     member = Drone(clock, Told()).law.member
-    with pytest.raises(ConfigError, match=r"drone 0: height\(\): found 4.0; allowed: 0 to 2.5 m"):
+    with pytest.raises(
+        ConfigError, match=r"drone 0: height\(\): found 4.0; allowed: 0 to 2.5 m"
+    ):
         High(lambda law: law.id + 4.0).foresee(member)
-    for well in (lambda law: law.id + 2.5, lambda law: None, lambda law: law.known_after_bind):
+    for well in (
+        lambda law: law.id + 2.5,
+        lambda law: None,
+        lambda law: law.known_after_bind,
+    ):
         law = High(well)
         law.foresee(member)
         assert not hasattr(law, "member"), "its mission has not begun"
@@ -337,16 +391,24 @@ def forever(law):
 @pytest.mark.parametrize(
     ("height", "said"),
     [
-        (lambda law: 1.0 / 0.0, r"mission .*test_feedback\.py:\d+: height\(\): found ZeroDivisionError.*or None"),
+        (
+            lambda law: 1.0 / 0.0,
+            r"mission .*test_feedback\.py:\d+: height\(\): found ZeroDivisionError.*or None",
+        ),
         (forever, r"height\(\): found no end within 0.3 s"),
-        (lambda law: np.array([0.5, 1.0]), r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*one num"),
+        (
+            lambda law: np.array([0.5, 1.0]),
+            r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*one num",
+        ),
         (lambda law: np.ones(1), r"found ndarray \(1,\)"),
         (lambda law: "high", r"found str 'high'"),
         (lambda law: float("nan"), r"found nan"),
     ],
     ids=["raises", "hangs", "array", "array of one", "text", "nan"],
 )
-def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(monkeypatch, height, said):
+def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(
+    monkeypatch, height, said
+):
     monkeypatch.setattr("crazychoir.guidance.user_hook.HOOK", 0.3)
 
     @virtual
@@ -362,18 +424,25 @@ def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(mon
 @pytest.mark.parametrize(
     ("name", "value", "allowed"),
     [
-        *(("rate", value, "Hz, 0.001 to 1000") for value in (0, "fast", 1e-300, 3e9, math.inf)),
+        *(
+            ("rate", value, "Hz, 0.001 to 1000")
+            for value in (0, "fast", 1e-300, 3e9, math.inf)
+        ),
         *(("duration", value, "s, above 0") for value in (-1.0, 0.0, math.nan)),
     ],
 )
-def test_a_rate_or_a_duration_that_is_no_such_number_is_refused_before_anybody_flies(name, value, allowed):
+def test_a_rate_or_a_duration_that_is_no_such_number_is_refused_before_anybody_flies(
+    name, value, allowed
+):
     @virtual
     async def refused(clock):
         law, member = High(lambda law: 1.0), Drone(clock, Told()).law.member
         law.duration = math.inf
         law.foresee(member)
         setattr(law, name, value)
-        with pytest.raises(ConfigError, match=rf"drone 0: High\.{name}.*a number of {allowed}"):
+        with pytest.raises(
+            ConfigError, match=rf"drone 0: High\.{name}.*a number of {allowed}"
+        ):
             law.foresee(member)
 
     refused()
@@ -401,7 +470,9 @@ async def test_a_height_may_be_a_number_of_numpy_and_must_be_a_method(clock):
     High(lambda law: np.array(1.0)).foresee(member)
     law = High(None)
     law.height = 1.0
-    with pytest.raises(ConfigError, match=r"height: found height = float 1.0; allowed: def height\(\)"):
+    with pytest.raises(
+        ConfigError, match=r"height: found height = float 1.0; allowed: def height\(\)"
+    ):
         law.foresee(member)
 
 

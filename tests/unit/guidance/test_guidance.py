@@ -16,7 +16,9 @@ from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance import guidance as base
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member
-from crazychoir.optimization.algorithms.asynchronous_consensus import AsynchronousConsensus
+from crazychoir.optimization.algorithms.asynchronous_consensus import (
+    AsynchronousConsensus,
+)
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.algorithms.gradient_tracking import GradientTracking
 from crazychoir.optimization.rounds.checks import require_graph
@@ -39,7 +41,11 @@ TICK = 0.01
 
 def pair(clock):
     """Two guidances that hear each other, each with a pilot on the ground."""
-    bus, config, world = Bus(clock), default_swarm(2), CFIntegrator((0, 1), np.zeros((2, 3)))
+    bus, config, world = (
+        Bus(clock),
+        default_swarm(2),
+        CFIntegrator((0, 1), np.zeros((2, 3))),
+    )
     fence = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
     for i in (0, 1):
         bus.port(i)
@@ -47,7 +53,9 @@ def pair(clock):
     for i in (0, 1):
         guidance = CFGuidance()
         pilot = Pilot(bus.ports[i], SimulatedLink(world, i), config.flight, fence)
-        guidance.bind(Member(i, config, clock, Communicator(bus.ports[i], graphs.path(2)), pilot))
+        guidance.bind(
+            Member(i, config, clock, Communicator(bus.ports[i], graphs.path(2)), pilot)
+        )
         both.append(guidance)
     return both
 
@@ -55,16 +63,29 @@ def pair(clock):
 @contextlib.asynccontextmanager
 async def in_the_world(clock, seen=lambda: True):
     """A guidance whose drone stands in a world that goes on; its pilot. seen: whether the cameras see it."""
-    bus, config, world = Bus(clock), default_swarm(2), CFIntegrator((0,), np.zeros((1, 3)))
-    pilot = Pilot(bus.port(0), SimulatedLink(world, 0), config.flight, Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)))
+    bus, config, world = (
+        Bus(clock),
+        default_swarm(2),
+        CFIntegrator((0,), np.zeros((1, 3))),
+    )
+    pilot = Pilot(
+        bus.port(0),
+        SimulatedLink(world, 0),
+        config.flight,
+        Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)),
+    )
     guidance = CFGuidance()
-    guidance.bind(Member(0, config, clock, Communicator(bus.ports[0], graphs.path(2)), pilot))
+    guidance.bind(
+        Member(0, config, clock, Communicator(bus.ports[0], graphs.path(2)), pilot)
+    )
 
     async def turn():
         async for _ in clock.ticks(1.0 / TICK):
             for _ in range(round(TICK / world.dt)):
                 world.step()
-            pilot.tick(Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]) if seen() else None)
+            pilot.tick(
+                Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]) if seen() else None
+            )
 
     turning = asyncio.create_task(turn())
     try:
@@ -83,14 +104,20 @@ async def in_the_air(clock):
 
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_verb_has_the_arguments_and_the_documentation_of_the_communicator(verb):
-    assert inspect.signature(getattr(CFGuidance, verb)) == inspect.signature(getattr(Communicator, verb))
-    assert inspect.getdoc(getattr(CFGuidance, verb)) == inspect.getdoc(getattr(Communicator, verb))
+    assert inspect.signature(getattr(CFGuidance, verb)) == inspect.signature(
+        getattr(Communicator, verb)
+    )
+    assert inspect.getdoc(getattr(CFGuidance, verb)) == inspect.getdoc(
+        getattr(Communicator, verb)
+    )
 
 
 @virtual
 async def test_the_verbs_talk_to_the_neighbours(clock):
     a, b = pair(clock)
-    assert await asyncio.gather(a.neighbors_exchange("a"), b.neighbors_exchange("b")) == [{1: "b"}, {0: "a"}]
+    assert await asyncio.gather(
+        a.neighbors_exchange("a"), b.neighbors_exchange("b")
+    ) == [{1: "b"}, {0: "a"}]
     await a.send(3, channel="x")
     assert await b.receive(channel="x") == {0: 3}
     await a.send(4, channel="y")
@@ -104,18 +131,26 @@ async def test_a_take_off_that_is_not_flown_raises_with_the_reason(clock):
     pilot = a.member.pilot
     pilot.tick(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])))
     pilot.port.bus.stopped = True
-    with pytest.raises(Interrupted, match="drone 0: on ground: emergency stop in force"):
+    with pytest.raises(
+        Interrupted, match="drone 0: on ground: emergency stop in force"
+    ):
         await a.take_off()
     pilot.port.bus.stopped = False
     pilot.cut("emergency stop")
-    with pytest.raises(Interrupted, match="drone 0: stopped: emergency stop: no take-off until its agent is started"):
+    with pytest.raises(
+        Interrupted,
+        match="drone 0: stopped: emergency stop: no take-off until its agent is started",
+    ):
         await a.take_off()
 
 
 @virtual
 async def test_a_rise_that_the_safety_table_has_stopped_goes_on(clock):
     began = clock.now()
-    async with in_the_world(clock, lambda: not 0.6 < clock.now() - began < 0.75) as (guidance, pilot):
+    async with in_the_world(clock, lambda: not 0.6 < clock.now() - began < 0.75) as (
+        guidance,
+        pilot,
+    ):
         await guidance.take_off(1.0)
         assert "pose" in pilot.note, "it was stopped"
         assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
@@ -124,14 +159,19 @@ async def test_a_rise_that_the_safety_table_has_stopped_goes_on(clock):
 @virtual
 async def test_a_low_rise_is_not_over_because_the_floor_is_near_it(clock):
     began = clock.now()
-    async with in_the_world(clock, lambda: not 0.05 < clock.now() - began < 0.2) as (guidance, pilot):
+    async with in_the_world(clock, lambda: not 0.05 < clock.now() - began < 0.2) as (
+        guidance,
+        pilot,
+    ):
         await guidance.take_off(0.15)
         assert "pose" in pilot.note, "it was stopped"
         assert guidance.state.p[2] == pytest.approx(0.15, abs=0.02)
 
 
 @virtual
-async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fence(clock):
+async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fence(
+    clock,
+):
     async with in_the_world(clock) as (guidance, pilot):
         rise = asyncio.create_task(guidance.take_off(2.5))
         await clock.sleep(1.5)
@@ -141,16 +181,23 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
         assert 0.2 < guidance.state.p[2] < 2.0
         pilot.hold(False)
         await rise
-        assert guidance.state.p[2] == pytest.approx(2.4, abs=base.ARRIVED), "inside the fence"
+        assert guidance.state.p[2] == pytest.approx(2.4, abs=base.ARRIVED), (
+            "inside the fence"
+        )
 
 
 @virtual
 async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
     async with in_the_world(clock) as (guidance, pilot):
-        with pytest.raises(ConfigError, match=r"take_off\(\): found str '1'; .*one number"):
+        with pytest.raises(
+            ConfigError, match=r"take_off\(\): found str '1'; .*one number"
+        ):
             await guidance.take_off("1")
         for bad in (2.51, -0.1, np.nan, np.inf):
-            with pytest.raises(ConfigError, match=r"drone 0: take_off\(\): .*allowed: 0 to 2.5 m above .*fence.max"):
+            with pytest.raises(
+                ConfigError,
+                match=r"drone 0: take_off\(\): .*allowed: 0 to 2.5 m above .*fence.max",
+            ):
                 await guidance.take_off(bad)
         assert pilot.mode is Mode.GROUND
 
@@ -159,7 +206,10 @@ async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
 async def test_a_place_outside_the_fence_is_refused_before_the_drone_moves(clock):
     async with in_the_air(clock) as (guidance, pilot):
         began = clock.now()
-        with pytest.raises(ConfigError, match=r"drone 0: go_to\(\) = \[9.0, 0.0, 1.0\]: outside the fence"):
+        with pytest.raises(
+            ConfigError,
+            match=r"drone 0: go_to\(\) = \[9.0, 0.0, 1.0\]: outside the fence",
+        ):
             await guidance.go_to([9.0, 0.0, 1.0])
         assert (clock.now(), pilot.mode, pilot.remaining()) == (began, Mode.HOVER, 0.0)
 
@@ -194,7 +244,9 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
 async def test_a_trajectory_that_the_safety_table_brakes_is_flown_on_from_there(clock):
     unseen = [math.inf, math.inf]
     way = circle((0.5, 0.0, 1.0), 0.5, 5.0)
-    async with in_the_world(clock, lambda: not unseen[0] <= clock.now() < unseen[1]) as (guidance, pilot):
+    async with in_the_world(
+        clock, lambda: not unseen[0] <= clock.now() < unseen[1]
+    ) as (guidance, pilot):
         await guidance.take_off(1.0)
         await guidance.go_to(way.sample(0.0).p)
         begins = clock.now()
@@ -229,7 +281,10 @@ async def test_a_trajectory_ends_whenever_it_has_begun(clock):
 
 @virtual
 async def test_a_trajectory_that_is_held_on_its_way_or_landed_is_not_flown(clock):
-    for stop, why in ((Pilot.hold, "held"), (lambda pilot: pilot.land("so be it"), "landing: so be it")):
+    for stop, why in (
+        (Pilot.hold, "held"),
+        (lambda pilot: pilot.land("so be it"), "landing: so be it"),
+    ):
         async with in_the_air(clock) as (guidance, pilot):
             way = circle((0.5, 0.0, pilot.state.p[2]), 0.5, 5.0)
             clock.call_at(clock.now_ns() + 4 * SECOND, stop, pilot)
@@ -248,7 +303,9 @@ async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
 
 
 @virtual
-async def test_a_landing_waits_while_an_operator_holds_the_drone_but_not_for_safety(clock):
+async def test_a_landing_waits_while_an_operator_holds_the_drone_but_not_for_safety(
+    clock,
+):
     async with in_the_air(clock) as (guidance, pilot):
         pilot.hold()
         landing = asyncio.create_task(guidance.land())
@@ -290,7 +347,9 @@ async def test_a_mission_that_is_over_flies_nothing(clock):
     async with in_the_air(clock) as (guidance, _):
         guidance.member.ended = "landed on command"
         for flight in (guidance.take_off, lambda: guidance.go_to([1.0, 0.0, 1.0])):
-            with pytest.raises(Interrupted, match="drone 0: its mission is over: landed on command"):
+            with pytest.raises(
+                Interrupted, match="drone 0: its mission is over: landed on command"
+            ):
                 await flight()
         with pytest.raises(Interrupted, match="its mission is over"):
             guidance.follow(FullState.at((1.0, 0.0, 1.0)))
@@ -300,11 +359,19 @@ async def test_a_mission_that_is_over_flies_nothing(clock):
 @virtual
 async def test_an_asynchronous_algorithm_flies_as_it_is(clock):
     both = pair(clock)
-    agents = [AsynchronousConsensus(i, [10.0 * i], {0: 0.5, 1: 0.5}, rounds=60) for i in (0, 1)]
+    agents = [
+        AsynchronousConsensus(i, [10.0 * i], {0: 0.5, 1: 0.5}, rounds=60)
+        for i in (0, 1)
+    ]
     began = clock.now()
     for guidance in both:
         guidance.member.communicator.port.bus.impairment.update({"loss": 0.4})
-    await asyncio.gather(*(g.optimize(a, pace=Pace((0.01, 0.03))) for g, a in zip(both, agents, strict=True)))
+    await asyncio.gather(
+        *(
+            g.optimize(a, pace=Pace((0.01, 0.03)))
+            for g, a in zip(both, agents, strict=True)
+        )
+    )
     assert 1.5 < clock.now() - began < 4.0
     assert abs(agents[0].x - agents[1].x) < 1e-6
     assert 0.1 < agents[0].x < 9.9
@@ -337,8 +404,16 @@ async def test_an_algorithm_that_needs_another_graph_is_refused_at_all_drones(cl
     for guidance in both:
         guidance.member.communicator.graph = graphs.empty(2)
     for i, guidance in enumerate(both):
-        with pytest.raises(ConfigError, match=r"graph of Consensus: found no path from agent 0 to \[1\]"):
+        with pytest.raises(
+            ConfigError,
+            match=r"graph of Consensus: found no path from agent 0 to \[1\]",
+        ):
             await guidance.optimize(Consensus(i, [1.0], {i: 1.0}, rounds=3))
     one_way = graphs.ring(3, directed=True)
-    with pytest.raises(ConfigError, match="graph of GradientTracking: found agent 1 hears agent 0, but not the other"):
-        require_graph(GradientTracking(0, [1.0], {0: 0.5, 2: 0.5}, lambda x: x, 0.1), one_way)
+    with pytest.raises(
+        ConfigError,
+        match="graph of GradientTracking: found agent 1 hears agent 0, but not the other",
+    ):
+        require_graph(
+            GradientTracking(0, [1.0], {0: 0.5, 2: 0.5}, lambda x: x, 0.1), one_way
+        )

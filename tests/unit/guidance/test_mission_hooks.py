@@ -43,20 +43,33 @@ def mission(tmp_path):
 @pytest.mark.parametrize(
     ("more", "found"),
     [
-        ("def report(results): ...", r"mine\.py: report: found def report\(results\); .*def report\(config, results\)"),
+        (
+            "def report(results): ...",
+            r"mine\.py: report: found def report\(results\); .*def report\(config, results\)",
+        ),
         ("def goal(): ...", r"goal: found def goal\(\); allowed: def goal\(config\)"),
-        ("async def check(config, force): ...", r"found async def check\(.*Drop `async`"),
+        (
+            "async def check(config, force): ...",
+            r"found async def check\(.*Drop `async`",
+        ),
         ("goal = {0: (0.0, 0.0, 1.0)}", "goal: found goal = dict .*another name"),
-        ("def guidance(i): ...", r"found def guidance\(i\); allowed: def guidance\(i, config\)"),
+        (
+            "def guidance(i): ...",
+            r"found def guidance\(i\); allowed: def guidance\(i, config\)",
+        ),
     ],
 )
-def test_a_hook_that_cannot_be_called_is_refused_when_the_file_is_loaded(mission, more, found):
+def test_a_hook_that_cannot_be_called_is_refused_when_the_file_is_loaded(
+    mission, more, found
+):
     with pytest.raises(ConfigError, match=found):
         mission(more)
 
 
 def test_a_hook_may_have_more_arguments_if_they_have_defaults(mission):
-    loaded = mission("def report(config, results, digits=3):\n    return {'digits': digits}")
+    loaded = mission(
+        "def report(config, results, digits=3):\n    return {'digits': digits}"
+    )
     assert loaded.report(SWARM, {}) == {"digits": 3}
     assert not has(loaded, "goal")
 
@@ -64,19 +77,37 @@ def test_a_hook_may_have_more_arguments_if_they_have_defaults(mission):
 @pytest.mark.parametrize(
     ("guidance", "found"),
     [
-        ("def guidance(i, config): return None", r"mine\.py: guidance\(i, config\): found None for drone 1"),
+        (
+            "def guidance(i, config): return None",
+            r"mine\.py: guidance\(i, config\): found None for drone 1",
+        ),
         ("def guidance(i, config): return Law", "found ABCMeta|found type"),
-        ("class A(CFDistributedFeedback):\n    def stp(self, me, heard): ...\n"
-         "def guidance(i, config): return A()", r"class A: found no step of its own.*'stp' meant to be 'step'"),
-        ("class A(CFDistributedFeedback):\n    def step(self, state): ...\n"
-         "def guidance(i, config): return A()", r"class A: step: found def step\(state\); .*step\(me, heard\)"),
-        ("class A(CFGuidance):\n    async def run(self): ...\n"
-         "def guidance(i, config): return A()", "class A: found no mission of its own.*async def mission"),
-        ("class A(CFGuidance):\n    def mission(self): ...\n"
-         "def guidance(i, config): return A()", "class A: mission: found def mission; .*Write `async`"),
-        ("def guidance(i, config): return config.wings", r"mine\.py:\d+: guidance.*AttributeError"),
+        (
+            "class A(CFDistributedFeedback):\n    def stp(self, me, heard): ...\n"
+            "def guidance(i, config): return A()",
+            r"class A: found no step of its own.*'stp' meant to be 'step'",
+        ),
+        (
+            "class A(CFDistributedFeedback):\n    def step(self, state): ...\n"
+            "def guidance(i, config): return A()",
+            r"class A: step: found def step\(state\); .*step\(me, heard\)",
+        ),
+        (
+            "class A(CFGuidance):\n    async def run(self): ...\n"
+            "def guidance(i, config): return A()",
+            "class A: found no mission of its own.*async def mission",
+        ),
+        (
+            "class A(CFGuidance):\n    def mission(self): ...\n"
+            "def guidance(i, config): return A()",
+            "class A: mission: found def mission; .*Write `async`",
+        ),
+        (
+            "def guidance(i, config): return config.wings",
+            r"mine\.py:\d+: guidance.*AttributeError",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_guidance_that_cannot_fly_is_refused(mission, guidance, found):
     with pytest.raises(ConfigError, match=found):
         mission(guidance).guidance(1, SWARM)
@@ -85,11 +116,31 @@ def test_a_guidance_that_cannot_fly_is_refused(mission, guidance, found):
 @pytest.mark.parametrize(
     ("more", "hook", "found"),
     [
-        ("def swarm(drones): return {}", "swarm", "found dict {}; allowed: a SwarmConfig"),
-        ("def check(config, force): return 'slow'", "check", "found str 'slow'; allowed: a list of warnings"),
-        ("def check(config, force): return 1 / 0", "check", r"mine\.py:\d+: check\(config, force\): found ZeroDiv"),
-        ("def goal(config): return {0: (0.0, 1.0)}", "goal", r"found tuple \(0.0, 1.0\) for drone 0"),
-        ("def goal(config): return {7: (0.0, 1.0, 2.0)}", "goal", "with drones 0, 1 in the swarm|with drones 0 to 1"),
+        (
+            "def swarm(drones): return {}",
+            "swarm",
+            "found dict {}; allowed: a SwarmConfig",
+        ),
+        (
+            "def check(config, force): return 'slow'",
+            "check",
+            "found str 'slow'; allowed: a list of warnings",
+        ),
+        (
+            "def check(config, force): return 1 / 0",
+            "check",
+            r"mine\.py:\d+: check\(config, force\): found ZeroDiv",
+        ),
+        (
+            "def goal(config): return {0: (0.0, 1.0)}",
+            "goal",
+            r"found tuple \(0.0, 1.0\) for drone 0",
+        ),
+        (
+            "def goal(config): return {7: (0.0, 1.0, 2.0)}",
+            "goal",
+            "with drones 0, 1 in the swarm|with drones 0 to 1",
+        ),
     ],
 )
 def test_what_a_hook_returns_is_checked(mission, more, hook, found):
@@ -104,13 +155,20 @@ def test_a_refusal_of_the_mission_itself_passes(mission):
 
 
 def test_the_line_is_that_of_the_mission_file_wherever_the_error_was_raised(mission):
-    with pytest.raises(ConfigError, match=r"mine\.py:15: goal\(config\): found JSONDecodeError"):
-        mission("import json\ndef goal(config):\n    return json.loads('{')").goal(SWARM)
+    with pytest.raises(
+        ConfigError, match=r"mine\.py:15: goal\(config\): found JSONDecodeError"
+    ):
+        mission("import json\ndef goal(config):\n    return json.loads('{')").goal(
+            SWARM
+        )
 
 
 def test_a_mission_file_imports_the_files_beside_it(mission):
     mission(name="beside_me.py")
-    loaded = mission(law="from beside_me import Law\ndef guidance(i, config): return Law()", name="other.py")
+    loaded = mission(
+        law="from beside_me import Law\ndef guidance(i, config): return Law()",
+        name="other.py",
+    )
     assert loaded.guidance(0, SWARM).duration == 0.5
 
 
@@ -120,7 +178,10 @@ def test_a_mission_file_imports_the_files_beside_it(mission):
 @pytest.mark.parametrize(
     ("body", "found"),
     [
-        ("return {'height': results[7]['height']}", r"mine\.py:\d+: report\(config, results\): found KeyError: 7"),
+        (
+            "return {'height': results[7]['height']}",
+            r"mine\.py:\d+: report\(config, results\): found KeyError: 7",
+        ),
         ("return 'done'", "found str 'done'; allowed: a dictionary"),
         ("return {'reasons': 'none'}", "found reasons = str 'none'"),
         ("raise TimeoutError('late')", "TimeoutError: late"),
@@ -153,19 +214,30 @@ def law_of(body):
 @pytest.mark.parametrize(
     ("body", "found"),
     [
-        ("return np.zeros(3)", "step() must return Acceleration(...), Velocity(...), FullState(...), Goto(...) or "
-         "None; found ndarray (3,)"),
+        (
+            "return np.zeros(3)",
+            "step() must return Acceleration(...), Velocity(...), FullState(...), Goto(...) or "
+            "None; found ndarray (3,)",
+        ),
         ("return 'up'", "Goto(...) or None; found str"),
-        ("return Acceleration(np.zeros(2))", "step() must return finite numbers, Acceleration of (3,)"),
-        ("return Acceleration(np.full(3, np.nan))", "found Acceleration(array([nan, nan, nan]), 0.0)"),
+        (
+            "return Acceleration(np.zeros(2))",
+            "step() must return finite numbers, Acceleration of (3,)",
+        ),
+        (
+            "return Acceleration(np.full(3, np.nan))",
+            "found Acceleration(array([nan, nan, nan]), 0.0)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_law_of_which_nothing_could_be_flown_has_failed(mission, body, found):
     result = fly_fast(SWARM, mission(law=law_of(body)))
     assert not result["success"]
     for i, own in result["results"].items():
         n = own["reason"].split(" in ")[1].split()[0]
-        assert own["reason"].startswith(f"drone {i}: the law gave no usable reference in {n} of {n} steps: ")
+        assert own["reason"].startswith(
+            f"drone {i}: the law gave no usable reference in {n} of {n} steps: "
+        )
         assert int(n) == pytest.approx(50, abs=1)
         assert found in own["reason"]
         assert own["references"] == 0
@@ -180,17 +252,23 @@ def test_a_law_that_acted_at_some_time_or_waits_is_none_that_never_acted(mission
     assert NOBODY_MOVED not in result["log"]
 
 
-def test_a_law_that_says_nothing_at_any_drone_is_a_success_with_a_warning(mission, caplog):
+def test_a_law_that_says_nothing_at_any_drone_is_a_success_with_a_warning(
+    mission, caplog
+):
     result = fly_fast(SWARM, mission(law=law_of("return None")))
     assert result["success"]
     assert result["log"][-1] == NOBODY_MOVED
     assert NOBODY_MOVED in caplog.text
 
 
-def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(tmp_path, monkeypatch):
+def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.py").write_text("import math\n\nx = 1 / 0\n")
     for path in ("mine.py", str(tmp_path / "mine.py")):
         with pytest.raises(ConfigError) as caught:
             load(path)
-        assert str(caught.value).startswith(f"mission {path}:3: found ZeroDivisionError: division by zero; allowed: ")
+        assert str(caught.value).startswith(
+            f"mission {path}:3: found ZeroDivisionError: division by zero; allowed: "
+        )

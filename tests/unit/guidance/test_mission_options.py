@@ -7,9 +7,17 @@ from crazychoir.guidance.mission import load, look_before
 
 FORMATIONS = ("bearing_formation", "containment", "distance_formation")
 MISSIONS = (
-    *FORMATIONS, "aggregative", "mpc", "targets", "goto", "head_on", "drawn_path", "crossing", "integrators",
+    *FORMATIONS,
+    "aggregative",
+    "mpc",
+    "targets",
+    "goto",
+    "head_on",
+    "drawn_path",
+    "crossing",
+    "integrators",
     "unicycles",
-)  # fmt: skip
+)
 
 
 def refused(name, said, **changes):
@@ -27,14 +35,25 @@ def test_the_missions_own_swarms_may_fly(name):
 
 @pytest.mark.parametrize("name", MISSIONS)
 def test_a_key_that_there_is_not_is_named(name):
-    refused(name, r"mission_options\.bogus = 1: there is no such key", mission_options={"bogus": 1})
+    refused(
+        name,
+        r"mission_options\.bogus = 1: there is no such key",
+        mission_options={"bogus": 1},
+    )
 
 
 @pytest.mark.parametrize("name", MISSIONS)
 def test_an_option_of_a_drone_that_there_is_not_is_named(name):
-    drones = [{"id": d.id, "home": d.home, "leader": d.leader, "uri": d.uri} for d in load(name).swarm(None).drones]
+    drones = [
+        {"id": d.id, "home": d.home, "leader": d.leader, "uri": d.uri}
+        for d in load(name).swarm(None).drones
+    ]
     drones[-1]["options"] = {"hight": 1.0}
-    refused(name, rf"drone {drones[-1]['id']}: options\.hight = 1.0: there is no such key", drones=drones)
+    refused(
+        name,
+        rf"drone {drones[-1]['id']}: options\.hight = 1.0: there is no such key",
+        drones=drones,
+    )
 
 
 @pytest.mark.parametrize(
@@ -51,7 +70,12 @@ def test_an_option_of_a_drone_that_there_is_not_is_named(name):
         ("bearing_formation", "letter", "Q", '"S" or "C"'),
         ("bearing_formation", "letter", "S", "one for each drone, 0 to 3"),
         ("bearing_formation", "shape", {"0": [0.0, 0.0]}, "drone ids and places"),
-        ("bearing_formation", "shape", {"0": [0.0, 0.0, 1.0]}, "one for each drone, 0 to 3"),
+        (
+            "bearing_formation",
+            "shape",
+            {"0": [0.0, 0.0, 1.0]},
+            "one for each drone, 0 to 3",
+        ),
         ("bearing_formation", "scatter", [1.0, 1.0], "three lengths"),
         ("containment", "leaders", "square", '"still", "circle" or "drawn"'),
         ("containment", "edges", "some", '"static" or "random"'),
@@ -66,8 +90,18 @@ def test_an_option_of_a_drone_that_there_is_not_is_named(name):
         ("aggregative", "leg", 0, "a time in s, above 0"),
         ("aggregative", "step_size", -1, "a share"),
         ("aggregative", "round_rate", True, "a rate in Hz"),
-        ("aggregative", "weights", [0, 0, 1], "intruder \\+ target above 0 and intruder \\+ team above 0"),
-        ("aggregative", "weights", [0, 1, 0], "intruder \\+ target above 0 and intruder \\+ team above 0"),
+        (
+            "aggregative",
+            "weights",
+            [0, 0, 1],
+            "intruder \\+ target above 0 and intruder \\+ team above 0",
+        ),
+        (
+            "aggregative",
+            "weights",
+            [0, 1, 0],
+            "intruder \\+ target above 0 and intruder \\+ team above 0",
+        ),
         ("aggregative", "weights", [-1, 2, 2], "each 0 to 1000"),
         ("aggregative", "target", [1e9, 0.0], "within 1000 m"),
         ("mpc", "horizon", 100_000, "3 steps or more, to start and to stop, to 50"),
@@ -97,19 +131,30 @@ def test_a_value_that_is_not_allowed_is_named_with_what_is(name, key, value, all
     refused(name, rf"mission_options\.{key}.*{allowed}", mission_options={key: value})
 
 
-@pytest.mark.parametrize(("key", "value"), [("speed", "fast"), ("speed", 0), ("goal", [1.0, 2.0, 3.0])])
+@pytest.mark.parametrize(
+    ("key", "value"), [("speed", "fast"), ("speed", 0), ("goal", [1.0, 2.0, 3.0])]
+)
 def test_the_options_of_a_drone_of_mpc_are_checked(key, value):
     drones = [{"id": 0, "home": [0, 0, 0], "options": {key: value}}]
-    refused("mpc", rf"drone 0: options\.{key}: found .*; allowed: a (speed|place)", drones=drones, graph="empty")
+    refused(
+        "mpc",
+        rf"drone 0: options\.{key}: found .*; allowed: a (speed|place)",
+        drones=drones,
+        graph="empty",
+    )
 
 
 @pytest.mark.parametrize(
     ("key", "value", "allowed"),
     [
-        ("bogus", 1, "there is no such key"), ("figure", "nine", '"circle" or "eight"'), ("size", 0, "a length in m"),
-        ("laps", 1e9, "a number of laps"), ("period", "short", "a time in s"), ("yaw", True, 'or "along"'),
+        ("bogus", 1, "there is no such key"),
+        ("figure", "nine", '"circle" or "eight"'),
+        ("size", 0, "a length in m"),
+        ("laps", 1e9, "a number of laps"),
+        ("period", "short", "a time in s"),
+        ("yaw", True, 'or "along"'),
     ],
-)  # fmt: skip
+)
 def test_the_options_of_a_figure_are_checked(key, value, allowed):
     mission, config = load("figure"), load("drawn_path").swarm(None)
     with pytest.raises(ConfigError, match=rf"mission_options\.{key}.*{allowed}"):
@@ -118,11 +163,19 @@ def test_the_options_of_a_figure_are_checked(key, value, allowed):
 
 def test_integrators_without_leaders_are_refused_by_name():
     mission = load("integrators")
-    robots = [{"id": r.id, "home": r.home, "uri": r.uri} for r in mission.swarm(None).drones]
+    robots = [
+        {"id": r.id, "home": r.home, "uri": r.uri} for r in mission.swarm(None).drones
+    ]
     with pytest.raises(Refused, match=r"drones \[0, 1, 2, 3, 4, 5\] hear no leader"):
         look_before(mission, mission.swarm(None).replace(drones=robots))
 
 
 def test_a_drones_height_is_a_height():
-    drones = [{"id": i, "home": [i, 0, 0], "options": {"height": "high"}} for i in range(4)]
-    refused("bearing_formation", r"drone 0: options\.height: found \"high\"; allowed: a height", drones=drones)
+    drones = [
+        {"id": i, "home": [i, 0, 0], "options": {"height": "high"}} for i in range(4)
+    ]
+    refused(
+        "bearing_formation",
+        r"drone 0: options\.height: found \"high\"; allowed: a height",
+        drones=drones,
+    )

@@ -18,7 +18,9 @@ NOISE = 0.0005
 
 def seen(t, draw, age=0.0, noise=NOISE):
     """What cameras see at t of one that moves along a curve."""
-    p = np.array([np.sin(t), 0.5 * np.cos(0.7 * t), 1.0]) + noise * draw.standard_normal(3)
+    p = np.array(
+        [np.sin(t), 0.5 * np.cos(0.7 * t), 1.0]
+    ) + noise * draw.standard_normal(3)
     return Pose(np.array([*p, 0.0, 0.0, 0.0, 1.0]), age)
 
 
@@ -33,7 +35,10 @@ def drift(holds, told, ages=0.0):
     draw, motion = np.random.default_rng(3), VelocityFilter()
     now, way, worst = 0.0, np.zeros(3), 0.0
     for hold, age in zip(holds, np.broadcast_to(ages, len(holds)), strict=True):
-        state = motion.update(Pose(np.array([*(NOISE * draw.standard_normal(3)), 0, 0, 0, 1.0]), age), now + age)
+        state = motion.update(
+            Pose(np.array([*(NOISE * draw.standard_normal(3)), 0, 0, 0, 1.0]), age),
+            now + age,
+        )
         way, now = way + hold * told(state, hold), now + hold
         worst = max(worst, float(np.abs(way).max()))
     return worst
@@ -41,7 +46,10 @@ def drift(holds, told, ages=0.0):
 
 def summed(holds):
     """What a VelocitySum tells, step by step."""
-    sums, last = VelocitySum(CUTOFF, H, H), iter([0, *(round(hold / H) for hold in holds)])
+    sums, last = (
+        VelocitySum(CUTOFF, H, H),
+        iter([0, *(round(hold / H) for hold in holds)]),
+    )
 
     def told(state, hold):
         held = next(last)
@@ -51,7 +59,11 @@ def summed(holds):
 
 
 def test_in_steps_on_time_it_tells_the_velocity_itself():
-    draw, motion, sums = np.random.default_rng(3), VelocityFilter(), VelocitySum(CUTOFF, H, H)
+    draw, motion, sums = (
+        np.random.default_rng(3),
+        VelocityFilter(),
+        VelocitySum(CUTOFF, H, H),
+    )
     for k in range(500):
         state = motion.update(seen(H * k, draw), H * k)
         told = sums.told(state, state.age, int(k > 0), int(k > 0))
@@ -62,7 +74,9 @@ def test_in_steps_on_time_it_tells_the_velocity_itself():
 @pytest.mark.parametrize("late", [0.0, 0.003])
 def test_late_steps_leave_no_trace_in_the_sum(longest, late):
     draw = np.random.default_rng(5)
-    holds = H * np.where(draw.uniform(size=20_000) < 0.1, draw.integers(2, longest + 1, 20_000), 1)
+    holds = H * np.where(
+        draw.uniform(size=20_000) < 0.1, draw.integers(2, longest + 1, 20_000), 1
+    )
     ages = draw.uniform(0.0, late, len(holds)) if late else 0.0
     assert drift(holds, summed(holds), ages) < 0.006
     assert drift(holds, lambda state, hold: state.v, ages) > 0.015, "what it is for"
@@ -77,8 +91,13 @@ def test_what_is_always_late_is_made_up_for_without_swinging(steps):
 def test_what_is_owed_is_told_within_some_steps():
     sums, v = VelocitySum(CUTOFF, H, H), np.array([0.5, 0.0, 0.0])
     sums.told(State.at((0.0, 0.0, 1.0), v), 0.0, 0, 0)
-    assert sums.told(State.at((0.01 + 0.01, 0.0, 1.0), v), 0.0, 2, 2).v[0] == pytest.approx(0.5 + 0.01 / (SPREAD * H))
-    owed = [sums.told(State.at((0.02 + 0.005 * k, 0.0, 1.0), v), 0.0, 1, 1).v[0] - 0.5 for k in range(1, 200)]
+    assert sums.told(State.at((0.01 + 0.01, 0.0, 1.0), v), 0.0, 2, 2).v[
+        0
+    ] == pytest.approx(0.5 + 0.01 / (SPREAD * H))
+    owed = [
+        sums.told(State.at((0.02 + 0.005 * k, 0.0, 1.0), v), 0.0, 1, 1).v[0] - 0.5
+        for k in range(1, 200)
+    ]
     assert H * sum(owed) == pytest.approx(0.009, abs=2e-7)
     assert owed[-1] == 0.0
 
@@ -102,7 +121,10 @@ def test_what_is_no_number_is_forgotten(broken):
 def test_after_a_long_gap_it_starts_anew(held):
     sums = VelocitySum(CUTOFF, H, H)
     sums.told(State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0)), 0.0, 0, 0)
-    assert sums.told(State.at((3.0, 0.0, 1.0), (0.5, 0.0, 0.0)), 0.0, held, held).v[0] == 0.5
+    assert (
+        sums.told(State.at((3.0, 0.0, 1.0), (0.5, 0.0, 0.0)), 0.0, held, held).v[0]
+        == 0.5
+    )
 
 
 # A neighbour ---------------------------------------------------------------------------------------------------------
@@ -120,7 +142,9 @@ class Neighbor:
         """A period goes by; its state, that arrives so many times, and what a law is told of it."""
         await self.clock.sleep(H)
         now = self.clock.now()
-        state = self.filter.update(seen(now - self.latency, self.draw, self.latency, self.noise), now)
+        state = self.filter.update(
+            seen(now - self.latency, self.draw, self.latency, self.noise), now
+        )
         for _ in range(arrives):
             self.hearing.put(state, state.age)
         return state, self.hearing.state(self.clock.now_ns(), 1)
@@ -148,7 +172,11 @@ def test_the_sum_of_the_velocities_is_right_though_messages_are_lost(loss, laten
             arrives = k == 0 or draw.uniform() >= loss
             state, heard = await neighbor.step(arrives)
             newest = state if arrives else newest
-            sent, told, naive = sent + H * state.v, told + H * heard.v, naive + H * newest.v
+            sent, told, naive = (
+                sent + H * state.v,
+                told + H * heard.v,
+                naive + H * newest.v,
+            )
             steady.append(np.abs(told - sent).max())
             drifted.append(np.abs(naive - sent).max())
         assert max(steady[100:]) < 0.012
@@ -161,7 +189,14 @@ def test_the_sum_of_the_velocities_is_right_though_messages_are_lost(loss, laten
 async def test_messages_that_come_two_and_none_a_step_leave_no_trace(clock):
     neighbor, draw = Neighbor(clock), np.random.default_rng(5)
     await neighbor.step()
-    sent, told, naive, waiting, worst, drifted = np.zeros(3), np.zeros(3), np.zeros(3), 0, 0.0, 0.0
+    sent, told, naive, waiting, worst, drifted = (
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros(3),
+        0,
+        0.0,
+        0.0,
+    )
     newest = None
     for _ in range(8000):
         late = draw.uniform() < 0.3
@@ -169,7 +204,10 @@ async def test_messages_that_come_two_and_none_a_step_leave_no_trace(clock):
         waiting = int(late)
         newest = state if not late or newest is None else newest
         sent, told, naive = sent + H * state.v, told + H * heard.v, naive + H * newest.v
-        worst, drifted = max(worst, np.abs(told - sent).max()), max(drifted, np.abs(naive - sent).max())
+        worst, drifted = (
+            max(worst, np.abs(told - sent).max()),
+            max(drifted, np.abs(naive - sent).max()),
+        )
     assert worst < 0.006
     assert drifted > 2.0 * worst, "what it is for"
 
@@ -187,7 +225,9 @@ async def test_in_a_gap_the_state_is_moved_on_at_constant_velocity(clock):
 
 
 @virtual
-async def test_the_acceleration_that_was_heard_last_is_told_until_the_next_one_comes(clock):
+async def test_the_acceleration_that_was_heard_last_is_told_until_the_next_one_comes(
+    clock,
+):
     neighbor, draw = Neighbor(clock), np.random.default_rng(5)
     heard = None
     for k in range(200):
@@ -196,7 +236,9 @@ async def test_the_acceleration_that_was_heard_last_is_told_until_the_next_one_c
         state = neighbor.filter.update(seen(now, draw), now)
         if k == 0 or draw.uniform() < 0.5:
             heard = np.array([k, 0.0, -1.0])
-            neighbor.hearing.put(State(state.flat, state.age, heard), state.age + 0.002 * (k % 3))
+            neighbor.hearing.put(
+                State(state.flat, state.age, heard), state.age + 0.002 * (k % 3)
+            )
         told = neighbor.hearing.state(clock.now_ns(), 1 + k % 2)
         assert told.a.tolist() == heard.tolist()
 
@@ -207,7 +249,9 @@ async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
     for _ in range(20):
         await neighbor.step()
     told = [(await neighbor.step(arrives=0))[1] for _ in range(40)]
-    assert [one is None for one in told] == [k * H > STATE.max_age + 1e-9 for k in range(1, 41)]
+    assert [one is None for one in told] == [
+        k * H > STATE.max_age + 1e-9 for k in range(1, 41)
+    ]
     state, heard = await neighbor.step()
     assert heard.flat.tolist() == state.flat.tolist()
 
@@ -218,14 +262,24 @@ async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
 def commanded(k):
     """One that accelerates, seen in tick k: a was commanded in the tick before."""
     t = H * k
-    return State(State.at((0.5 * t * t, -t, 1.0), (t, -1.0, 0.0)).flat, 0.0, np.array([k - 1.0, 0.0, 0.0]))
+    return State(
+        State.at((0.5 * t * t, -t, 1.0), (t, -1.0, 0.0)).flat,
+        0.0,
+        np.array([k - 1.0, 0.0, 0.0]),
+    )
 
 
 @pytest.mark.parametrize("delay", [0, 2])
 def test_place_and_velocity_are_told_with_the_acceleration_of_their_tick(delay):
     @virtual
     async def flown(clock):
-        paired, draw, pair, newest, lost = Paired(clock, "state", H), np.random.default_rng(5), None, 0, 0
+        paired, draw, pair, newest, lost = (
+            Paired(clock, "state", H),
+            np.random.default_rng(5),
+            None,
+            0,
+            0,
+        )
         await clock.sleep(1.0)
         for k in range(2, 300):
             await clock.sleep(H)
@@ -236,7 +290,9 @@ def test_place_and_velocity_are_told_with_the_acceleration_of_their_tick(delay):
             assert told.age == pytest.approx((k - newest + delay) * H), "of the message"
             assert told.a.tolist() == commanded(newest).a.tolist()
             if k == 2:
-                assert told.flat.tolist() == commanded(2).flat.tolist(), "nothing came before the first"
+                assert told.flat.tolist() == commanded(2).flat.tolist(), (
+                    "nothing came before the first"
+                )
             elif newest == k:
                 pair, before = told, commanded(k - 1)
                 np.testing.assert_allclose(told.v, before.v, atol=1e-12)

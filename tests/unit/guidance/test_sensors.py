@@ -21,7 +21,12 @@ from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.simulation.remote import RemoteLink
 from crazychoir.simulation.telemetry import names_of
 
-BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.3,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 EMPTY = 3.9
 """V, below which the drone of these tests lands: its battery is at 90 % at the start."""
 
@@ -35,7 +40,9 @@ def flown(guidance, config):
     """The result of drone 0, and what an observer has heard of its telemetry."""
 
     async def main(clock):
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: guidance), (0,))
+        agent = Agent(
+            clock, config, SimpleNamespace(guidance=lambda i, config: guidance), (0,)
+        )
         agent.bus.port(OBSERVER)
         heard = DropOldest(clock, "telemetry", 10_000)
         agent.bus.subscribe(TELEMETRY, 0, OBSERVER, heard)
@@ -58,12 +65,20 @@ class UntilEmpty(CFGuidance):
             await self.sleep(0.05)
         age, seconds = battery.age("pm.vbat"), self.member.clock.now() - began
         await self.land()
-        return {"none": none, "volts": volts, "age": age, "seconds": seconds, "thrust": battery["stabilizer.thrust"]}
+        return {
+            "none": none,
+            "volts": volts,
+            "age": age,
+            "seconds": seconds,
+            "thrust": battery["stabilizer.thrust"],
+        }
 
 
 @pytest.mark.parametrize("charge", [0.95, 0.5])
 def test_a_mission_lands_when_its_battery_is_below_a_threshold(charge):
-    result, messages = flown(UntilEmpty(), config_of("sim://motors", motors={"battery": charge}))
+    result, messages = flown(
+        UntilEmpty(), config_of("sim://motors", motors={"battery": charge})
+    )
     assert result["success"], result
     assert result["none"] is None
     assert 3.5 < result["volts"] <= EMPTY
@@ -84,8 +99,17 @@ class Level(CFDistributedFeedback):
         self.seen = []
 
     def step(self, me, heard):
-        said = self.log("stabilizer.roll", "stabilizer.pitch", "stateEstimate.z", period=0.01)
-        self.seen.append((me.p[2], said["stateEstimate.z"], said.age("stateEstimate.z"), said["stabilizer.roll"]))
+        said = self.log(
+            "stabilizer.roll", "stabilizer.pitch", "stateEstimate.z", period=0.01
+        )
+        self.seen.append(
+            (
+                me.p[2],
+                said["stateEstimate.z"],
+                said.age("stateEstimate.z"),
+                said["stabilizer.roll"],
+            )
+        )
 
 
 @pytest.mark.parametrize("uri", ["sim://", "sim://motors"])
@@ -95,7 +119,10 @@ def test_a_law_reads_its_sensors_in_each_step(uri):
     assert result["success"]
     later = law.seen[10:]
     assert len(later) > 80
-    assert all(abs(z - seen) < 0.02 and age < 0.021 and abs(roll) < 5.0 for z, seen, age, roll in later), later
+    assert all(
+        abs(z - seen) < 0.02 and age < 0.021 and abs(roll) < 5.0
+        for z, seen, age, roll in later
+    ), later
     assert 90 < messages < 400, "one each 10 ms from the first step on"
 
 
@@ -116,7 +143,9 @@ def test_nothing_is_published_that_nobody_asked_for():
         ("sim://", "gyro.w", "gyro.x"),
     ],
 )
-def test_names_that_a_platform_does_not_have_are_refused_with_the_nearest(uri, name, near):
+def test_names_that_a_platform_does_not_have_are_refused_with_the_nearest(
+    uri, name, near
+):
     class Asks(CFGuidance):
         async def mission(self):
             self.log(name)
@@ -128,13 +157,22 @@ def test_names_that_a_platform_does_not_have_are_refused_with_the_nearest(uri, n
 
 @pytest.mark.parametrize("period", [0.0, 0.015, 3.0, math.nan])
 def test_periods_are_those_of_the_firmwares_log_blocks(period):
-    sensors = Sensors(SimpleNamespace(address=3, bus=SimpleNamespace(clock=None)), 3, ("a.b",), lambda *asked: None)
-    with pytest.raises(ConfigError, match=r"drone 3: log.*multiples of 0.01 s up to 2.55 s"):
+    sensors = Sensors(
+        SimpleNamespace(address=3, bus=SimpleNamespace(clock=None)),
+        3,
+        ("a.b",),
+        lambda *asked: None,
+    )
+    with pytest.raises(
+        ConfigError, match=r"drone 3: log.*multiples of 0.01 s up to 2.55 s"
+    ):
         sensors.log(("a.b",), period)
 
 
 @virtual
-async def test_a_body_in_the_process_of_its_owner_says_what_it_is_asked_and_refuses_the_rest(clock):
+async def test_a_body_in_the_process_of_its_owner_says_what_it_is_asked_and_refuses_the_rest(
+    clock,
+):
     config = config_of("sim://", world={"owned": True})
     world = WorldProcess(clock, config, "world", "here", 1)
     port = world.bus.port(0)  # the drone's, without a network between

@@ -6,7 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.guidance.turns import AROUND, LEAVES, NEAR, PATIENT, Turns, aside, blocked, first_at
+from crazychoir.guidance.turns import (
+    AROUND,
+    LEAVES,
+    NEAR,
+    PATIENT,
+    Turns,
+    aside,
+    blocked,
+    first_at,
+)
 from crazychoir.safety.collision.neighbour_table import BORN, COLUMNS
 from crazychoir.safety.rules.guard import Fence
 
@@ -21,10 +30,16 @@ def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
         row[0:3], row[BORN] = (P[0] + away, P[1], z), now - age
     return SimpleNamespace(
-        drone=ME, clock=SimpleNamespace(now=lambda: now), limits=SimpleNamespace(ground=0.0), fence=HALL,
-        clearance=SimpleNamespace(traffic=SimpleNamespace(rows=rows, ids=list(others)), gave_way=gave_way),
-        state=SimpleNamespace(p=np.array(at)), gap=lambda p: float(np.linalg.norm(np.subtract(p, at))),
-    )  # fmt: skip
+        drone=ME,
+        clock=SimpleNamespace(now=lambda: now),
+        limits=SimpleNamespace(ground=0.0),
+        fence=HALL,
+        clearance=SimpleNamespace(
+            traffic=SimpleNamespace(rows=rows, ids=list(others)), gave_way=gave_way
+        ),
+        state=SimpleNamespace(p=np.array(at)),
+        gap=lambda p: float(np.linalg.norm(np.subtract(p, at))),
+    )
 
 
 @pytest.mark.parametrize(
@@ -43,19 +58,28 @@ def test_the_lowest_of_those_that_fly_near_a_place_is_first(others, first):
 
 
 def test_who_gives_way_to_nobody_is_first():
-    assert first_at(SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P) == ME
+    assert (
+        first_at(SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P)
+        == ME
+    )
 
 
 def test_the_others_wait_on_their_own_side_as_high_as_the_place():
-    assert aside(np.add(P, [0.0, -0.2, 0.3]), P, HALL) == pytest.approx(P - [0.0, AROUND, 0.0])
+    assert aside(np.add(P, [0.0, -0.2, 0.3]), P, HALL) == pytest.approx(
+        P - [0.0, AROUND, 0.0]
+    )
     assert np.linalg.norm(aside(P, P, HALL) - P) == pytest.approx(AROUND)
 
 
 def test_where_the_fence_is_near_they_wait_on_another_side():
     wall = np.array([0.0, 2.8, 0.5])
     here = np.add(wall, [0.0, 0.1, 0.0])
-    assert aside(here, wall, HALL) == pytest.approx(np.subtract(wall, [AROUND, 0.0, 0.0]))
-    assert aside(here, wall, Fence.box((-0.1, 2.7, 0.0), (0.1, 2.9, 2.0)))[1] > 3.0, "there is none"
+    assert aside(here, wall, HALL) == pytest.approx(
+        np.subtract(wall, [AROUND, 0.0, 0.0])
+    )
+    assert aside(here, wall, Fence.box((-0.1, 2.7, 0.0), (0.1, 2.9, 2.0)))[1] > 3.0, (
+        "there is none"
+    )
 
 
 def seen(turns, **changes):
@@ -71,12 +95,16 @@ def test_who_is_hindered_for_long_leaves_its_place_to_a_lower_id_for_a_while():
     turns = Turns(pilot(SHARED, at=NEXT))
     at = {"others": SHARED, "at": NEXT}
     assert turns.to(P) is P
-    assert seen(turns, now=12.0, gave_way=12.0, **at).to(P) is P, "it may get out of the way"
+    assert seen(turns, now=12.0, gave_way=12.0, **at).to(P) is P, (
+        "it may get out of the way"
+    )
     left = seen(turns, now=10.1 + PATIENT, gave_way=10.1 + PATIENT, **at).to(P)
     assert left == pytest.approx(P - [AROUND, 0.0, 0.0])
     later = 10.2 + PATIENT
     assert seen(turns, now=later, **at).to(P) is left
-    assert seen(turns, now=later, others={}, at=NEXT).to(P) is P, "the other one has gone"
+    assert seen(turns, now=later, others={}, at=NEXT).to(P) is P, (
+        "the other one has gone"
+    )
     assert seen(turns, now=later + LEAVES, **at).to(P) is P, "it has had its time"
 
 
@@ -86,8 +114,12 @@ def test_who_wants_nothing_gets_out_of_the_way_at_once_and_stays_there():
     left = seen(turns, others=SHARED, at=NEXT, gave_way=10.0).away()
     assert left == pytest.approx(np.add(P, [0.1 - AROUND, 0.0, 0.0]))
     assert seen(turns, others=SHARED, at=NEXT, now=11.0).away() is left
-    assert seen(turns, others=SHARED, at=left, now=11.0, gave_way=11.0).away() is None, "it is there"
-    assert seen(turns, others={}, at=NEXT, now=20.0, gave_way=20.0).away() is None, "nobody is near"
+    assert (
+        seen(turns, others=SHARED, at=left, now=11.0, gave_way=11.0).away() is None
+    ), "it is there"
+    assert seen(turns, others={}, at=NEXT, now=20.0, gave_way=20.0).away() is None, (
+        "nobody is near"
+    )
 
 
 def test_one_is_hindered_for_half_a_second_after_it_gave_way():

@@ -16,9 +16,15 @@ from crazychoir.launch import console as show
 from crazychoir.types import Acceleration, Status
 
 RUN = {
-    "mission": "m", "success": True, "drones": 4, "here": [0, 1, 2, 3], "reasons": {}, "absent": [], "wall_s": 2.0,
+    "mission": "m",
+    "success": True,
+    "drones": 4,
+    "here": [0, 1, 2, 3],
+    "reasons": {},
+    "absent": [],
+    "wall_s": 2.0,
     "messages": {"sent": 3},
-}  # fmt: skip
+}
 
 
 def printed(table, width=200):
@@ -39,17 +45,27 @@ def test_an_error_is_one_object_and_a_text(screen, capsys):
     with pytest.raises(typer.Exit) as ended:
         show.fail(ConfigError("here", 3, "4"), as_json=True)
     assert ended.value.exit_code == 2
-    said = {"success": False, "error": "here: found 3; allowed: 4.", "kind": "ConfigError"}
+    said = {
+        "success": False,
+        "error": "here: found 3; allowed: 4.",
+        "kind": "ConfigError",
+    }
     assert json.loads(capsys.readouterr().out) == said
     assert "here: found 3; allowed: 4." in screen.getvalue()
 
 
 def test_whatever_travels_is_printed_as_json(capsys):
-    value = {1: np.arange(2.0), "me": Acceleration(np.zeros(3)), (0, 1): [np.float32(0.5), float("nan"), float("inf")]}
+    value = {
+        1: np.arange(2.0),
+        "me": Acceleration(np.zeros(3)),
+        (0, 1): [np.float32(0.5), float("nan"), float("inf")],
+    }
     show.write_json(value)
     assert json.loads(capsys.readouterr().out) == {
-        "1": [0.0, 1.0], "me": {"a": [0.0, 0.0, 0.0], "yaw": 0.0}, "(0, 1)": [0.5, None, None],
-    }  # fmt: skip
+        "1": [0.0, 1.0],
+        "me": {"a": [0.0, 0.0, 0.0], "yaw": 0.0},
+        "(0, 1)": [0.5, None, None],
+    }
 
 
 def test_what_missions_and_their_programs_print_is_not_on_standard_output(capfd):
@@ -72,10 +88,22 @@ def test_a_refusal_says_once_that_it_is_one(screen):
 
 def flying():
     """What an observer knows of six drones: one has not been heard, one has trouble, 4 and 5 are back on the ground."""
-    usual = {"phase": "mission", "task": "planning: column generation", "round": 85, "cost": 32.6247, "sent": 52430,
-             "lost": 10340, "resent": 11770}  # fmt: skip
+    usual = {
+        "phase": "mission",
+        "task": "planning: column generation",
+        "round": 85,
+        "cost": 32.6247,
+        "sent": 52430,
+        "lost": 10340,
+        "resent": 11770,
+    }
     statuses = {i: Status(**usual) for i in (1, 2, 3)} | {
-        1: Status(**usual, suspect=[2], gone=[0, 4], note="pose 0.11 s old, limit 0.10 s: braking, " * 8),
+        1: Status(
+            **usual,
+            suspect=[2],
+            gone=[0, 4],
+            note="pose 0.11 s old, limit 0.10 s: braking, " * 8,
+        ),
         4: Status(**usual | {"phase": "on ground", "task": "done: 4 stops"}, gone=[5]),
         5: Status(**usual | {"phase": "on ground", "task": "landing"}, gone=[4]),
     }
@@ -83,14 +111,31 @@ def flying():
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_a_drone_of_the_live_table_takes_one_line_and_nothing_is_cut_but_notes(monkeypatch, width):
+def test_a_drone_of_the_live_table_takes_one_line_and_nothing_is_cut_but_notes(
+    monkeypatch, width
+):
     monkeypatch.setattr(show, "STDERR", Console(file=io.StringIO(), width=width))
     lines = printed(show.status_table(flying()), width).splitlines()
     head, _, *rows = lines
-    assert head.split()[:6] == ["drone", "phase", "task", "round", "cost", "sent" if width == 120 else "lost"]
+    assert head.split()[:6] == [
+        "drone",
+        "phase",
+        "task",
+        "round",
+        "cost",
+        "sent" if width == 120 else "lost",
+    ]
     assert [row[0] for row in rows[:6]] == list("012345")
     assert "not heard yet" in rows[0]
-    assert rows[2].split()[:7] == ["2", "mission", "planning:", "column", "generation", "85", "32.625"]
+    assert rows[2].split()[:7] == [
+        "2",
+        "mission",
+        "planning:",
+        "column",
+        "generation",
+        "85",
+        "32.625",
+    ]
     assert [line for line in lines if "…" in line] == [rows[6]], "only a note is cut"
     assert rows[6].startswith("drone 1: pose 0.11 s old, limit 0.10 s: braking")
     assert max(map(len, lines)) <= width
@@ -104,16 +149,28 @@ def test_a_drone_that_is_back_on_the_ground_is_not_missed():
     waiting = Status("on ground", WAITING)
     score = flying()
     score.statuses[4] = waiting
-    assert "4!" in printed(show.status_table(score)).splitlines()[3], "one that has not begun is missed"
+    assert "4!" in printed(show.status_table(score)).splitlines()[3], (
+        "one that has not begun is missed"
+    )
     quiet = SimpleNamespace(ids=(0,), statuses={0: waiting})
     assert "silent:" not in printed(show.status_table(quiet)), "nothing to explain"
 
 
 def test_a_line_a_pair_of_hosts_says_how_far_their_clocks_are_apart():
     there = {"hosts": ["a"], "offsets": [-1000.00012], "offset_errors": [0.0004]}
-    here = {"hosts": ["b", "c"], "offsets": [1000.0001, -2.0], "offset_errors": [0.0003, 0.01]}
-    statuses = {0: Status("x", host="a", **here), 1: Status("x", host="a", **here), 2: Status("x", host="b", **there)}
-    lines = printed(show.status_table(SimpleNamespace(ids=(0, 1, 2), statuses=statuses))).splitlines()
+    here = {
+        "hosts": ["b", "c"],
+        "offsets": [1000.0001, -2.0],
+        "offset_errors": [0.0003, 0.01],
+    }
+    statuses = {
+        0: Status("x", host="a", **here),
+        1: Status("x", host="a", **here),
+        2: Status("x", host="b", **there),
+    }
+    lines = printed(
+        show.status_table(SimpleNamespace(ids=(0, 1, 2), statuses=statuses))
+    ).splitlines()
     assert [line.rstrip() for line in lines if "clock" in line] == [
         "the clock of host b is 1000.000100 s ahead of that of a, within 0.000300 s",
         "the clock of host c is 2.000000 s behind that of a, within 0.010000 s",
@@ -137,7 +194,12 @@ def test_a_run_on_the_wall_clock_has_one_time():
 
 
 def test_what_a_mission_reports_is_shown_if_it_is_figures_in_a_row_too():
-    report = {"radii": [0.5, 0.51], "gaps": SimpleNamespace(tolist=lambda: [89.98]), "plan": [{"task": 3}], "left": []}
+    report = {
+        "radii": [0.5, 0.51],
+        "gaps": SimpleNamespace(tolist=lambda: [89.98]),
+        "plan": [{"task": 3}],
+        "left": [],
+    }
     text = printed(show.summary_table(RUN | report | {"report": list(report)}))
     assert "0.5, 0.51" in text
     assert "89.98" in text
@@ -149,26 +211,42 @@ def test_a_run_is_named_by_its_mission_and_the_swarm_that_has_a_file():
     there = RUN | {"mission": "/home/who/law.py"}
     assert "law.py: success" in printed(show.summary_table(there))
     assert "/home" not in printed(show.summary_table(there))
-    assert "swarm lab, law.py: success" in " ".join(printed(show.summary_table(there | {"swarm": "lab"})).split())
+    assert "swarm lab, law.py: success" in " ".join(
+        printed(show.summary_table(there | {"swarm": "lab"})).split()
+    )
 
 
 def test_a_run_says_who_failed():
-    text = printed(show.summary_table(RUN | {"success": False, "reasons": {1: "drone 1: lost"}, "absent": [2]}))
+    text = printed(
+        show.summary_table(
+            RUN | {"success": False, "reasons": {1: "drone 1: lost"}, "absent": [2]}
+        )
+    )
     assert "m: failed" in text
     assert text.count("drone 1") == 1, "its name is said once"
     assert "lost" in text
-    text = printed(show.summary_table(RUN | {"success": False, "reason": "nobody came"}))
+    text = printed(
+        show.summary_table(RUN | {"success": False, "reason": "nobody came"})
+    )
     assert "nobody came" in text
     assert "drone 1" not in text
 
 
 def test_a_run_that_its_operator_has_landed_is_a_success_and_says_so():
-    landed = {"success": True, "reasons": {}, "ended": {0: "landed on command", 1: "drone 1: sent home on command"}}
+    landed = {
+        "success": True,
+        "reasons": {},
+        "ended": {0: "landed on command", 1: "drone 1: sent home on command"},
+    }
     text = printed(show.summary_table(RUN | landed))
     assert "m: success, ended by its operator" in text
     assert "landed on command" in text
     assert text.count("drone 1") == 1, "its name is said once"
-    failed = landed | {"success": False, "reasons": {1: "drone 1: lost"}, "ended": {0: "landed on command"}}
+    failed = landed | {
+        "success": False,
+        "reasons": {1: "drone 1: lost"},
+        "ended": {0: "landed on command"},
+    }
     assert "m: failed" in printed(show.summary_table(RUN | failed))
 
 
@@ -177,7 +255,12 @@ def test_a_run_says_where_its_recording_is_and_what_it_lacks():
     text = printed(show.summary_table(RUN | {"recording": whole}))
     assert "a.mcap: 7 messages" in text
     assert "lost" not in text
-    text = printed(show.summary_table(RUN | {"recording": whole | {"lost": 2, "missed": 3, "error": "No space left"}}))
+    text = printed(
+        show.summary_table(
+            RUN
+            | {"recording": whole | {"lost": 2, "missed": 3, "error": "No space left"}}
+        )
+    )
     assert "a.mcap: 7 messages, 2 lost, 3 missed; ended early: No space left" in text
     assert "recording" not in printed(show.summary_table(RUN | {"recording": None}))
 
@@ -221,7 +304,9 @@ def test_what_fails_in_the_same_way_in_many_drones_is_traced_once(capfd):
             try:
                 laws[law]()
             except np.linalg.LinAlgError as error:
-                logging.getLogger("crazychoir").error("drone %d failed", drone, exc_info=error)
+                logging.getLogger("crazychoir").error(
+                    "drone %d failed", drone, exc_info=error
+                )
     finally:
         root.handlers[:] = before
     said = capfd.readouterr().err

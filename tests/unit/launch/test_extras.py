@@ -22,14 +22,30 @@ def nothing_installed(monkeypatch):
 
 
 def swarm(uri="mujoco://", **tables):
-    drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0], "uri": uri.format(19850 + i)} for i in range(4)]
-    return SwarmConfig.of({"name": "four", "mission": "figure", "graph": "empty", "drones": drones, **tables})
+    drones = [
+        {"id": i, "home": [1.0 * i, 0.0, 0.0], "uri": uri.format(19850 + i)}
+        for i in range(4)
+    ]
+    return SwarmConfig.of(
+        {
+            "name": "four",
+            "mission": "figure",
+            "graph": "empty",
+            "drones": drones,
+            **tables,
+        }
+    )
 
 
 @pytest.mark.parametrize(
     ("config", "owners", "fast", "words"),
     [
-        (swarm(), [WORLD], False, "drone 0: uri = .mujoco://.: found no module mujoco; .*'crazychoir.mujoco.'"),
+        (
+            swarm(),
+            [WORLD],
+            False,
+            "drone 0: uri = .mujoco://.: found no module mujoco; .*'crazychoir.mujoco.'",
+        ),
         (swarm(), [], True, "no module mujoco"),
         (
             swarm("udp://127.0.0.1:{}", mocap={"source": "vicon"}),
@@ -39,7 +55,9 @@ def swarm(uri="mujoco://", **tables):
         ),
     ],
 )
-def test_what_a_run_needs_here_is_named_with_how_to_install_it(nothing_installed, config, owners, fast, words):
+def test_what_a_run_needs_here_is_named_with_how_to_install_it(
+    nothing_installed, config, owners, fast, words
+):
     with pytest.raises(ConfigError, match=words):
         require_extras(config, owners, fast)
 
@@ -50,7 +68,9 @@ def test_what_other_machines_run_or_nothing_needs_is_not_asked_for(nothing_insta
     require_extras(swarm("udp://127.0.0.1:{}"), [MOCAP], fast=False)
 
 
-def test_a_run_says_it_once_and_starts_no_process(nothing_installed, monkeypatch, tmp_path):
+def test_a_run_says_it_once_and_starts_no_process(
+    nothing_installed, monkeypatch, tmp_path
+):
     started = []
     monkeypatch.setattr(flight, "run_children", lambda *words: started.append(words))
     file = tmp_path / "four.json"

@@ -8,7 +8,15 @@ from types import SimpleNamespace
 from crazychoir.agent.drone import WAITING
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.launch.flight import NO_REASON, NO_REASONS, NO_RESULT, all_wait, fly_fast, owners, summary
+from crazychoir.launch.flight import (
+    NO_REASON,
+    NO_REASONS,
+    NO_RESULT,
+    all_wait,
+    fly_fast,
+    owners,
+    summary,
+)
 from crazychoir.types import Status
 
 
@@ -21,23 +29,43 @@ MISSION = SimpleNamespace(guidance=lambda i, config: None)
 
 def result_of(results, here=None, mission=MISSION, touching=None):
     score = SimpleNamespace(
-        min_separation=0.5, touching=touching or {}, flown={0: 1.23456}, log=deque(["a line"]),
+        min_separation=0.5,
+        touching=touching or {},
+        flown={0: 1.23456},
+        log=deque(["a line"]),
         statuses={0: Status("on ground", round=7)},
-        messages=lambda: {"sent": 3}, formation=dict, tracks={},
-    )  # fmt: skip
+        messages=lambda: {"sent": 3},
+        formation=dict,
+        tracks={},
+    )
     return summary(default_swarm(3), mission, results, score, 10.0, 2.0, here)
 
 
 def test_a_run_succeeds_when_every_drone_does():
     result = result_of({i: {"success": True} for i in range(3)})
     assert result["success"] is True
-    assert (result["drones"], result["here"], result["absent"], result["reasons"]) == (3, [0, 1, 2], [], {})
-    assert (result["real_time_factor"], result["rounds"], result["flown_m"]) == (5.0, 7, {0: 1.2346})
+    assert (result["drones"], result["here"], result["absent"], result["reasons"]) == (
+        3,
+        [0, 1, 2],
+        [],
+        {},
+    )
+    assert (result["real_time_factor"], result["rounds"], result["flown_m"]) == (
+        5.0,
+        7,
+        {0: 1.2346},
+    )
     assert json.loads(json.dumps(result))["log"] == ["a line"]
 
 
 def test_a_drone_that_fails_gives_its_reason():
-    result = result_of({0: {"success": True}, 2: {"success": False}, 1: {"success": False, "reason": "lost"}})
+    result = result_of(
+        {
+            0: {"success": True},
+            2: {"success": False},
+            1: {"success": False, "reason": "lost"},
+        }
+    )
     assert result["success"] is False
     assert result["reasons"] == {1: "lost", 2: NO_REASON}
 
@@ -58,7 +86,9 @@ def test_the_drones_that_were_started_here_decide():
 
 
 def test_a_mission_reports_on_all_or_not_at_all():
-    mission = SimpleNamespace(report=lambda config, results: {"success": False, "cost": 3.0})
+    mission = SimpleNamespace(
+        report=lambda config, results: {"success": False, "cost": 3.0}
+    )
     every = {i: {"success": True} for i in range(3)}
     whole = result_of(every, mission=mission)
     assert (whole["success"], whole["cost"]) == (False, 3.0)
@@ -71,7 +101,11 @@ def test_a_report_that_is_content_does_not_hide_a_drone_that_failed_and_may_name
     def report(config, results):
         return {"success": True, "reasons": {0: "too far", 2: "of the mission"}}
 
-    results = {0: {"success": True}, 1: {"success": True}, 2: {"success": False, "reason": "lost"}}
+    results = {
+        0: {"success": True},
+        1: {"success": True},
+        2: {"success": False, "reason": "lost"},
+    }
     result = result_of(results, mission=SimpleNamespace(report=report))
     assert result["success"] is False
     assert result["reasons"] == {0: "too far", 2: "lost"}
@@ -81,22 +115,51 @@ def test_a_report_without_reasons_blames_those_who_failed_else_nobody():
     mission = SimpleNamespace(report=lambda config, results: {"success": False})
     every = {i: {"success": True} for i in range(3)}
     result = result_of(every, mission=mission)
-    assert (result["success"], result["reason"], result["reasons"]) == (False, NO_REASONS, {})
-    result = result_of(every | {1: {"success": False, "reason": "lost"}}, mission=mission)
-    assert (result["success"], result["reason"], result["reasons"]) == (False, None, {1: "lost"})
-    result = result_of(every, mission=SimpleNamespace(report=lambda *_: {"success": False, "reason": "too slow"}))
+    assert (result["success"], result["reason"], result["reasons"]) == (
+        False,
+        NO_REASONS,
+        {},
+    )
+    result = result_of(
+        every | {1: {"success": False, "reason": "lost"}}, mission=mission
+    )
+    assert (result["success"], result["reason"], result["reasons"]) == (
+        False,
+        None,
+        {1: "lost"},
+    )
+    result = result_of(
+        every,
+        mission=SimpleNamespace(
+            report=lambda *_: {"success": False, "reason": "too slow"}
+        ),
+    )
     assert (result["reason"], result["reasons"]) == ("too slow", {})
     assert result_of(every)["reason"] is None
 
 
 def test_reasons_name_what_has_kept_a_drone_from_where_it_wanted_to_be():
-    results = {0: {"success": True, "kept_clear_s": 2.5}, 1: {"success": True, "at_fence_s": 3.0}, 2: {"success": True}}
-    result = result_of(results, mission=SimpleNamespace(report=lambda *_: {"success": False, "reasons": {1: "far"}}))
+    results = {
+        0: {"success": True, "kept_clear_s": 2.5},
+        1: {"success": True, "at_fence_s": 3.0},
+        2: {"success": True},
+    }
+    result = result_of(
+        results,
+        mission=SimpleNamespace(
+            report=lambda *_: {"success": False, "reasons": {1: "far"}}
+        ),
+    )
     assert result["reasons"] == {1: "far; held at the fence for 3 s"}
     assert (result["kept_clear_s"], result["at_fence_s"]) == ({0: 2.5}, {1: 3.0})
-    result = result_of(results, mission=SimpleNamespace(report=lambda *_: {"success": False}))
+    result = result_of(
+        results, mission=SimpleNamespace(report=lambda *_: {"success": False})
+    )
     filtered = "drone 0: the collision filter has flown it for 2.5 s"
-    assert result["reason"] == f"{NO_REASONS}; {filtered}; drone 1: held at the fence for 3 s"
+    assert (
+        result["reason"]
+        == f"{NO_REASONS}; {filtered}; drone 1: held at the fence for 3 s"
+    )
 
 
 def test_the_reason_of_a_report_stands_beside_those_of_drones_that_failed_and_these_say_what_held_them():
@@ -107,8 +170,13 @@ def test_the_reason_of_a_report_stands_beside_those_of_drones_that_failed_and_th
     }
     report = {"success": False, "reason": "too slow"}
     result = result_of(results, mission=SimpleNamespace(report=lambda *_: dict(report)))
-    assert result["reasons"] == {1: "lost; the collision filter has flown it for 4 s; held at the fence for 3 s"}
-    assert result["reason"] == "too slow; drone 0: the collision filter has flown it for 2.5 s"
+    assert result["reasons"] == {
+        1: "lost; the collision filter has flown it for 4 s; held at the fence for 3 s"
+    }
+    assert (
+        result["reason"]
+        == "too slow; drone 0: the collision filter has flown it for 2.5 s"
+    )
     assert result_of(results)["reason"] is None, "nobody gave one of all"
 
 
@@ -121,17 +189,36 @@ def test_drones_that_came_near_enough_to_touch_have_failed():
         2: "came within 0.002 m of drone 0, and may have touched it: allowed 0.137 m",
     }
     failed = {**every, 2: {"success": False, "reason": "lost"}}
-    assert result_of(failed, touching={(0, 2): 0.002})["reasons"][2].startswith("lost; came within 0.002 m of drone 0")
-    part = result_of({1: {"success": True}, 2: {"success": True}}, here=(1, 2), touching={(0, 2): 0.002})
+    assert result_of(failed, touching={(0, 2): 0.002})["reasons"][2].startswith(
+        "lost; came within 0.002 m of drone 0"
+    )
+    part = result_of(
+        {1: {"success": True}, 2: {"success": True}},
+        here=(1, 2),
+        touching={(0, 2): 0.002},
+    )
     assert list(part["reasons"]) == [2], "of those that were started here"
-    assert result_of({1: {"success": True}}, here=(1,), touching={(0, 2): 0.002})["success"] is True
+    assert (
+        result_of({1: {"success": True}}, here=(1,), touching={(0, 2): 0.002})[
+            "success"
+        ]
+        is True
+    )
 
 
 def test_a_report_adds_figures_and_changes_none_of_the_run():
     report = {"cost": 3.0, "drones": 99, "rounds": 99, "log": [], "results": None}
-    result = result_of({i: {"success": True} for i in range(3)}, mission=SimpleNamespace(report=lambda *_: report))
+    result = result_of(
+        {i: {"success": True} for i in range(3)},
+        mission=SimpleNamespace(report=lambda *_: report),
+    )
     assert (result["success"], result["cost"]) == (True, 3.0)
-    assert (result["drones"], result["rounds"], result["log"], len(result["results"])) == (3, 7, ["a line"], 3)
+    assert (
+        result["drones"],
+        result["rounds"],
+        result["log"],
+        len(result["results"]),
+    ) == (3, 7, ["a line"], 3)
 
 
 def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_saw_it():
@@ -143,7 +230,9 @@ def test_drones_that_swap_places_have_failed_though_nothing_in_their_missions_sa
             await self.land()
 
     mission = SimpleNamespace(guidance=lambda i, config: Swaps())
-    result = fly_fast(default_swarm(2).replace(mission="swap", collision={"method": "off"}), mission)
+    result = fly_fast(
+        default_swarm(2).replace(mission="swap", collision={"method": "off"}), mission
+    )
     assert result["success"] is False
     assert result["min_separation_m"] < 0.05
     assert list(result["reasons"]) == [0, 1]
@@ -158,13 +247,18 @@ def test_compiling_before_the_flight_is_not_part_of_its_time():
         async def mission(self):
             return {}
 
-    result = fly_fast(default_swarm(2), SimpleNamespace(guidance=lambda i, config: Slow()))
+    result = fly_fast(
+        default_swarm(2), SimpleNamespace(guidance=lambda i, config: Slow())
+    )
     assert result["startup_s"] > 0.4
     assert result["wall_s"] < 0.4
 
 
 def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():
-    config, score = default_swarm(3), SimpleNamespace(statuses={0: Status("on ground", WAITING)})
+    config, score = (
+        default_swarm(3),
+        SimpleNamespace(statuses={0: Status("on ground", WAITING)}),
+    )
     assert all_wait(config, score)
     assert not all_wait(config.replace(start=2), score)
     score.statuses[1] = Status("on ground", "")
@@ -173,34 +267,74 @@ def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without
 
 def test_the_world_is_started_once_with_all_drones_or_with_the_lowest_of_its_host():
     def config(world, *hosts):
-        drones = [{"id": i, "home": [float(i), 0.0, 0.0], "host": host} for i, host in enumerate(hosts)]
-        named = {"lab": "10.0.0.1", "desk": "10.0.0.2", "rack": "10.0.0.3"} if any(hosts) else {}
-        raw = {"name": "a", "drones": drones, "hosts": named, "world": world, "security": {"insecure": True}}
+        drones = [
+            {"id": i, "home": [float(i), 0.0, 0.0], "host": host}
+            for i, host in enumerate(hosts)
+        ]
+        named = (
+            {"lab": "10.0.0.1", "desk": "10.0.0.2", "rack": "10.0.0.3"}
+            if any(hosts)
+            else {}
+        )
+        raw = {
+            "name": "a",
+            "drones": drones,
+            "hosts": named,
+            "world": world,
+            "security": {"insecure": True},
+        }
         return SwarmConfig.of(raw)
 
     assert not starts_world(config({}, None, None), None)
     here = config({"owned": True}, None, None)
-    assert [starts_world(here, started) for started in (None, (0, 1), (0,), (1,))] == [True, True, True, False]
+    assert [starts_world(here, started) for started in (None, (0, 1), (0,), (1,))] == [
+        True,
+        True,
+        True,
+        False,
+    ]
     there = config({"host": "desk"}, "lab", "desk", "desk")
-    assert [starts_world(there, started) for started in ((0,), (1,), (2,), (0, 1, 2))] == [False, True, False, True]
+    assert [
+        starts_world(there, started) for started in ((0,), (1,), (2,), (0, 1, 2))
+    ] == [False, True, False, True]
     alone = config({"host": "rack"}, "lab", "desk")
-    assert [starts_world(alone, started) for started in ((0,), (1,), (0, 1))] == [False, False, True]
+    assert [starts_world(alone, started) for started in ((0,), (1,), (0, 1))] == [
+        False,
+        False,
+        True,
+    ]
 
 
 def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
     drones = [
-        {"id": i, "home": [i, 0, 0], "uri": f"udp://10.0.0.9:{i + 1}", "dongle": i % 2, "host": host}
+        {
+            "id": i,
+            "home": [i, 0, 0],
+            "uri": f"udp://10.0.0.9:{i + 1}",
+            "dongle": i % 2,
+            "host": host,
+        }
         for i, host in enumerate(("lab", "desk", "lab"))
     ]
-    raw = {"name": "a", "drones": drones, "hosts": {"lab": "10.0.0.1", "desk": "10.0.0.2"}}
+    raw = {
+        "name": "a",
+        "drones": drones,
+        "hosts": {"lab": "10.0.0.1", "desk": "10.0.0.2"},
+    }
     raw |= {"security": {"insecure": True}}
     rows = [{"dongle": 0, "host": "lab"}, {"dongle": 1, "host": "desk"}]
     raw |= {"mocap": {"host": "desk"}, "radio": {"dongles": rows}}
     config = SwarmConfig.of(raw)
-    names = {here: [owner.name for owner in owners(config, here)] for here in ((0, 1, 2), (0,), (2,), (1,))}
+    names = {
+        here: [owner.name for owner in owners(config, here)]
+        for here in ((0, 1, 2), (0,), (2,), (1,))
+    }
     assert names == {
-        (0, 1, 2): ["mocap", "dongle 0", "dongle 1"], (0,): ["dongle 0"], (2,): [], (1,): ["mocap", "dongle 1"]
-    }  # fmt: skip
+        (0, 1, 2): ["mocap", "dongle 0", "dongle 1"],
+        (0,): ["dongle 0"],
+        (2,): [],
+        (1,): ["mocap", "dongle 1"],
+    }
     assert owners(config, None)[1].options == ("--dongle", "0")
 
 
@@ -224,32 +358,59 @@ def test_a_run_that_its_operator_has_ended_is_a_success_and_names_the_drones():
 
 def test_a_report_that_lacks_only_what_the_operator_has_ended_is_a_success():
     def undone(results):
-        return {"success": False, "reasons": {i: "2 of 5 places" for i, r in results.items() if not r["success"]}}
+        return {
+            "success": False,
+            "reasons": {
+                i: "2 of 5 places" for i, r in results.items() if not r["success"]
+            },
+        }
 
     result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=reporting(undone))
     assert (result["success"], result["reasons"]) == (True, {})
     assert result["ended"] == {0: "landed on command; 2 of 5 places"}
-    result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=reporting(lambda results: {"success": False}))
+    result = result_of(
+        {0: LANDED, 1: DONE, 2: DONE},
+        mission=reporting(lambda results: {"success": False}),
+    )
     assert (result["success"], result["reason"]) == (True, None)
 
 
 def test_what_else_has_failed_stays_a_failure_beside_an_operators_end():
-    off = reporting(lambda results: {"success": False, "reasons": {0: "undone", 1: "0.3 m from its place"}})
+    off = reporting(
+        lambda results: {
+            "success": False,
+            "reasons": {0: "undone", 1: "0.3 m from its place"},
+        }
+    )
     result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=off)
-    assert (result["success"], result["reasons"]) == (False, {1: "0.3 m from its place"})
-    result = result_of({0: LANDED, 1: DONE, 2: DONE}, mission=reporting(lambda _: {"success": False, "reason": "late"}))
+    assert (result["success"], result["reasons"]) == (
+        False,
+        {1: "0.3 m from its place"},
+    )
+    result = result_of(
+        {0: LANDED, 1: DONE, 2: DONE},
+        mission=reporting(lambda _: {"success": False, "reason": "late"}),
+    )
     assert (result["success"], result["reason"]) == (False, "late")
     result = result_of({0: LANDED, 1: {"success": False, "reason": "lost"}, 2: DONE})
     assert (result["success"], result["reasons"]) == (False, {1: "lost"})
-    assert not result_of(dict.fromkeys(range(3), LANDED), touching={(0, 1): 0.05})["success"]
-    assert not result_of({0: LANDED, 1: LANDED})["success"], "the process of drone 2 has ended without a result"
+    assert not result_of(dict.fromkeys(range(3), LANDED), touching={(0, 1): 0.05})[
+        "success"
+    ]
+    assert not result_of({0: LANDED, 1: LANDED})["success"], (
+        "the process of drone 2 has ended without a result"
+    )
 
 
 def test_a_run_that_fails_never_has_an_empty_reason():
     for empty in ("", " ", None):
-        assert result_of({0: {"success": False, "reason": empty}, 1: DONE, 2: DONE})["reasons"] == {0: NO_REASON}
+        assert result_of({0: {"success": False, "reason": empty}, 1: DONE, 2: DONE})[
+            "reasons"
+        ] == {0: NO_REASON}
         every = dict.fromkeys(range(3), DONE)
         mission = reporting(lambda _, empty=empty: {"success": False, "reason": empty})
         assert result_of(every, mission=mission)["reason"] == NO_REASONS
-        mission = reporting(lambda _, empty=empty: {"success": False, "reasons": {1: empty}})
+        mission = reporting(
+            lambda _, empty=empty: {"success": False, "reasons": {1: empty}}
+        )
         assert result_of(every, mission=mission)["reasons"] == {1: NO_REASON}

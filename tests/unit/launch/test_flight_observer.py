@@ -132,9 +132,12 @@ def test_lengths_flown_add_up():
 def test_a_formation_is_judged_from_the_first_law_to_the_first_landing():
     async def scene(sky):
         for far, phase, task in (
-            (5.0, "taking off", ""), (2.0, "mission", LAW), (1.0, "mission", LAW), (0.001, "mission", LAW),
+            (5.0, "taking off", ""),
+            (2.0, "mission", LAW),
+            (1.0, "mission", LAW),
+            (0.001, "mission", LAW),
             (9.0, "landing", "landing"),
-        ):  # fmt: skip
+        ):
             sky.tells(0, phase, task)
             sky.at(0, (far, 0, 0))
             sky.at(1, (0, 1, 0))
@@ -145,7 +148,10 @@ def test_a_formation_is_judged_from_the_first_law_to_the_first_landing():
     assert found["settling_s"] == pytest.approx((STEP + 1.0) * PERIOD)
 
 
-@pytest.mark.parametrize(("phase", "task"), [("on ground", LAW), ("hovering", "waiting"), ("landing", "landing")])
+@pytest.mark.parametrize(
+    ("phase", "task"),
+    [("on ground", LAW), ("hovering", "waiting"), ("landing", "landing")],
+)
 def test_a_drone_that_flies_no_law_forms_nothing(phase, task):
     async def scene(sky):
         sky.tells(0, phase, task)
@@ -168,7 +174,9 @@ def test_a_score_does_not_grow_with_the_flight():
 
     score = seen(scene, goal={0: np.zeros(3)})
     assert len(score.errors) == 2
-    assert score.formation()["settling_s"] == pytest.approx((198 * STEP + 1.0) * PERIOD), "the last time"
+    assert score.formation()["settling_s"] == pytest.approx(
+        (198 * STEP + 1.0) * PERIOD
+    ), "the last time"
     assert score.formation()["formation_error_m"] == 0.0
     assert len(score.log) == scores.LOGGED
     assert score.log[-1] == str(2 * scores.LOGGED - 1), "the newest stay"
@@ -200,7 +208,9 @@ def test_who_has_never_taken_off_has_flown_nothing_and_come_near_nobody():
     assert standing.flown == {0: 0.0, 1: 0.0, 2: 0.0}
     assert (standing.min_separation, standing.touching) == (float("inf"), {})
     carried = seen(lambda sky: scene(sky, "on ground"), n=3, unseen=(0, 1))
-    assert carried.flown == {0: 0.0, 1: 0.0, 2: pytest.approx(8.0)}, "cameras see it, or a recording has"
+    assert carried.flown == {0: 0.0, 1: 0.0, 2: pytest.approx(8.0)}, (
+        "cameras see it, or a recording has"
+    )
     one_flies = seen(lambda sky: scene(sky, "taking off"), n=3, unseen=(0, 1, 2))
     assert one_flies.flown == {0: 0.0, 1: 0.0, 2: pytest.approx(8.0)}
     assert one_flies.min_separation == pytest.approx(0.49)

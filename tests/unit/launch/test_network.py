@@ -18,7 +18,15 @@ from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.launch import network
-from crazychoir.launch.network import apart, attached, free_ports, held_ports, observer, set_apart, swarm_file
+from crazychoir.launch.network import (
+    apart,
+    attached,
+    free_ports,
+    held_ports,
+    observer,
+    set_apart,
+    swarm_file,
+)
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 
@@ -54,7 +62,10 @@ def test_ports_in_use_are_left_alone(monkeypatch):
 
 
 def test_no_connection_is_given_a_port_that_was_drawn(monkeypatch):
-    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as connection:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        socket.create_connection(server.getsockname()) as connection,
+    ):
         given = connection.getsockname()[1]
     assert all(free_ports([0, 200]) + 200 < given for _ in range(50))
     monkeypatch.setattr(network, "_first_of_connections", lambda: 4_000)
@@ -161,23 +172,41 @@ def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all()
 def in_low_range(program, span, *words, user=()):
     """What a program says in a network of its own, where the system gives these ports to connections."""
     prepare = 'ip link set lo up && echo "$0" >/proc/sys/net/ipv4/ip_local_port_range && exec "$@"'
-    command = [*in_own_namespace("--net"), "sh", "-c", prepare, span, *user, sys.executable, "-c", program, *words]
+    command = [
+        *in_own_namespace("--net"),
+        "sh",
+        "-c",
+        prepare,
+        span,
+        *user,
+        sys.executable,
+        "-c",
+        program,
+        *words,
+    ]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, cwd="/")
+    answer = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False, cwd="/"
+    )
     assert answer.returncode == 0, answer.stderr
     return answer.stdout
 
 
 @pytest.mark.parametrize("span", ["1024 65535", "2048 65535"])
 def test_a_user_gets_ports_where_the_system_gives_nearly_all_to_connections(span):
-    said = [int(word) for word in in_low_range(LOW_RANGE, span, "40", user=as_user()).split()]
+    said = [
+        int(word)
+        for word in in_low_range(LOW_RANGE, span, "40", user=as_user()).split()
+    ]
     assert 1024 <= said[0] <= 65535 - 40
     assert said[1] == 7999, "the swarm file's own"
 
 
 @pytest.mark.parametrize("first", [1024, 1500, 32768, 60999])
 @pytest.mark.parametrize("drones", [1, 1200, 2500])
-def test_so_many_processes_get_ports_wherever_those_of_connections_begin(monkeypatch, first, drones):
+def test_so_many_processes_get_ports_wherever_those_of_connections_begin(
+    monkeypatch, first, drones
+):
     monkeypatch.setattr(network, "_first_of_connections", lambda: first)
     monkeypatch.setattr(network, "_held", lambda address, port, kept: True)
     monkeypatch.setattr(network, "_allow_files", lambda processes: None)
@@ -198,7 +227,10 @@ def test_1200_processes_hold_their_ports():
 
 def test_too_few_open_files_are_told_before_anything_starts(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, 2048))
-    with pytest.raises(ConfigError, match=r"limit of open files: found 2048; allowed: 5056 for 1200 processes.*--proc"):
+    with pytest.raises(
+        ConfigError,
+        match=r"limit of open files: found 2048; allowed: 5056 for 1200 processes.*--proc",
+    ):
         held_ports(dict.fromkeys(range(1200), LOCAL)).__enter__()
 
 
@@ -206,7 +238,9 @@ def test_wide_ids_have_ports_too(monkeypatch):
     monkeypatch.setattr(network, "_first_of_connections", lambda: 2048)
     for highest in random.Random(1).sample(range(2000, 10_000), 5):  # noqa: S311 - the same each time
         drones = [{"id": 0, "home": [0, 0, 0]}, {"id": highest, "home": [1, 0, 0]}]
-        config = SwarmConfig.of({"name": "wide", "drones": drones, "processes": [[0, highest]]})
+        config = SwarmConfig.of(
+            {"name": "wide", "drones": drones, "processes": [[0, highest]]}
+        )
         for processes in (None, 1, 2):
             assert apart(config, processes).base_port + highest <= 65535
 
@@ -214,7 +248,9 @@ def test_wide_ids_have_ports_too(monkeypatch):
 def test_a_block_is_found_where_few_are_free(monkeypatch):
     draw = random.Random(7)  # noqa: S311 - the same each time
     free = draw.randrange(33_000, 60_000)
-    monkeypatch.setattr(network, "_held", lambda address, port, kept: free <= port < free + 5)
+    monkeypatch.setattr(
+        network, "_held", lambda address, port, kept: free <= port < free + 5
+    )
     with held_ports(dict.fromkeys(range(5), LOCAL)) as base:
         assert base == free
     with pytest.raises(ConfigError, match="no free block for 6 processes"):
@@ -229,9 +265,15 @@ def test_the_base_port_of_a_file_is_used_or_who_needs_the_port_that_is_taken_is_
         assert changed.base_port == base
         with set_apart(config, None) as other:
             assert other.base_port != base, "a replay flies beside it"
-        with pytest.raises(ConfigError, match=rf"base_port = {base}: port {base}, that of drone 0, is taken;.*sport"):
+        with pytest.raises(
+            ConfigError,
+            match=rf"base_port = {base}: port {base}, that of drone 0, is taken;.*sport",
+        ):
             set_apart(config, None, keeps_port=True).__enter__()
-    with socket.create_server((LOCAL, base + 2)), pytest.raises(ConfigError, match=rf"{base + 2}, that of drone 2"):
+    with (
+        socket.create_server((LOCAL, base + 2)),
+        pytest.raises(ConfigError, match=rf"{base + 2}, that of drone 2"),
+    ):
         set_apart(config, None, keeps_port=True).__enter__()
 
 
@@ -239,7 +281,13 @@ def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
     flown = []
 
     def fly_real(path, config, *arguments, **options):
-        flown.append((config.base_port, network._free(config.base_port), SwarmConfig.load(path).base_port))
+        flown.append(
+            (
+                config.base_port,
+                network._free(config.base_port),
+                SwarmConfig.load(path).base_port,
+            )
+        )
         raise ConfigError("flown", "so far", "no further")
 
     with held_ports({0: LOCAL, 1: LOCAL}) as base:
@@ -253,15 +301,24 @@ def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
     assert flown == [(base, False, base)]
 
 
-def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(monkeypatch):
+def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(
+    monkeypatch,
+):
     def none(**_):
         raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
 
     expected = r"temporary folder: found .*{}.*; allowed: .* has room\. Free some room, or set TMPDIR"
     with monkeypatch.context() as patch:
-        patch.setattr("crazychoir.files.private_folder.write_fault", lambda folder: "No space left on device")
-        with pytest.raises(ConfigError, match=expected.format("No space left on device")):
+        patch.setattr(
+            "crazychoir.files.private_folder.write_fault",
+            lambda folder: "No space left on device",
+        )
+        with pytest.raises(
+            ConfigError, match=expected.format("No space left on device")
+        ):
             swarm_file(default_swarm(2)).__enter__()
     monkeypatch.setattr(tempfile, "TemporaryDirectory", none)
-    with pytest.raises(ConfigError, match=expected.format("No usable temporary directory")):
+    with pytest.raises(
+        ConfigError, match=expected.format("No usable temporary directory")
+    ):
         swarm_file(default_swarm(2)).__enter__()

@@ -13,7 +13,10 @@ from crazychoir.launch.number_options import Real, Whole, finite_numbers
 
 PROGRAMS = ("crazychoir", "agent", "mocap", "radios", "world", "bench")
 COMMANDS = {
-    program: typer.main.get_command(importlib.import_module(f"crazychoir.cli.{program}").app) for program in PROGRAMS
+    program: typer.main.get_command(
+        importlib.import_module(f"crazychoir.cli.{program}").app
+    )
+    for program in PROGRAMS
 }
 NEVER = ("nan", "inf", "-inf", "1e400", "x", "")
 
@@ -62,12 +65,16 @@ def test_no_option_takes_numbers_without_limits_of_its_own():
     for program, words, command in commands():
         for param in command.params:
             kind = getattr(getattr(param, "type_descriptor", None), "annotation", None)
-            if kind in (int, float, list[int], list[float]) and param.opts[0].startswith("-"):
+            if kind in (int, float, list[int], list[float]) and param.opts[
+                0
+            ].startswith("-"):
                 assert reader_of(param) is not None, (program, words, param.opts[0])
 
 
 @pytest.mark.parametrize(("program", "words", "option", "reader"), NUMERIC, ids=IDS)
-def test_every_numeric_option_refuses_what_is_no_number_of_its_and_names_itself(program, words, option, reader):
+def test_every_numeric_option_refuses_what_is_no_number_of_its_and_names_itself(
+    program, words, option, reader
+):
     values = list(NEVER)
     if reader.least > -math.inf:
         values.append(repr(reader.least - 1))
@@ -112,11 +119,17 @@ def test_a_refusal_says_what_was_probably_meant(reader, text, do):
 @pytest.mark.parametrize(
     ("reader", "text", "value"),
     [
-        (Real(0.0, 1.0), "1e-1", 0.1), (Real(0.0, 1.0), ".5", 0.5), (Real(0.0, 1.0), "1", 1.0), (Real(), "-3", -3.0),
-        (Real(0.0, 1.0), 0.25, 0.25), (Whole(0, 9), "007", 7), (Whole(0, 9), 3, 3), (Whole(0, 9), "+3", 3),
+        (Real(0.0, 1.0), "1e-1", 0.1),
+        (Real(0.0, 1.0), ".5", 0.5),
+        (Real(0.0, 1.0), "1", 1.0),
+        (Real(), "-3", -3.0),
+        (Real(0.0, 1.0), 0.25, 0.25),
+        (Whole(0, 9), "007", 7),
+        (Whole(0, 9), 3, 3),
+        (Whole(0, 9), "+3", 3),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_number_is_taken_however_it_is_written(reader, text, value):
     assert reader(text) == value
 
@@ -128,7 +141,9 @@ def test_lists_of_numbers_are_finite_and_as_long_as_they_must_be(text):
     assert finite_numbers(" (1, 2,3) ", "PLACE", "three numbers", 3) == [1.0, 2.0, 3.0]
 
 
-@pytest.mark.parametrize("graph", ["rink", "erdos-renyi:1.5", "grid:3x3", "k-regular:x"])
+@pytest.mark.parametrize(
+    "graph", ["rink", "erdos-renyi:1.5", "grid:3x3", "k-regular:x"]
+)
 def test_a_graph_that_cannot_be_names_its_option(graph):
     with pytest.raises(ConfigError) as error:
         options.graph_of(graph, 4, 0)
@@ -141,18 +156,30 @@ def test_a_graph_that_cannot_be_names_its_option(graph):
         (["land", "--drones", "0-99999999"], "--drones: found 0-99999999"),
         (["stop", "--drones", "5-3"], "--drones: found 5-3"),
         (["go-to", "1,nan,1", "--drones", "0"], "PLACE: found 1,nan,1"),
-        (["go-to", "1,1,1", "--offset", "0,inf,0", "--drones", "0"], "--offset: found 0,inf,0"),
+        (
+            ["go-to", "1,1,1", "--offset", "0,inf,0", "--drones", "0"],
+            "--offset: found 0,inf,0",
+        ),
         (["impair", "--edge", "1"], "--edge: found 1"),
         (["impair", "--edge", "1,1"], "--edge: found 1,1"),
         (["impair", "--burst", "3"], "--burst: found 3 with no --loss"),
         (["task", "add", "--pickup", "1,nan"], "--pickup: found 1,nan"),
-        (["task", "add", "--pickup", "1,2", "--robots", "0-999999999"], "--robots: found 0-999999999"),
+        (
+            ["task", "add", "--pickup", "1,2", "--robots", "0-999999999"],
+            "--robots: found 0-999999999",
+        ),
         (["param", "set", "control.kp", "nan"], "VALUE: found nan"),
         (["param", "set", "control.kp", "[[1]]x"], "VALUE: found [[1]]x"),
-        (["radio", "survey", "--simulated", "1", "--channels", "0-999999999"], "--channels: found 0-999999999"),
+        (
+            ["radio", "survey", "--simulated", "1", "--channels", "0-999999999"],
+            "--channels: found 0-999999999",
+        ),
         (["virtual", "--drones", "2", "--dongles", "0,0"], "--dongles: found 0,0"),
         (["virtual", "--drones", "2", "--dongles", "0|0"], "--dongles: found 0|0"),
-        (["virtual", "--drones", "2", "--dongles", "0-999999999"], "--dongles: found 0-999999999"),
+        (
+            ["virtual", "--drones", "2", "--dongles", "0-999999999"],
+            "--dongles: found 0-999999999",
+        ),
         (["virtual", "fault", "0", "loss=nan"], "fault loss: found nan"),
     ],
     ids=" ".join,

@@ -54,7 +54,10 @@ async def test_a_line_without_end_is_passed_on_in_parts():
 
 
 def test_results_arrive_as_they_were(tmp_path):
-    results = {3: {"success": False, "by": {1: 2}, "at": np.arange(3.0)}, 4: {"film": bytes(700_000)}}
+    results = {
+        3: {"success": False, "by": {1: 2}, "at": np.arange(3.0)},
+        4: {"film": bytes(700_000)},
+    }
     write_results(tmp_path / "result", results)
     arrived = read_results(tmp_path / "result")
     assert arrived[3].pop("at").tolist() == results[3].pop("at").tolist()
@@ -68,7 +71,9 @@ def test_a_process_that_did_not_get_so_far_has_no_results(tmp_path):
     assert read_results(tmp_path / "result") == {}
 
 
-async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(tmp_path, monkeypatch):
+async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(
+    tmp_path, monkeypatch
+):
     async def spawn(group, path, result, options):
         if group == (0, 1):
             write_results(result, {i: {"success": True} for i in group})
@@ -76,7 +81,9 @@ async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(tmp_
 
     said = []
     monkeypatch.setattr(processes, "_spawn", spawn)
-    found = await run_children([(0, 1), (2,)], tmp_path / "swarm.json", default_swarm(3), [], said.append)
+    found = await run_children(
+        [(0, 1), (2,)], tmp_path / "swarm.json", default_swarm(3), [], said.append
+    )
     assert found == {0: {"success": True}, 1: {"success": True}}
     assert said == ["{}", "{}", "drone(s) 2: no result: the process ended with code 3"]
 
@@ -87,27 +94,40 @@ async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
 
     said = []
     monkeypatch.setattr(processes, "_spawn", spawn)
-    await run_children([(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append)
+    await run_children(
+        [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
+    )
     assert sorted(said[:3]) == sorted([COMPILES, "other", "other"])
 
 
-async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(tmp_path, monkeypatch):
+async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
+    tmp_path, monkeypatch
+):
     """Each process names the folder of the law that it compiled first: the lines differ."""
 
     async def spawn(group, path, result, options):
-        lines = [f"cache: compiled laws: no folder, {group}", f"cache: tables of contents: /a: full, {group}", "cache"]
+        lines = [
+            f"cache: compiled laws: no folder, {group}",
+            f"cache: tables of contents: /a: full, {group}",
+            "cache",
+        ]
         return await child("; ".join(f"print({line!r})" for line in lines))
 
     said = []
     monkeypatch.setattr(processes, "_spawn", spawn)
-    await run_children([(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append)
+    await run_children(
+        [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
+    )
     assert sum(line.startswith("cache: compiled laws: ") for line in said) == 1
     assert sum(line.startswith("cache: tables of contents: ") for line in said) == 1
     assert said.count("cache") == 2
 
 
 def test_a_result_for_which_there_is_no_room_is_told(tmp_path):
-    with pytest.raises(ProcessFailed, match=r"drones 0: its result is lost: .*/nowhere: .* Set TMPDIR to a folder"):
+    with pytest.raises(
+        ProcessFailed,
+        match=r"drones 0: its result is lost: .*/nowhere: .* Set TMPDIR to a folder",
+    ):
         write_results(tmp_path / "nowhere" / "result", {0: {"success": True}})
 
 
@@ -122,19 +142,34 @@ WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flus
 
 
 @pytest.mark.parametrize(("waiting", "ended"), [(True, [-9, 3]), (False, [-9, 4])])
-async def test_one_that_is_killed_at_the_start_ends_the_wait_of_the_others(tmp_path, monkeypatch, waiting, ended):
+async def test_one_that_is_killed_at_the_start_ends_the_wait_of_the_others(
+    tmp_path, monkeypatch, waiting, ended
+):
     children, said = [], []
 
     async def spawn(group, path, result, options):
         flies = "import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(0.5); exit(4)"
-        children.append(await child("import os; os.kill(os.getpid(), 9)" if group == (0,) else flies))
+        children.append(
+            await child(
+                "import os; os.kill(os.getpid(), 9)" if group == (0,) else flies
+            )
+        )
         await asyncio.sleep(0.2)
         return children[-1]
 
     monkeypatch.setattr(processes, "_spawn", spawn)
-    await run_children([(0,), (1,)], tmp_path / "s.json", default_swarm(2), [], said.append, lambda: waiting)
+    await run_children(
+        [(0,), (1,)],
+        tmp_path / "s.json",
+        default_swarm(2),
+        [],
+        said.append,
+        lambda: waiting,
+    )
     assert [each.returncode for each in children] == ended
-    assert ("drone(s) 0: ended before the start: the others wait no more" in said) == waiting
+    assert (
+        "drone(s) 0: ended before the start: the others wait no more" in said
+    ) == waiting
 
 
 def world_that(does, monkeypatch):
@@ -142,12 +177,16 @@ def world_that(does, monkeypatch):
 
     async def start(module, *words):
         assert (module, words[-1]) == ("crazychoir.cli.fly.world", "--child")
-        return await child(f"import os, signal, time; print('there', flush=True); {does}")
+        return await child(
+            f"import os, signal, time; print('there', flush=True); {does}"
+        )
 
     monkeypatch.setattr(processes, "_start", start)
 
 
-async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path, monkeypatch):
+async def test_the_world_is_there_before_the_agents_and_ends_after_them(
+    tmp_path, monkeypatch
+):
     order = []
 
     async def spawn(group, path, result, options):
@@ -155,9 +194,19 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path
         write_results(result, {0: {"success": True}})
         return await child("import time; time.sleep(0.3); print('agent ends')")
 
-    world_that("signal.signal(15, lambda *_: exit(print('world ends'))); signal.pause()", monkeypatch)
+    world_that(
+        "signal.signal(15, lambda *_: exit(print('world ends'))); signal.pause()",
+        monkeypatch,
+    )
     monkeypatch.setattr(processes, "_spawn", spawn)
-    found = await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], order.append, owners=[WORLD_OWNER])
+    found = await run_children(
+        [(0,)],
+        tmp_path / "s.json",
+        default_swarm(1),
+        [],
+        order.append,
+        owners=[WORLD_OWNER],
+    )
     assert found == {0: {"success": True}}
     assert sorted(order[:2]) == ["agent begins", "there"]
     assert order[2:] == ["agent ends", "world ends"]
@@ -171,23 +220,38 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(tmp_path
     ],
     ids=["killed", "refused: at once"],
 )
-async def test_without_their_world_agents_end_that_do_not_by_themselves(tmp_path, monkeypatch, ends, end, orphaned):
+async def test_without_their_world_agents_end_that_do_not_by_themselves(
+    tmp_path, monkeypatch, ends, end, orphaned
+):
     children, said = [], []
 
     async def spawn(group, path, result, options):
-        children.append(await child("import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(60)"))
+        children.append(
+            await child(
+                "import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(60)"
+            )
+        )
         await asyncio.sleep(0.2)
         return children[-1]
 
     world_that(f"time.sleep(0.5); {ends}", monkeypatch)
     monkeypatch.setattr(processes, "_spawn", spawn)
     monkeypatch.setattr(processes, "ORPHANED", orphaned)
-    await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], said.append, owners=[WORLD_OWNER])
+    await run_children(
+        [(0,)],
+        tmp_path / "s.json",
+        default_swarm(1),
+        [],
+        said.append,
+        owners=[WORLD_OWNER],
+    )
     assert children[0].returncode == 3
     assert f"world: its owner {end}" in said
 
 
-async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path, monkeypatch):
+async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
+    tmp_path, monkeypatch
+):
     children, said = {}, []
 
     async def spawn(group, path, result, options):
@@ -195,7 +259,9 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path,
         ends = "signal.signal(15, lambda *_: exit(3))"
         ready = tmp_path / f"ready{group[0]}"
         touch = f"open({str(ready)!r}, 'w').close()"
-        children[group] = await child(f"import signal, time; {ends}; {touch}; time.sleep({seconds})")
+        children[group] = await child(
+            f"import signal, time; {ends}; {touch}; time.sleep({seconds})"
+        )
         while not ready.exists():  # noqa: ASYNC110 - of another process
             await asyncio.sleep(0.01)
         return children[group]
@@ -207,9 +273,19 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(tmp_path,
     monkeypatch.setattr(processes, "_spawn", spawn)
     monkeypatch.setattr(processes, "ORPHANED", 0.3)
     dongle = Owner("dongle 1", "", again=True, ids=(1, 2))
-    await run_children([(0, 1), (2,)], tmp_path / "s.json", default_swarm(3), [], said.append, owners=[dongle])
+    await run_children(
+        [(0, 1), (2,)],
+        tmp_path / "s.json",
+        default_swarm(3),
+        [],
+        said.append,
+        owners=[dongle],
+    )
     assert (children[0, 1].returncode, children[2,].returncode) == (0, 3)
-    assert said.count("dongle 1: its owner ended with code 1: started again") == STARTS_AGAIN
+    assert (
+        said.count("dongle 1: its owner ended with code 1: started again")
+        == STARTS_AGAIN
+    )
 
 
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
@@ -230,8 +306,12 @@ async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
 
 
 async def test_a_child_that_does_not_end_is_killed():
-    deaf = await child("import signal; signal.signal(15, signal.SIG_IGN); print('on', flush=True); signal.pause()")
-    ready = await child("import signal; signal.signal(15, lambda *_: exit(3)); print('on', flush=True); signal.pause()")
+    deaf = await child(
+        "import signal; signal.signal(15, signal.SIG_IGN); print('on', flush=True); signal.pause()"
+    )
+    ready = await child(
+        "import signal; signal.signal(15, lambda *_: exit(3)); print('on', flush=True); signal.pause()"
+    )
     for process in (deaf, ready):
         assert await process.stdout.readline() == b"on\n"
     await processes._end([deaf, ready], 0.3)
@@ -248,12 +328,18 @@ class Lands(CFGuidance):
         return {"s": self.member.clock.now() - began}
 
 
-@pytest.mark.parametrize("flight", [{"landing_speed": 0.05}, {"acceleration_limit": 0.02}, {}], ids=str)
+@pytest.mark.parametrize(
+    "flight", [{"landing_speed": 0.05}, {"acceleration_limit": 0.02}, {}], ids=str
+)
 def test_nobody_is_killed_while_it_comes_down(flight):
-    config = default_swarm(1).replace(flight=flight, fence={"min": [-3.0, -3.0, 0.0], "max": [3.0, 3.0, 2.1]})
+    config = default_swarm(1).replace(
+        flight=flight, fence={"min": [-3.0, -3.0, 0.0], "max": [3.0, 3.0, 2.1]}
+    )
 
     async def main(clock):
-        agent = Agent(clock, config, SimpleNamespace(guidance=lambda i, config: Lands()), (0,))
+        agent = Agent(
+            clock, config, SimpleNamespace(guidance=lambda i, config: Lands()), (0,)
+        )
         return (await agent.run())[0]
 
     result = run_virtual(main)

@@ -39,29 +39,52 @@ def flown(tmp_path, monkeypatch):
     (tmp_path / "law.py").write_text(MISSION)
     (tmp_path / "tasks.json").write_text("[]")
     (tmp_path / "old.csv").write_text("t,x\n")
-    rows = [{"id": 0, "home": [0, 0, 0]}, {"id": 3, "home": [1, 0, 0], "uri": f"replay://{tmp_path}/old.csv?drone=3"}]
-    options = {"instance": str(tmp_path / "tasks.json"), "drawing": str(tmp_path / "none.csv"), "gain": 2}
+    rows = [
+        {"id": 0, "home": [0, 0, 0]},
+        {"id": 3, "home": [1, 0, 0], "uri": f"replay://{tmp_path}/old.csv?drone=3"},
+    ]
+    options = {
+        "instance": str(tmp_path / "tasks.json"),
+        "drawing": str(tmp_path / "none.csv"),
+        "gain": 2,
+    }
     config = SwarmConfig.of({"name": "a", "drones": rows, "mission_options": options})
     yield config, load(str(tmp_path / "law.py"))
-    for name in [name for name in sys.modules if name.endswith("_of_a_test") or name.startswith("laws_of_a_test")]:
+    for name in [
+        name
+        for name in sys.modules
+        if name.endswith("_of_a_test") or name.startswith("laws_of_a_test")
+    ]:
         del sys.modules[name]
 
 
 EXPECTED = {
-    "mission_options.instance": sha("[]"), "drone 3: uri": sha("t,x\n"), "gains_of_a_test.py": sha("GAIN = 2\n"),
-    "laws_of_a_test/__init__.py": sha(""), "laws_of_a_test/linear.py": sha("K = 1\n"),
-}  # fmt: skip
+    "mission_options.instance": sha("[]"),
+    "drone 3: uri": sha("t,x\n"),
+    "gains_of_a_test.py": sha("GAIN = 2\n"),
+    "laws_of_a_test/__init__.py": sha(""),
+    "laws_of_a_test/linear.py": sha("K = 1\n"),
+}
 
 
 def test_named_files_and_modules_beside_the_mission_are_told(flown, tmp_path):
-    assert digests(*flown) == EXPECTED, "no library, no file that is not there, nothing of where they lie"
-    assert digests(flown[0], None) == {name: EXPECTED[name] for name in list(EXPECTED)[:2]}
+    assert digests(*flown) == EXPECTED, (
+        "no library, no file that is not there, nothing of where they lie"
+    )
+    assert digests(flown[0], None) == {
+        name: EXPECTED[name] for name in list(EXPECTED)[:2]
+    }
 
 
 def test_those_of_a_recording_are_compared_with_those_of_now(flown, tmp_path):
     config, mission = flown
-    file, message = new_recording(tmp_path / "a.mcap", config, mission, virtual=True), MESSAGES[str]
-    file.write([Entry(Series(0, "log", message), 0, 0, packer(message, 0)("a line", 0))])
+    file, message = (
+        new_recording(tmp_path / "a.mcap", config, mission, virtual=True),
+        MESSAGES[str],
+    )
+    file.write(
+        [Entry(Series(0, "log", message), 0, 0, packer(message, 0)("a line", 0))]
+    )
     file.close()
     told = json.loads(header(tmp_path / "a.mcap").about[FILES])
     assert told == EXPECTED

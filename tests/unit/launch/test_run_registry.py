@@ -14,7 +14,13 @@ from other_user import as_user, require
 
 from crazychoir.cli.shared import running_swarm as meant
 from crazychoir.cli.shared.chosen_swarm import named_file
-from crazychoir.cli.shared.running_swarm import DISCOVERY, STARTS, nobody, patience, running_swarm
+from crazychoir.cli.shared.running_swarm import (
+    DISCOVERY,
+    STARTS,
+    nobody,
+    patience,
+    running_swarm,
+)
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, demo_swarm
 from crazychoir.errors import Refused
 from crazychoir.files.user_folders import private_folder_of
@@ -37,12 +43,19 @@ def run_of(folder, name, source=None):
     """A run as `crazychoir run` leaves it: under a name of its own, by a file of its own."""
     file = folder / f"{name}.json"
     file.write_text(default_swarm(2).replace(name=name).dumps())
-    return Run(name, source or "pickup_delivery", source and named_file(source, None), str(file))
+    return Run(
+        name,
+        source or "pickup_delivery",
+        source and named_file(source, None),
+        str(file),
+    )
 
 
 def test_my_file_finds_the_swarm_that_was_started_by_it(own_place):
     run = run_of(own_place, "lab-1", "lab.toml")
-    assert running_swarm("lab.toml") == LAB, "nothing runs: its agents may have been started one by one"
+    assert running_swarm("lab.toml") == LAB, (
+        "nothing runs: its agents may have been started one by one"
+    )
     with recorded(run):
         assert running_swarm("lab.toml").name == "lab-1"
         assert running_swarm(str(own_place / "lab.toml")).name == "lab-1"
@@ -55,7 +68,9 @@ def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
         running_swarm(None)
     monkeypatch.setattr(meant, "_listens", lambda port: port == demo_swarm().base_port)
     found = running_swarm(None)
-    assert found.name == "pickup", "the swarm of the demo's mission, if anybody is there"
+    assert found.name == "pickup", (
+        "the swarm of the demo's mission, if anybody is there"
+    )
     assert found.endpoints() == demo_swarm().endpoints(), "it is looked for where it is"
     with recorded(run_of(own_place, "demo-1")):
         assert running_swarm(None).name == "demo-1"
@@ -64,7 +79,10 @@ def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
 
 
 def test_of_several_none_is_guessed(own_place):
-    one, other = run_of(own_place, "lab-1", "lab.toml"), run_of(own_place, "lab-2", "lab.toml")
+    one, other = (
+        run_of(own_place, "lab-1", "lab.toml"),
+        run_of(own_place, "lab-2", "lab.toml"),
+    )
     with recorded(one):
         with recorded(other), recorded(run_of(own_place, "demo-1")):
             assert [run.swarm for run in runs()] == ["demo-1", "lab-1", "lab-2"]
@@ -73,8 +91,10 @@ def test_of_several_none_is_guessed(own_place):
                     running_swarm(option)
                 assert one.file in refused.value.reason
                 assert other.file in refused.value.reason
-            assert ("demo-1" in refused.value.reason), "it could be meant too"
-        assert running_swarm("lab.toml").name == "lab-1", "the end of one leaves the other alone"
+            assert "demo-1" in refused.value.reason, "it could be meant too"
+        assert running_swarm("lab.toml").name == "lab-1", (
+            "the end of one leaves the other alone"
+        )
 
 
 def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_place):
@@ -86,7 +106,12 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
         taken.listen()
         assert patience(here) == DISCOVERY, "drone 1 does"
     drones = [{"id": i, "home": [i, 0, 0], "host": "far"} for i in range(2)]
-    raw = {"name": "lab", "drones": drones, "hosts": {"far": "10.9.9.9"}, "security": {"insecure": True}}
+    raw = {
+        "name": "lab",
+        "drones": drones,
+        "hosts": {"far": "10.9.9.9"},
+        "security": {"insecure": True},
+    }
     far = SwarmConfig.of(raw)
     assert patience(far) == DISCOVERY, "on another host, that is not asked"
     with recorded(run_of(own_place, "lab-1")):
@@ -95,7 +120,10 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
 
 
 def test_a_run_that_is_starting_is_not_absent_and_names_no_other(own_place):
-    with recorded(run_of(own_place, "lab-1", "lab.toml")), recorded(run_of(own_place, "demo-1")):
+    with (
+        recorded(run_of(own_place, "lab-1", "lab.toml")),
+        recorded(run_of(own_place, "demo-1")),
+    ):
         said = nobody(running_swarm("lab.toml"), "lab.toml").reason
         assert "has not started them yet (a first run compiles its laws" in said
         assert said.endswith("try again.")
@@ -125,7 +153,9 @@ def test_who_was_killed_left_nothing(own_place):
 
 
 def test_a_run_flies_though_no_record_can_be_left(own_place, monkeypatch):
-    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(own_place / "missing" / "crazychoir"))
+    monkeypatch.setenv(
+        "CRAZYCHOIR_RUNTIME_DIR", str(own_place / "missing" / "crazychoir")
+    )
     with recorded(run_of(own_place, "lab-1")):
         assert runs() == []
 
@@ -140,7 +170,11 @@ def test_records_are_private(own_place):
 UID = 200_000 + os.getpid() % 50_000
 """A user of this test alone."""
 SHELLS = {
-    "login shell": {"HOME": "/home/anna", "USER": "anna", "XDG_RUNTIME_DIR": "{folder}"},
+    "login shell": {
+        "HOME": "/home/anna",
+        "USER": "anna",
+        "XDG_RUNTIME_DIR": "{folder}",
+    },
     "cron": {"HOME": "/home/anna", "PATH": "/usr/bin:/bin", "SHELL": "/bin/sh"},
     "service": {"INVOCATION_ID": "0", "TMPDIR": "{folder}"},
     "nothing": {},
@@ -163,16 +197,34 @@ FINDS = """if True:
 def shell(folder, name):
     """The environment of a shell, with what Python needs."""
     needed = {"PYTHONPATH": os.pathsep.join(sys.path)}
-    return {key: value.format(folder=folder) for key, value in SHELLS[name].items()} | needed
+    return {
+        key: value.format(folder=folder) for key, value in SHELLS[name].items()
+    } | needed
 
 
 @contextlib.contextmanager
 def flying(folder, name, uid, swarm):
     """A run of a user, started in that shell."""
     source = str(folder / "lab.toml")
-    command = [*as_user(uid), sys.executable, "-c", RECORDS, swarm, "lab.toml", source, "/nowhere/swarm.json"]
+    command = [
+        *as_user(uid),
+        sys.executable,
+        "-c",
+        RECORDS,
+        swarm,
+        "lab.toml",
+        source,
+        "/nowhere/swarm.json",
+    ]
     pipe = subprocess.PIPE
-    with subprocess.Popen(command, env=shell(folder, name), stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+    with subprocess.Popen(
+        command,
+        env=shell(folder, name),
+        stdin=pipe,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+    ) as process:
         said = process.stdout.readline()
         try:
             assert said == "flies\n", process.stderr.read() if said == "" else said
@@ -183,9 +235,21 @@ def flying(folder, name, uid, swarm):
 
 def found(folder, name, uid, swarm, **environment):
     """Whether that shell of that user finds it: by itself, by its file, and at all."""
-    command = [*(as_user(uid) if uid else ()), sys.executable, "-c", FINDS, str(folder / "lab.toml"), swarm]
+    command = [
+        *(as_user(uid) if uid else ()),
+        sys.executable,
+        "-c",
+        FINDS,
+        str(folder / "lab.toml"),
+        swarm,
+    ]
     answer = subprocess.run(
-        command, env=shell(folder, name) | environment, capture_output=True, text=True, check=True, cwd="/"
+        command,
+        env=shell(folder, name) | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd="/",
     )
     return answer.stdout.strip(), answer.stderr
 
@@ -206,11 +270,15 @@ def test_each_shell_of_a_user_finds_the_runs_of_each_other(own_place, of_a_user)
         with flying(own_place, name, UID, of_a_user):
             assert found(own_place, others[0], UID, of_a_user) == (everywhere, "")
     with flying(own_place, "cron", UID, of_a_user):
-        assert found(own_place, "cron", UID + 1, of_a_user) == (nowhere, ""), "another user's are not shown"
+        assert found(own_place, "cron", UID + 1, of_a_user) == (nowhere, ""), (
+            "another user's are not shown"
+        )
     assert found(own_place, "cron", UID, of_a_user) == (nowhere, "")
 
 
-def test_root_finds_the_runs_of_all_users_and_first_those_of_who_called_sudo(own_place, of_a_user, monkeypatch):
+def test_root_finds_the_runs_of_all_users_and_first_those_of_who_called_sudo(
+    own_place, of_a_user, monkeypatch
+):
     with flying(own_place, "login shell", UID, of_a_user):
         _, _, at_all = found(own_place, "nothing", 0, of_a_user)[0].split(" ")
         assert at_all == f"{[of_a_user]}"
@@ -224,9 +292,15 @@ def test_root_finds_the_runs_of_all_users_and_first_those_of_who_called_sudo(own
 
 def test_a_folder_that_another_user_has_taken_is_refused_aloud(own_place, of_a_user):
     folder = private_folder_of(UID)
-    for harm in (lambda: folder.mkdir(mode=0o777), lambda: folder.symlink_to(own_place), folder.touch):
+    for harm in (
+        lambda: folder.mkdir(mode=0o777),
+        lambda: folder.symlink_to(own_place),
+        folder.touch,
+    ):
         harm()
-        refused = rf"{folder}: found it (belongs|is)[^;]*; allowed: a folder of this user"
+        refused = (
+            rf"{folder}: found it (belongs|is)[^;]*; allowed: a folder of this user"
+        )
         with pytest.raises(AssertionError, match=refused):
             flying(own_place, "cron", UID, of_a_user).__enter__()
         none, said = found(own_place, "cron", UID, of_a_user)
@@ -237,7 +311,9 @@ def test_a_folder_that_another_user_has_taken_is_refused_aloud(own_place, of_a_u
         folder.rmdir() if folder.is_dir() and not folder.is_symlink() else folder.unlink()
 
 
-def test_what_lies_in_the_folder_of_another_user_does_no_harm_to_root(own_place, of_a_user):
+def test_what_lies_in_the_folder_of_another_user_does_no_harm_to_root(
+    own_place, of_a_user
+):
     """A pipe that nobody fills, a link to what only root may read, a record of another user, and no JSON."""
     folder = private_folder_of(UID)
     folder.mkdir(mode=0o700)
@@ -256,4 +332,6 @@ def test_a_run_without_a_record_says_how_others_find_it(own_place, monkeypatch, 
     run = run_of(own_place, "lab-1")
     with recorded(run):
         pass
-    assert f"Other shells must name it: crazychoir land --swarm {run.file}" in caplog.text
+    assert (
+        f"Other shells must name it: crazychoir land --swarm {run.file}" in caplog.text
+    )

@@ -6,7 +6,10 @@ from crazychoir.mocap.naming import bodies, matched
 
 
 def seen(**places):
-    return [Frame(k, 0.01 * k, {n: np.array([*p, 0, 0, 0, 1.0]) for n, p in places.items()}) for k in range(200)]
+    return [
+        Frame(k, 0.01 * k, {n: np.array([*p, 0, 0, 0, 1.0]) for n, p in places.items()})
+        for k in range(200)
+    ]
 
 
 def test_bodies_are_listed_with_place_rate_and_how_far_they_moved():
@@ -24,15 +27,25 @@ def test_bodies_are_listed_with_place_rate_and_how_far_they_moved():
 
 def test_the_sum_of_the_distances_is_least_not_each_of_them():
     """The nearest body of drone 0 is that of drone 1, who has no other."""
-    found = matched(bodies(seen(p=(0.1, 0, 0), q=(-0.25, 0, 0)), 2.0), {0: (0, 0, 0), 1: (0.2, 0, 0)})
-    assert [(m.drone, m.name, m.sure) for m in found] == [(0, "q", True), (1, "p", True)]
+    found = matched(
+        bodies(seen(p=(0.1, 0, 0), q=(-0.25, 0, 0)), 2.0),
+        {0: (0, 0, 0), 1: (0.2, 0, 0)},
+    )
+    assert [(m.drone, m.name, m.sure) for m in found] == [
+        (0, "q", True),
+        (1, "p", True),
+    ]
 
 
 def test_more_bodies_than_drones_and_fewer():
     homes = {0: (0, 0, 0), 1: (1, 0, 0)}
-    found = matched(bodies(seen(wand=(3, 3, 1), a=(1.01, 0, 0), b=(0, 0.02, 0)), 2.0), homes)
+    found = matched(
+        bodies(seen(wand=(3, 3, 1), a=(1.01, 0, 0), b=(0, 0.02, 0)), 2.0), homes
+    )
     assert {m.drone: m.name for m in found} == {0: "b", 1: "a"}
-    assert [(m.drone, m.sure) for m in matched(bodies(seen(a=(0.9, 0, 0)), 2.0), homes)] == [(1, True)]
+    assert [
+        (m.drone, m.sure) for m in matched(bodies(seen(a=(0.9, 0, 0)), 2.0), homes)
+    ] == [(1, True)]
     assert matched([], homes) == []
 
 

@@ -25,12 +25,20 @@ class Cameras:
     live, state, where = True, "connected", "test cameras"
 
     def __init__(self, clock, seconds, fails=None, bodies=None):
-        self.clock, self.again, self._frames, self._fails = clock, 0, round(100 * seconds), fails
+        self.clock, self.again, self._frames, self._fails = (
+            clock,
+            0,
+            round(100 * seconds),
+            fails,
+        )
         self._bodies, self._k = bodies or self.flown, 0
 
     def flown(self, k):
         x = {"cf0": k / 100, "b": 2.0}
-        return {name: np.array([at, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0]) for name, at in x.items()}
+        return {
+            name: np.array([at, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0])
+            for name, at in x.items()
+        }
 
     async def run(self, take):
         async for _ in self.clock.ticks(100.0):
@@ -56,22 +64,34 @@ class Link(Actor):
 
 
 def swarm(mocap=None, **keys):
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"} for i in range(2)]
+    drones = [
+        {"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"}
+        for i in range(2)
+    ]
     drones[1] |= {"body": "b", **keys}
-    return SwarmConfig.of({"name": "lab", "drones": drones, "mocap": mocap or {"source": "mock"}})
+    return SwarmConfig.of(
+        {"name": "lab", "drones": drones, "mocap": mocap or {"source": "mock"}}
+    )
 
 
 def served(seconds=2.0, config=None, act=None, cameras=Cameras, **source):
     """What a reader gets of each drone while the process runs: {(topic, i): [(time, value, age)]}, and the process."""
 
     async def main(clock):
-        mocap = MocapProcess(clock, config or swarm(), cameras(clock, seconds, **source), "m", "here", 1)
+        mocap = MocapProcess(
+            clock, config or swarm(), cameras(clock, seconds, **source), "m", "here", 1
+        )
         mocap.bus.port(OBSERVER)
         got = {}
         for topic in (POSE, TRUTH):
             for i in mocap.tracks:
                 kept = got[topic, i] = []
-                box = Call(clock, lambda value, age, kept=kept: kept.append((clock.now(), value, age)))
+                box = Call(
+                    clock,
+                    lambda value, age, kept=kept: kept.append(
+                        (clock.now(), value, age)
+                    ),
+                )
                 mocap.bus.subscribe(topic, EYES + i, OBSERVER, box)
         link = Link()
         serving = asyncio.create_task(mocap.serve(link))
@@ -87,7 +107,9 @@ def test_each_drone_that_is_seen_gets_its_poses_and_its_truth():
     got, mocap, _ = served()
     assert [pose.p[0] for _, pose, _ in got[POSE, 0]] == [k / 100 for k in range(200)]
     assert {pose.p[0] for _, pose, _ in got[POSE, 1]} == {2.0}
-    assert {pose.age for _, pose, _ in got[POSE, 0]} == {0.001}, "as old as the source says"
+    assert {pose.age for _, pose, _ in got[POSE, 0]} == {0.001}, (
+        "as old as the source says"
+    )
     assert len(got[TRUTH, 0]) == pytest.approx(40, abs=1)
     _, state, _ = got[TRUTH, 0][-1]
     np.testing.assert_allclose(state.v, [1.0, 0.0, 1e-4], atol=1e-3)
@@ -116,7 +138,9 @@ def test_truth_of_virtual_drones_has_no_noise_and_their_poses_have():
     got, _, _ = served(config=swarm({"noise": 0.01, "tilt": [0.1, 0.0]}))
     x = np.array([pose.p[0] - k / 100 for k, (_, pose, _) in enumerate(got[POSE, 0])])
     assert np.std(x) == pytest.approx(0.01, rel=0.3)
-    told = [(state.p[0] - now, state.q[0]) for now, state, _ in got[TRUTH, 0] if now > 0.5]
+    told = [
+        (state.p[0] - now, state.q[0]) for now, state, _ in got[TRUTH, 0] if now > 0.5
+    ]
     assert np.std([x for x, _ in told]) < 1e-6
     assert {tilt for _, tilt in told} == {0.0}
 
@@ -155,7 +179,10 @@ def test_it_goes_on_until_the_agents_of_its_drones_have_ended(caplog):
     got, _, now = served(30.0, act=lambda *them: ends(*them, leaves=7.0))
     assert 7.5 <= now < 7.8
     assert got[POSE, 1][-1][0] > 7.4
-    assert "SIGTERM: it goes on until drone(s) 1 are down and without agents" in caplog.text
+    assert (
+        "SIGTERM: it goes on until drone(s) 1 are down and without agents"
+        in caplog.text
+    )
 
 
 def test_it_goes_on_while_a_drone_flies_that_its_agent_has_left():
@@ -191,9 +218,13 @@ def test_but_not_for_ever():
 
 
 def test_a_swarm_without_drones_that_are_seen_is_refused():
-    config = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0.0, 0.0, 0.0]}]})
+    config = SwarmConfig.of(
+        {"name": "lab", "drones": [{"id": 0, "home": [0.0, 0.0, 0.0]}]}
+    )
     with pytest.raises(ConfigError, match="no drone that is seen"):
-        MocapProcess(SimpleNamespace(now=lambda: 0.0), config, Cameras(None, 1), "m", "here", 1)
+        MocapProcess(
+            SimpleNamespace(now=lambda: 0.0), config, Cameras(None, 1), "m", "here", 1
+        )
 
 
 @pytest.mark.parametrize("origin", [0.0, -40.0, 1.76e9])
@@ -212,7 +243,12 @@ def test_a_recording_from_any_origin_of_time_is_seen_frame_by_frame(tmp_path, or
         return mocap.report()
 
     report = run_virtual(main)
-    assert (report["frames"], report["lost"], report["late"], report["timeless"]) == (100, 0, 0, 0)
+    assert (report["frames"], report["lost"], report["late"], report["timeless"]) == (
+        100,
+        0,
+        0,
+        0,
+    )
     assert report["seen"] == {0: 100, 1: 0}
     assert report["success"]
 
@@ -228,7 +264,11 @@ def test_a_run_that_saw_no_frame_is_no_success():
 def test_nor_is_one_whose_frames_have_no_time_in_seconds():
     class Milliseconds(Cameras):
         async def run(self, take):
-            await super().run(lambda frame, age: take(Frame(frame.number, 1.76e12 + frame.time, frame.bodies), age))
+            await super().run(
+                lambda frame, age: take(
+                    Frame(frame.number, 1.76e12 + frame.time, frame.bodies), age
+                )
+            )
 
     _, mocap, _ = served(cameras=Milliseconds)
     assert not mocap.report()["success"]
@@ -236,7 +276,11 @@ def test_nor_is_one_whose_frames_have_no_time_in_seconds():
 
 
 def test_nor_is_one_that_saw_no_body_of_a_drone():
-    _, mocap, _ = served(bodies=lambda k: {"wand": np.array([0.0, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0])})
+    _, mocap, _ = served(
+        bodies=lambda k: {
+            "wand": np.array([0.0, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0])
+        }
+    )
     report = mocap.report()
     assert report["frames"] == 200
     assert not report["success"]

@@ -11,7 +11,10 @@ ROW = "0.5,cf0,1,2,3,0,0,0,1"
 
 def frames(count=5):
     draw = np.random.default_rng(0)
-    return [Frame(k, 0.25 * k, {"cf0": draw.normal(size=7), "a,b": draw.normal(size=7)}) for k in range(count)]
+    return [
+        Frame(k, 0.25 * k, {"cf0": draw.normal(size=7), "a,b": draw.normal(size=7)})
+        for k in range(count)
+    ]
 
 
 def recorded(path, seen):
@@ -27,7 +30,9 @@ def test_a_recording_gives_back_what_was_seen_to_the_last_digit(tmp_path):
     assert [one.time for one in back] == [one.time for one in seen]
     for one, other in zip(seen, back, strict=True):
         assert list(one.bodies) == list(other.bodies)
-        assert all(np.array_equal(one.bodies[name], other.bodies[name]) for name in one.bodies)
+        assert all(
+            np.array_equal(one.bodies[name], other.bodies[name]) for name in one.bodies
+        )
 
 
 def test_it_is_handed_out_as_fast_as_it_was_recorded_and_then_it_is_over(tmp_path):
@@ -37,7 +42,9 @@ def test_it_is_handed_out_as_fast_as_it_was_recorded_and_then_it_is_over(tmp_pat
         taken = []
         source = ReplaySource(clock, str(path), said.append)
         await clock.sleep(3.0)
-        await source.run(lambda frame, age: taken.append((clock.now(), frame.time, age)))
+        await source.run(
+            lambda frame, age: taken.append((clock.now(), frame.time, age))
+        )
         return taken, source.state
 
     taken, state = run_virtual(main)
@@ -64,7 +71,11 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch, 
         for k in (1, 2, 3):
             recorder.write(frames()[k], 0.1 * k)
     report = recorder.report()
-    assert report == {"file": str(tmp_path / "a.csv"), "frames": 1, "error": "No space left on device"}
+    assert report == {
+        "file": str(tmp_path / "a.csv"),
+        "frames": 1,
+        "error": "No space left on device",
+    }
     assert caplog.text.count("No space left on device") == 1
 
 
@@ -114,8 +125,12 @@ def test_a_replay_takes_any_origin_of_time(tmp_path, origin):
 
 @pytest.mark.parametrize("origin", [0.0, 1.76e9])
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_times_in_another_unit_are_refused_with_the_unit_that_they_seem_to_have(tmp_path, origin, unit, factor):
-    path = written(tmp_path / "a.csv", [round((origin + 0.01 * k) * factor) for k in range(5)])
+def test_times_in_another_unit_are_refused_with_the_unit_that_they_seem_to_have(
+    tmp_path, origin, unit, factor
+):
+    path = written(
+        tmp_path / "a.csv", [round((origin + 0.01 * k) * factor) for k in range(5)]
+    )
     with pytest.raises(ConfigError) as refused:
         read_recording(path)
     assert "t in s" in str(refused.value)
@@ -125,10 +140,20 @@ def test_times_in_another_unit_are_refused_with_the_unit_that_they_seem_to_have(
 
 @pytest.mark.parametrize(
     ("jump", "words"),
-    [(-0.3, "or more, as before"), (-1.76e9, "or more, as before"), (1.76e9, "after the frame before"), (3600, "600")],
+    [
+        (-0.3, "or more, as before"),
+        (-1.76e9, "or more, as before"),
+        (1.76e9, "after the frame before"),
+        (3600, "600"),
+    ],
 )
-def test_a_clock_that_is_set_within_a_recording_is_refused_with_its_line(tmp_path, jump, words):
-    path = written(tmp_path / "a.csv", [1.76e9 + 0.01 * k + (jump if k >= 5 else 0.0) for k in range(9)])
+def test_a_clock_that_is_set_within_a_recording_is_refused_with_its_line(
+    tmp_path, jump, words
+):
+    path = written(
+        tmp_path / "a.csv",
+        [1.76e9 + 0.01 * k + (jump if k >= 5 else 0.0) for k in range(9)],
+    )
     with pytest.raises(ConfigError) as refused:
         read_recording(path)
     assert "line 7: found t = " in str(refused.value)
@@ -138,13 +163,17 @@ def test_a_clock_that_is_set_within_a_recording_is_refused_with_its_line(tmp_pat
 
 def test_a_body_that_is_twice_in_a_frame_is_refused_with_both_lines(tmp_path):
     path = written(tmp_path / "a.csv", [0.0, 0.5], names=("cf0", "cf1", "cf0"))
-    with pytest.raises(ConfigError, match=r"body 'cf0' twice at t = 0\.0, in lines 2 and 4"):
+    with pytest.raises(
+        ConfigError, match=r"body 'cf0' twice at t = 0\.0, in lines 2 and 4"
+    ):
         read_recording(path)
 
 
 def test_a_row_without_a_name_is_refused_and_blank_lines_are_not(tmp_path):
     path = tmp_path / "a.csv"
-    path.write_bytes(f"\ufeff{','.join(HEAD)}\r\n\r\n   \r\n0.0, cf0 ,1,2,3,0,0,0,1\r\n".encode())
+    path.write_bytes(
+        f"\ufeff{','.join(HEAD)}\r\n\r\n   \r\n0.0, cf0 ,1,2,3,0,0,0,1\r\n".encode()
+    )
     assert [list(frame.bodies) for frame in read_recording(path)] == [["cf0"]]
     path.write_text(f"{','.join(HEAD)}\n0.0,,1,2,3,0,0,0,1\n")
     with pytest.raises(ConfigError, match="line 2"):

@@ -18,21 +18,32 @@ def test_what_is_drawn_depends_on_seed_tick_and_id_alone():
         last = calls.sample(truth(range(4)), k)
     alone = SimulatedMocap([2], 3).sample(truth([2]), 4)
     np.testing.assert_array_equal(alone[0].flat, last[2].flat)
-    assert not np.array_equal(SimulatedMocap([2], 4).sample(truth([2]), 4)[0].flat, last[2].flat)
+    assert not np.array_equal(
+        SimulatedMocap([2], 4).sample(truth([2]), 4)[0].flat, last[2].flat
+    )
 
 
 def test_the_noise_has_the_asked_deviations():
     mocap = SimulatedMocap(range(50), 0, noise_p=0.001, noise_angle=0.01)
-    flat = np.array([p.flat for k in range(100) for p in mocap.sample(truth(range(50)), k)])
+    flat = np.array(
+        [p.flat for k in range(100) for p in mocap.sample(truth(range(50)), k)]
+    )
     at = np.tile(np.arange(50.0), 100)
     assert np.std(flat[:, 0] - at) == pytest.approx(0.001, rel=0.05)
-    turns = np.array([logarithm(product(conjugate((0.0, 0.0, 0.0, 1.0)), tuple(q))) for q in flat[:, 3:]])
+    turns = np.array(
+        [
+            logarithm(product(conjugate((0.0, 0.0, 0.0, 1.0)), tuple(q)))
+            for q in flat[:, 3:]
+        ]
+    )
     np.testing.assert_allclose(np.std(turns, axis=0), 0.01, rtol=0.05)
 
 
 def test_dropouts_are_independent_of_each_other_and_as_frequent_as_asked():
     mocap = SimulatedMocap(range(20), 0, dropout=0.3)
-    gone = np.array([[p is None for p in mocap.sample(truth(range(20)), k)] for k in range(1000)])
+    gone = np.array(
+        [[p is None for p in mocap.sample(truth(range(20)), k)] for k in range(1000)]
+    )
     assert gone.mean() == pytest.approx(0.3, abs=0.01)
     between = np.corrcoef(gone.T)[np.triu_indices(20, 1)]
     assert np.abs(between).max() < 0.15
@@ -57,6 +68,11 @@ def test_a_body_that_is_mounted_askew_is_seen_turned_by_the_same_angles_whatever
         r = rotation(row[6:10]).T @ rotation(pose.q)
         # R = Ry(pitch) Rx(roll): its last row is (-sin pitch, cos pitch sin roll, cos pitch cos roll), its first column
         # (cos pitch, 0, -sin pitch).
-        np.testing.assert_allclose(r[2], [-np.sin(-0.05), np.cos(0.05) * np.sin(0.02), np.cos(0.05) * np.cos(0.02)])
-        np.testing.assert_allclose(r[:, 0], [np.cos(0.05), 0.0, np.sin(0.05)], atol=1e-15)
+        np.testing.assert_allclose(
+            r[2],
+            [-np.sin(-0.05), np.cos(0.05) * np.sin(0.02), np.cos(0.05) * np.cos(0.02)],
+        )
+        np.testing.assert_allclose(
+            r[:, 0], [np.cos(0.05), 0.0, np.sin(0.05)], atol=1e-15
+        )
         np.testing.assert_array_equal(pose.p, row[0:3])

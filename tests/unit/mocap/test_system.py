@@ -58,8 +58,13 @@ def watched(seconds, until, deadline=0.3):
 
     async def main(clock):
         taken, said = [], []
-        source = SystemSource(clock, "vicon", "10.0.0.5", {"gain": 2}, deadline, said.append)
-        running, worst = asyncio.create_task(source.run(lambda *frame: taken.append(frame))), 0.0
+        source = SystemSource(
+            clock, "vicon", "10.0.0.5", {"gain": 2}, deadline, said.append
+        )
+        running, worst = (
+            asyncio.create_task(source.run(lambda *frame: taken.append(frame))),
+            0.0,
+        )
         ends = clock.now() + seconds
         while len(said) < until and clock.now() < ends:
             began = clock.now()
@@ -87,10 +92,14 @@ def test_a_connect_that_hangs_blocks_nothing_and_is_named(library):
 def test_what_the_library_says_is_passed_on(library):
     library(FAILS)
     _, said, _ = watched(15.0, until=1)
-    assert said[0].startswith("vicon at 10.0.0.5: RuntimeError: vicon: no {'hostname': '10.0.0.5', 'gain': '2'}.")
+    assert said[0].startswith(
+        "vicon at 10.0.0.5: RuntimeError: vicon: no {'hostname': '10.0.0.5', 'gain': '2'}."
+    )
 
 
-def test_frames_come_with_their_age_and_cameras_that_hang_later_are_named(library, monkeypatch):
+def test_frames_come_with_their_age_and_cameras_that_hang_later_are_named(
+    library, monkeypatch
+):
     monkeypatch.setattr("crazychoir.mocap.system.SILENT", 0.3)
     library(SEES)
     taken, said, _ = watched(15.0, until=1, deadline=5.0)
@@ -104,5 +113,8 @@ def test_frames_come_with_their_age_and_cameras_that_hang_later_are_named(librar
 
 def test_without_the_library_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"no module motioncapture; .*pip install 'crazychoir\[mocap\]'"):
+    with pytest.raises(
+        ConfigError,
+        match=r"no module motioncapture; .*pip install 'crazychoir\[mocap\]'",
+    ):
         SystemSource(None, "vicon", "10.0.0.5")

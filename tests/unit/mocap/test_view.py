@@ -13,7 +13,10 @@ def frame(number, t, **bodies):
 
 
 def swarm(**mocap):
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"} for i in range(2)]
+    drones = [
+        {"id": i, "home": [float(i), 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"}
+        for i in range(2)
+    ]
     return SwarmConfig.of({"name": "lab", "drones": drones, "mocap": mocap})
 
 
@@ -21,7 +24,9 @@ def swarm(**mocap):
 def test_at_most_so_many_frames_a_second_pass(rate):
     pace, jitter = RateLimit(100.0), np.random.default_rng(1).uniform(0.0, 0.002, 2000)
     passed = sum(pace.passes(k / rate + jitter[k]) for k in range(round(5.0 * rate)))
-    assert 495 <= passed <= 501, "frames of the rate itself all pass, although they jitter"
+    assert 495 <= passed <= 501, (
+        "frames of the rate itself all pass, although they jitter"
+    )
 
 
 def test_a_source_that_begins_anew_is_let_through():
@@ -48,10 +53,14 @@ def test_after_a_restart_of_its_server_nothing_counts_as_late_or_lost():
 @pytest.mark.parametrize("t", [np.nan, np.inf, -1e300])
 def test_a_frame_of_no_time_is_dropped_and_the_next_one_is_not(t):
     view = View(100.0, Blur(swarm()))
-    assert [view.see(frame(k, at)) is not None for k, at in enumerate((0.0, t, 0.01))] == [True, False, True]
+    assert [
+        view.see(frame(k, at)) is not None for k, at in enumerate((0.0, t, 0.01))
+    ] == [True, False, True]
 
 
-@pytest.mark.parametrize("bad", [np.full(7, np.nan), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])])
+@pytest.mark.parametrize(
+    "bad", [np.full(7, np.nan), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])]
+)
 def test_what_is_no_pose_is_not_seen(bad):
     seen, _ = View(100.0).see(frame(0, 0.0, cf0=LEVEL, cf1=bad))
     assert list(seen.bodies) == ["cf0"]
@@ -59,12 +68,25 @@ def test_what_is_no_pose_is_not_seen(bad):
 
 def test_virtual_poses_are_seen_as_simulated_cameras_see_them():
     view = View(100.0, Blur(swarm(noise=0.01, latency=0.02)))
-    shown = [view.see(frame(k, 0.01 * k, cf0=LEVEL + 0.1 * k * np.eye(7)[0], wand=LEVEL)) for k in range(50)]
-    assert [list(one.bodies) for one, _ in shown[:3]] == [["wand"], ["wand"], ["wand", "cf0"]], "they are 20 ms late"
-    errors = [one.bodies["cf0"][0:3] - LEVEL[0:3] - [0.1 * (k - 2), 0, 0] for k, (one, _) in enumerate(shown) if k > 1]
+    shown = [
+        view.see(frame(k, 0.01 * k, cf0=LEVEL + 0.1 * k * np.eye(7)[0], wand=LEVEL))
+        for k in range(50)
+    ]
+    assert [list(one.bodies) for one, _ in shown[:3]] == [
+        ["wand"],
+        ["wand"],
+        ["wand", "cf0"],
+    ], "they are 20 ms late"
+    errors = [
+        one.bodies["cf0"][0:3] - LEVEL[0:3] - [0.1 * (k - 2), 0, 0]
+        for k, (one, _) in enumerate(shown)
+        if k > 1
+    ]
     assert np.std(errors) == pytest.approx(0.01, rel=0.3)
     assert {round(age, 9) for one, age in shown[2:]} == {0.02}
-    assert all(np.array_equal(one.bodies["wand"], LEVEL) for one, _ in shown), "what is nobody's is shown as it is"
+    assert all(np.array_equal(one.bodies["wand"], LEVEL) for one, _ in shown), (
+        "what is nobody's is shown as it is"
+    )
 
 
 def test_a_server_that_was_started_again_is_seen_as_late_as_before():
@@ -109,5 +131,7 @@ def test_a_clock_that_is_set_interrupts_nothing(jump):
 def test_the_rate_is_limited_after_a_clock_was_set_back_as_before():
     pace = RateLimit(100.0)
     times = [0.001 * k for k in range(1000)]
-    passed = [sum(pace.passes(t + shift) for t in times) for shift in (1.76e9, 0.0, -0.5)]
+    passed = [
+        sum(pace.passes(t + shift) for t in times) for shift in (1.76e9, 0.0, -0.5)
+    ]
     assert passed == pytest.approx([100, 100, 100], abs=1)

@@ -37,9 +37,15 @@ def test_slow_cameras_are_named_with_both_rates():
 
 def test_a_gap_in_the_frames_and_one_of_a_body_are_said_with_their_length():
     _, said = watched(3.0, lambda k: moving(k, "cf0", "cf1"), gap=(1.0, 1.1))
-    assert [text for _, text in said] == ["no frame for 0.110 s, more than 0.05 s"], "no body is to blame"
-    _, said = watched(3.0, lambda k: moving(k, "cf0") if 100 <= k < 105 else moving(k, "cf0", "cf1"))
-    assert [text for _, text in said] == ["body 'cf1' of drone 1 was not seen for 0.060 s"]
+    assert [text for _, text in said] == ["no frame for 0.110 s, more than 0.05 s"], (
+        "no body is to blame"
+    )
+    _, said = watched(
+        3.0, lambda k: moving(k, "cf0") if 100 <= k < 105 else moving(k, "cf0", "cf1")
+    )
+    assert [text for _, text in said] == [
+        "body 'cf1' of drone 1 was not seen for 0.060 s"
+    ]
 
 
 def test_gaps_that_come_again_and_again_are_said_with_their_number_and_short_ones_are_not():
@@ -48,7 +54,11 @@ def test_gaps_that_come_again_and_again_are_said_with_their_number_and_short_one
         for k in range(160):
             t += gap if k % 10 == 0 else 0.01
             watch.note(Frame(k, t, moving(k, "cf0", "cf1")), t)
-            said += [text for text in watch.look(t) if text.startswith("no frame")] if k % 20 == 19 else []
+            said += (
+                [text for text in watch.look(t) if text.startswith("no frame")]
+                if k % 20 == 19
+                else []
+            )
         return said
 
     assert said_of(0.045) == []
@@ -57,10 +67,21 @@ def test_gaps_that_come_again_and_again_are_said_with_their_number_and_short_one
 
 
 def test_a_body_that_is_missing_now_and_then_is_said_with_its_share():
-    _, said = watched(8.0, lambda k: moving(k, "cf0", "cf1") if k % 10 else moving(k, "cf0"))
-    assert {text for _, text in said} == {"body 'cf1' of drone 1 is missing in 10 % of the frames"}
+    _, said = watched(
+        8.0, lambda k: moving(k, "cf0", "cf1") if k % 10 else moving(k, "cf0")
+    )
+    assert {text for _, text in said} == {
+        "body 'cf1' of drone 1 is missing in 10 % of the frames"
+    }
     assert [t for t, _ in said] == [2.0, 3.0, 5.0]
-    assert watched(8.0, lambda k: moving(k, "cf0", "cf1") if k % 10 else moving(k, "cf0"), live=False)[1] == []
+    assert (
+        watched(
+            8.0,
+            lambda k: moving(k, "cf0", "cf1") if k % 10 else moving(k, "cf0"),
+            live=False,
+        )[1]
+        == []
+    )
 
 
 def test_a_body_that_is_never_seen_is_named_with_the_name_that_may_be_meant():
@@ -68,11 +89,16 @@ def test_a_body_that_is_never_seen_is_named_with_the_name_that_may_be_meant():
     assert said[0][1] == (
         "body 'cf1' of drone 1 was never seen. Seen are 'CF_1', 'cf0'. Did you mean body = \"CF_1\"?"
     )
-    assert any(text.startswith("seen, and nobody's: 'CF_1'. The swarm file has 'cf0', 'cf1'") for _, text in said)
+    assert any(
+        text.startswith("seen, and nobody's: 'CF_1'. The swarm file has 'cf0', 'cf1'")
+        for _, text in said
+    )
 
 
 def test_a_body_that_is_lost_is_said_ever_more_rarely():
-    watch, said = watched(20.0, lambda k: moving(k, "cf0") if k > 100 else moving(k, "cf0", "cf1"))
+    watch, said = watched(
+        20.0, lambda k: moving(k, "cf0") if k > 100 else moving(k, "cf0", "cf1")
+    )
     times = [t for t, text in said if "is not seen for" in text]
     assert times == [1.75, 2.75, 4.75, 8.75, 16.75]
     assert watch.sights["cf1"].dropped == 2000 - 101
@@ -80,8 +106,12 @@ def test_a_body_that_is_lost_is_said_ever_more_rarely():
 
 def test_a_body_that_shows_the_very_same_digits_is_as_old_as_they_are():
     still = moving(0, "cf1")
-    watch, said = watched(2.0, lambda k: moving(k, "cf0") | (still if k >= 50 else moving(k, "cf1")))
-    assert said[0][1].startswith("body 'cf1' of drone 1 shows the very same pose for 0.8 s")
+    watch, said = watched(
+        2.0, lambda k: moving(k, "cf0") | (still if k >= 50 else moving(k, "cf1"))
+    )
+    assert said[0][1].startswith(
+        "body 'cf1' of drone 1 shows the very same pose for 0.8 s"
+    )
     assert watch.age("cf1", 2.0) == pytest.approx(1.5)
     assert watch.age("cf0", 1.99) == 0.0
 
@@ -91,9 +121,13 @@ def test_a_system_that_hands_out_what_it_had_is_as_fast_as_what_is_new():
     watch, said = watched(4.0, lambda k: moving(k, "cf0") | moving(k // 4, "cf1"))
     assert watch.sights["cf1"].rate == pytest.approx(25.0, rel=0.05)
     assert watch.sights["cf1"].dropped == 0
-    assert any(text == "body 'cf1' of drone 1 was not seen for 0.040 s" for _, text in said)
+    assert any(
+        text == "body 'cf1' of drone 1 was not seen for 0.040 s" for _, text in said
+    )
     _, said = watched(4.0, lambda k: moving(k, "cf0") | moving(k // 2, "cf1"))
-    assert {text for _, text in said} == {"body 'cf1' of drone 1 is measured at 50 Hz, shown at 100 Hz"}
+    assert {text for _, text in said} == {
+        "body 'cf1' of drone 1 is measured at 50 Hz, shown at 100 Hz"
+    }
 
 
 def test_simulated_bodies_may_stand_still():

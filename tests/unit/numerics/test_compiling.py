@@ -65,15 +65,29 @@ def test_a_law_that_waits_is_compiled_for_its_own_types_alone_when_it_is_called(
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
-        (NOT_RIGID, ("crazychoir", "run", "{file}", "--fast"), "all bearings of drone 3 are parallel"),
-        (NOT_RIGID, ("agent", "--swarm", "{file}", "--id", "0"), "all bearings of drone 3 are parallel"),
+        (
+            NOT_RIGID,
+            ("crazychoir", "run", "{file}", "--fast"),
+            "all bearings of drone 3 are parallel",
+        ),
+        (
+            NOT_RIGID,
+            ("agent", "--swarm", "{file}", "--id", "0"),
+            "all bearings of drone 3 are parallel",
+        ),
         (GOOD, ("agent", "--swarm", "{file}", "--id", "7"), "found drone 7"),
-        (GOOD.replace("[0, 0, 0]", "[9, 0, 0]"), ("crazychoir", "run", "{file}"), "outside the fence"),
+        (
+            GOOD.replace("[0, 0, 0]", "[9, 0, 0]"),
+            ("crazychoir", "run", "{file}"),
+            "outside the fence",
+        ),
         (GOOD, ("crazychoir", "run", "{file}", "--only", "3"), "--only"),
         (ALGORITHM, ("crazychoir", "simulate", "{file}"), "without message, step"),
     ],
 )
-def test_what_is_wrong_with_a_swarm_is_said_before_any_law_is_compiled(text, words, said, tmp_path):
+def test_what_is_wrong_with_a_swarm_is_said_before_any_law_is_compiled(
+    text, words, said, tmp_path
+):
     file = tmp_path / ("a.py" if text == ALGORITHM else "a.toml")
     file.write_text(text)
     program, *rest = (word.format(file=file) for word in words)
@@ -81,7 +95,11 @@ def test_what_is_wrong_with_a_swarm_is_said_before_any_law_is_compiled(text, wor
     kept.mkdir()
     command = [sys.executable, "-m", f"crazychoir.cli.{program}", *rest]
     run = subprocess.run(
-        command, env={**os.environ, "NUMBA_CACHE_DIR": str(kept)}, capture_output=True, text=True, check=False
+        command,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(kept)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert (run.returncode, said in run.stderr) == (2, True), run.stderr
     assert COMPILES not in run.stderr

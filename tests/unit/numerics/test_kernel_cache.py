@@ -57,13 +57,20 @@ def folder(tmp_path):
 def run(folder, **environment):
     """The law's answer in a process of its own, how much was compiled for it, and where that is kept."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), **environment}
-    answer = subprocess.run([sys.executable, folder / "law.py"], env=environment, capture_output=True, check=True)
+    answer = subprocess.run(
+        [sys.executable, folder / "law.py"],
+        env=environment,
+        capture_output=True,
+        check=True,
+    )
     result, missed, place = answer.stdout.decode().split()
     return float(result), int(missed), place
 
 
 def test_of_processes_that_start_together_one_compiles(folder):
-    (folder / "pieces.py").write_text(PIECES + "\nimport time\ntime.sleep(0.5)  # so that all have begun\n")
+    (folder / "pieces.py").write_text(
+        PIECES + "\nimport time\ntime.sleep(0.5)  # so that all have begun\n"
+    )
     with ThreadPoolExecutor(3) as pool:
         answers = list(pool.map(lambda _: run(folder), range(3)))
     assert [result for result, *_ in answers] == [7.0] * 3
@@ -88,14 +95,25 @@ def test_a_turn_ends_when_compiling_is_broken_off(folder, monkeypatch):
     assert law(2.0) == 6.0
 
 
-def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_terminal(folder):
+def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_terminal(
+    folder,
+):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    said = [subprocess.run([sys.executable, folder / "law.py"], env=environment, capture_output=True, check=True).stderr
-            for _ in range(2)]  # fmt: skip
+    said = [
+        subprocess.run(
+            [sys.executable, folder / "law.py"],
+            env=environment,
+            capture_output=True,
+            check=True,
+        ).stderr
+        for _ in range(2)
+    ]
     assert said == [f"{cache.COMPILES}\n".encode(), b""]
 
 
-def test_comments_docstrings_and_times_compile_nothing_and_a_constant_of_another_file_what_names_it(folder):
+def test_comments_docstrings_and_times_compile_nothing_and_a_constant_of_another_file_what_names_it(
+    folder,
+):
     assert run(folder)[:2] == (7.0, 2)
     law = LAW.replace("(x):\n", '(x):\n    """Thrice, and one."""\n')
     (folder / "law.py").write_text("# Said anew.\n\n" + law)
@@ -175,7 +193,9 @@ def test_through_modules():
     assert digest(source, made=module(2.0)) != digest(source, made=module(3.0))
 
 
-@pytest.mark.parametrize("unknown", [object(), [1.0], types.ModuleType("m"), lambda x: x, np.array([{}])])
+@pytest.mark.parametrize(
+    "unknown", [object(), [1.0], types.ModuleType("m"), lambda x: x, np.array([{}])]
+)
 def test_a_law_that_names_what_has_no_digest_is_not_kept(unknown):
     law = law_of(NAMES, K=unknown)
     with pytest.raises(Untold):
@@ -202,13 +222,17 @@ def test_all_kernels_of_the_package_are_kept():
 def test_names_are_found_as_dis_finds_them():
     for name, law in [*kernels(), ("clip", clip)]:
         assert cache._paths(law.py_func.__code__) == by_dis(law.py_func.__code__), name
-    many = "def law(x): return " + " + ".join(f"m{k}.a.b{k}(x) + c{k}" for k in range(300))
+    many = "def law(x): return " + " + ".join(
+        f"m{k}.a.b{k}(x) + c{k}" for k in range(300)
+    )
     assert cache._paths(law_of(many).__code__) == by_dis(law_of(many).__code__)
 
 
 def kernels():
     """Of the modules imported above."""
-    for module in [module for name, module in sys.modules.items() if name.startswith("crazychoir.")]:
+    for module in [
+        module for name, module in sys.modules.items() if name.startswith("crazychoir.")
+    ]:
         for name, law in vars(module).items():
             if isinstance(getattr(law, "_cache", None), Kept):
                 yield f"{module.__name__}.{name}", law
@@ -234,13 +258,23 @@ def run_as_stranger(folder, **environment):
     """The law's answer as a user without a home, who may write nothing here; and the lines that the user is told."""
     command = [*as_user(), sys.executable, str(folder / "law.py")]
     environment = homeless(PYTHONPATH=os.pathsep.join(sys.path)) | environment
-    answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, cwd="/")
-    return float(answer.stdout.split()[0]), int(answer.stdout.split()[1]), answer.stderr.splitlines()
+    answer = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True, cwd="/"
+    )
+    return (
+        float(answer.stdout.split()[0]),
+        int(answer.stdout.split()[1]),
+        answer.stderr.splitlines(),
+    )
 
 
 @pytest.mark.parametrize(
     "environment",
-    [{}, {"HOME": "/nowhere/at/all"}, {"HOME": "/proc", "NUMBA_CACHE_DIR": "/proc/laws"}],
+    [
+        {},
+        {"HOME": "/nowhere/at/all"},
+        {"HOME": "/proc", "NUMBA_CACHE_DIR": "/proc/laws"},
+    ],
     ids=str,
 )
 def test_without_a_place_for_it_a_law_is_compiled_with_one_warning(folder, environment):
@@ -256,9 +290,20 @@ def test_what_root_has_compiled_is_used_by_a_user_who_cannot_write_there(folder)
 
 
 def test_a_named_folder_that_cannot_be_written_is_told_and_another_is_used(folder):
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "NUMBA_CACHE_DIR": "/proc/laws"}
-    said = [subprocess.run([sys.executable, folder / "law.py"], env=environment, capture_output=True, text=True).stderr
-            for _ in range(2)]  # fmt: skip
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "NUMBA_CACHE_DIR": "/proc/laws",
+    }
+    said = [
+        subprocess.run(
+            [sys.executable, folder / "law.py"],
+            env=environment,
+            capture_output=True,
+            text=True,
+        ).stderr
+        for _ in range(2)
+    ]
     assert said[0].splitlines() == [
         f"{ONE_WARNING}NUMBA_CACHE_DIR = /proc/laws: No such file or directory: laws are kept in "
         f"{folder / '__pycache__'} instead."
@@ -274,9 +319,18 @@ def test_on_a_full_disk_a_law_is_compiled_with_one_warning(folder):
         'mount -t tmpfs -o size=256k none "$0" && cp "$0"/../*.py "$0" && mkdir "$0/__pycache__" && '
         '{ cat /dev/zero >"$0/filler" 2>/dev/null; exec "$1" -B "$0/law.py"; }'
     )
-    command = [*in_own_namespace("--mount"), "sh", "-c", fill, str(full), sys.executable]
+    command = [
+        *in_own_namespace("--mount"),
+        "sh",
+        "-c",
+        fill,
+        str(full),
+        sys.executable,
+    ]
     environment = homeless(PYTHONPATH=os.pathsep.join(sys.path), HOME=str(full))
-    answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    answer = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True
+    )
     told = answer.stderr.splitlines()
     assert (answer.stdout.split()[:2], len(told)) == (["7.0", "2"], 1)
     assert f"{full / '__pycache__'}: No space left on device" in told[0]
@@ -298,11 +352,23 @@ def test_damaged_files_are_compiled_anew_with_one_warning(folder):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     for path in folder.glob("__pycache__/*.nb[ic]"):
         path.write_bytes(DAMAGES["cut"](path.read_bytes()))
-    said = [subprocess.run([sys.executable, folder / "law.py"], env=environment, capture_output=True, text=True)
-            for _ in range(2)]  # fmt: skip
-    assert [answer.stdout.split()[:2] for answer in said] == [["7.0", "2"], ["7.0", "0"]]
+    said = [
+        subprocess.run(
+            [sys.executable, folder / "law.py"],
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    assert [answer.stdout.split()[:2] for answer in said] == [
+        ["7.0", "2"],
+        ["7.0", "0"],
+    ]
     assert [len(answer.stderr.splitlines()) for answer in said] == [1, 0]
-    assert said[0].stderr.startswith(f"{ONE_WARNING}files in {folder / '__pycache__'} are damaged")
+    assert said[0].stderr.startswith(
+        f"{ONE_WARNING}files in {folder / '__pycache__'} are damaged"
+    )
 
 
 KEY, DATA = ("types", ("x86", 1)), {"code": b"machine code" * 40}
@@ -310,7 +376,9 @@ KEY, DATA = ("types", ("x86", 1)), {"code": b"machine code" * 40}
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-def test_each_kind_of_damage_is_found_and_mended_by_the_next_writing(tmp_path, suffix, damage):
+def test_each_kind_of_damage_is_found_and_mended_by_the_next_writing(
+    tmp_path, suffix, damage
+):
     store = _Store(tmp_path, "law", "d" * 32)
     store.save(KEY, DATA)
     (file,) = tmp_path.glob(f"*.{suffix}")
@@ -322,8 +390,15 @@ def test_each_kind_of_damage_is_found_and_mended_by_the_next_writing(tmp_path, s
     assert _Store(tmp_path, "law", "d" * 32).load(KEY) == DATA
 
 
-@given(st.integers(0, 10_000), st.binary(max_size=40), st.integers(0, 40), st.sampled_from(["nbi", "nbc"]))
-def test_whatever_happens_to_its_files_a_store_returns_what_was_saved_or_nothing(at, inserted, removed, suffix):
+@given(
+    st.integers(0, 10_000),
+    st.binary(max_size=40),
+    st.integers(0, 40),
+    st.sampled_from(["nbi", "nbc"]),
+)
+def test_whatever_happens_to_its_files_a_store_returns_what_was_saved_or_nothing(
+    at, inserted, removed, suffix
+):
     with TemporaryDirectory() as name:
         store = _Store(Path(name), "law", "d" * 32)
         store.save(KEY, DATA)
@@ -335,7 +410,9 @@ def test_whatever_happens_to_its_files_a_store_returns_what_was_saved_or_nothing
 
 
 def test_files_that_are_gone_unreadable_or_folders_are_as_not_there(tmp_path):
-    for suffix, harm in itertools.product(["nbi", "nbc"], [Path.unlink, unreadable, replaced_by_a_folder]):
+    for suffix, harm in itertools.product(
+        ["nbi", "nbc"], [Path.unlink, unreadable, replaced_by_a_folder]
+    ):
         store = _Store(tmp_path / f"{suffix}-{harm.__name__}", "law", "d" * 32)
         store.folder.mkdir()
         store.save(KEY, DATA)
@@ -369,7 +446,9 @@ def test_a_store_never_returns_what_was_saved_under_another_key(tmp_path):
     assert (one.load("a"), other.load("b")) == (1, 2)
 
 
-def test_a_disk_that_gets_full_half_way_leaves_nothing_and_is_warned_of_once(tmp_path, monkeypatch):
+def test_a_disk_that_gets_full_half_way_leaves_nothing_and_is_warned_of_once(
+    tmp_path, monkeypatch
+):
     def full(path, content):
         path.touch()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -390,7 +469,9 @@ def test_a_disk_that_gets_full_half_way_leaves_nothing_and_is_warned_of_once(tmp
     assert "No space left on device" in said[0]
 
 
-def test_children_of_a_run_share_a_temporary_folder_only_where_there_is_no_other(tmp_path, monkeypatch):
+def test_children_of_a_run_share_a_temporary_folder_only_where_there_is_no_other(
+    tmp_path, monkeypatch
+):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     with cache.shared_by_children(tmp_path):
         assert "NUMBA_CACHE_DIR" not in os.environ

@@ -5,7 +5,12 @@ import pytest
 from scipy.optimize import LinearConstraint, linprog, milp
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.generate import random_lp, random_milp, random_quadratics, random_standard_lp
+from crazychoir.optimization.generate import (
+    random_lp,
+    random_milp,
+    random_quadratics,
+    random_standard_lp,
+)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -34,7 +39,12 @@ def test_a_random_milp_is_scarce_and_feasible():
     whole = np.hstack(list(p.a))
     integrality = np.tile(np.arange(5) < p.integers, 4).astype(int)
     bounds = (np.zeros(20), np.tile(p.upper, 4))
-    solved = milp(p.c.ravel(), constraints=LinearConstraint(whole, ub=p.b), integrality=integrality, bounds=bounds)
+    solved = milp(
+        p.c.ravel(),
+        constraints=LinearConstraint(whole, ub=p.b),
+        integrality=integrality,
+        bounds=bounds,
+    )
     assert solved.success
     assert p.c.ravel() @ bounds[1] < solved.fun < -1.0
     assert (whole @ bounds[1] > p.b).all()
@@ -47,18 +57,31 @@ def test_random_quadratics_have_their_optimum():
     slope = sum(q.gradient(i)(q.optimum) for i in range(5))
     assert slope == pytest.approx(np.zeros(3), abs=1e-10)
     x, y = np.ones(3), np.zeros(3)
-    assert all(np.linalg.norm(q.gradient(i)(x) - q.gradient(i)(y)) <= q.smoothness * np.sqrt(3) for i in range(5))
+    assert all(
+        np.linalg.norm(q.gradient(i)(x) - q.gradient(i)(y)) <= q.smoothness * np.sqrt(3)
+        for i in range(5)
+    )
 
 
 def test_the_same_seed_gives_the_same_problem():
-    assert random_lp(3, 2, 6, 5).a.tobytes() == random_lp(3, 2, 6, 5).a.tobytes() != random_lp(3, 2, 6, 6).a.tobytes()
+    assert (
+        random_lp(3, 2, 6, 5).a.tobytes()
+        == random_lp(3, 2, 6, 5).a.tobytes()
+        != random_lp(3, 2, 6, 6).a.tobytes()
+    )
 
 
 @pytest.mark.parametrize(
     ("make", "error"),
     [
-        (lambda: random_lp(2, 5, 4), "random LP: constraints: found 4; allowed: 5 or more"),
-        (lambda: random_standard_lp(2, 3, 4), "random LP: columns: found 3; allowed: 4 or more"),
+        (
+            lambda: random_lp(2, 5, 4),
+            "random LP: constraints: found 4; allowed: 5 or more",
+        ),
+        (
+            lambda: random_standard_lp(2, 3, 4),
+            "random LP: columns: found 3; allowed: 4 or more",
+        ),
         (lambda: random_milp(2, tightness=1.0), "random MILP: found tightness 1.0"),
         (lambda: random_quadratics(0, 2), "random problem: agents: found 0"),
     ],

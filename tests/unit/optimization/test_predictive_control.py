@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.predictive_control import Prediction, PredictiveControl, SequentialMPC, integrators
+from crazychoir.optimization.predictive_control import (
+    Prediction,
+    PredictiveControl,
+    SequentialMPC,
+    integrators,
+)
 
 ONE, BOTH = np.eye(1), np.array([[1.0], [-1.0]])
 H, T, REACH, X_MAX, TALKS = 1.0, 10, 2.0, 10.0, 10
@@ -16,15 +21,31 @@ STARTS = (5.0, 5.2, 5.4, 5.5)
 
 def scalar(most=0.5, gain=None):
     """x+ = x + H u, |x| <= 10, |u| <= most, Q = R = 1."""
-    return Prediction(ONE, H * ONE, ONE, ONE, ONE, BOTH, np.full(2, X_MAX), BOTH, np.full(2, most), T, K=gain)
+    return Prediction(
+        ONE,
+        H * ONE,
+        ONE,
+        ONE,
+        ONE,
+        BOTH,
+        np.full(2, X_MAX),
+        BOTH,
+        np.full(2, most),
+        T,
+        K=gain,
+    )
 
 
 def team(limits, gain=None, starts=STARTS, reach=REACH):
     return [
-        SequentialMPC(i, tuple(j for j in range(len(starts)) if j != i), PredictiveControl(scalar(most, gain), reach),
-                      np.array([x]))
+        SequentialMPC(
+            i,
+            tuple(j for j in range(len(starts)) if j != i),
+            PredictiveControl(scalar(most, gain), reach),
+            np.array([x]),
+        )
         for i, (most, x) in enumerate(zip(limits, starts, strict=True))
-    ]  # fmt: skip
+    ]
 
 
 def talk(agents, arrives=lambda: True):
@@ -80,8 +101,12 @@ def test_all_wait_for_the_slowest_as_a_centre_would_let_them():
     limits = [0.5, 0.5, 0.2, 0.5]
     agents = team(limits)
     x, u = run(agents, 40)
-    assert np.ptp(x, axis=1).max() == pytest.approx(REACH, abs=1e-9), "the constraint counts"
-    assert all(agent.tally.solved == 40 and agent.tally.infeasible == 0 for agent in agents)
+    assert np.ptp(x, axis=1).max() == pytest.approx(REACH, abs=1e-9), (
+        "the constraint counts"
+    )
+    assert all(
+        agent.tally.solved == 40 and agent.tally.infeasible == 0 for agent in agents
+    )
     assert np.abs(x[-1]).max() < 1e-3
     assert (np.abs(u) <= np.array(limits) + 1e-9).all()
     assert cost(x, u) == pytest.approx(cost(*centre(limits, STARTS, 40)), rel=1e-3)
@@ -95,14 +120,18 @@ def test_whatever_is_lost_all_stay_within_reach(loss):
     assert np.ptp(x, axis=1).max() <= REACH + 1e-9
     assert sum(agent.tally.kept for agent in agents) > 0
     assert all(agent.tally.infeasible == 0 for agent in agents)
-    assert loss > 0.8 or np.abs(x[-1]).max() < 0.01, "late, but there; beyond, the last in turn hears too little"
+    assert loss > 0.8 or np.abs(x[-1]).max() < 0.01, (
+        "late, but there; beyond, the last in turn hears too little"
+    )
 
 
 def test_who_hears_nobody_goes_on_with_its_plan_and_stops_at_its_end():
     agents = team([0.5] * 4)
     x, _ = run(agents, 1)
     x, _ = run(agents, 2 * T, arrives=lambda: False)
-    assert all(agent.tally.kept >= 2 * T - 1 for agent in agents), "the first in turn knows enough for one step"
+    assert all(agent.tally.kept >= 2 * T - 1 for agent in agents), (
+        "the first in turn knows enough for one step"
+    )
     np.testing.assert_array_equal(x[-1], x[-2])
 
 
@@ -118,7 +147,9 @@ def test_who_is_out_of_reach_gets_no_further_and_comes_back():
 
 
 def test_what_is_infeasible_is_said_and_the_last_plan_goes_on():
-    outside = team([0.5, 0.5], starts=(11.0, 10.0))  # |x| <= 10 is further away than an input goes
+    outside = team(
+        [0.5, 0.5], starts=(11.0, 10.0)
+    )  # |x| <= 10 is further away than an input goes
     x, _ = run(outside, 1)
     assert outside[0].tally.infeasible == 1
     assert outside[0].tally.why == "step 0: infeasible"
@@ -132,7 +163,9 @@ def test_one_that_is_elsewhere_says_so():
     np.testing.assert_array_equal(one.message()[1], np.full((T + 2, 1), 6.0))
 
 
-@pytest.mark.parametrize("said", [[0, np.zeros((3, 1))], [0], "x", [0.5, np.zeros((T + 2, 1))]])
+@pytest.mark.parametrize(
+    "said", [[0, np.zeros((3, 1))], [0], "x", [0.5, np.zeros((T + 2, 1))]]
+)
 def test_messages_that_are_none_are_refused(said):
     one, _ = team([0.5, 0.5], starts=(5.0, 5.0))
     with pytest.raises(ConfigError, match="message of agent 1"):
@@ -145,17 +178,32 @@ def test_the_program_of_a_drone_is_solved_as_by_cvxpy():
     both = np.vstack([np.eye(6), -np.eye(6)])
     Q, R = np.diag([1.0, 1.0, 0.1, 0.1, 0.1, 0.1]), 0.05 * np.eye(2)
     push, Z = np.vstack([np.eye(2), -np.eye(2)]), np.eye(6)[2:]
-    of = Prediction(A, B, np.eye(2, 6), Q, R, both, np.r_[most, most], push, np.full(4, 4.0), T, Z=Z)
+    of = Prediction(
+        A, B, np.eye(2, 6), Q, R, both, np.r_[most, most], push, np.full(4, 4.0), T, Z=Z
+    )
     control = PredictiveControl(of, 0.3)
     x, u, now = cp.Variable((T + 1, 6)), cp.Variable((T, 2)), cp.Parameter(6)
     high, low = cp.Parameter((T, 2)), cp.Parameter((T, 2))
-    rules = [x[0] == now, x[1:] == x[:-1] @ A.T + u @ B.T, cp.abs(u) <= 4.0, x[T, 2:] == 0.0]
-    rules += [cp.abs(x[1:]) <= np.tile(most, (T, 1)), x[1:, :2] <= high, x[1:, :2] >= low]
+    rules = [
+        x[0] == now,
+        x[1:] == x[:-1] @ A.T + u @ B.T,
+        cp.abs(u) <= 4.0,
+        x[T, 2:] == 0.0,
+    ]
+    rules += [
+        cp.abs(x[1:]) <= np.tile(most, (T, 1)),
+        x[1:, :2] <= high,
+        x[1:, :2] >= low,
+    ]
     weights = cp.sum_squares(x[:T] @ np.sqrt(Q)) + cp.sum_squares(u @ np.sqrt(R))
     problem, draw = cp.Problem(cp.Minimize(weights), rules), np.random.default_rng(5)
     for _ in range(8):
         now.value = draw.normal(size=6) * [2, 2, 0.1, 0.1, 0.1, 0.1]
-        others = now.value[:2] + draw.uniform(-0.1, 0.1, size=(3, 1, 2)) + np.linspace(0, 0.3, T)[None, :, None]
+        others = (
+            now.value[:2]
+            + draw.uniform(-0.1, 0.1, size=(3, 1, 2))
+            + np.linspace(0, 0.3, T)[None, :, None]
+        )
         high.value, low.value = others.min(axis=0) + 0.3, others.max(axis=0) - 0.3
         problem.solve(solver=cp.CLARABEL)
         np.testing.assert_allclose(control.solve(now.value, others), u.value, atol=2e-3)
@@ -164,7 +212,12 @@ def test_the_program_of_a_drone_is_solved_as_by_cvxpy():
 def test_constraints_that_no_input_changes_hold_or_are_infeasible():
     """The place after one step is that of the speed before: no input reaches it."""
     A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.0], [1.0]])
-    limits = {"E": np.array([[1.0, 0.0]]), "f": np.ones(1), "G": np.array([[1.0], [-1.0]]), "h": np.full(2, 9.0)}
+    limits = {
+        "E": np.array([[1.0, 0.0]]),
+        "f": np.ones(1),
+        "G": np.array([[1.0], [-1.0]]),
+        "h": np.full(2, 9.0),
+    }
     of = Prediction(A, B, np.eye(1, 2), np.eye(2), np.eye(1), **limits, T=2)
     control, nothing = PredictiveControl(of), np.zeros((0, 2, 1))
     inside = control.solve(np.array([0.0, 0.5]), nothing)
@@ -174,12 +227,23 @@ def test_constraints_that_no_input_changes_hold_or_are_infeasible():
 
 def test_an_end_that_no_input_reaches_is_met_or_infeasible():
     """The second state goes its own way; an end that names the first one twice is no conflict."""
-    A, B, Z = np.diag([1.0, 0.5]), np.array([[1.0], [0.0]]), np.array([[1.0, 0.0], [3.0, 0.0], [0.0, 1.0]])
-    free = {"E": np.zeros((0, 2)), "f": np.zeros(0), "G": np.zeros((0, 1)), "h": np.zeros(0)}
+    A, B, Z = (
+        np.diag([1.0, 0.5]),
+        np.array([[1.0], [0.0]]),
+        np.array([[1.0, 0.0], [3.0, 0.0], [0.0, 1.0]]),
+    )
+    free = {
+        "E": np.zeros((0, 2)),
+        "f": np.zeros(0),
+        "G": np.zeros((0, 1)),
+        "h": np.zeros(0),
+    }
     of = Prediction(A, B, np.eye(2), np.eye(2), np.eye(1), **free, T=3, Z=Z)
     control, nothing = PredictiveControl(of), np.zeros((0, 3, 2))
     for start, is_met in (([2.0, 0.0], True), ([2.0, 1.0], False), ([-1.0, 0.0], True)):
         found = control.solve(np.array(start), nothing)
         assert isinstance(found, str) != is_met
         if is_met:
-            np.testing.assert_allclose(of.states(np.array(start), found)[3], 0.0, atol=1e-9)
+            np.testing.assert_allclose(
+                of.states(np.array(start), found)[3], 0.0, atol=1e-9
+            )

@@ -12,13 +12,21 @@ CIRCLE = circle((0, 0, 1), 0.5, 2.0, laps=3)  # at 1.57 m/s, 4.93 m/s2
 
 
 def test_a_hovering_drone_carries_its_weight_and_nothing_else():
-    asked = dict(zip(DEMANDS, demands(FullState.at((0, 0, 1)).flat[None], 0.03)[0].tolist(), strict=True))
+    asked = dict(
+        zip(
+            DEMANDS,
+            demands(FullState.at((0, 0, 1)).flat[None], 0.03)[0].tolist(),
+            strict=True,
+        )
+    )
     assert asked.pop("thrust") == pytest.approx(0.03 * GRAVITY)
     assert not any(asked.values())
 
 
 def test_free_fall_has_no_attitude():
-    asked = demands(FullState.at((0, 0, 1), a=(0, 0, -GRAVITY), j=(1, 0, 0)).flat[None], 1.0)[0]
+    asked = demands(
+        FullState.at((0, 0, 1), a=(0, 0, -GRAVITY), j=(1, 0, 0)).flat[None], 1.0
+    )[0]
     assert math.isinf(asked[DEMANDS.index("pitch_rate")])
 
 
@@ -43,12 +51,25 @@ def test_a_steady_circle_asks_for_its_centripetal_force():
     ],
 )
 def test_the_check_names_what_is_asked_too_much_and_when(limits, name, unit):
-    with pytest.raises(ConfigError, match=rf"trajectory at \d\.\d\d s: {name}: found .* {unit}, and .*at most"):
+    with pytest.raises(
+        ConfigError,
+        match=rf"trajectory at \d\.\d\d s: {name}: found .* {unit}, and .*at most",
+    ):
         check(CIRCLE, limits)
 
 
 def test_what_keeps_all_limits_passes():
-    check(CIRCLE, Limits(v_max=1.6, a_max=6.5, tilt_max=0.7, thrust_max=0.4, mass=0.03, low=(-1, -1, 0)))
+    check(
+        CIRCLE,
+        Limits(
+            v_max=1.6,
+            a_max=6.5,
+            tilt_max=0.7,
+            thrust_max=0.4,
+            mass=0.03,
+            low=(-1, -1, 0),
+        ),
+    )
 
 
 def test_the_fence_holds_for_the_way_too():

@@ -28,14 +28,19 @@ def test_a_take_off_goes_straight_up():
 
 def test_a_landing_stops_first_and_goes_down_slowly():
     flight = land(FullState.at((0, 0, 1), (0.8, 0, 0), yaw=0.4), ground=0.1, speed=0.2)
-    np.testing.assert_allclose(flight.sample(flight.duration).p, (*flight.legs[0].goal[0:2], 0.1))
+    np.testing.assert_allclose(
+        flight.sample(flight.duration).p, (*flight.legs[0].goal[0:2], 0.1)
+    )
     assert flight.legs[0].goal[0] > 0.1
     assert 0.19 < flight.last.peaks[0] <= 0.2
     assert flight.sample(flight.duration).yaw == pytest.approx(0.4)
     with pytest.raises(ConfigError, match="height at rest"):
         land(HERE, ground=0.2)
     with pytest.raises(ConfigError, match="land: set-point"):
-        land(FullState.at((0.9, 0, 1), (1, 0, 0)), limits=Limits(v_max=1, a_max=2, high=(1, 1, 2)))
+        land(
+            FullState.at((0.9, 0, 1), (1, 0, 0)),
+            limits=Limits(v_max=1, a_max=2, high=(1, 1, 2)),
+        )
 
 
 def test_goals_outside_of_the_fence_and_ways_through_it_are_refused():
@@ -71,10 +76,18 @@ def test_timed_goals_are_reached_in_time_at_rest():
         ([(3, 0, 0, 1, 0), (2, 1, 0, 1, 0)], r"goals\[1\]: t"),
         ([(3, 0, 0, 1, 0), (6, 0, np.nan, 1, 0)], r"goals\[1\].*finite"),
         ([(0, 1, 0, 1, 0), (6, 0, 0, 1, 0)], "the place of the start"),
-        ([(3, 0, 0, 1, 0), (4, 3, 0, 1, 0)], r"goals\[1\]: trajectory at .* acceleration.*more time"),
-        ([(3, 0, 0, 1, 0), (99, 7, 0, 1, 0)], r"goals\[1\]: found \[7.0, 0.0, 1.0\].*fence"),
+        (
+            [(3, 0, 0, 1, 0), (4, 3, 0, 1, 0)],
+            r"goals\[1\]: trajectory at .* acceleration.*more time",
+        ),
+        (
+            [(3, 0, 0, 1, 0), (99, 7, 0, 1, 0)],
+            r"goals\[1\]: found \[7.0, 0.0, 1.0\].*fence",
+        ),
     ],
 )
 def test_bad_lists_of_goals_are_refused(goals, complaint):
     with pytest.raises(ConfigError, match=complaint):
-        timed_goals(HERE, goals, Limits(v_max=1, a_max=2, yaw_rate_max=2, high=(5, 5, 5)))
+        timed_goals(
+            HERE, goals, Limits(v_max=1, a_max=2, yaw_rate_max=2, high=(5, 5, 5))
+        )

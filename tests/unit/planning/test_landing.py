@@ -23,7 +23,10 @@ def test_a_landing_comes_to_rest_and_then_goes_straight_down():
 def test_the_legs_of_a_flight_follow_each_other_and_it_stays_at_the_end_of_the_last():
     there, back = np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.5, 1.0])
     first = PointToPoint(FullState.at((0.0, 0.0, 1.0)), there, 0.0, 2.0)
-    second, third = PointToPoint(FullState.at(there), back, 0.0, 3.0), PointToPoint(FullState.at(back), there, 0.0, 1.0)
+    second, third = (
+        PointToPoint(FullState.at(there), back, 0.0, 3.0),
+        PointToPoint(FullState.at(back), there, 0.0, 1.0),
+    )
     legs = Legs(first, second, third)
     assert legs.duration == pytest.approx(6.0)
     assert legs.sample(1.2).flat == pytest.approx(first.sample(1.2).flat)

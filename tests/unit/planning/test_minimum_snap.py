@@ -20,20 +20,28 @@ def test_without_times_it_is_as_fast_as_the_limits_allow():
     for place, knot in zip(WAYPOINTS, flight.knots, strict=True):
         np.testing.assert_allclose(flight.sample(knot).p, place, atol=1e-9)
     np.testing.assert_allclose(flight.sample(0.0).flat[3:12], 0.0, atol=1e-9)
-    np.testing.assert_allclose(flight.sample(flight.duration).flat[3:12], 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        flight.sample(flight.duration).flat[3:12], 0.0, atol=1e-9
+    )
 
 
 def test_an_end_that_moves_is_honoured_while_the_limits_are_kept():
     start = FullState.at((0, 0, 1), (0.5, 0.2, 0), (0.3, 0, 0), (0.1, 0, 0))
     limits = Limits(v_max=0.8, a_max=1.5)
     flight = minimum_snap(WAYPOINTS, start=start, limits=limits)
-    np.testing.assert_allclose(flight.sample(0.0).flat[0:12], start.flat[0:12], atol=1e-9)
+    np.testing.assert_allclose(
+        flight.sample(0.0).flat[0:12], start.flat[0:12], atol=1e-9
+    )
     assert 0.95 < slowdown(flight, limits) <= 1.002
 
 
 def test_a_start_that_is_too_fast_is_refused():
     with pytest.raises(ConfigError, match=r"0\.00 s: speed.*at most 0\.8"):
-        minimum_snap(WAYPOINTS, start=FullState.at((0, 0, 1), (1, 0, 0)), limits=Limits(v_max=0.8, a_max=1.5))
+        minimum_snap(
+            WAYPOINTS,
+            start=FullState.at((0, 0, 1), (1, 0, 0)),
+            limits=Limits(v_max=0.8, a_max=1.5),
+        )
 
 
 def test_ends_whose_way_breaks_the_limits_in_any_time_are_refused():
@@ -49,13 +57,20 @@ def test_given_times_are_kept_or_refused():
 
 
 def test_a_waypoint_outside_of_the_fence_is_named():
-    with pytest.raises(ConfigError, match=r"waypoints\[2\]: found \[1.0, 1.0, 1.5\].*within the fence"):
-        minimum_snap(WAYPOINTS, limits=Limits(v_max=1, a_max=2, low=(-1, -1, 0), high=(2, 2, 1.2)))
+    with pytest.raises(
+        ConfigError, match=r"waypoints\[2\]: found \[1.0, 1.0, 1.5\].*within the fence"
+    ):
+        minimum_snap(
+            WAYPOINTS,
+            limits=Limits(v_max=1, a_max=2, low=(-1, -1, 0), high=(2, 2, 1.2)),
+        )
 
 
 def test_a_flight_that_leaves_the_fence_between_waypoints_is_refused():
     with pytest.raises(ConfigError, match="set-point"):
-        minimum_snap(WAYPOINTS, limits=Limits(v_max=1, a_max=2, low=(0, 0, 0), high=(1, 1, 1.5)))
+        minimum_snap(
+            WAYPOINTS, limits=Limits(v_max=1, a_max=2, low=(0, 0, 0), high=(1, 1, 1.5))
+        )
 
 
 @pytest.mark.parametrize(

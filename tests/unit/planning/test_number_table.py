@@ -16,17 +16,40 @@ def numbers(table):
 COMMENTS = ("", "# flight of 3 May, v 0.5\n", "\n  \n#\n,,\n;;\n", "# Größe, a;b\n\n")
 ENDS = ("\n", "\r\n", "\r")
 SEPARATORS = (",", ", ", ";", "\t", " ", "   ")
-HEADS = ("t{0}x{0}y", "T{0}X{0}Y", "# t{0}x{0}y", "#t{0}x{0}y", "y{0}t{0}x", "time{0}x[m]{0}y(m)", "t{0}x{0}y # s, m")
+HEADS = (
+    "t{0}x{0}y",
+    "T{0}X{0}Y",
+    "# t{0}x{0}y",
+    "#t{0}x{0}y",
+    "y{0}t{0}x",
+    "time{0}x[m]{0}y(m)",
+    "t{0}x{0}y # s, m",
+)
 
 
-@pytest.mark.parametrize(("separator", "decimal"), [*((one, ".") for one in SEPARATORS), (";", ","), ("\t", ",")])
+@pytest.mark.parametrize(
+    ("separator", "decimal"),
+    [*((one, ".") for one in SEPARATORS), (";", ","), ("\t", ",")],
+)
 @pytest.mark.parametrize("head", HEADS)
 def test_tables_of_all_these_dialects_say_the_same(tmp_path, head, separator, decimal):
     order = [1, 2, 0] if head.startswith("y") else [0, 1, 2]
     order = [order.index(k) for k in range(3)]
-    for comment, end, mark, tail in itertools.product(COMMENTS, ENDS, ("", "\ufeff"), ("", separator.strip(" "))):
-        rows = [separator.join(f"{row[k]:g}" for k in order).replace(".", decimal) + tail for row in PLAIN]
-        lines = [head.format(separator) + tail, "", f"{rows[0]} # here", "# there", rows[1], ""]
+    for comment, end, mark, tail in itertools.product(
+        COMMENTS, ENDS, ("", "\ufeff"), ("", separator.strip(" "))
+    ):
+        rows = [
+            separator.join(f"{row[k]:g}" for k in order).replace(".", decimal) + tail
+            for row in PLAIN
+        ]
+        lines = [
+            head.format(separator) + tail,
+            "",
+            f"{rows[0]} # here",
+            "# there",
+            rows[1],
+            "",
+        ]
         text = mark + comment + "\n".join(lines)
         path = tmp_path / "ä.csv"
         path.write_bytes(text.replace("\n", end).encode())
@@ -36,7 +59,9 @@ def test_tables_of_all_these_dialects_say_the_same(tmp_path, head, separator, de
         assert table["line"].tolist() == [first, first + 2], text
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1", "cp1252"])
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1", "cp1252"]
+)
 def test_the_encoding_of_comments_does_not_matter(tmp_path, encoding):
     path = tmp_path / "a.csv"
     path.write_bytes("# Höhe\nt,x,y\n0,1.5,-2\n0.5,2.5,0.001\n".encode(encoding))
@@ -44,7 +69,12 @@ def test_the_encoding_of_comments_does_not_matter(tmp_path, encoding):
 
 
 def test_a_line_that_says_the_separator_is_followed():
-    assert numbers(parse_table('"sep=;"\nt;x;y\n0;1,5;-2\n0,5;2,5;0,001\n', "a.csv", COLUMNS)) == PLAIN
+    assert (
+        numbers(
+            parse_table('"sep=;"\nt;x;y\n0;1,5;-2\n0,5;2,5;0,001\n', "a.csv", COLUMNS)
+        )
+        == PLAIN
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,13 +86,19 @@ def test_a_line_that_says_the_separator_is_followed():
         ("# nothing\n", "empty file"),
         ("# a\nt,x,y\n# b\n", "no row"),
         ("t,x,y\n0,1,5,2\n", "line 2: found 4 columns; allowed: 3.*semicolons"),
-        ("t;x;y\n0;1.5;2\n1;1,234;2\n", r"line 3, column 2 \(x\): found '1,234'; allowed: a point in each"),
+        (
+            "t;x;y\n0;1.5;2\n1;1,234;2\n",
+            r"line 3, column 2 \(x\): found '1,234'; allowed: a point in each",
+        ),
         ("t;x;y\n0;1.234,5;2\n", r"line 2, column 2 \(x\): found '1.234,5'"),
         ("t,x,y\n0,1_000,2\n", r"line 2, column 2 \(x\): found '1_000'"),
         ("t,x,y\n0,\u0661,2\n", r"line 2, column 2 \(x\)"),
         ("t,x,y\n0,,2\n", r"line 2, column 2 \(x\): found ''"),
         ("t,x,y\n0,inf,2\n", r"line 2, column 2 \(x\): found 'inf'"),
-        ("t,x [mm],y\n0,1,2\n", r"line 1, column 2: found 'x \[mm\]'; allowed: units: s, m, rad"),
+        (
+            "t,x [mm],y\n0,1,2\n",
+            r"line 1, column 2: found 'x \[mm\]'; allowed: units: s, m, rad",
+        ),
         ("t,x,x [m]\n0,1,2\n", "line 1, column 3: found 'x'.*once"),
         ("\n\nt,x,z\n0,1,2\n", "line 3, column 3: found 'z'"),
         ("t,x,y\n%0,1,2\n", r"line 2, column 1 \(t\): found '%0'"),

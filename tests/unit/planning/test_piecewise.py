@@ -11,16 +11,23 @@ FLIGHT = Piecewise(RNG.normal(size=(5, 4, 8)), [0.5, 1.0, 0.25, 2.0, 1.0])
 
 def test_each_time_is_in_its_piece():
     for i, knot in enumerate(FLIGHT.knots[:-1]):
-        np.testing.assert_array_equal(FLIGHT.sample(knot).p, FLIGHT.coefficients[i, 0:3, 0])
+        np.testing.assert_array_equal(
+            FLIGHT.sample(knot).p, FLIGHT.coefficients[i, 0:3, 0]
+        )
         assert FLIGHT.sample(knot).yaw == FLIGHT.coefficients[i, 3, 0]
     inside = FLIGHT.knots[2] + 0.1
     wanted = [np.polynomial.Polynomial(c)(0.1) for c in FLIGHT.coefficients[2]]
-    np.testing.assert_allclose([*FLIGHT.sample(inside).p, FLIGHT.sample(inside).yaw], wanted)
+    np.testing.assert_allclose(
+        [*FLIGHT.sample(inside).p, FLIGHT.sample(inside).yaw], wanted
+    )
 
 
 def test_before_the_start_it_holds_and_after_the_end_it_stands():
     np.testing.assert_array_equal(FLIGHT.sample(-1.0).flat, FLIGHT.sample(0.0).flat)
-    at_end, after = FLIGHT.sample(FLIGHT.duration).flat, FLIGHT.sample(FLIGHT.duration + 1e-6).flat
+    at_end, after = (
+        FLIGHT.sample(FLIGHT.duration).flat,
+        FLIGHT.sample(FLIGHT.duration + 1e-6).flat,
+    )
     assert np.abs(at_end[3:6]).min() > 0.0
     np.testing.assert_array_equal(after[[0, 1, 2, 12]], at_end[[0, 1, 2, 12]])
     np.testing.assert_array_equal(after[3:12], 0.0)
@@ -31,7 +38,9 @@ def test_before_the_start_it_holds_and_after_the_end_it_stands():
 
 def test_many_samples_are_the_same_as_one_by_one():
     t = np.linspace(0.0, FLIGHT.duration, 50)
-    np.testing.assert_allclose(FLIGHT.samples(t), [FLIGHT.sample(k).flat for k in t], atol=1e-9)
+    np.testing.assert_allclose(
+        FLIGHT.samples(t), [FLIGHT.sample(k).flat for k in t], atol=1e-9
+    )
 
 
 def test_a_sample_is_its_own():
@@ -42,8 +51,14 @@ def test_a_sample_is_its_own():
 
 def test_peaks_are_those_of_all_pieces():
     flight = spline([0, 1, 1.5, 4], RNG.normal(size=(4, 3)), [0, 1, 2, 1])
-    x = np.array([flight.sample(t).flat for t in np.linspace(0.0, flight.duration, 5000)])
-    wanted = [np.linalg.norm(x[:, 3:6], axis=1).max(), np.linalg.norm(x[:, 6:9], axis=1).max(), np.abs(x[:, 13]).max()]
+    x = np.array(
+        [flight.sample(t).flat for t in np.linspace(0.0, flight.duration, 5000)]
+    )
+    wanted = [
+        np.linalg.norm(x[:, 3:6], axis=1).max(),
+        np.linalg.norm(x[:, 6:9], axis=1).max(),
+        np.abs(x[:, 13]).max(),
+    ]
     np.testing.assert_allclose(flight.peaks, wanted, rtol=0.01)
 
 
@@ -73,7 +88,9 @@ def test_yaw_goes_on_where_flights_are_joined():
     turning[0, 3, 0:2] = 0.0, 3.0
     other = np.zeros((1, 4, 8))
     other[0, 3, 0:2] = 3.0, 3.0
-    both = joined([Piecewise(turning, [1.0]), Piecewise(other, [1.0]), Piecewise(turning, [0.5])])
+    both = joined(
+        [Piecewise(turning, [1.0]), Piecewise(other, [1.0]), Piecewise(turning, [0.5])]
+    )
     assert both.sample(2.0).yaw == pytest.approx(2.0 * np.pi)
     assert both.sample(2.5).yaw == pytest.approx(2.0 * np.pi + 1.5)
     assert both.jumps[3, 1] == pytest.approx(0.0)

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.point_to_point import STOP, PointToPoint, duration_for, stopping
+from crazychoir.planning.point_to_point import (
+    STOP,
+    PointToPoint,
+    duration_for,
+    stopping,
+)
 from crazychoir.types import FullState
 
 START = FullState.at((0, 0, 1))
@@ -57,7 +62,9 @@ def test_a_stop_brakes_with_a_max_all_the_way_and_never_turns_back(v):
     stop, speed = stopping(start, 2.0), np.linalg.norm(v)
     np.testing.assert_allclose(stop.goal - start.p, STOP * speed * np.array(v) / 2.0)
     assert stop.peaks[1] == pytest.approx(2.0, rel=0.01)
-    along = [stop.sample(t).v @ np.array(v) for t in np.linspace(0.0, stop.duration, 50)]
+    along = [
+        stop.sample(t).v @ np.array(v) for t in np.linspace(0.0, stop.duration, 50)
+    ]
     assert along == sorted(along, reverse=True)
     assert stop.sample(stop.duration).yaw == pytest.approx(0.7)
 

@@ -13,11 +13,15 @@ RUNNING = circle((0, 0, 1), 0.5, 4.0, laps=5, yaw="along")
 LIMITS = Limits(v_max=2.0, a_max=4.0, yaw_rate_max=4.0)
 number = st.floats(-0.7, 0.7)
 triple = st.tuples(number, number, number)
-states = st.builds(FullState.at, triple, triple, triple, triple, st.floats(-3.0, 3.0), number)
+states = st.builds(
+    FullState.at, triple, triple, triple, triple, st.floats(-3.0, 3.0), number
+)
 
 
 @given(states, st.floats(0.0, 15.0))
-def test_a_join_is_continuous_down_to_the_jerk_and_ends_where_the_trajectory_is(start, now):
+def test_a_join_is_continuous_down_to_the_jerk_and_ends_where_the_trajectory_is(
+    start, now
+):
     plan = join(start, RUNNING, now, LIMITS)
     np.testing.assert_allclose(plan.sample(0.0).flat, start.flat, atol=1e-12)
     met, h = plan.way.duration, 1e-7
@@ -40,7 +44,9 @@ def test_a_join_ends_with_its_trajectory():
     assert not plan.done(plan.duration - 0.1)
     late = join(FullState.at((0, 0, 1)), RUNNING, 99.0, LIMITS)
     assert late.duration == late.way.duration
-    np.testing.assert_allclose(late.sample(late.duration).p, RUNNING.sample(99.0).p, atol=1e-9)
+    np.testing.assert_allclose(
+        late.sample(late.duration).p, RUNNING.sample(99.0).p, atol=1e-9
+    )
 
 
 def test_a_given_duration_is_kept_or_refused():
@@ -73,5 +79,12 @@ def test_a_way_through_the_fence_is_refused():
 def test_who_is_outside_of_the_fence_may_come_back():
     for sign in (-1.0, 1.0):
         start = FullState.at((sign * 0.9, 0, 1))
-        plan = join(start, RUNNING, 3.0, Limits(v_max=2, a_max=4, low=(-0.6, -0.6, 0), high=(0.6, 0.6, 2)))
-        np.testing.assert_allclose(plan.sample(plan.way.duration).p, RUNNING.sample(3.0 + plan.way.duration).p)
+        plan = join(
+            start,
+            RUNNING,
+            3.0,
+            Limits(v_max=2, a_max=4, low=(-0.6, -0.6, 0), high=(0.6, 0.6, 2)),
+        )
+        np.testing.assert_allclose(
+            plan.sample(plan.way.duration).p, RUNNING.sample(3.0 + plan.way.duration).p
+        )

@@ -6,7 +6,14 @@ from crazychoir.planning.feasibility import Limits, check
 from crazychoir.planning.figure import circle
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.planning.scaling import GETS_UP, Resumed, Slowed, scaled, slowdown, slowed
+from crazychoir.planning.scaling import (
+    GETS_UP,
+    Resumed,
+    Slowed,
+    scaled,
+    slowdown,
+    slowed,
+)
 from crazychoir.types import FullState
 
 FIGURE = circle((0, 0, 1), 0.5, 2.0, laps=2, yaw="along")
@@ -18,7 +25,15 @@ def test_what_keeps_the_limits_stays_itself():
 
 
 def test_what_was_scaled_passes_the_check():
-    limits = Limits(v_max=1.0, a_max=1.2, j_max=9.0, yaw_rate_max=2.0, tilt_max=0.2, thrust_max=0.31, mass=0.03)
+    limits = Limits(
+        v_max=1.0,
+        a_max=1.2,
+        j_max=9.0,
+        yaw_rate_max=2.0,
+        tilt_max=0.2,
+        thrust_max=0.31,
+        mass=0.03,
+    )
     with pytest.raises(ConfigError):
         check(FIGURE, limits)
     slow = scaled(FIGURE, limits)
@@ -50,28 +65,53 @@ def test_bad_factors_are_refused(factor):
 def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
     rest = Resumed(FIGURE, t_0)
     first = rest.sample(0.0)
-    np.testing.assert_allclose(first.flat[0:3], FIGURE.sample(min(t_0, FIGURE.duration - GETS_UP / 2)).p)
+    np.testing.assert_allclose(
+        first.flat[0:3], FIGURE.sample(min(t_0, FIGURE.duration - GETS_UP / 2)).p
+    )
     np.testing.assert_allclose(first.flat[3:9], 0.0, atol=1e-12)
-    np.testing.assert_allclose(rest.sample(rest.duration).p, FIGURE.sample(FIGURE.duration).p, atol=1e-9)
+    np.testing.assert_allclose(
+        rest.sample(rest.duration).p, FIGURE.sample(FIGURE.duration).p, atol=1e-9
+    )
     assert rest.done(rest.duration)
     h = 1e-4
     for t in np.linspace(0.01, rest.duration - 0.01, 37):
-        before, here, after = rest.sample(t - h).flat, rest.sample(t).flat, rest.sample(t + h).flat
+        before, here, after = (
+            rest.sample(t - h).flat,
+            rest.sample(t).flat,
+            rest.sample(t + h).flat,
+        )
         largest = max(1.0, abs(here[3:12]).max())
-        np.testing.assert_allclose((after[0:9] - before[0:9]) / (2 * h), here[3:12], atol=2e-2 * largest)
-        np.testing.assert_allclose((after[12] - before[12]) / (2 * h), here[13], atol=1e-3)
+        np.testing.assert_allclose(
+            (after[0:9] - before[0:9]) / (2 * h), here[3:12], atol=2e-2 * largest
+        )
+        np.testing.assert_allclose(
+            (after[12] - before[12]) / (2 * h), here[13], atol=1e-3
+        )
 
 
 def test_what_is_resumed_gets_the_pace_of_its_trajectory():
     rest = Resumed(FIGURE, 0.5)
-    np.testing.assert_allclose(rest.sample(GETS_UP + 0.3).flat, FIGURE.sample(0.5 + GETS_UP / 2 + 0.3).flat, atol=1e-9)
+    np.testing.assert_allclose(
+        rest.sample(GETS_UP + 0.3).flat,
+        FIGURE.sample(0.5 + GETS_UP / 2 + 0.3).flat,
+        atol=1e-9,
+    )
 
 
 def test_what_is_resumed_slowly_enough_asks_for_little_more_than_the_whole():
-    v, a = (max(np.linalg.norm(FIGURE.sample(t).flat[k : k + 3]) for t in np.linspace(0, 6, 200)) for k in (3, 6))
+    v, a = (
+        max(
+            np.linalg.norm(FIGURE.sample(t).flat[k : k + 3])
+            for t in np.linspace(0, 6, 200)
+        )
+        for k in (3, 6)
+    )
     for t_0 in np.linspace(0.0, FIGURE.duration - 0.01, 23):
         rest = Resumed(FIGURE, t_0, 4.0 * v / a)
-        hardest = max(np.linalg.norm(rest.sample(t).flat[6:9]) for t in np.linspace(0, rest.duration, 300))
+        hardest = max(
+            np.linalg.norm(rest.sample(t).flat[6:9])
+            for t in np.linspace(0, rest.duration, 300)
+        )
         assert hardest <= 1.1 * a
 
 

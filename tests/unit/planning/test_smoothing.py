@@ -42,7 +42,11 @@ def test_a_goal_that_stands_is_reached_within_1_percent_of_the_way_when_it_is_sa
     x, smoother = flown(np.tile([far, 0.0, 0.0], (1500, 1)))
     said = far / 0.6 + 10.1 / smoother.w
     left = 1.0 - x[:, 0] / far
-    assert left[round(said / H)] < 0.01 < left[round((said - 0.5 * far / 0.6 - 0.5 / smoother.w) / H)]
+    assert (
+        left[round(said / H)]
+        < 0.01
+        < left[round((said - 0.5 * far / 0.6 - 0.5 / smoother.w) / H)]
+    )
 
 
 def test_late_steps_make_up_for_what_was_missed():
@@ -52,7 +56,9 @@ def test_late_steps_make_up_for_what_was_missed():
     np.testing.assert_array_equal(other.step(np.ones(3), 0.0301).flat, last.flat)
 
 
-@pytest.mark.parametrize("limits", [(0.0, 1.0, H), (1.0, -1.0, H), (1.0, float("nan"), H), (1.0, 1.0, 0.0)])
+@pytest.mark.parametrize(
+    "limits", [(0.0, 1.0, H), (1.0, -1.0, H), (1.0, float("nan"), H), (1.0, 1.0, 0.0)]
+)
 def test_limits_are_positive(limits):
     with pytest.raises(ConfigError, match="a positive number"):
         Smoother(np.zeros(3), *limits)

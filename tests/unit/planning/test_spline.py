@@ -45,7 +45,9 @@ def test_a_derivative_that_the_degree_has_no_room_for_is_refused():
 
 
 def test_yaws_take_the_short_way():
-    np.testing.assert_allclose(unwrapped([3.0, -3.0, 3.0, 0.5], 4), [3.0, 2 * np.pi - 3.0, 3.0, 0.5])
+    np.testing.assert_allclose(
+        unwrapped([3.0, -3.0, 3.0, 0.5], 4), [3.0, 2 * np.pi - 3.0, 3.0, 0.5]
+    )
     with pytest.raises(ConfigError, match="yaws"):
         unwrapped([0.0, 1.0], 3)
 

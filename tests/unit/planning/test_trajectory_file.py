@@ -4,7 +4,13 @@ import pytest
 from crazychoir.planning.figure import eight
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.number_table import TableError
-from crazychoir.planning.trajectory_file import PIECE, read_pieces, read_samples, write_pieces, write_samples
+from crazychoir.planning.trajectory_file import (
+    PIECE,
+    read_pieces,
+    read_samples,
+    write_pieces,
+    write_samples,
+)
 from crazychoir.planning.upload import difference
 
 FIGURE = eight((0, 0, 1), 1.0, 0.5, 8.0, laps=2, yaw="along")
@@ -18,7 +24,9 @@ def test_samples_come_back_with_all_their_derivatives(tmp_path):
     flight = read_samples(file)
     assert difference(FIGURE, flight) == pytest.approx((0.0, 0.0), abs=1e-5)
     for t in (0.0, 1.0, 5.55, FIGURE.duration):
-        np.testing.assert_allclose(flight.sample(t).flat[0:9], FIGURE.sample(t).flat[0:9], atol=1e-6)
+        np.testing.assert_allclose(
+            flight.sample(t).flat[0:9], FIGURE.sample(t).flat[0:9], atol=1e-6
+        )
 
 
 def test_places_alone_make_a_smooth_flight_from_rest_to_rest(tmp_path):
@@ -34,7 +42,9 @@ def test_places_alone_make_a_smooth_flight_from_rest_to_rest(tmp_path):
 
 def test_velocities_are_honoured(tmp_path):
     file = tmp_path / "places.csv"
-    file.write_text(f"{HEAD},vx,vy,vz,yaw_rate\n0,0,0,1,0,0.5,0,0,0.1\n1,1,0,1,0,0,0.3,0,0\n2,1,1,1,0,0,0,0,0\n")
+    file.write_text(
+        f"{HEAD},vx,vy,vz,yaw_rate\n0,0,0,1,0,0.5,0,0,0.1\n1,1,0,1,0,0,0.3,0,0\n2,1,1,1,0,0,0,0,0\n"
+    )
     flight = read_samples(file)
     np.testing.assert_allclose(flight.sample(0.0).v, (0.5, 0, 0), atol=1e-12)
     np.testing.assert_allclose(flight.sample(1.0).v, (0, 0.3, 0), atol=1e-12)
@@ -44,14 +54,18 @@ def test_velocities_are_honoured(tmp_path):
 def test_yaws_go_the_short_way_with_and_without_their_rates(tmp_path):
     for rates in ("", ",yaw_rate"):
         file = tmp_path / "yaws.csv"
-        file.write_text(f"{HEAD}{rates}\n0,0,0,1,3{',0.1' if rates else ''}\n1,1,0,1,-3{',0.1' if rates else ''}\n")
+        file.write_text(
+            f"{HEAD}{rates}\n0,0,0,1,3{',0.1' if rates else ''}\n1,1,0,1,-3{',0.1' if rates else ''}\n"
+        )
         yaws = [read_samples(file).sample(t).yaw for t in np.linspace(0.0, 1.0, 20)]
         assert yaws == sorted(yaws)
         assert yaws[-1] == pytest.approx(2 * np.pi - 3)
 
 
 def test_pieces_come_back_to_the_last_digit(tmp_path):
-    flight = minimum_snap([[0, 0, 1], [1, 0, 1], [1, 1, 1]], [0, 1.1, 2.7], yaws=[0, 1, 2])
+    flight = minimum_snap(
+        [[0, 0, 1], [1, 0, 1], [1, 1, 1]], [0, 1.1, 2.7], yaws=[0, 1, 2]
+    )
     write_pieces(tmp_path / "pieces.csv", flight)
     again = read_pieces(tmp_path / "pieces.csv")
     np.testing.assert_array_equal(again.coefficients, flight.coefficients)
@@ -61,7 +75,9 @@ def test_pieces_come_back_to_the_last_digit(tmp_path):
 def test_the_files_of_others_have_capitals_spaces_and_a_comma_at_the_end(tmp_path):
     file = tmp_path / "figure.csv"
     straight = ["1.5", *["0"] * 32]
-    file.write_text(f"{PIECES.replace('duration', 'Duration').replace(',', ', ')},\n{','.join(straight)},\n\n")
+    file.write_text(
+        f"{PIECES.replace('duration', 'Duration').replace(',', ', ')},\n{','.join(straight)},\n\n"
+    )
     assert read_pieces(file).duration == 1.5
 
 
@@ -79,7 +95,10 @@ def test_the_files_of_others_have_capitals_spaces_and_a_comma_at_the_end(tmp_pat
         (f"{HEAD}\n0,0,0,1,0\n\n1,0,abc,1,0\n", r"line 4, column 3 \(y\): found 'abc'"),
         (f"{HEAD}\n0,0,0,1,0\n1,0,nan,1,0\n", r"line 3, column 3 \(y\): found 'nan'"),
         (f"{HEAD}\n0,0,0,1,0\n1,0,1,0\n", "line 3: found 4 columns; allowed: 5"),
-        (f"{HEAD}\n0,0,0,1,0\n1,0,0,1,0\n1,1,0,1,0\n", r"line 4, column 1 \(t\): found 1"),
+        (
+            f"{HEAD}\n0,0,0,1,0\n1,0,0,1,0\n1,1,0,1,0\n",
+            r"line 4, column 1 \(t\): found 1",
+        ),
         (f"{HEAD},vx\n0,0,0,1,0,0\n1,0,0,1,0,0\n", "no column vy, vz"),
         (f"{HEAD},ax,ay,az\n0,0,0,1,0,0,0,0\n1,0,0,1,0,0,0,0\n", "higher derivative"),
     ],
@@ -103,7 +122,11 @@ def test_without_a_yaw_column_the_yaw_is_zero(tmp_path):
 def test_a_trajectory_as_numpy_saves_it_is_read(tmp_path):
     file = tmp_path / "numpy.csv"
     rows = [[0.0, 0.0, 0.0, 1.0, 0.0], [1.0, 1.0, 0.0, 1.0, 0.5]]
-    for header, separator in (("t,x,y,z,yaw", ","), ("t x y z yaw", " "), ("t x y z yaw", ",")):
+    for header, separator in (
+        ("t,x,y,z,yaw", ","),
+        ("t x y z yaw", " "),
+        ("t x y z yaw", ","),
+    ):
         np.savetxt(file, rows, header=header, delimiter=separator)
         assert read_samples(file).sample(1.0).yaw == pytest.approx(0.5)
 

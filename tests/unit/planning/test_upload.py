@@ -14,7 +14,9 @@ WAYPOINTS = np.random.default_rng(0).uniform(-1, 1, (40, 3))
 def test_pieces_are_uploaded_as_they_are():
     flight = minimum_snap(WAYPOINTS[:10], np.arange(10.0), yaws=np.arange(10.0))
     upload = uploaded(flight)
-    np.testing.assert_array_equal(upload.pieces.coefficients, np.float32(flight.coefficients))
+    np.testing.assert_array_equal(
+        upload.pieces.coefficients, np.float32(flight.coefficients)
+    )
     assert upload.error < 1e-5
     assert upload.yaw_error < 1e-5
 
@@ -58,7 +60,9 @@ def test_a_smaller_tolerance_takes_more_pieces():
 
 def test_what_does_not_fit_is_refused_with_its_error():
     figure = circle((0, 0, 1), 0.5, 4.0, laps=20)
-    with pytest.raises(ConfigError, match=r"pieces that are \S+ m and \S+ rad off.*0.001 m.*31 pieces"):
+    with pytest.raises(
+        ConfigError, match=r"pieces that are \S+ m and \S+ rad off.*0.001 m.*31 pieces"
+    ):
         uploaded(figure)
 
 

@@ -11,14 +11,20 @@ def test_the_supervisor() -> None:
     assert checks.supervisor_problems(ready | checks.TUMBLED) == ["tumbled"]
     assert "locked" in checks.supervisor_problems(checks.LOCKED)[0]
     assert checks.supervisor_problems(0)
-    assert checks.supervisor_problems(checks.AUTO_ARM), "its checks before flight have failed"
-    assert checks.supervisor_problems(checks.CAN_ARM) == [], "its motors wait for a request"
+    assert checks.supervisor_problems(checks.AUTO_ARM), (
+        "its checks before flight have failed"
+    )
+    assert checks.supervisor_problems(checks.CAN_ARM) == [], (
+        "its motors wait for a request"
+    )
     assert checks.supervisor_problems(ready | checks.DECK_FAULT) == ["a deck is faulty"]
 
 
 def test_the_battery() -> None:
     assert checks.battery_problems(3.9, 3.7) == []
-    assert checks.battery_problems(3.65, 3.7) == ["battery at 3.65 V, 3.7 V are needed to begin"]
+    assert checks.battery_problems(3.65, 3.7) == [
+        "battery at 3.65 V, 3.7 V are needed to begin"
+    ]
     assert checks.battery_problems(3.65, 3.6) == []
     assert checks.battery_problems(math.nan, 3.7)
 

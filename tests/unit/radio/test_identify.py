@@ -52,7 +52,10 @@ class Kept:
 def drone(monkeypatch):
     """Its link and its firmware."""
     link = Link()
-    firmware = Kept(dict.fromkeys(identify.RING, 20) | {"led.bitmask": 3, "ring.effect": 6, "deck.bcLedRing": 0})
+    firmware = Kept(
+        dict.fromkeys(identify.RING, 20)
+        | {"led.bitmask": 3, "ring.effect": 6, "deck.bcLedRing": 0}
+    )
     monkeypatch.setattr(identify, "Connection", lambda clock, uri, contents: link)
     monkeypatch.setattr(identify, "Firmware", lambda connection: firmware)
     return link, firmware
@@ -69,7 +72,9 @@ def test_the_leds_of_the_board_are_lit_for_so_long_and_put_back(drone):
 
     async def does(clock):
         clock.call_at(900_000_000, lambda: seen.append(firmware.values["led.bitmask"]))
-        assert await identify.identify(clock, "udp://127.0.0.1:1", None, 1.0, 2.0) == {"led.bitmask": 255}
+        assert await identify.identify(clock, "udp://127.0.0.1:1", None, 1.0, 2.0) == {
+            "led.bitmask": 255
+        }
         assert clock.now() >= 1.0
 
     run(drone, does)
@@ -83,16 +88,23 @@ def test_a_ring_is_lit_too_and_gets_its_effect_back_before_its_colours(drone):
     before = dict(firmware.values)
 
     async def does(clock):
-        assert set(await identify.identify(clock, "", None, 1.0, 2.0)) == {"led.bitmask", *identify.RING}
+        assert set(await identify.identify(clock, "", None, 1.0, 2.0)) == {
+            "led.bitmask",
+            *identify.RING,
+        }
 
     run(drone, does)
     assert firmware.values == before
-    assert firmware.told[4:6] == ["ring.effect", "ring.effect"], "its colours are there when it shows them"
+    assert firmware.told[4:6] == ["ring.effect", "ring.effect"], (
+        "its colours are there when it shows them"
+    )
 
 
 def test_they_are_put_back_when_somebody_ends_it(drone):
     async def does(clock):
-        work = asyncio.get_running_loop().create_task(identify.identify(clock, "", None, 60.0, 2.0))
+        work = asyncio.get_running_loop().create_task(
+            identify.identify(clock, "", None, 60.0, 2.0)
+        )
         await clock.sleep(1.0)
         assert drone[1].values["led.bitmask"] == 255
         work.cancel()

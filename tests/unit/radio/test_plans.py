@@ -23,7 +23,9 @@ def test_it_rises_and_sinks_at_a_speed():
     assert _wanted(hangar)[2] == pytest.approx(0.3, abs=0.02)  # half of 2 s
     hangar.run(4.0)
     assert hangar.state[2] == pytest.approx(0.6, abs=0.08)
-    hangar.send("land_with_velocity", 0, 0.3, True, 0.0, True, 0.0)  # by 0.3 m, by hlCommander.vland
+    hangar.send(
+        "land_with_velocity", 0, 0.3, True, 0.0, True, 0.0
+    )  # by 0.3 m, by hlCommander.vland
     hangar.run(0.3)
     assert _wanted(hangar)[2] == pytest.approx(0.45, abs=0.02)
 
@@ -37,7 +39,9 @@ def test_a_speed_of_nothing_is_a_speed_all_the_same():
 
 @pytest.mark.parametrize("idle", [True, False])
 def test_who_is_sent_places_flies_though_somebody_has_streamed_before(idle):
-    hangar = Hangar().run(0.5, "rpyt", 0.0, 0.0, 0.0, 0)  # the last of which is that of cflib's close_link
+    hangar = Hangar().run(
+        0.5, "rpyt", 0.0, 0.0, 0.0, 0
+    )  # the last of which is that of cflib's close_link
     handler = RadioHandlerXYZ(CRAZYFLIE_21)
     for command in [STOP] * idle + [XYZ("line", np.array([0.0, 0.0, 0.6, 0.0, 1.5]))]:
         for packet in handler.packets(command):
@@ -52,7 +56,12 @@ def test_a_plan_that_a_set_point_holds_down_is_told(caplog):
     hangar.send("take_off", 0, 0.5, 0.0, True, 1.5)
     hangar.run(2.0)
     assert hangar.state[2] < 0.01
-    assert caplog.text.count("a set-point holds control: send_notify_setpoint_stop ends it") == 1
+    assert (
+        caplog.text.count(
+            "a set-point holds control: send_notify_setpoint_stop ends it"
+        )
+        == 1
+    )
     caplog.clear()
     hangar.send("take_off", 0, 0.5, 0.0, True, 1.5)
     hangar.send("notify_setpoint_stop", 0)
@@ -92,8 +101,15 @@ def test_a_trajectory_written_piece_by_piece(name):
 
 def test_a_compressed_one_is_flown_at_its_own_pace_alone():
     hangar = Hangar().hovering()
-    raw = np.zeros(4, "<i2").tobytes() + b"\x01" + (1500).to_bytes(2, "little") + np.array([300], "<i2").tobytes()
-    list(hangar.drone.take(Packet(MEMORY, 2, bytes(1) + bytes(4) + raw)))  # into the EEPROM: not flown
+    raw = (
+        np.zeros(4, "<i2").tobytes()
+        + b"\x01"
+        + (1500).to_bytes(2, "little")
+        + np.array([300], "<i2").tobytes()
+    )
+    list(
+        hangar.drone.take(Packet(MEMORY, 2, bytes(1) + bytes(4) + raw))
+    )  # into the EEPROM: not flown
     list(hangar.drone.take(Packet(MEMORY, 2, b"\x02" + bytes(4) + raw)))
     hangar.send("define_trajectory", 1, 1, 1, 0, 1)
     for wrong in ((0, 1, 2.0), (1, 1, 1.0)):

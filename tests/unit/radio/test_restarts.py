@@ -7,7 +7,11 @@ from crazychoir.radio.protocol.crtp import FORMS, PARAM, SETPOINT, Packet
 from crazychoir.radio.virtual.drone import BOOT
 from crazychoir.radio.virtual.flight import UNCHECKED
 
-CHECKED = [form for form in FORMS.values() if (form.port, form.channel) == (SETPOINT, 0) and form.name not in UNCHECKED]
+CHECKED = [
+    form
+    for form in FORMS.values()
+    if (form.port, form.channel) == (SETPOINT, 0) and form.name not in UNCHECKED
+]
 
 
 @pytest.mark.parametrize("form", CHECKED, ids=lambda form: form.name)
@@ -16,7 +20,11 @@ def test_a_set_point_of_another_length_restarts_it(form, more, caplog):
     hangar = Hangar().run(0.3)
     data = form.head + bytes(form.layout.size + more)
     assert list(hangar.drone.take(Packet(SETPOINT, 0, data))) == []
-    assert (hangar.drone.starts, hangar.drone.uptime, hangar.drone.booting) == (2, 0, True)
+    assert (hangar.drone.starts, hangar.drone.uptime, hangar.drone.booting) == (
+        2,
+        0,
+        True,
+    )
     assert f"{len(data)} bytes" in caplog.text
 
 
@@ -27,10 +35,25 @@ def test_so_does_one_without_enough_or_with_nothing(data):
     assert hangar.drone.starts == 2
 
 
-@pytest.mark.parametrize("name", ["rpyt", "position", "stop", "external_pose", "external_position", "take_off", "arm"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "rpyt",
+        "position",
+        "stop",
+        "external_pose",
+        "external_position",
+        "take_off",
+        "arm",
+    ],
+)
 def test_those_whose_length_nobody_checks_are_counted(name):
     hangar, form = Hangar(), FORMS[name]
-    list(hangar.drone.take(Packet(form.port, form.channel, form.head + bytes(form.layout.size + 1))))
+    list(
+        hangar.drone.take(
+            Packet(form.port, form.channel, form.head + bytes(form.layout.size + 1))
+        )
+    )
     assert (hangar.drone.starts, hangar.drone.flight.malformed) == (1, 1)
 
 
@@ -47,7 +70,10 @@ def test_a_flying_drone_that_restarts_falls_and_comes_back_with_all_forgotten():
     assert len(list(hangar.drone.take(Packet(PARAM, 1, b"\0\0")))) == 1
     assert hangar.drone.parameters.read("pid_rate.roll_kp") == 240.0
     assert hangar.drone.parameters.read("pid_attitude.roll_kp") == 6.0
-    assert "failed assert" in b"".join(packet.data for packet in hangar.said if packet.port == 0).decode()
+    assert (
+        "failed assert"
+        in b"".join(packet.data for packet in hangar.said if packet.port == 0).decode()
+    )
     assert hangar.hovering().state[2] == pytest.approx(0.5, abs=0.05)
 
 

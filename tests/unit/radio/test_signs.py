@@ -22,7 +22,12 @@ def _yaw(hangar):
 def _ahead(hangar, home):
     """m, by the body's heading: ahead, to the left."""
     d, yaw = hangar.state[:2] - home, _yaw(hangar)
-    return np.array([d[0] * math.cos(yaw) + d[1] * math.sin(yaw), d[1] * math.cos(yaw) - d[0] * math.sin(yaw)])
+    return np.array(
+        [
+            d[0] * math.cos(yaw) + d[1] * math.sin(yaw),
+            d[1] * math.cos(yaw) - d[0] * math.sin(yaw),
+        ]
+    )
 
 
 def _flown(name, *values, yaw=QUARTER, seconds=0.6):
@@ -32,8 +37,17 @@ def _flown(name, *values, yaw=QUARTER, seconds=0.6):
         hangar.send("rpyt", 0.0, 0.0, 0.0, 0)
     home, before = hangar.state.copy(), _yaw(hangar)
     hangar.run(seconds, name, *values, every=0.02)
-    ahead, left = _ahead(hangar, home[:2]) if abs(_yaw(hangar) - before) < 0.2 else (math.nan, math.nan)
-    return ahead, left, hangar.state[2] - home[2], math.remainder(_yaw(hangar) - before, 2.0 * math.pi)
+    ahead, left = (
+        _ahead(hangar, home[:2])
+        if abs(_yaw(hangar) - before) < 0.2
+        else (math.nan, math.nan)
+    )
+    return (
+        ahead,
+        left,
+        hangar.state[2] - home[2],
+        math.remainder(_yaw(hangar) - before, 2.0 * math.pi),
+    )
 
 
 FULL_THRUST = round(1.05 * HOVER)
@@ -42,7 +56,10 @@ FULL_THRUST = round(1.05 * HOVER)
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        ("rpyt", (0.0, -6.0, 0.0, FULL_THRUST)),  # cflib writes -pitch: nose down is negative on the wire
+        (
+            "rpyt",
+            (0.0, -6.0, 0.0, FULL_THRUST),
+        ),  # cflib writes -pitch: nose down is negative on the wire
         ("manual", (0.0, -6.0, 0.0, FULL_THRUST, 0)),
         ("z_distance", (0.0, -6.0, 0.0, 0.8)),
         ("z_distance_legacy", (0.0, -6.0, 0.0, 0.8)),
@@ -52,7 +69,24 @@ FULL_THRUST = round(1.05 * HOVER)
         ("velocity_world", (0.0, 0.4, 0.0, 0.0)),
         ("velocity_world_legacy", (0.0, 0.4, 0.0, 0.0)),
         ("position", (0.0, 0.4, 0.8, 90.0)),
-        ("full_state", (0, 400, 800, 0, 0, 0, 0, 0, 0, compressed(np.array([0.0, 0.0, 0.5**0.5, 0.5**0.5])), 0, 0, 0)),
+        (
+            "full_state",
+            (
+                0,
+                400,
+                800,
+                0,
+                0,
+                0,
+                0,
+                0,
+                0,
+                compressed(np.array([0.0, 0.0, 0.5**0.5, 0.5**0.5])),
+                0,
+                0,
+                0,
+            ),
+        ),
     ],
 )
 def test_ahead_at_a_heading_of_90_degrees_is_along_y(name, values):
@@ -83,7 +117,11 @@ def test_to_the_left_at_a_heading_of_90_degrees_is_against_x(name, values):
 @pytest.mark.parametrize(
     ("name", "values", "turns"),
     [
-        ("rpyt", (0.0, 0.0, 60.0, HOVER), -1),  # turned around, in this packet and in the legacy ones
+        (
+            "rpyt",
+            (0.0, 0.0, 60.0, HOVER),
+            -1,
+        ),  # turned around, in this packet and in the legacy ones
         ("velocity_world_legacy", (0.0, 0.0, 0.0, 60.0), -1),
         ("z_distance_legacy", (0.0, 0.0, 60.0, 0.8), -1),
         ("hover_legacy", (0.0, 0.0, 60.0, 0.8), -1),
@@ -105,20 +143,41 @@ def test_rates_are_in_deg_s_and_of_the_body_when_the_flight_mode_says_so():
         hangar.drone.parameters.set(f"flightmode.stabMode{axis}", 0.0)
     hangar.send("rpyt", 0.0, 0.0, 0.0, 0)
     hangar.run(0.2, "rpyt", 0.0, -40.0, 0.0, HOVER, every=0.01)
-    assert hangar.state[11] == pytest.approx(math.radians(40.0), rel=0.3)  # about y: nose down
+    assert hangar.state[11] == pytest.approx(
+        math.radians(40.0), rel=0.3
+    )  # about y: nose down
     assert hangar.log("stabilizer.pitch") < -3.0  # and the log has the nose up
 
 
 def test_a_full_states_rates_are_in_milli_radians_a_second():
     hangar = Hangar().hovering()
-    hangar.send("full_state", 0, 0, 500, 0, 0, 0, 0, 0, 0, compressed(np.array([0.0, 0.0, 0.0, 1.0])), 0, 0, 1000)
-    assert float(hangar.onboard.record["wanted"]["yaw_rate"]) == pytest.approx(math.degrees(1.0))
+    hangar.send(
+        "full_state",
+        0,
+        0,
+        500,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        compressed(np.array([0.0, 0.0, 0.0, 1.0])),
+        0,
+        0,
+        1000,
+    )
+    assert float(hangar.onboard.record["wanted"]["yaw_rate"]) == pytest.approx(
+        math.degrees(1.0)
+    )
 
 
 def test_altitude_hold_climbs_by_its_last_number():
     hangar = Hangar().hovering()
     hangar.run(2.0, "altitude_hold", 0.0, 0.0, 0.0, 0.4)
-    assert hangar.state[5] == pytest.approx(0.35, abs=0.06)  # its integral takes its time
+    assert hangar.state[5] == pytest.approx(
+        0.35, abs=0.06
+    )  # its integral takes its time
 
 
 def test_thrust_is_locked_until_a_packet_without_thrust_comes():
@@ -141,7 +200,10 @@ def test_a_receivers_sticks_forward_and_right_fly_forward_and_right():
         list(hangar.drone.take(Packet(SETPOINT, 0, b"\x03\x00" + sticks)))
         hangar.run(0.02)
     ahead, left = _ahead(hangar, home)
-    assert (ahead, left) == (pytest.approx(-0.12, abs=0.08), pytest.approx(-0.12, abs=0.08))
+    assert (ahead, left) == (
+        pytest.approx(-0.12, abs=0.08),
+        pytest.approx(-0.12, abs=0.08),
+    )
 
 
 def test_packed_poses_are_for_the_number_that_they_name():
@@ -153,14 +215,21 @@ def test_packed_poses_are_for_the_number_that_they_name():
     def item(number, x):
         return bytes([number]) + np.array([x, 0, 0], "<i2").tobytes() + level
 
-    list(hangar.drone.take(Packet(LOCALIZATION, 1, b"\x09" + item(0xE8, 5000) + item(0xE9, -250))))
+    list(
+        hangar.drone.take(
+            Packet(LOCALIZATION, 1, b"\x09" + item(0xE8, 5000) + item(0xE9, -250))
+        )
+    )
     assert hangar.onboard.estimate.p[0] == pytest.approx(-0.25, abs=0.01)
     assert hangar.drone.flight.poses == 1
 
 
 def test_an_old_release_has_another_thrust_map():
     """42000 were 0.39 N; the same command is 21 % less force now."""
-    old, new = (released(CRAZYFLIE_21, release).firmware.thrust_max for release in ("2023.11", "2025.12"))
+    old, new = (
+        released(CRAZYFLIE_21, release).firmware.thrust_max
+        for release in ("2023.11", "2025.12")
+    )
     assert old / new == pytest.approx(136531 / 107692, rel=1e-3)
     assert 4.0 * old * 42000 / 65535 == pytest.approx(0.39, rel=1e-3)
     assert released(CRAZYFLIE_21_BRUSHLESS, "2023.11") is CRAZYFLIE_21_BRUSHLESS

@@ -21,7 +21,10 @@ def _matches(pattern, reply):
 def test_a_conversation(port):
     hangar = Hangar().run(0.5)
     for shows, request, replies in ALL[port]:
-        found = [packet.framed() for packet in hangar.drone.take(parse(bytes.fromhex(request)))]
+        found = [
+            packet.framed()
+            for packet in hangar.drone.take(parse(bytes.fromhex(request)))
+        ]
         assert len(found) == len(replies), shows
         for pattern, reply in zip(replies, found, strict=True):
             assert _matches(pattern, reply), (shows, pattern, reply.hex(" "))
@@ -49,12 +52,38 @@ def test_the_tables_have_what_programs_ask_for_once_each():
     assert log_crc != param_crc
     for table in (logs, parameters):
         assert len({(group, name) for _, group, name in table}) == len(table)
-    logged, set_ = ({f"{group}.{name}" for _, group, name in table} for table in (logs, parameters))
-    assert {"stateEstimate.x", "kalman.varPX", "pm.vbat", "pm.state", "radio.rssi", "supervisor.info", "range.zrange",
-            "stateEstimateZ.quat", "ctrltarget.x", "locSrv.x", "sys.canfly", "motor.m1"} <= logged  # fmt: skip
-    assert {"kalman.resetEstimation", "stabilizer.controller", "stabilizer.estimator", "commander.enHighLevel",
-            "hlCommander.groupmask", "locSrv.extPosStdDev", "ring.effect", "motorPowerSet.enable", "colAv.enable",
-            "deck.bcFlow2", "pm.lowVoltage", "flightmode.stabModeYaw", "led.bitmask"} <= set_  # fmt: skip
+    logged, set_ = (
+        {f"{group}.{name}" for _, group, name in table} for table in (logs, parameters)
+    )
+    assert {
+        "stateEstimate.x",
+        "kalman.varPX",
+        "pm.vbat",
+        "pm.state",
+        "radio.rssi",
+        "supervisor.info",
+        "range.zrange",
+        "stateEstimateZ.quat",
+        "ctrltarget.x",
+        "locSrv.x",
+        "sys.canfly",
+        "motor.m1",
+    } <= logged
+    assert {
+        "kalman.resetEstimation",
+        "stabilizer.controller",
+        "stabilizer.estimator",
+        "commander.enHighLevel",
+        "hlCommander.groupmask",
+        "locSrv.extPosStdDev",
+        "ring.effect",
+        "motorPowerSet.enable",
+        "colAv.enable",
+        "deck.bcFlow2",
+        "pm.lowVoltage",
+        "flightmode.stabModeYaw",
+        "led.bitmask",
+    } <= set_
 
 
 @pytest.mark.parametrize("platform", ["cf21", "cf21bl"])
@@ -68,7 +97,9 @@ def test_when_a_battery_is_low_is_as_its_platform_has_it(platform):
 
 def test_each_log_variable_can_be_read():
     hangar = Hangar(decks=("bcFlow2", "bcLighthouse4", "bcMultiranger")).hovering()
-    values = {entry.full: hangar.log(entry.full) for entry in hangar.drone.logs.toc.entries}
+    values = {
+        entry.full: hangar.log(entry.full) for entry in hangar.drone.logs.toc.entries
+    }
     assert all(value == value for value in values.values())
     assert values["range.zrange"] == pytest.approx(1000.0 * hangar.state[2])
     assert values["kalman.stateZ"] == pytest.approx(0.5, abs=0.05)
@@ -107,7 +138,10 @@ def test_a_half_float_too_large_stays_at_the_end_of_its_range():
     assert value_of("h", -70000.0) == b"\x00\x80"
     assert [value_of("b", math.inf), value_of("I", -math.inf)] == [b"\x7f", bytes(4)]
     assert [value_of("i", math.nan), value_of("f", 1e39)] == [bytes(4), bytes(4)]
-    assert all(math.isnan(struct.unpack("<" + letter, value_of(letter, math.nan))[0]) for letter in "ef")
+    assert all(
+        math.isnan(struct.unpack("<" + letter, value_of(letter, math.nan))[0])
+        for letter in "ef"
+    )
 
 
 def test_each_log_variable_of_a_broken_drone_is_sent():
@@ -117,12 +151,17 @@ def test_each_log_variable_of_a_broken_drone_is_sent():
         for name in record.dtype.names:
             if record.dtype[name].kind == "f":
                 record[name] = wrong
-        for part, names in (("wanted", ("x", "vx", "ax", "thrust")), ("request", range(4))):
+        for part, names in (
+            ("wanted", ("x", "vx", "ax", "thrust")),
+            ("request", range(4)),
+        ):
             for name in names:
                 record[part][name] = wrong
         for entry in hangar.drone.logs.toc.entries:
             for letter in "bBhHiIef":
-                assert len(value_of(letter, hangar.log(entry.full))) == struct.calcsize(letter), entry.full
+                assert len(value_of(letter, hangar.log(entry.full))) == struct.calcsize(
+                    letter
+                ), entry.full
 
 
 def test_the_console_splits_no_character():

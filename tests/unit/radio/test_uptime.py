@@ -13,7 +13,9 @@ def told(uptime, ats, now=lambda at: 50.0 + at / 1000 + 0.004):
 def test_what_waited_was_so_when_it_was_so():
     uptime = Uptime()
     told(uptime, range(3000, 4000, 20))
-    held = told(uptime, range(4000, 4900, 20), now=lambda at: 54.9 + 0.004 * (at - 4000) / 20)
+    held = told(
+        uptime, range(4000, 4900, 20), now=lambda at: 54.9 + 0.004 * (at - 4000) / 20
+    )
     assert held == pytest.approx([54.004 + 0.02 * k for k in range(45)], abs=0.002)
 
 
@@ -28,14 +30,20 @@ def test_one_that_was_overtaken_is_known_and_is_no_restart():
 def test_a_clock_that_runs_fast_or_slow_is_followed():
     for share in (0.9995, 1.0005):
         uptime = Uptime()
-        (*_, last) = told(uptime, range(0, 600_000, 50), now=lambda at, share=share: 5.0 + share * at / 1000)
+        (*_, last) = told(
+            uptime,
+            range(0, 600_000, 50),
+            now=lambda at, share=share: 5.0 + share * at / 1000,
+        )
         assert last == pytest.approx(5.0 + share * 599.95, abs=0.001)
 
 
 def test_a_time_that_begins_anew_goes_on():
     uptime = Uptime()
     ats = range(WRAPS - 100, WRAPS + 100, 20)
-    assert told(uptime, ats) == pytest.approx([50.0 + at / 1000 + 0.004 for at in ats], abs=1e-3)
+    assert told(uptime, ats) == pytest.approx(
+        [50.0 + at / 1000 + 0.004 for at in ats], abs=1e-3
+    )
     assert not uptime.restarted(50.0 + (WRAPS + 120) / 1000, 120)
 
 
@@ -49,7 +57,9 @@ def test_however_long_it_has_been_on_it_is_heard_from_its_first_log_on(hours):
         assert uptime.taken(now, at % WRAPS) == pytest.approx(now, abs=1e-3)
 
 
-@pytest.mark.parametrize(("up", "silent"), [(3600.0 * 3.0, 3.0), (3600.0 * 4.6, 30.0), (4.0, 60.0)])
+@pytest.mark.parametrize(
+    ("up", "silent"), [(3600.0 * 3.0, 3.0), (3600.0 * 4.6, 30.0), (4.0, 60.0)]
+)
 def test_one_that_was_started_again_is_so_however_old_it_was(up, silent):
     uptime = Uptime()
     told(uptime, [round(1000 * up)], now=lambda at: 50.0)

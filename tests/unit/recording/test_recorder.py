@@ -34,7 +34,17 @@ from crazychoir.recording.mcap.reading import header
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.types import FPQR, Body, FullState, LinkStatus, Plan, Pose, State, Status, Vel
+from crazychoir.types import (
+    FPQR,
+    Body,
+    FullState,
+    LinkStatus,
+    Plan,
+    Pose,
+    State,
+    Status,
+    Vel,
+)
 
 ABOUT = {"version": "1.2"}
 
@@ -47,7 +57,9 @@ def recorded(path, work, observer=None, run=run_virtual):
         for address in (0, 1, *([] if observer is None else [observer])):
             bus.port(address)
         bus.tap = lambda *message: None
-        recorder = Recorder(bus, (0, 1), RecordingFile(path, ABOUT, "{}", False), observer)
+        recorder = Recorder(
+            bus, (0, 1), RecordingFile(path, ABOUT, "{}", False), observer
+        )
         supervisor = Supervisor(clock, "test")
         running = asyncio.create_task(supervisor.run([recorder]))
         await clock.sleep(0.1)
@@ -60,15 +72,33 @@ def recorded(path, work, observer=None, run=run_virtual):
 
 
 VALUES = {
-    POSE: Pose(np.arange(7.0), 0.25), STATE: State.at((1, 2, 3), (4, 5, 6)), REFERENCE: FullState(np.arange(14.0)),
-    COMMAND: FPQR(np.arange(4.0)), TRUTH: State.at((7, 8, 9)),
+    POSE: Pose(np.arange(7.0), 0.25),
+    STATE: State.at((1, 2, 3), (4, 5, 6)),
+    REFERENCE: FullState(np.arange(14.0)),
+    COMMAND: FPQR(np.arange(4.0)),
+    TRUTH: State.at((7, 8, 9)),
     STATUS: Status("hovering", suspect=[1], cost=0.5, relaxed=0.25),
-    RESULT: {"success": True, "place": np.ones(3)}, LOG: "drone 1: a line",
+    RESULT: {"success": True, "place": np.ones(3)},
+    LOG: "drone 1: a line",
     BODY: Body("crashed"),
-    LINK: LinkStatus("up", 0.01, 0.02, 0.9, -40.0, 3.9, 3, True, ["battery"], "2025.12", 1, 2, "it tilts otherwise"),
+    LINK: LinkStatus(
+        "up",
+        0.01,
+        0.02,
+        0.9,
+        -40.0,
+        3.9,
+        3,
+        True,
+        ["battery"],
+        "2025.12",
+        1,
+        2,
+        "it tilts otherwise",
+    ),
     TELEMETRY: {"pm.vbat": [3.9, 0.05]},
     PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("observer", [None, OBSERVER + 5])
@@ -80,15 +110,32 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 
     assert [topic.name for topic in VALUES] == list(OBSERVABLE)
     path = tmp_path / "a.mcap"
-    assert recorded(path, work, observer) == {"file": str(path), "messages": 12, "lost": 0, "missed": 0, "error": ""}
+    assert recorded(path, work, observer) == {
+        "file": str(path),
+        "messages": 12,
+        "lost": 0,
+        "missed": 0,
+        "error": "",
+    }
     found = by_mcap_ros2(path)
     assert found == by_rosbags(path)
     assert [name for name, *_ in found] == [f"/drone1/{topic.name}" for topic in VALUES]
     assert all(came == 100_000_000 for _, _, came, _ in found)
     by_topic = {name.split("/")[-1]: fields for name, _, _, fields in found}
-    assert by_topic["pose"]["header"]["stamp"] == {"sec": 0, "nanosec": 0}, "older than the clock"
-    assert by_topic["pose"]["pose"]["orientation"] == {"x": 3.0, "y": 4.0, "z": 5.0, "w": 6.0}
-    assert by_topic["state"]["twist"]["twist"]["linear"] == {"x": 4.0, "y": 5.0, "z": 6.0}
+    assert by_topic["pose"]["header"]["stamp"] == {"sec": 0, "nanosec": 0}, (
+        "older than the clock"
+    )
+    assert by_topic["pose"]["pose"]["orientation"] == {
+        "x": 3.0,
+        "y": 4.0,
+        "z": 5.0,
+        "w": 6.0,
+    }
+    assert by_topic["state"]["twist"]["twist"]["linear"] == {
+        "x": 4.0,
+        "y": 5.0,
+        "z": 6.0,
+    }
     assert by_topic["command"]["rates"] == {"x": 1.0, "y": 2.0, "z": 3.0}
     assert by_topic["status"]["suspect"] == [1]
     assert by_topic["result"]["json"] == '{"success": true, "place": [1.0, 1.0, 1.0]}'
@@ -96,7 +143,12 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     assert by_topic["body"]["harm"] == "crashed"
     assert by_topic["telemetry"]["json"] == '{"pm.vbat": [3.9, 0.05]}'
     plan = json.loads(by_topic["plan"]["json"])
-    assert (plan["way"], plan["offer"], plan["agreed"], plan["awaits"]) == ([[1.0] * 25], [], {"0": 2}, [])
+    assert (plan["way"], plan["offer"], plan["agreed"], plan["awaits"]) == (
+        [[1.0] * 25],
+        [],
+        {"0": 2},
+        [],
+    )
 
 
 def test_ages_make_times_of_birth(tmp_path):
@@ -107,13 +159,23 @@ def test_ages_make_times_of_birth(tmp_path):
     path = tmp_path / "a.mcap"
     recorded(path, work)
     ((name, kind, came, fields),) = by_rosbags(path)
-    assert (name, kind, came) == ("/drone0/pose", "geometry_msgs/msg/PoseStamped", 1_100_000_000)
+    assert (name, kind, came) == (
+        "/drone0/pose",
+        "geometry_msgs/msg/PoseStamped",
+        1_100_000_000,
+    )
     assert fields["header"]["stamp"] == {"sec": 0, "nanosec": 850_000_000}
 
 
 def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
     async def work(clock, bus):
-        for value in (VALUES[COMMAND], Vel(np.arange(4.0)), VALUES[COMMAND], FullState(np.arange(14.0)), 7):
+        for value in (
+            VALUES[COMMAND],
+            Vel(np.arange(4.0)),
+            VALUES[COMMAND],
+            FullState(np.arange(14.0)),
+            7,
+        ):
             bus.ports[0].publish(COMMAND, value)
 
     path = tmp_path / "a.mcap"
@@ -122,7 +184,13 @@ def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
     assert found == by_rosbags(path)
     names = ["command", "command/vel", "command", "command/fullstate", "command/int"]
     assert [name for name, *_ in found] == [f"/drone0/{name}" for name in names]
-    assert [kind.split("/")[-1] for _, kind, *_ in found] == ["FPQR", "Vel", "FPQR", "FullState", "Value"]
+    assert [kind.split("/")[-1] for _, kind, *_ in found] == [
+        "FPQR",
+        "Vel",
+        "FPQR",
+        "FullState",
+        "Value",
+    ]
     assert found[4][3]["json"] == "7", "whatever it is, as JSON"
 
 
@@ -135,7 +203,14 @@ def test_rounds_are_recorded_under_their_sender(tmp_path):
     ((name, _, _, fields),) = by_mcap_ros2(path)
     assert name == "/drone0/round"
     del fields["header"]
-    assert fields == {"to": 1, "round": 5, "epoch": 1, "kind": "data", "channel": "sum", "json": "[1, 2]"}
+    assert fields == {
+        "to": 1,
+        "round": 5,
+        "epoch": 1,
+        "kind": "data",
+        "channel": "sum",
+        "json": "[1, 2]",
+    }
 
 
 @virtual
@@ -169,7 +244,11 @@ def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
 
     result = recorded(tmp_path / "a.mcap", work)
     assert (result["messages"], result["lost"]) == (1, 4)
-    assert header(tmp_path / "a.mcap").outcome == {"lost": "4", "missed": "0", "ended": "its flight has ended"}
+    assert header(tmp_path / "a.mcap").outcome == {
+        "lost": "4",
+        "missed": "0",
+        "ended": "its flight has ended",
+    }
     assert len(caplog.records) == 1
     assert "status of drone 0" in caplog.text
 
@@ -197,13 +276,21 @@ def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, ca
     async def work(clock, bus):
         bus.ports[0].publish(LOG, "one")
         await clock.sleep(1.0)
-        monkeypatch.setattr(RecordingFile, "_put", lambda self, sync: setattr(self, "error", "No space left"))
+        monkeypatch.setattr(
+            RecordingFile,
+            "_put",
+            lambda self, sync: setattr(self, "error", "No space left"),
+        )
         for _ in range(3):
             bus.ports[0].publish(LOG, "two")
             await clock.sleep(1.0)
 
     result = recorded(tmp_path / "a.mcap", work)
-    assert (result["messages"], result["lost"], result["error"]) == (1, 3, "No space left")
+    assert (result["messages"], result["lost"], result["error"]) == (
+        1,
+        3,
+        "No space left",
+    )
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     assert "the flight goes on" in caplog.text
 

@@ -24,7 +24,10 @@ def table(tmp_path):
 def recorded(path, topic=State, name="truth", drone=4):
     """A flight of two seconds along x, with its truth at 20 Hz, from 0.3 s after the begin of the recording on."""
     file = RecordingFile(path, {"version": "1"}, "{}", False)
-    series, other = Series(drone, name, MESSAGES[topic]), Series(2, "truth", MESSAGES[State])
+    series, other = (
+        Series(drone, name, MESSAGES[topic]),
+        Series(2, "truth", MESSAGES[State]),
+    )
     pack, also = packer(series.message, drone), packer(other.message, 2)
     entries = [Entry(other, 0, 0, also(State.at((9, 9, 9)), 0))]
     for k in range(41):
@@ -85,7 +88,10 @@ def test_the_truth_of_a_recorded_flight_is_joined_by_its_velocities(tmp_path):
     [
         ("replay://{}/none.csv", "none.csv.*readable CSV"),
         ("replay://{}/none.mcap", "none.mcap.*can be read"),
-        ("replay://{}/a.mcap?drone=7", "truth of drone 7.*nothing.*drone= one of .2, 4."),
+        (
+            "replay://{}/a.mcap?drone=7",
+            "truth of drone 7.*nothing.*drone= one of .2, 4.",
+        ),
         ("replay://{}/a.mcap?drone=x", "uri.*FILE.drone=NUMBER"),
         ("replay://{}/a.bag", "a.bag.*a table of samples, .csv"),
         ("replay://{}/a.csv", r"drone 4: home.*begins.*Set home = \[1.0, 0.0, 0.0\]"),

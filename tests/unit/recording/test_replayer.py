@@ -23,14 +23,28 @@ def path(tmp_path):
     """Two seconds of the states of drone 3, 20 a second, each 10 ms old; a status; a message of a round."""
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
-    series = {name: Series(3, name, MESSAGES[kind]) for name, kind in
-              (("state", State), ("truth", State), ("status", Status), ("round", Exchanged))}  # fmt: skip
+    series = {
+        name: Series(3, name, MESSAGES[kind])
+        for name, kind in (
+            ("state", State),
+            ("truth", State),
+            ("status", Status),
+            ("round", Exchanged),
+        )
+    }
     for k in range(41):
         ns = BEGAN + k * STEP
         for name in ("state", "truth"):
             data = packer(series[name].message, 3)(State.at((k, 0, 0)), ns - 10_000_000)
             entries.append(Entry(series[name], ns, ns - 10_000_000, data))
-    entries.append(Entry(series["status"], ns, ns, packer(series["status"].message, 3)(Status("landing"), ns)))
+    entries.append(
+        Entry(
+            series["status"],
+            ns,
+            ns,
+            packer(series["status"].message, 3)(Status("landing"), ns),
+        )
+    )
     data = packer(series["round"].message, 3)(Exchanged(1, 2, 0, "sum", b""), ns)
     entries.append(Entry(series["round"], ns, ns, data))
     file.write(entries)
@@ -44,7 +58,12 @@ def listening(clock, source=lambda topic, i: i):
     bus.port(OBSERVER + 1)
     for topic in (STATE, STATUS, TRUTH):
         bus.port(source(topic, 3))
-        box = Call(clock, lambda value, age, topic=topic: heard.append((clock.now(), topic.name, value, age)))
+        box = Call(
+            clock,
+            lambda value, age, topic=topic: heard.append(
+                (clock.now(), topic.name, value, age)
+            ),
+        )
         bus.subscribe(topic, source(topic, 3), OBSERVER + 1, box)
     return bus, heard
 
@@ -58,10 +77,14 @@ def test_at_its_pace_and_faster(path, speed):
         await replayer.run()
         states = [(t, value, age) for t, topic, value, age in heard if topic == "state"]
         assert [value.p[0] for _, value, _ in states] == list(range(41))
-        np.testing.assert_allclose([t - began for t, *_ in states], np.arange(41) * 0.05 / speed, atol=1e-6)
+        np.testing.assert_allclose(
+            [t - began for t, *_ in states], np.arange(41) * 0.05 / speed, atol=1e-6
+        )
         assert [age for *_, age in states] == pytest.approx([0.01] * 41)
         assert (heard[-1][1], heard[-1][2].phase) == ("status", "landing")
-        assert (replayer.said, replayer.at) == (83, 2.0), "a round is between drones, and is not said again"
+        assert (replayer.said, replayer.at) == (83, 2.0), (
+            "a round is between drones, and is not said again"
+        )
 
     run_virtual(main)
 
@@ -77,11 +100,15 @@ def test_step_by_step(path):
 
         running = asyncio.create_task(Replayer(bus, path, step=step).run())
         await clock.sleep(1.0)
-        assert [value.p[0] for _, topic, value, _ in heard if topic == "state"] == [0], "the first moment, and waits"
+        assert [value.p[0] for _, topic, value, _ in heard if topic == "state"] == [
+            0
+        ], "the first moment, and waits"
         for seconds, last in ((0.1, 2), (0.5, 12), (float("inf"), 40)):
             steps.put_nowait(seconds)
             await clock.sleep(1.0)
-            assert [value.p[0] for _, topic, value, _ in heard if topic == "state"][-1] == last
+            assert [value.p[0] for _, topic, value, _ in heard if topic == "state"][
+                -1
+            ] == last
         await running
         assert asked == [2, 6, 26]
 
@@ -91,27 +118,51 @@ def test_step_by_step(path):
 def test_all_types_of_a_topic_are_said_on_it_by_drones_that_nobody_has_opened(tmp_path):
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
-    for name, value in (("command", FPQR(np.arange(4.0))), ("command/vel", Vel(np.arange(4.0) + 5.0))):
+    for name, value in (
+        ("command", FPQR(np.arange(4.0))),
+        ("command/vel", Vel(np.arange(4.0) + 5.0)),
+    ):
         series = Series(3, name, MESSAGES[type(value)])
-        entries.append(Entry(series, BEGAN, BEGAN + STEP, packer(series.message, 3)(value, BEGAN + STEP)))
+        entries.append(
+            Entry(
+                series,
+                BEGAN,
+                BEGAN + STEP,
+                packer(series.message, 3)(value, BEGAN + STEP),
+            )
+        )
     file.write(entries)
     file.close()
 
     async def main(clock):
         bus, heard = Bus(clock), []
         bus.port(OBSERVER + 1)
-        bus.subscribe(COMMAND, 3, OBSERVER + 1, Call(clock, lambda value, age: heard.append((value, age))))
+        bus.subscribe(
+            COMMAND,
+            3,
+            OBSERVER + 1,
+            Call(clock, lambda value, age: heard.append((value, age))),
+        )
         await Replayer(bus, path).run()
-        assert [(type(value), value.flat.tolist()) for value, _ in heard] == [(FPQR, [0, 1, 2, 3]), (Vel, [5, 6, 7, 8])]
-        assert [age for _, age in heard] == [0.0, 0.0], "nothing is born after it has come"
+        assert [(type(value), value.flat.tolist()) for value, _ in heard] == [
+            (FPQR, [0, 1, 2, 3]),
+            (Vel, [5, 6, 7, 8]),
+        ]
+        assert [age for _, age in heard] == [0.0, 0.0], (
+            "nothing is born after it has come"
+        )
 
     run_virtual(main)
 
 
 def test_where_it_was_said(path):
     async def main(clock):
-        bus, heard = listening(clock, lambda topic, i: BODIES + i if topic is TRUTH else i)
-        await Replayer(bus, path, 10.0, source=lambda topic, i: BODIES + i if topic is TRUTH else i).run()
+        bus, heard = listening(
+            clock, lambda topic, i: BODIES + i if topic is TRUTH else i
+        )
+        await Replayer(
+            bus, path, 10.0, source=lambda topic, i: BODIES + i if topic is TRUTH else i
+        ).run()
         assert {topic for _, topic, *_ in heard} == {"state", "truth", "status"}
 
     run_virtual(main)

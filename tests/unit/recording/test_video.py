@@ -33,7 +33,9 @@ def test_an_animation_has_all_pictures_at_their_rate(tmp_path, ending):
         assert abs(blue - 240) < 12
 
 
-@pytest.mark.skipif(importlib.util.find_spec("av") is None, reason="the library av is not installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("av") is None, reason="the library av is not installed"
+)
 def test_an_mp4_has_all_pictures_at_their_rate(tmp_path):
     import av
 
@@ -48,10 +50,14 @@ def test_an_mp4_has_all_pictures_at_their_rate(tmp_path):
 
 
 def test_what_cannot_be_written_is_refused(tmp_path, monkeypatch):
-    with pytest.raises(ConfigError, match=r"a\.avi; allowed: a file that ends in \.mp4, \.gif, \.webp"):
+    with pytest.raises(
+        ConfigError, match=r"a\.avi; allowed: a file that ends in \.mp4, \.gif, \.webp"
+    ):
         check_video(tmp_path / "a.avi", 32, 16)
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(ConfigError, match=r"pip install 'crazychoir\[mujoco\]', or write a \.gif"):
+    with pytest.raises(
+        ConfigError, match=r"pip install 'crazychoir\[mujoco\]', or write a \.gif"
+    ):
         check_video(tmp_path / "a.mp4", 32, 16)
     monkeypatch.setitem(sys.modules, "av", object())
     with pytest.raises(ConfigError, match="33x16; allowed: even numbers"):

@@ -26,18 +26,36 @@ QUICK = Settings(price_rounds=8)
 @st.composite
 def raw_instances(draw):
     """Up to three robots and three tasks on a grid so coarse that points coincide; all limits may be 0 or none."""
-    robots, tasks, axes = draw(st.integers(1, 3)), draw(st.integers(1, 3)), draw(st.sampled_from([2, 3]))
+    robots, tasks, axes = (
+        draw(st.integers(1, 3)),
+        draw(st.integers(1, 3)),
+        draw(st.sampled_from([2, 3])),
+    )
     unit = draw(st.sampled_from([1.0, 0.01, 30.0]))
-    point = st.lists(st.sampled_from([0.0, unit, 3 * unit]), min_size=axes, max_size=axes)
+    point = st.lists(
+        st.sampled_from([0.0, unit, 3 * unit]), min_size=axes, max_size=axes
+    )
     return {
         "home": draw(st.lists(point, min_size=robots, max_size=robots)),
         "pickup": draw(st.lists(point, min_size=tasks, max_size=tasks)),
         "delivery": draw(st.lists(point, min_size=tasks, max_size=tasks)),
-        "load": draw(st.lists(st.sampled_from([0.0, 1.0, 2.0]), min_size=tasks, max_size=tasks)),
-        "capacity": draw(st.lists(st.sampled_from([0.0, 1.0, 2.0, 3.0]), min_size=robots, max_size=robots)),
-        "route_length_limit": draw(st.sampled_from([None, 0.0, 6.1 * unit, 10.1 * unit, 14.1 * unit])),
+        "load": draw(
+            st.lists(st.sampled_from([0.0, 1.0, 2.0]), min_size=tasks, max_size=tasks)
+        ),
+        "capacity": draw(
+            st.lists(
+                st.sampled_from([0.0, 1.0, 2.0, 3.0]), min_size=robots, max_size=robots
+            )
+        ),
+        "route_length_limit": draw(
+            st.sampled_from([None, 0.0, 6.1 * unit, 10.1 * unit, 14.1 * unit])
+        ),
         "capability": draw(
-            st.lists(st.lists(st.booleans(), min_size=tasks, max_size=tasks), min_size=robots, max_size=robots)
+            st.lists(
+                st.lists(st.booleans(), min_size=tasks, max_size=tasks),
+                min_size=robots,
+                max_size=robots,
+            )
         ),
     }
 
@@ -68,9 +86,24 @@ def least_cost(instance):
     return plan.cost
 
 
-MEETING = {"home": [[0.0, 0.0]], "pickup": [[3.0, 0.0]] * 2, "delivery": [[3.0, 0.0]] * 2, "load": [1.0, 1.0]}
-NOWHERE = {"home": [[1.0, 1.0]] * 2, "pickup": [[1.0, 1.0]], "delivery": [[1.0, 1.0]], "load": [0.0]}
-USELESS = {"home": [[0.0, 0.0], [1.0, 0.0]], "pickup": [[1.0, 0.0]], "delivery": [[3.0, 0.0]], "load": [1.0]}
+MEETING = {
+    "home": [[0.0, 0.0]],
+    "pickup": [[3.0, 0.0]] * 2,
+    "delivery": [[3.0, 0.0]] * 2,
+    "load": [1.0, 1.0],
+}
+NOWHERE = {
+    "home": [[1.0, 1.0]] * 2,
+    "pickup": [[1.0, 1.0]],
+    "delivery": [[1.0, 1.0]],
+    "load": [0.0],
+}
+USELESS = {
+    "home": [[0.0, 0.0], [1.0, 0.0]],
+    "pickup": [[1.0, 0.0]],
+    "delivery": [[3.0, 0.0]],
+    "load": [1.0],
+}
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -83,7 +116,11 @@ def test_the_plan_is_feasible_optimal_and_proven(raw, weak):
     if instance is None:
         return
     optimum, graph = least_cost(instance), path(instance.robots)
-    options = Settings(price_rounds=1, batch=1, first_gap=0.001, most_shared=1) if weak else QUICK
+    options = (
+        Settings(price_rounds=1, batch=1, first_gap=0.001, most_shared=1)
+        if weak
+        else QUICK
+    )
     if optimum is None:
         with pytest.raises(SolverError, match="infeasible: no plan serves every task"):
             solve_in_loop(instance, graph, settings=options)
@@ -93,14 +130,26 @@ def test_the_plan_is_feasible_optimal_and_proven(raw, weak):
     assert solution.cost == pytest.approx(optimum, abs=TOLERANCE)
     assert solution.bound_exact
     assert solution.lower_bound <= optimum + TOLERANCE
-    assert solution.lower_bound == pytest.approx(optimum, abs=2 * TOLERANCE * max(1.0, optimum))
+    assert solution.lower_bound == pytest.approx(
+        optimum, abs=2 * TOLERANCE * max(1.0, optimum)
+    )
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
-@given(raw_instances(), st.sampled_from(["resource", "resource-argmax"]), st.integers(1, 30))
+@given(
+    raw_instances(),
+    st.sampled_from(["resource", "resource-argmax"]),
+    st.integers(1, 30),
+)
 @example(NOWHERE | {"capacity": [0.0, 0.0]}, "resource", 8)
-@example(MEETING | {"home": [[0.0, 0.0], [1.0, 0.0]], "capacity": [2.0, 2.0]}, "resource-argmax", 60)
-def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(raw, method, rounds):
+@example(
+    MEETING | {"home": [[0.0, 0.0], [1.0, 0.0]], "capacity": [2.0, 2.0]},
+    "resource-argmax",
+    60,
+)
+def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(
+    raw, method, rounds
+):
     instance = instance_of(raw)
     if instance is None:
         return
@@ -109,7 +158,9 @@ def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(raw, 
         solution = solve_in_loop(instance, graph, method, Settings(price_rounds=rounds))
     except SolverError as refusal:
         # Without a limit every route can take one task more.
-        if "use the method columns" not in str(refusal) or np.isinf(instance.route_length_limit):
+        if "use the method columns" not in str(refusal) or np.isinf(
+            instance.route_length_limit
+        ):
             raise
         return
     assert optimum is not None
@@ -134,7 +185,9 @@ def test_any_common_prices_give_a_lower_bound(raw, prices):
     for i, table in enumerate(tables):
         pool.add(i, [table.column(c) for c in range(1, len(table))])
     assert pool.relax(np.full(len(pi), 1e4)).value <= optimum + TOLERANCE
-    assert partition(pool.items(), len(pi), seed=0, nodes=1000).cost == pytest.approx(optimum, abs=TOLERANCE)
+    assert partition(pool.items(), len(pi), seed=0, nodes=1000).cost == pytest.approx(
+        optimum, abs=TOLERANCE
+    )
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
@@ -154,13 +207,20 @@ def test_every_column_of_a_table_is_a_tour_and_with_it_each_part_of_it(raw):
 
 def test_a_robot_whose_shares_have_gone_still_claims_what_nobody_else_can_do():
     """Robot 0 is near the goods and can do nothing; robot 1 is far, its price is higher, and its share becomes 0."""
-    goods = {"pickup": [[1.0, 0.0]], "delivery": [[2.0, 0.0]], "load": [1.0], "capacity": [1.0, 1.0]}
+    goods = {
+        "pickup": [[1.0, 0.0]],
+        "delivery": [[2.0, 0.0]],
+        "load": [1.0],
+        "capacity": [1.0, 1.0],
+    }
     homes = [[0.0, 0.0], [300.0, 0.0]]
     instance = Instance.parse({"home": homes, **goods, "capability": [[False], [True]]})
     for method in METHODS[1:]:
         solution = solve_in_loop(instance, {0: [1], 1: [0]}, method)
         assert [route.robot for route in solution.routes] == [1]
-        assert solution.cost == pytest.approx(dist(homes[1], [1.0, 0.0]) + 1.0 + dist([2.0, 0.0], homes[1]))
+        assert solution.cost == pytest.approx(
+            dist(homes[1], [1.0, 0.0]) + 1.0 + dist([2.0, 0.0], homes[1])
+        )
 
 
 @pytest.mark.parametrize("key", ["home", "pickup", "delivery"])
@@ -168,44 +228,86 @@ def test_a_robot_whose_shares_have_gone_still_claims_what_nobody_else_can_do():
 def test_places_beyond_what_sums_are_exact_for_are_refused(key, value):
     raw = random_instance(1, 1, seed=1).to_json()
     raw[key][0][1] = value
-    with pytest.raises(InstanceError, match=rf"{key}\[0\]\[1\]: found .*; allowed: a number from -100000 to 100000"):
+    with pytest.raises(
+        InstanceError,
+        match=rf"{key}\[0\]\[1\]: found .*; allowed: a number from -100000 to 100000",
+    ):
         Instance.parse(raw)
 
 
-@pytest.mark.parametrize(("key", "value"), [("load", 1.1e6), ("capacity", 1e300), ("capacity", -1), ("load", -0.1)])
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("load", 1.1e6), ("capacity", 1e300), ("capacity", -1), ("load", -0.1)],
+)
 def test_amounts_beyond_what_sums_are_exact_for_are_refused(key, value):
     raw = random_instance(1, 1, seed=1).to_json()
     raw[key][0] = value
-    with pytest.raises(InstanceError, match=rf"{key}\[0\]: found .*; allowed: a number from 0 to 1e\+06"):
+    with pytest.raises(
+        InstanceError,
+        match=rf"{key}\[0\]: found .*; allowed: a number from 0 to 1e\+06",
+    ):
         Instance.parse(raw)
 
 
 def test_the_farthest_and_heaviest_that_are_admitted_are_solved():
-    raw = {"home": [[-1e5, -1e5], [1e5, 1e5]], "pickup": [[1e5, -1e5]], "delivery": [[-1e5, 1e5]], "load": [1e6]}
+    raw = {
+        "home": [[-1e5, -1e5], [1e5, 1e5]],
+        "pickup": [[1e5, -1e5]],
+        "delivery": [[-1e5, 1e5]],
+        "load": [1e6],
+    }
     with warnings.catch_warnings(action="error"):
-        solution = solve_in_loop(Instance.parse(raw | {"capacity": [0.0, 1e6]}), path(2))
+        solution = solve_in_loop(
+            Instance.parse(raw | {"capacity": [0.0, 1e6]}), path(2)
+        )
     assert solution.cost == pytest.approx(4e5 + 2e5 * np.sqrt(2))
     assert solution.bound_exact
 
 
 def test_a_robot_within_reach_of_more_tasks_than_a_set_holds_says_so():
     points = [[0.01 * j, 1.0] for j in range(129)]
-    raw = {"home": [[0.0, 0.0]], "pickup": points, "delivery": points, "load": [1.0] * 129, "capacity": [1.0]}
-    with pytest.raises(InstanceError, match="robot 0: tasks that it could serve: found 129; allowed: at most 128"):
+    raw = {
+        "home": [[0.0, 0.0]],
+        "pickup": points,
+        "delivery": points,
+        "load": [1.0] * 129,
+        "capacity": [1.0],
+    }
+    with pytest.raises(
+        InstanceError,
+        match="robot 0: tasks that it could serve: found 129; allowed: at most 128",
+    ):
         solve_in_loop(Instance.parse(raw), {0: []}, "resource-columns")
     all_but_one = [[False] + [True] * 128, [True] * 129]
-    most = Instance.parse(raw | {"home": [[0.0, 0.0]] * 2, "capacity": [1.0, 1.0], "capability": all_but_one})
+    most = Instance.parse(
+        raw
+        | {"home": [[0.0, 0.0]] * 2, "capacity": [1.0, 1.0], "capability": all_but_one}
+    )
     table = RouteTable(most.local(0).vehicle, most=2000)
-    assert [table.find([j]).tasks for j in (1, 64, 65, 128)] == [(1,), (64,), (65,), (128,)]
+    assert [table.find([j]).tasks for j in (1, 64, 65, 128)] == [
+        (1,),
+        (64,),
+        (65,),
+        (128,),
+    ]
 
 
 def test_a_search_that_ends_early_does_not_claim_that_there_is_no_plan():
     instance = random_instance(3, 5, seed=4)
     tables = [RouteTable(instance.local(i).vehicle) for i in range(3)]
-    columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
+    columns = [
+        (i, table.column(c))
+        for i, table in enumerate(tables)
+        for c in range(1, len(table))
+    ]
     lonely = [(i, column) for i, column in columns if 0 not in column.tasks]
     assert partition(lonely, 5, seed=0, nodes=100).bound == np.inf
     assert partition(columns, 5, seed=0, nodes=100).bound < np.inf
     cut = Settings(most_labels=8)
     with pytest.raises(SolverError, match="no plan found: route tables were cut"):
-        solve_in_loop(random_instance(1, 5, seed=4, capacities=(9, 9)), {0: []}, "resource-columns", cut)
+        solve_in_loop(
+            random_instance(1, 5, seed=4, capacities=(9, 9)),
+            {0: []},
+            "resource-columns",
+            cut,
+        )

@@ -8,7 +8,15 @@ from virtual_time import virtual
 
 from crazychoir.errors import Deadlock, Livelock
 from crazychoir.runtime import clock as clock_module
-from crazychoir.runtime.clock import MESSAGE, SECOND, TICK, TIMEOUT, WORLD, run_virtual, run_wall
+from crazychoir.runtime.clock import (
+    MESSAGE,
+    SECOND,
+    TICK,
+    TIMEOUT,
+    WORLD,
+    run_virtual,
+    run_wall,
+)
 from crazychoir.runtime.mailbox import Latest
 
 MS = 1_000_000
@@ -27,7 +35,13 @@ async def test_alarms_go_by_time_priority_drone_and_sequence(clock):
     ]
     seen = []
     for when, priority, drone in [wanted[k] for k in (3, 6, 0, 5, 4, 1, 2)]:
-        clock.call_at(when * MS, seen.append, (when, priority, drone), priority=priority, drone=drone)
+        clock.call_at(
+            when * MS,
+            seen.append,
+            (when, priority, drone),
+            priority=priority,
+            drone=drone,
+        )
     await clock.sleep(0.01)
     assert seen == wanted
 
@@ -42,7 +56,9 @@ async def test_equal_alarms_go_in_the_order_of_their_making(clock):
 
 
 @virtual
-async def test_what_an_alarm_sets_off_is_done_before_the_next_alarm_of_that_instant(clock):
+async def test_what_an_alarm_sets_off_is_done_before_the_next_alarm_of_that_instant(
+    clock,
+):
     seen = []
 
     async def follow(name):
@@ -101,7 +117,9 @@ def test_passes_without_time_are_a_livelock(monkeypatch):
         while True:
             await clock.sleep(0.0)
 
-    with pytest.raises(Livelock, match=r"1000 loop passes at 0\.0.*drone 1 guidance waits in clock\.py"):
+    with pytest.raises(
+        Livelock, match=r"1000 loop passes at 0\.0.*drone 1 guidance waits in clock\.py"
+    ):
         run_virtual(main)
 
 
@@ -151,7 +169,9 @@ async def test_timeouts_of_asyncio_are_in_virtual_time(clock):
     with pytest.raises(TimeoutError):
         await asyncio.wait_for(timeout=0.25, fut=asyncio.Event().wait())
     assert clock.now() == 1.75
-    _, pending = await asyncio.wait([asyncio.create_task(clock.sleep(9.0))], timeout=0.25)
+    _, pending = await asyncio.wait(
+        [asyncio.create_task(clock.sleep(9.0))], timeout=0.25
+    )
     assert (len(pending), clock.now()) == (1, 2.0)
 
 
@@ -193,7 +213,9 @@ def test_a_virtual_run_repeats():
                 seen.append((due, i))
 
         with pytest.raises(TimeoutError):
-            await asyncio.wait_for(timeout=0.5, fut=asyncio.gather(*(actor(i) for i in (4, 2, 0, 3, 1))))
+            await asyncio.wait_for(
+                timeout=0.5, fut=asyncio.gather(*(actor(i) for i in (4, 2, 0, 3, 1)))
+            )
         return seen
 
     first = run_virtual(main)
@@ -248,7 +270,9 @@ def test_due_alarms_of_real_time_go_in_the_same_order_as_in_virtual_time(caplog)
     async def main(clock):
         seen, when = [], clock.now_ns()
         for priority, drone in [(TIMEOUT, 0), (TICK, 2), (TICK, 1), (WORLD, 7)]:
-            clock.call_at(when, seen.append, (priority, drone), priority=priority, drone=drone)
+            clock.call_at(
+                when, seen.append, (priority, drone), priority=priority, drone=drone
+            )
         clock.call_at(when, seen.append, "cancelled").cancel()
         await clock.sleep(0.002)
         return seen
@@ -286,7 +310,9 @@ def test_computing_in_real_time_is_in_a_thread_and_the_loop_goes_on():
     async def main(clock):
         ticks = 0
         event = threading.Event()
-        computing = asyncio.create_task(clock.compute(lambda: (event.wait(5.0), threading.get_ident())))
+        computing = asyncio.create_task(
+            clock.compute(lambda: (event.wait(5.0), threading.get_ident()))
+        )
         async for _ in clock.ticks(1000):
             ticks += 1
             if ticks == 5:
@@ -309,7 +335,9 @@ def test_the_wall_clock_gives_its_descriptor_back():
 
 
 @virtual
-async def test_a_task_that_waits_for_a_tick_can_be_cancelled_and_go_on_with_the_next(clock):
+async def test_a_task_that_waits_for_a_tick_can_be_cancelled_and_go_on_with_the_next(
+    clock,
+):
     seen = []
 
     async def tick():

@@ -93,7 +93,10 @@ async def test_latest_forgets(clock):
     assert await reader == "b"
 
 
-@given(st.integers(1, 5), st.lists(st.sampled_from(["put", "take one", "take all", "clear"])))
+@given(
+    st.integers(1, 5),
+    st.lists(st.sampled_from(["put", "take one", "take all", "clear"])),
+)
 def test_drop_oldest_is_a_bounded_queue(size, steps):
     async def main(clock):
         box, model, put, gone = DropOldest(clock, size=size), [], 0, 0

@@ -27,14 +27,18 @@ def test_an_output_of_any_encoding_takes_any_text(encoding, text):
     stream = io.TextIOWrapper(written, encoding, errors=OUTPUT_ERRORS, newline="")
     stream.write(text)
     stream.flush()
-    if encoding == "utf-8" and not any("\ud800" <= c <= "\udc7f" or "\udd00" <= c <= "\udfff" for c in text):
+    if encoding == "utf-8" and not any(
+        "\ud800" <= c <= "\udc7f" or "\udd00" <= c <= "\udfff" for c in text
+    ):
         assert written.getvalue() == text.encode("utf-8", "surrogateescape")
 
 
 def test_the_outputs_of_this_process_are_made_to_take_any_text(monkeypatch):
     stream = io.TextIOWrapper(io.BytesIO(), "ascii", errors="strict")
     monkeypatch.setattr(sys, "stdout", stream)
-    monkeypatch.setattr(sys, "stderr", io.StringIO())  # no stream of bytes: it takes any text as it is
+    monkeypatch.setattr(
+        sys, "stderr", io.StringIO()
+    )  # no stream of bytes: it takes any text as it is
     let_outputs_take_any_text()
     stream.write(f"{UMLAUT} {OTHER_BYTES}")
     stream.flush()

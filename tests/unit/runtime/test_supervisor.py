@@ -13,7 +13,13 @@ class Part(Actor):
     """Writes its life into `diary`; its run is `work`, or waiting for ever."""
 
     def __init__(self, clock, diary, name, work=None, restart=NEVER, stopping=0.0):
-        self.clock, self.diary, self.name, self.work, self.restart = clock, diary, name, work, restart
+        self.clock, self.diary, self.name, self.work, self.restart = (
+            clock,
+            diary,
+            name,
+            work,
+            restart,
+        )
         self.stopping = stopping
         self.runs = 0
 
@@ -73,7 +79,11 @@ async def test_cancellation_from_outside_stops_in_order_too(clock):
     running.cancel()
     with pytest.raises(asyncio.CancelledError):
         await running
-    assert events(diary, "stopped") == [("c", "stopped"), ("b", "stopped"), ("a", "stopped")]
+    assert events(diary, "stopped") == [
+        ("c", "stopped"),
+        ("b", "stopped"),
+        ("a", "stopped"),
+    ]
     assert clock.now() == 2.5
 
 
@@ -90,7 +100,11 @@ async def test_a_second_cancellation_waits_no_longer(clock):
         await running
     assert clock.now() == pytest.approx(1.1)
     await clock.sleep(1.0)
-    assert events(diary, "cancelled") == [("c", "cancelled"), ("a", "cancelled"), ("b", "cancelled")]
+    assert events(diary, "cancelled") == [
+        ("c", "cancelled"),
+        ("a", "cancelled"),
+        ("b", "cancelled"),
+    ]
 
 
 @virtual
@@ -105,9 +119,15 @@ async def test_stopping_runs_even_for_what_was_never_started(clock):
 @virtual
 async def test_it_ends_when_all_have_ended(clock):
     diary = []
-    parts = [Part(clock, diary, name, work=lambda run, s=s: clock.sleep(s)) for name, s in [("a", 1.0), ("b", 2.0)]]
+    parts = [
+        Part(clock, diary, name, work=lambda run, s=s: clock.sleep(s))
+        for name, s in [("a", 1.0), ("b", 2.0)]
+    ]
     await asyncio.wait_for(timeout=3.0, fut=Supervisor(clock, "drone 3").run(parts))
-    assert [entry for entry in diary if entry[2] == "stopped"] == [(1.0, "a", "stopped"), (2.0, "b", "stopped")]
+    assert [entry for entry in diary if entry[2] == "stopped"] == [
+        (1.0, "a", "stopped"),
+        (2.0, "b", "stopped"),
+    ]
     await asyncio.wait_for(timeout=3.0, fut=Supervisor(clock, "drone 3").run([]))
     assert clock.now() == 2.0
 
@@ -137,7 +157,9 @@ def test_a_failure_is_logged_with_its_place(caplog):
 @virtual
 async def test_restarts_back_off_and_are_bounded_in_a_window(clock):
     diary, heard = [], []
-    supervisor = Supervisor(clock, "drone 3", lambda actor, error, again: heard.append(again))
+    supervisor = Supervisor(
+        clock, "drone 3", lambda actor, error, again: heard.append(again)
+    )
     part = Part(clock, diary, "a", fail, Restart(limit=3, window=10.0, backoff=0.1))
     await supervisor.run([part])
     assert [when for when, _, event in diary if event == "runs"] == [0.0, 0.1, 0.3, 0.7]
@@ -155,9 +177,24 @@ async def test_failures_outside_the_window_are_forgotten(clock):
 
     diary, supervisor = [], Supervisor(clock, "drone 3")
     clock.call_at(99_000_000_000, supervisor.stop)
-    await supervisor.run([Part(clock, diary, "a", fail_later, Restart(limit=2, window=10.0, backoff=0.5))])
+    await supervisor.run(
+        [
+            Part(
+                clock,
+                diary,
+                "a",
+                fail_later,
+                Restart(limit=2, window=10.0, backoff=0.5),
+            )
+        ]
+    )
     starts = [when for when, _, event in diary if event == "runs"]
-    assert starts[:4] == [0.0, 6.5, 13.5, 20.5]  # of two failures within 10 s the second waits twice as long
+    assert starts[:4] == [
+        0.0,
+        6.5,
+        13.5,
+        20.5,
+    ]  # of two failures within 10 s the second waits twice as long
     assert len(starts) == 15
 
 
@@ -177,8 +214,14 @@ async def test_on_failure_is_a_restart_and_the_default_is_none(clock):
 async def test_a_stop_during_the_backoff_is_heeded(clock):
     diary, supervisor = [], Supervisor(clock, "drone 3")
     clock.call_at(1_000_000_000, supervisor.stop)
-    await supervisor.run([Part(clock, diary, "a", fail, Restart(limit=3, window=99.0, backoff=50.0))])
-    assert (clock.now(), len(events(diary, "runs")), len(events(diary, "stopped"))) == (1.0, 1, 1)
+    await supervisor.run(
+        [Part(clock, diary, "a", fail, Restart(limit=3, window=99.0, backoff=50.0))]
+    )
+    assert (clock.now(), len(events(diary, "runs")), len(events(diary, "stopped"))) == (
+        1.0,
+        1,
+        1,
+    )
 
 
 @virtual
@@ -203,7 +246,9 @@ async def test_a_cancellation_from_inside_is_a_failure_and_not_a_silent_end(cloc
         await future
 
     heard = []
-    supervisor = Supervisor(clock, "drone 3", lambda actor, error, again: heard.append((str(error), again)))
+    supervisor = Supervisor(
+        clock, "drone 3", lambda actor, error, again: heard.append((str(error), again))
+    )
     await supervisor.run([Part(clock, [], "a", await_a_cancelled_future)])
     assert heard == [("cancelled from inside: CancelledError()", False)]
 
@@ -236,7 +281,9 @@ def test_on_stop_has_a_deadline_and_its_errors_stop_nobody_else(caplog):
         supervisor = Supervisor(clock, "drone 3")
         clock.call_at(1_000_000_000, supervisor.stop)
         slow = Part(clock, diary, "slow", stopping=99.0)
-        await supervisor.run([Part(clock, diary, "a"), Faulty(clock, diary, "faulty"), slow])
+        await supervisor.run(
+            [Part(clock, diary, "a"), Faulty(clock, diary, "faulty"), slow]
+        )
         return clock.now()
 
     diary = []
@@ -258,7 +305,9 @@ def test_an_actor_deaf_to_cancellation_is_named_and_left_behind(caplog):
 
         supervisor = Supervisor(clock, "drone 3")
         clock.call_at(1_000_000_000, supervisor.stop)
-        await supervisor.run([Part(clock, diary, "a"), Part(clock, diary, "deaf", deaf)])
+        await supervisor.run(
+            [Part(clock, diary, "a"), Part(clock, diary, "deaf", deaf)]
+        )
         ended = clock.now()
         await clock.sleep(30.0)
         return ended
@@ -275,7 +324,11 @@ async def test_a_stop_does_not_interrupt_an_on_stop_that_has_begun(clock):
     done = Part(clock, diary, "done", work=lambda run: clock.sleep(1.0), stopping=1.0)
     clock.call_at(1_500_000_000, supervisor.stop)
     await supervisor.run([done, Part(clock, diary, "b")])
-    assert [entry for entry in diary if entry[1] == "done"][-1] == (2.0, "done", "stopped")
+    assert [entry for entry in diary if entry[1] == "done"][-1] == (
+        2.0,
+        "done",
+        "stopped",
+    )
     assert clock.now() == 2.0
 
 
@@ -285,7 +338,9 @@ async def test_only_cancellation_reaches_a_task_group_around_it(clock):
     async with asyncio.TaskGroup() as group:
         other = group.create_task(clock.sleep(3.0))
         supervisor = Supervisor(clock, "drone 3")
-        await supervisor.run([Part(clock, diary, "a", fail), Part(clock, diary, "b", fail, ON_FAILURE)])
+        await supervisor.run(
+            [Part(clock, diary, "a", fail), Part(clock, diary, "b", fail, ON_FAILURE)]
+        )
     assert not other.cancelled()
     assert clock.now() >= 3.0
 
@@ -309,11 +364,21 @@ def test_in_real_time(caplog):
                 clock.call_at(clock.now_ns(), supervisor.stop)
 
         supervisor = Supervisor(clock, "drone 3", given_up)
-        await supervisor.run([Part(clock, diary, "a"), Part(clock, diary, "b", fail, Restart(2, 9.0, 0.002))])
+        await supervisor.run(
+            [
+                Part(clock, diary, "a"),
+                Part(clock, diary, "b", fail, Restart(2, 9.0, 0.002)),
+            ]
+        )
 
     diary = []
     with caplog.at_level(logging.CRITICAL):
         run_wall(main)
     assert events(diary, "runs", "stopped") == [
-        ("a", "runs"), ("b", "runs"), ("b", "runs"), ("b", "runs"), ("b", "stopped"), ("a", "stopped"),
-    ]  # fmt: skip
+        ("a", "runs"),
+        ("b", "runs"),
+        ("b", "runs"),
+        ("b", "runs"),
+        ("b", "stopped"),
+        ("a", "stopped"),
+    ]

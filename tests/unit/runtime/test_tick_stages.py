@@ -56,7 +56,11 @@ async def test_an_error_that_escapes_keeps_nobody_from_acting_and_is_raised(cloc
     def fails(what):
         raise ValueError(what)
 
-    stages.decide += [lambda: fails("first"), lambda: done.append("decide"), lambda: fails("second")]
+    stages.decide += [
+        lambda: fails("first"),
+        lambda: done.append("decide"),
+        lambda: fails("second"),
+    ]
     stages.act.append(lambda: done.append("act"))
     with pytest.raises(ValueError, match="first"):
         stages.run()

@@ -17,7 +17,12 @@ from crazychoir.launch.flight import fly_fast
 from crazychoir.runtime import user_code_guard as hanging
 from crazychoir.runtime.user_code_guard import Guarded, HangWatch, limited
 
-BRISK = {"takeoff_height": 0.3, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.6}
+BRISK = {
+    "takeoff_height": 0.3,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.6,
+}
 
 
 @pytest.fixture
@@ -43,7 +48,9 @@ def test_code_that_is_limited_ends_in_time_or_is_interrupted():
     assert time.perf_counter() - began < 3.0
 
 
-def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(hasty, monkeypatch, caplog):
+def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(
+    hasty, monkeypatch, caplog
+):
     monkeypatch.setattr(hanging, "SAID", 0.1)
     monkeypatch.setattr(hanging, "STEP", 0.6)
     config = default_swarm(3).replace(flight=BRISK)
@@ -51,7 +58,10 @@ def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(has
     said = [text for text in caplog.messages if "has computed" in text]
     assert 1 <= len(said) <= 3, "and ever more rarely"
     place = rf"{__file__}:\d+ forever; it is given up after 0.6 s"
-    assert all(re.fullmatch(rf"drone 1 guidance has computed for \d s, in {place}", text) for text in said), said
+    assert all(
+        re.fullmatch(rf"drone 1 guidance has computed for \d s, in {place}", text)
+        for text in said
+    ), said
 
 
 def test_a_guarded_coroutine_is_the_same_as_a_bare_one():
@@ -67,7 +77,10 @@ def test_a_guarded_coroutine_is_the_same_as_a_bare_one():
 
     async def outer():
         with HangWatch() as watch:
-            assert await Guarded(inner(False), watch, "drone 0 guidance", lambda: True) == 42
+            assert (
+                await Guarded(inner(False), watch, "drone 0 guidance", lambda: True)
+                == 42
+            )
             with pytest.raises(ValueError, match="no"):
                 await Guarded(inner(True), watch, "drone 0 guidance", lambda: False)
 
@@ -122,11 +135,19 @@ def fails():
 
 
 @pytest.mark.parametrize("kind", [Law, Mission])
-@pytest.mark.parametrize(("spoil", "why"), [(forever, "Hung"), (fails, "ValueError: no idea")])
-def test_in_virtual_time_the_drone_of_code_that_hangs_or_raises_lands_and_the_others_fly_on(hasty, kind, spoil, why):
+@pytest.mark.parametrize(
+    ("spoil", "why"), [(forever, "Hung"), (fails, "ValueError: no idea")]
+)
+def test_in_virtual_time_the_drone_of_code_that_hangs_or_raises_lands_and_the_others_fly_on(
+    hasty, kind, spoil, why
+):
     config = default_swarm(3).replace(flight=BRISK)
-    result = fly_fast(config, SimpleNamespace(guidance=lambda i, config: kind(i, spoil)))
-    assert [result["results"][i]["success"] for i in range(3)] == [True, False, True], result["results"]
+    result = fly_fast(
+        config, SimpleNamespace(guidance=lambda i, config: kind(i, spoil))
+    )
+    assert [result["results"][i]["success"] for i in range(3)] == [True, False, True], (
+        result["results"]
+    )
     assert "guidance failed: " + why in result["reasons"][1]
     assert "test_hanging.py:" in result["reasons"][1]
     assert f" {spoil.__name__})" in result["reasons"][1]
@@ -134,12 +155,17 @@ def test_in_virtual_time_the_drone_of_code_that_hangs_or_raises_lands_and_the_ot
 
 
 @pytest.mark.parametrize("hook", ["guidance", "report", "import"])
-def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(tmp_path, monkeypatch, hook):
+def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(
+    tmp_path, monkeypatch, hook
+):
     monkeypatch.setattr(hooked, "HOOK", 0.2)
     monkeypatch.setattr("crazychoir.guidance.mission.HOOK", 0.2)
     path = tmp_path / "mine.py"
     loop = "    while True:\n        pass\n"
-    bodies = {name: loop if hook == name else "    return {}\n" for name in ("guidance", "report")}
+    bodies = {
+        name: loop if hook == name else "    return {}\n"
+        for name in ("guidance", "report")
+    }
     top = "while True:\n    pass\n" if hook == "import" else ""
     path.write_text(
         f"def guidance(i, config):\n{bodies['guidance']}def report(config, results):\n{bodies['report']}{top}"

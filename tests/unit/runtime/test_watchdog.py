@@ -60,7 +60,10 @@ def test_a_blocked_loop_is_reported_with_actor_and_place():
     dog = watched(work, stalls.append)
     assert dog.stalls == 1
     assert [stall.actor for stall in stalls] == ["drone 3 guidance"] * 2
-    assert all("test_watchdog.py" in stall.place and "keep_the_loop" in stall.place for stall in stalls)
+    assert all(
+        "test_watchdog.py" in stall.place and "keep_the_loop" in stall.place
+        for stall in stalls
+    )
     assert 0.1 <= stalls[0].seconds < 0.3 <= stalls[1].seconds < 0.6
     assert 0.3 <= dog.worst < 1.0
 
@@ -82,7 +85,9 @@ def test_a_long_stall_is_reported_whenever_it_has_doubled(quick):
     watched(work, stalls.append)
     assert 3 <= len(stalls) <= 5
     seconds = [stall.seconds for stall in stalls]
-    assert all(late >= limit for late, limit in zip(seconds, (0.05, 0.1, 0.2), strict=False))
+    assert all(
+        late >= limit for late, limit in zip(seconds, (0.05, 0.1, 0.2), strict=False)
+    )
     assert all(later >= 2 * late for late, later in pairwise(seconds[2:]))
 
 
@@ -126,10 +131,16 @@ def test_a_loop_that_nobody_keeps_is_said_to_be_late_once_in_a_while(monkeypatch
 
 def test_a_loop_that_nobody_serves_for_long_is_reported_whenever_it_happens():
     stalls = unserved(0.2, 0.5, 0.5)
-    assert [stall.seconds >= watchdog_module.HAND_OVER for stall in stalls] == [False, True, True]
+    assert [stall.seconds >= watchdog_module.HAND_OVER for stall in stalls] == [
+        False,
+        True,
+        True,
+    ]
 
 
-def test_whoever_keeps_the_loop_a_little_is_named_once_in_a_while_and_counted(monkeypatch):
+def test_whoever_keeps_the_loop_a_little_is_named_once_in_a_while_and_counted(
+    monkeypatch,
+):
     async def work(dog):
         for seconds in (0.15, 0.15, 0.15, 0.5):
             keep_the_loop(seconds)
@@ -244,7 +255,9 @@ print("done", flush=True)
 
 def child(then=""):
     program = [sys.executable, "-c", CHILD.format(then=then)]
-    process = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     assert process.stdout.readline() == "ready\n"
     return process
 

@@ -51,7 +51,9 @@ class Rising(CFGuidance):
 
 
 def flight():
-    return fly_fast(default_swarm(2), SimpleNamespace(guidance=lambda i, config: Rising()))["digest"]
+    return fly_fast(
+        default_swarm(2), SimpleNamespace(guidance=lambda i, config: Rising())
+    )["digest"]
 
 
 def plan():
@@ -63,7 +65,9 @@ def handler_of_ctrl_c():
     """The handler that Python begins with, whatever other tests have left."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    signal.signal(signal.SIGINT, before if before is not None else signal.default_int_handler)
+    signal.signal(
+        signal.SIGINT, before if before is not None else signal.default_int_handler
+    )
 
 
 def inside(loop_factory, function):
@@ -76,8 +80,14 @@ def inside(loop_factory, function):
         return runner.run(cell())
 
 
-@pytest.mark.parametrize("loop_factory", [asyncio.new_event_loop, uvloop.new_event_loop], ids=["asyncio", "uvloop"])
-@pytest.mark.parametrize("function", [average, average_in_real_time, flight, plan], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "loop_factory",
+    [asyncio.new_event_loop, uvloop.new_event_loop],
+    ids=["asyncio", "uvloop"],
+)
+@pytest.mark.parametrize(
+    "function", [average, average_in_real_time, flight, plan], ids=lambda f: f.__name__
+)
 def test_a_call_inside_a_running_loop_gives_the_same_as_outside(loop_factory, function):
     outside = function()
     assert inside(loop_factory, function) == [outside, outside]
@@ -85,7 +95,9 @@ def test_a_call_inside_a_running_loop_gives_the_same_as_outside(loop_factory, fu
 
 def test_a_call_inside_a_loop_of_another_thread_gives_the_same():
     found = []
-    thread = threading.Thread(target=lambda: found.extend(inside(asyncio.new_event_loop, average)))
+    thread = threading.Thread(
+        target=lambda: found.extend(inside(asyncio.new_event_loop, average))
+    )
     thread.start()
     thread.join()
     assert found == [average()] * 2
@@ -107,7 +119,9 @@ def test_a_mission_may_simulate_and_solve_and_a_simulated_agent_may_too():
     graph = ring(2)
 
     async def cell():
-        fly_fast(default_swarm(1), SimpleNamespace(guidance=lambda i, config: Planning()))
+        fly_fast(
+            default_swarm(1), SimpleNamespace(guidance=lambda i, config: Planning())
+        )
         simulate(team(graph, lambda i, weights: Nesting(i, [1.0], weights, 1)), graph)
 
     asyncio.run(cell())

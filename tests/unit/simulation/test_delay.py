@@ -32,7 +32,9 @@ def test_a_link_that_is_late_is_the_same_as_a_plant_that_is(steps):
     link = DelayedLink(plain.link(0), steps)
     draw = np.random.default_rng(1)
     for _ in range(60):
-        command = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]) + 0.05 * draw.standard_normal(4))
+        command = FPQR(
+            np.array([PAPER.weight, 0.0, 0.0, 0.0]) + 0.05 * draw.standard_normal(4)
+        )
         late.link(0).send(command)
         link.send(command)
         link.advance()

@@ -22,7 +22,10 @@ from crazychoir.types import FPQR
 
 
 def swarm(*drones, **tables):
-    rows = [{"id": i, "home": [float(i), 0.0, 0.0], **drone} for i, drone in enumerate(drones)]
+    rows = [
+        {"id": i, "home": [float(i), 0.0, 0.0], **drone}
+        for i, drone in enumerate(drones)
+    ]
     return SwarmConfig.of({"name": "a", "drones": rows, **tables})
 
 
@@ -47,9 +50,14 @@ def installed(monkeypatch):
     module = ModuleType("toys")
     module.toy, module.broken, module.strange = toy, broken, strange
     monkeypatch.setitem(sys.modules, "toys", module)
-    found = EntryPoints(EntryPoint(name, f"toys:{name}", WORLDS) for name in ("toy", "broken", "strange"))
+    found = EntryPoints(
+        EntryPoint(name, f"toys:{name}", WORLDS)
+        for name in ("toy", "broken", "strange")
+    )
     for place in (engines, checks):
-        monkeypatch.setattr(place, "entry_points", lambda group: found.select(group=group))
+        monkeypatch.setattr(
+            place, "entry_points", lambda group: found.select(group=group)
+        )
 
 
 def test_a_package_brings_a_world(installed):
@@ -64,7 +72,12 @@ def test_a_package_brings_a_world(installed):
     one, other = worlds(config, config.ids)
     assert (one.ids, other.ids) == ((0, 2), (1,))
     asked = one.setup
-    assert (asked.ids, asked.uris, asked.seed, asked.dt) == ((0, 2), ("toy://hall/1", "toy://hall/2"), 5, 0.01)
+    assert (asked.ids, asked.uris, asked.seed, asked.dt) == (
+        (0, 2),
+        ("toy://hall/1", "toy://hall/2"),
+        5,
+        0.01,
+    )
     assert asked.homes == ((0.0, 0.0, 0.0), (2.0, 0.0, 0.0))
     assert (asked.yaws, asked.platforms) == ((0.0, 0.5), (PAPER, CRAZYFLIE_21))
     assert (asked.options, asked.wind) == ({"sticky": True}, (0.5, 0.0, 0.0))
@@ -80,8 +93,14 @@ def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(instal
 @pytest.mark.parametrize(
     ("uri", "said"),
     [
-        ("broken://", r"uri broken://: found RuntimeError: no licence; .*toys:broken is a function of a WorldSetup"),
-        ("strange://", r"uri strange://: found a world of drones \[99\], steps of 0.5 s; .*\[0\], 0.01 s"),
+        (
+            "broken://",
+            r"uri broken://: found RuntimeError: no licence; .*toys:broken is a function of a WorldSetup",
+        ),
+        (
+            "strange://",
+            r"uri strange://: found a world of drones \[99\], steps of 0.5 s; .*\[0\], 0.01 s",
+        ),
     ],
 )
 def test_an_engine_that_does_not_work_is_named(installed, uri, said):
@@ -94,14 +113,19 @@ def test_the_motor_level_world_gets_its_table(monkeypatch):
     module.world = toy
     monkeypatch.setitem(sys.modules, "fake", module)
     monkeypatch.setitem(engines.OURS, MOTORS, EntryPoint(MOTORS, "fake:world", WORLDS))
-    (world,) = worlds(swarm({"uri": MOTORS}, {"uri": MOTORS}, motors={"battery": 0.5, "gusts": 0.2}), (0, 1))
+    (world,) = worlds(
+        swarm({"uri": MOTORS}, {"uri": MOTORS}, motors={"battery": 0.5, "gusts": 0.2}),
+        (0, 1),
+    )
     assert world.setup.options["battery"] == 0.5
     assert world.setup.options["gusts"] == 0.2
     assert world.setup.options["downwash"] is True
 
 
 def test_lightweight_drones_of_several_platforms_fly_as_what_they_are():
-    config = swarm({}, {"platform": "cf21"}, {}, plant={"rate_lag": 0.0, "command_delay": 0.0})
+    config = swarm(
+        {}, {"platform": "cf21"}, {}, plant={"rate_lag": 0.0, "command_delay": 0.0}
+    )
     (made,) = worlds(config, config.ids)
     assert made.platforms == (PAPER, CRAZYFLIE_21, PAPER)
     (world,) = worlds(config, config.ids)
@@ -118,7 +142,10 @@ def test_only_the_lightweight_world_has_the_delay_in_its_model():
 def test_a_link_for_what_a_world_does_not_fly_is_refused_when_it_is_made():
     (world,) = worlds(swarm({}), (0,))
     world.link(0, "fpqr").send(FPQR(np.zeros(4)))
-    with pytest.raises(ConfigError, match="drone 0: sender: found frpy; allowed: fpqr: what its world flies"):
+    with pytest.raises(
+        ConfigError,
+        match="drone 0: sender: found frpy; allowed: fpqr: what its world flies",
+    ):
         world.link(0, "frpy")
 
 

@@ -26,8 +26,18 @@ class Owned:
         self.poses, self.truths = {0: [], 1: []}, {0: [], 1: []}
         for i in (0, 1):
             self.bus.port(i)
-            self.bus.subscribe(POSE, i, i, Call(clock, lambda pose, age, i=i: self.poses[i].append((pose, age))))
-            self.bus.subscribe(TRUTH, i, i, Call(clock, lambda state, age, i=i: self.truths[i].append(state)))
+            self.bus.subscribe(
+                POSE,
+                i,
+                i,
+                Call(clock, lambda pose, age, i=i: self.poses[i].append((pose, age))),
+            )
+            self.bus.subscribe(
+                TRUTH,
+                i,
+                i,
+                Call(clock, lambda state, age, i=i: self.truths[i].append(state)),
+            )
         self.world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
         mocap = SimulatedMocap((0, 1), 1, **cameras)
         self.owner = WorldOwner(self.bus, self.world, mocap, rate)
@@ -58,7 +68,9 @@ async def test_bodies_elsewhere_speak_at_their_own_addresses_and_obey_late(clock
         boxes[topic] = topic.mailbox(clock)
         bus.subscribe(topic, BODIES + 1, reader.address, boxes[topic])
     world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
-    owner = WorldOwner(bus, world, SimulatedMocap((0, 1), 1), 100.0, base=BODIES, delay=2)
+    owner = WorldOwner(
+        bus, world, SimulatedMocap((0, 1), 1), 100.0, base=BODIES, delay=2
+    )
     link = owner.link(1, "fpqr")
     link.send(FPQR(np.array([0.1, 0.0, 0.0, 0.0])))
     thrusts = []
@@ -124,7 +136,9 @@ def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():
         boxes = {topic: topic.mailbox(clock) for topic in (POSE, TRUTH)}
         for topic, box in boxes.items():
             bus.subscribe(topic, 0, 0, box)
-        owner = WorldOwner(bus, CFIntegrator([0], np.zeros((1, 3))), SimulatedMocap([0], 1), 100.0)
+        owner = WorldOwner(
+            bus, CFIntegrator([0], np.zeros((1, 3))), SimulatedMocap([0], 1), 100.0
+        )
         for _ in range(5):  # truth comes with each fifth step
             owner.step(late=0.004)
         return boxes[POSE].peek().age, *(box.age() for box in boxes.values())

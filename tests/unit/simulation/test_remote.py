@@ -30,7 +30,9 @@ HOVER = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
 def listening(monkeypatch):
     """What is logged, in `said`."""
     said.clear()
-    monkeypatch.setattr(remote.log, "_log", lambda level, text, arguments: said.append(text % arguments))
+    monkeypatch.setattr(
+        remote.log, "_log", lambda level, text, arguments: said.append(text % arguments)
+    )
 
 
 class Pair:
@@ -43,7 +45,13 @@ class Pair:
         self.world.command_timeout = timeout
         self.obeyed = []
         link = self.world.link(3, "fpqr")
-        self.body = RemoteBody(self.there, self.world, link, "fpqr", lambda: self.obeyed.append(clock.now()))
+        self.body = RemoteBody(
+            self.there,
+            self.world,
+            link,
+            "fpqr",
+            lambda: self.obeyed.append(clock.now()),
+        )
         self.link = RemoteLink(self.drone)
         if heard:
             self.there.publish(BODY, Body())
@@ -89,7 +97,9 @@ async def test_a_body_flies_when_commands_have_brought_it_into_the_air(clock):
 
 
 @virtual
-async def test_commands_of_another_kind_than_the_swarm_file_says_are_refused_and_that_is_said_once(clock):
+async def test_commands_of_another_kind_than_the_swarm_file_says_are_refused_and_that_is_said_once(
+    clock,
+):
     pair = Pair(clock)
     for _ in range(2):
         pair.link.send(FRPY(np.zeros(4)))
@@ -158,9 +168,7 @@ async def test_a_drone_that_nobody_commands_has_no_thrust(clock):
     for _ in range(3):
         pair.body.look()
     assert pair.thrust == 0.0
-    assert said == [
-        "drone 3: no command for 0.55 s, limit 0.50 s: no thrust"
-    ]
+    assert said == ["drone 3: no command for 0.55 s, limit 0.50 s: no thrust"]
     pair.link.send(HOVER)
     assert pair.thrust == PAPER.weight, "somebody does again"
 
@@ -171,13 +179,19 @@ async def test_nothing_is_sent_to_a_body_that_is_silent_until_it_is_heard_again(
     pair.link.found_flying = lambda: found.append(clock.now())
     pair.there.publish(BODY, Body(flying=True))
     pair.link.send(HOVER)
-    assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (False, True, [0.0])
+    assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (
+        False,
+        True,
+        [0.0],
+    )
     await clock.sleep(BODY.max_age + 0.1)
     pair.link.send(HOVER)
     assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (True, True, [0.0])
     pair.there.publish(BODY, Body(flying=True))
     pair.link.send(HOVER)
-    assert (pair.link.unheard(), found) == (False, [clock.now()]), "its firmware lands it, say"
+    assert (pair.link.unheard(), found) == (False, [clock.now()]), (
+        "its firmware lands it, say"
+    )
     assert pair.obeyed == [0.0, clock.now()]
     await clock.sleep(GONE)
     assert not pair.link.flying(), "it does not come back"
@@ -194,7 +208,11 @@ async def test_an_engine_with_firmware_is_left_alone(clock):
 
 def rises(k, weight):
     """Rates of zero, with the thrust for a climb, then of hovering."""
-    return FPQR(np.array([weight * (1.06 if k < 100 else 0.97 if k < 180 else 1.0), 0.0, 0.0, 0.0]))
+    return FPQR(
+        np.array(
+            [weight * (1.06 if k < 100 else 0.97 if k < 180 else 1.0), 0.0, 0.0, 0.0]
+        )
+    )
 
 
 def flies(k, weight):
@@ -203,7 +221,9 @@ def flies(k, weight):
 
 
 @pytest.mark.parametrize(("kind", "command"), [("fpqr", rises), ("vel", flies)])
-def test_a_drone_whose_streamed_commands_end_is_landed_by_its_planner_on_board(kind, command):
+def test_a_drone_whose_streamed_commands_end_is_landed_by_its_planner_on_board(
+    kind, command
+):
     run_virtual(partial(landed_by_its_planner, kind, command))
 
 
@@ -284,27 +304,38 @@ async def test_who_asks_for_its_motors_is_told_what_came_of_it(clock):
     with pytest.raises(Refused, match="motors were cut"):
         await link.arm()
     assert answers
-    with pytest.raises(Refused, match=r"drone 4: .*no answer of its world's owner .* within 3 s"):
+    with pytest.raises(
+        Refused, match=r"drone 4: .*no answer of its world's owner .* within 3 s"
+    ):
         await RemoteLink(bus.port(4)).arm()
 
 
 @virtual
 async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(clock):
     pair = Pair(clock, heard=False)
-    assert pair.link.harm() == "its world's owner (crazychoir-world) has not said how it is"
+    assert (
+        pair.link.harm()
+        == "its world's owner (crazychoir-world) has not said how it is"
+    )
     pair.there.publish(BODY, Body())
     assert pair.link.harm() == ""
     pair.there.publish(BODY, Body("crashed"))
     assert pair.link.harm() == "crashed"
     await clock.sleep(2.0)
-    assert pair.link.harm() == "its world's owner (crazychoir-world) is silent for 2.0 s"
+    assert (
+        pair.link.harm() == "its world's owner (crazychoir-world) is silent for 2.0 s"
+    )
 
 
 @virtual
-async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_waited_for(clock):
+async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_waited_for(
+    clock,
+):
     pair, gone = Pair(clock), []
     never = RemoteLink(pair.drone.bus.port(4))
-    watch = OwnerWatch(clock, {3: pair.link, 4: never}, lambda i: gone.append((i, clock.now())))
+    watch = OwnerWatch(
+        clock, {3: pair.link, 4: never}, lambda i: gone.append((i, clock.now()))
+    )
     watching = asyncio.create_task(watch.run())
     for _ in range(8):
         pair.there.publish(BODY, Body())
@@ -348,10 +379,14 @@ async def test_who_was_stopped_takes_nobody_for_gone_before_it_has_heard(speaks,
     assert found == gone
 
 
-@pytest.mark.parametrize(("uri", "command"), [
-    (SINGLE, Vel(np.array([0.5, 0.0, 0.0, 0.0]))), (DOUBLE, Acc(np.array([0.5, 0.0, 0.0]))),
-    (UNICYCLE, Drive(np.array([0.5, 0.1]))),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("uri", "command"),
+    [
+        (SINGLE, Vel(np.array([0.5, 0.0, 0.0, 0.0]))),
+        (DOUBLE, Acc(np.array([0.5, 0.0, 0.0]))),
+        (UNICYCLE, Drive(np.array([0.5, 0.1]))),
+    ],
+)
 def test_a_robot_that_nobody_commands_stands_still(uri, command):
     @virtual
     async def test(clock):

@@ -11,7 +11,13 @@ import pytest
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import Rule
 from crazychoir.bus.port import Bus
-from crazychoir.errors import AgentFailed, CodecError, ConfigError, RoundTimeout, SolverError
+from crazychoir.errors import (
+    AgentFailed,
+    CodecError,
+    ConfigError,
+    RoundTimeout,
+    SolverError,
+)
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.algorithms.max_consensus import MaxConsensus
 from crazychoir.optimization.assignment.bundles import SequentialAuction
@@ -63,7 +69,12 @@ class Failing(Counting):
 
     def __init__(self, error, at, where, asynchronous=False):
         super().__init__(1000)
-        self.error, self.at, self.where, self.asynchronous = error, at, where, asynchronous
+        self.error, self.at, self.where, self.asynchronous = (
+            error,
+            at,
+            where,
+            asynchronous,
+        )
 
     def message(self):
         self._fail("message")
@@ -82,9 +93,13 @@ def averaging(graph, rounds=30):
     return team(graph, lambda i, w: Consensus(i, [i, 0.5 * i**2], w, rounds))
 
 
-@pytest.mark.parametrize("graph", [ring(6), GraphSequence.draw(erdos_renyi_connected(6, 0.6, 1), 0.4, 5, 2)])
+@pytest.mark.parametrize(
+    "graph", [ring(6), GraphSequence.draw(erdos_renyi_connected(6, 0.6, 1), 0.4, 5, 2)]
+)
 def test_the_history_is_the_same_to_the_last_bit_at_40_percent_loss(graph):
-    calm, lossy = (simulate(averaging(graph), graph, loss=loss, seed=3) for loss in (0.0, 0.4))
+    calm, lossy = (
+        simulate(averaging(graph), graph, loss=loss, seed=3) for loss in (0.0, 0.4)
+    )
     assert calm.of().shape == (6, 31, 2)
     assert calm.of().tobytes() == lossy.of().tobytes()
     assert (calm.lost, calm.resent) == (0, 0)
@@ -92,7 +107,9 @@ def test_the_history_is_the_same_to_the_last_bit_at_40_percent_loss(graph):
 
 
 def test_it_repeats_with_the_same_seed():
-    first, again, other = (simulate(averaging(ring(5)), ring(5), loss=0.4, seed=seed) for seed in (1, 1, 2))
+    first, again, other = (
+        simulate(averaging(ring(5)), ring(5), loss=0.4, seed=seed) for seed in (1, 1, 2)
+    )
     timed = {"wall_s": 0.0, "critical_path_s": 0.0}
     assert first.to_json() | timed == again.to_json() | timed
     assert first.messages != other.messages
@@ -108,13 +125,19 @@ def test_it_stops_after_so_many_rounds_those_that_never_end():
 
 def test_it_counts_messages_bytes_and_computing():
     seen = []
-    history = simulate(averaging(ring(4), 5), ring(4), watch=lambda agents: seen.append([a.k for a in agents.values()]))
+    history = simulate(
+        averaging(ring(4), 5),
+        ring(4),
+        watch=lambda agents: seen.append([a.k for a in agents.values()]),
+    )
     assert seen[-1] == [5] * 4
     assert len(seen) == 4 * 5
     assert history.messages >= 4 * 2 * 5
     assert history.bytes >= 4 * 2 * 5 * 16
     assert 0.0 < history.critical_path_s < history.wall_s
-    assert history.critical_path_s == pytest.approx(sum(max(history.cpu[i][k] for i in range(4)) for k in range(5)))
+    assert history.critical_path_s == pytest.approx(
+        sum(max(history.cpu[i][k] for i in range(4)) for k in range(5))
+    )
 
 
 def test_a_history_is_written_and_read(tmp_path):
@@ -129,9 +152,14 @@ def test_a_history_is_written_and_read(tmp_path):
     lines = (tmp_path / "out/history.csv").read_text().splitlines()
     assert lines[0] == "agent,round,time_s,x[0],x[1]"
     assert len(lines) == 1 + 3 * 5
-    assert [float(v) for v in lines[-1].split(",")[3:]] == history.values[2]["x"][-1].tolist()
+    assert [float(v) for v in lines[-1].split(",")[3:]] == history.values[2]["x"][
+        -1
+    ].tolist()
     assert history.to_json()["agents"][2] == {"x": history.values[2]["x"][-1].tolist()}
-    with pytest.raises(ConfigError, match=r"history.txt; allowed: a file that ends in .csv, .json, .npz"):
+    with pytest.raises(
+        ConfigError,
+        match=r"history.txt; allowed: a file that ends in .csv, .json, .npz",
+    ):
         history.save(tmp_path / "history.txt")
 
 
@@ -144,15 +172,26 @@ def test_what_changes_its_shape_is_kept_as_a_list():
     agents = {i: Growing(3) for i in range(2)}
     for agent in agents.values():
         agent.basis = []
-    assert simulate(agents, path(2), record=("basis",)).values[0]["basis"] == [[], [0], [0, 1], [0, 1, 2]]
+    assert simulate(agents, path(2), record=("basis",)).values[0]["basis"] == [
+        [],
+        [0],
+        [0, 1],
+        [0, 1, 2],
+    ]
 
 
 def test_asynchronous_agents_wake_by_themselves_and_hear_what_has_come():
     agents = {i: Wakeful(40) for i in range(3)}
-    history = simulate(agents, ring(3), loss=0.4, seed=5, sleep=(0.01, 0.03), compute=(0.002, 0.004))
+    history = simulate(
+        agents, ring(3), loss=0.4, seed=5, sleep=(0.01, 0.03), compute=(0.002, 0.004)
+    )
     gaps = np.diff(history.times[1])
     assert 0.0119 < gaps.min() < gaps.max() < 0.0341
-    assert {len(heard) for agent in agents.values() for heard in agent.heard} == {0, 1, 2}
+    assert {len(heard) for agent in agents.values() for heard in agent.heard} == {
+        0,
+        1,
+        2,
+    }
     newest = [heard[1] for heard in agents[0].heard if 1 in heard]
     assert newest == sorted(newest)
     assert len(set(newest)) < 40
@@ -161,12 +200,17 @@ def test_asynchronous_agents_wake_by_themselves_and_hear_what_has_come():
 
 
 def test_their_draws_are_their_own_and_repeat():
-    runs = [simulate({i: Wakeful(9) for i in range(3)}, ring(3), seed=seed).times for seed in (1, 1, 2)]
+    runs = [
+        simulate({i: Wakeful(9) for i in range(3)}, ring(3), seed=seed).times
+        for seed in (1, 1, 2)
+    ]
     assert runs[0][0].tolist() == runs[1][0].tolist() != runs[2][0].tolist()
     assert runs[0][0].tolist() != runs[0][1].tolist()
 
 
-@pytest.mark.parametrize("pace", [{"sleep": (0.0, 0.0)}, {"sleep": (0.02, 0.01)}, {"compute": (-1.0, 0.0)}])
+@pytest.mark.parametrize(
+    "pace", [{"sleep": (0.0, 0.0)}, {"sleep": (0.02, 0.01)}, {"compute": (-1.0, 0.0)}]
+)
 def test_a_pace_that_is_none(pace):
     with pytest.raises(ConfigError, match=f"pace: {next(iter(pace))}"):
         Pace(**pace)
@@ -174,7 +218,10 @@ def test_a_pace_that_is_none(pace):
 
 @pytest.mark.real_time
 def test_in_real_time_the_iterates_are_the_same():
-    jumps, ticks = (simulate(averaging(ring(5)), ring(5), loss=0.3, run=run) for run in (run_virtual, run_wall))
+    jumps, ticks = (
+        simulate(averaging(ring(5)), ring(5), loss=0.3, run=run)
+        for run in (run_virtual, run_wall)
+    )
     assert jumps.of().tobytes() == ticks.of().tobytes()
     assert 0.03 <= jumps.times[0][-1] <= jumps.simulated_s < 5.0
     assert 0.03 <= ticks.times[0][-1] <= ticks.simulated_s < 60.0
@@ -191,7 +238,9 @@ def ends(graph, error, where, loss, asynchronous=False, run=run_virtual):
     steps = {}
 
     async def part(communicator):
-        algorithm = steps[communicator.id] = Failing(error, 5 if communicator.id == 2 else 2000, where, asynchronous)
+        algorithm = steps[communicator.id] = Failing(
+            error, 5 if communicator.id == 2 else 2000, where, asynchronous
+        )
         try:
             await run_algorithm(communicator, algorithm)
         except Exception as raised:  # noqa: BLE001 - what it is is what the test looks at
@@ -203,7 +252,11 @@ def ends(graph, error, where, loss, asynchronous=False, run=run_virtual):
         return await asyncio.gather(*map(part, team)), clock.now()
 
     found, seconds = run(main)
-    return dict(zip(graph.ids, found, strict=True)), seconds, {i: algorithm.x for i, algorithm in steps.items()}
+    return (
+        dict(zip(graph.ids, found, strict=True)),
+        seconds,
+        {i: algorithm.x for i, algorithm in steps.items()},
+    )
 
 
 SEQUENCE = GraphSequence.draw(ring(6), 0.3, 7, 4)
@@ -211,7 +264,9 @@ SEQUENCE = GraphSequence.draw(ring(6), 0.3, 7, 4)
 
 @pytest.mark.parametrize("where", ["message", "step"])
 @pytest.mark.parametrize("loss", [0.0, 0.5])
-@pytest.mark.parametrize("graph", [path(6), ring(6), ring(6, directed=True), complete(6), SEQUENCE])
+@pytest.mark.parametrize(
+    "graph", [path(6), ring(6), ring(6, directed=True), complete(6), SEQUENCE]
+)
 def test_where_one_agent_fails_all_end_with_its_reason(graph, loss, where):
     error = SolverError("agent 2: local problem, row 3", "infeasible, b = -1")
     found, seconds, steps = ends(graph, error, where, loss)
@@ -219,9 +274,14 @@ def test_where_one_agent_fails_all_end_with_its_reason(graph, loss, where):
     for other in found.values():
         assert type(other) is AgentFailed
         assert other.agent == 2
-        assert "SolverError: agent 2: local problem, row 3: the solver ended with status infeasible" in str(other)
+        assert (
+            "SolverError: agent 2: local problem, row 3: the solver ended with status infeasible"
+            in str(other)
+        )
     assert seconds < 12.0
-    assert max(steps.values()) <= 6 + (graph.diameter() if graph is not SEQUENCE else 7 * 3)
+    assert max(steps.values()) <= 6 + (
+        graph.diameter() if graph is not SEQUENCE else 7 * 3
+    )
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.5])
@@ -229,7 +289,9 @@ def test_where_an_asynchronous_agent_fails_all_end_with_its_reason(loss):
     error = ConfigError("agent 2: gradient[0]", "nan", "finite numbers")
     found, seconds, _ = ends(ring(6), error, "step", loss, asynchronous=True)
     assert found.pop(2) is error
-    assert {(type(other), other.agent) for other in found.values()} == {(AgentFailed, 2)}
+    assert {(type(other), other.agent) for other in found.values()} == {
+        (AgentFailed, 2)
+    }
     assert all("gradient[0]" in str(other) for other in found.values())
     assert seconds < 5.0
 
@@ -258,7 +320,9 @@ def test_a_message_that_cannot_be_sent_ends_all_too(message, error, asynchronous
     agents = {i: Mute(1000) if i == 2 else Counting(1000) for i in range(5)}
     for agent in agents.values():
         agent.asynchronous = asynchronous
-    with pytest.raises(CodecError, match=rf"^agent 2: message\(\), round [23]: .*{error}"):
+    with pytest.raises(
+        CodecError, match=rf"^agent 2: message\(\), round [23]: .*{error}"
+    ):
         simulate(agents, path(5), loss=0.3)
     assert all(agent.x < 50 for agent in agents.values())
 
@@ -266,8 +330,15 @@ def test_a_message_that_cannot_be_sent_ends_all_too(message, error, asynchronous
 @pytest.mark.real_time
 def test_they_end_in_real_time_too():
     began = time.perf_counter()
-    found, _, _ = ends(ring(6), SolverError("agent 2", "unbounded"), "step", 0.3, run=run_wall)
-    assert [type(found[i]) for i in range(6)] == [AgentFailed, AgentFailed, SolverError, *[AgentFailed] * 3]
+    found, _, _ = ends(
+        ring(6), SolverError("agent 2", "unbounded"), "step", 0.3, run=run_wall
+    )
+    assert [type(found[i]) for i in range(6)] == [
+        AgentFailed,
+        AgentFailed,
+        SolverError,
+        *[AgentFailed] * 3,
+    ]
     assert time.perf_counter() - began < 10.0
 
 
@@ -279,7 +350,11 @@ class Spoilt(Counting):
         self.i, self.where, self.deep, self.y = i, where, deep, np.zeros(2)
 
     def message(self):
-        y = np.array([0.0, np.nan]) if self.where == "message" and (self.i, self.x) == (2, 4) else self.y
+        y = (
+            np.array([0.0, np.nan])
+            if self.where == "message" and (self.i, self.x) == (2, 4)
+            else self.y
+        )
         return {"k": self.x, "more": [None, (1, y)]} if self.deep else y
 
     def step(self, heard):
@@ -301,7 +376,9 @@ def test_an_agent_whose_numbers_are_none_has_failed(where, deep, said, asynchron
     agents = {i: Spoilt(i, where, deep) for i in range(5)}
     for agent in agents.values():
         agent.asynchronous = asynchronous
-    with pytest.raises(AgentFailed, match=rf"^agent 2 has failed, and with it the team: {said}") as caught:
+    with pytest.raises(
+        AgentFailed, match=rf"^agent 2 has failed, and with it the team: {said}"
+    ) as caught:
         simulate(agents, ring(5), loss=0.3, record=("y",))
     assert caught.value.agent == 2
 
@@ -324,19 +401,29 @@ def test_an_infinity_may_be_meant():
 
 
 def test_numbers_however_large_are_numbers():
-    huge = {i: Consensus(i, [1e300 * (i + 1), -1e308], row, 20) for i, row in metropolis(ring(5)).items()}
+    huge = {
+        i: Consensus(i, [1e300 * (i + 1), -1e308], row, 20)
+        for i, row in metropolis(ring(5)).items()
+    }
     assert np.isfinite(simulate(huge, ring(5)).of()).all()
 
 
 def test_a_simulation_names_no_command_that_looks_at_flights():
-    with pytest.raises(RoundTimeout, match="Lower the loss of the simulated network") as caught:
+    with pytest.raises(
+        RoundTimeout, match="Lower the loss of the simulated network"
+    ) as caught:
         simulate(averaging(ring(5)), ring(5), loss=1.0)
     assert "status" not in str(caught.value)
     assert caught.value.missing == (1, 4)
 
 
 def test_a_simulation_raises_what_the_failing_agent_raised():
-    agents = {i: Failing(SolverError("agent 2: row 1", "b = nan"), 3 if i == 2 else 99, "step") for i in range(5)}
+    agents = {
+        i: Failing(
+            SolverError("agent 2: row 1", "b = nan"), 3 if i == 2 else 99, "step"
+        )
+        for i in range(5)
+    }
     with pytest.raises(SolverError, match="agent 2: row 1"):
         simulate(agents, ring(5), loss=0.4)
 
@@ -347,11 +434,20 @@ def test_a_simulation_raises_what_the_failing_agent_raised():
 @pytest.mark.parametrize(
     ("change", "error"),
     [
-        ({"graph": ring(7)}, r"team: found agents 0 to 4; allowed: one for each node of the graph, 0 to 6"),
-        ({"graph": path(5)}, r"agent 0: weights, round 0: found of \[1, 4\]; allowed: of those it hears, \[1\]"),
+        (
+            {"graph": ring(7)},
+            r"team: found agents 0 to 4; allowed: one for each node of the graph, 0 to 6",
+        ),
+        (
+            {"graph": path(5)},
+            r"agent 0: weights, round 0: found of \[1, 4\]; allowed: of those it hears, \[1\]",
+        ),
         ({"loss": 1.5}, "loss"),
         ({"network": {"los": 0.1}}, "los"),
-        ({"record": ("x", "y")}, "record: found y; allowed: attributes of agent 0, a Consensus"),
+        (
+            {"record": ("x", "y")},
+            "record: found y; allowed: attributes of agent 0, a Consensus",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(change, error):
@@ -361,16 +457,24 @@ def test_what_does_not_fit_is_refused(change, error):
 
 def test_a_team_in_two_parts_is_refused():
     parts = Graph.from_edges(5, [(0, 1), (1, 2), (3, 4)])
-    with pytest.raises(ConfigError, match=r"graph of Consensus: found no path from agent 0 to \[3, 4\]"):
+    with pytest.raises(
+        ConfigError, match=r"graph of Consensus: found no path from agent 0 to \[3, 4\]"
+    ):
         simulate(averaging(parts), parts)
     one_way = Graph.from_edges(3, [(0, 1), (1, 2)], directed=True)
     with pytest.raises(ConfigError, match=r"no path from \[1, 2\] to agent 0"):
-        simulate(team(one_way, lambda i, w: Consensus(i, [1.0], w, 3), row_stochastic), one_way)
+        simulate(
+            team(one_way, lambda i, w: Consensus(i, [1.0], w, 3), row_stochastic),
+            one_way,
+        )
 
 
 def test_agents_of_two_shapes_are_refused():
     agents = team(ring(3), lambda i, w: Consensus(i, np.ones(2 + (i == 1)), w, 3))
-    with pytest.raises(ConfigError, match=r"agent 1: x: found shape \(3,\); allowed: shape \(2,\), as agent 0's"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 1: x: found shape \(3,\); allowed: shape \(2,\), as agent 0's",
+    ):
         simulate(agents, ring(3))
 
 
@@ -387,21 +491,28 @@ def test_until_stops_all_in_one_round_with_any_kind_of_message():
     for i in range(6):
         inner = ToEach(1000)
         inner.i = i
-        agents[i] = Until(inner, lambda agent: agent.x >= 10 + agent.i, ring(6).diameter())
+        agents[i] = Until(
+            inner, lambda agent: agent.x >= 10 + agent.i, ring(6).diameter()
+        )
     history = simulate(agents, ring(6), loss=0.4)
     assert history.last() == dict.fromkeys(range(6), 15 + 3)
 
 
 def test_until_stops_asynchronous_agents_when_each_was_ready():
     graph = path(4)
-    agents = {i: Until(Wakeful(10_000), lambda agent: agent.x > 20, 3, graph.neighbors(i)) for i in graph.ids}
+    agents = {
+        i: Until(Wakeful(10_000), lambda agent: agent.x > 20, 3, graph.neighbors(i))
+        for i in graph.ids
+    }
     history = simulate(agents, graph, loss=0.4, seed=2)
     assert all(21 < last < 200 for last in history.last().values())
 
 
 def test_settled_consensus_ends_near_the_mean():
     graph = ring(6)
-    agents = team(graph, lambda i, w: Until(Consensus(i, i, w), Settled(1e-9), graph.diameter()))
+    agents = team(
+        graph, lambda i, w: Until(Consensus(i, i, w), Settled(1e-9), graph.diameter())
+    )
     history = simulate(agents, graph, loss=0.3)
     assert history.of()[:, -1] == pytest.approx(2.5, abs=1e-7)
     assert history.spread()[-1] > 0.0
@@ -421,10 +532,16 @@ def test_the_end_of_a_channel_costs_each_edge_some_messages_however_dense_the_gr
         lambda i: MaxConsensus(i, float(i), 2),
         lambda i: LogicAnd(2, flag=i > 0),
         lambda i: Until(Counting(9), Settled(0.0), 2),
-        lambda i: SequentialAuction(i, SimpleNamespace(start=(), scores=lambda path: []), 0, 2),
+        lambda i: SequentialAuction(
+            i, SimpleNamespace(start=(), scores=lambda path: []), 0, 2
+        ),
     ],
 )
-@pytest.mark.parametrize("graph", [ring(6), GraphSequence((path(6), path(6), complete(6)))], ids=["ring", "sequence"])
+@pytest.mark.parametrize(
+    "graph",
+    [ring(6), GraphSequence((path(6), path(6), complete(6)))],
+    ids=["ring", "sequence"],
+)
 def test_a_diameter_below_the_graphs_is_refused(make, graph):
     # as such agents would stop before they have heard of all, and hold different values
     with pytest.raises(ConfigError, match=r"diameter: found 2; allowed: at least 3"):
@@ -433,7 +550,10 @@ def test_a_diameter_below_the_graphs_is_refused(make, graph):
 
 def test_a_flag_of_a_team_in_two_parts_is_refused():
     with pytest.raises(ConfigError, match="no path from agent 0 to"):
-        simulate({i: LogicAnd(5, flag=i < 2) for i in range(4)}, Graph.from_edges(4, [(0, 1), (2, 3)]))
+        simulate(
+            {i: LogicAnd(5, flag=i < 2) for i in range(4)},
+            Graph.from_edges(4, [(0, 1), (2, 3)]),
+        )
 
 
 class Growing(Counting):
@@ -468,13 +588,29 @@ def test_the_largest_violation_is_of_those_that_have_numbers(violations, largest
 
 
 def test_what_differs_in_shape_has_its_columns_and_no_npz(tmp_path):
-    history = simulate({i: Growing(i) for i in range(2)}, ring(2), record=("one", "own"))
+    history = simulate(
+        {i: Growing(i) for i in range(2)}, ring(2), record=("one", "own")
+    )
     history.save(tmp_path / "h.csv")
     lines = [line.split(",") for line in (tmp_path / "h.csv").read_text().splitlines()]
-    assert lines[0] == ["agent", "round", "time_s", "one[0]", "one[1]", "own[0]", "own[1]"]
-    assert [line[3:] for line in lines[1:4]] == [["", "", "1.0", ""], ["0", "", "1.0", ""], ["0", "1", "1.0", ""]]
+    assert lines[0] == [
+        "agent",
+        "round",
+        "time_s",
+        "one[0]",
+        "one[1]",
+        "own[0]",
+        "own[1]",
+    ]
+    assert [line[3:] for line in lines[1:4]] == [
+        ["", "", "1.0", ""],
+        ["0", "", "1.0", ""],
+        ["0", "1", "1.0", ""],
+    ]
     assert lines[-1][3:] == ["0", "1", "1.0", "1.0"]
-    with pytest.raises(ConfigError, match=r"history: one_0: found a shape that changes"):
+    with pytest.raises(
+        ConfigError, match=r"history: one_0: found a shape that changes"
+    ):
         history.save(tmp_path / "h.npz")
 
 

@@ -23,7 +23,12 @@ class Counting:
     """So many rounds; in one of them it may fail."""
 
     def __init__(self, rounds, fails_at=-1, asynchronous=False):
-        self.rounds, self.fails_at, self.asynchronous, self.k = rounds, fails_at, asynchronous, 0
+        self.rounds, self.fails_at, self.asynchronous, self.k = (
+            rounds,
+            fails_at,
+            asynchronous,
+            0,
+        )
 
     @property
     def done(self):
@@ -60,10 +65,15 @@ def endings(agents, graph, loss=0.0, lost=(), seed=1, pace=None, **options):
             ends[communicator.id] = error
 
     async def main(clock):
-        bus, ends = Bus(clock, Impairment(seed, [Rule({"loss": loss, "delay": 0.001})])), dict.fromkeys(agents)
+        bus, ends = (
+            Bus(clock, Impairment(seed, [Rule({"loss": loss, "delay": 0.001})])),
+            dict.fromkeys(agents),
+        )
         membership = Missing(clock, lost, 1.0)
         members = {i: Communicator(bus.port(i), graph, membership) for i in graph.ids}
-        await asyncio.gather(*(part(members[i], agent, ends) for i, agent in agents.items()))
+        await asyncio.gather(
+            *(part(members[i], agent, ends) for i, agent in agents.items())
+        )
         return ends, clock.now()
 
     return run_virtual(main)
@@ -72,9 +82,13 @@ def endings(agents, graph, loss=0.0, lost=(), seed=1, pace=None, **options):
 @pytest.mark.parametrize("loss", [0.0, 0.4])
 @pytest.mark.parametrize("graph", [path(6), ring(6, directed=True)])
 def test_who_is_lost_is_named_at_all_long_before_the_deadline(graph, loss):
-    found, seconds = endings({i: Counting(99) for i in range(5)}, graph, loss, lost=(5,))
+    found, seconds = endings(
+        {i: Counting(99) for i in range(5)}, graph, loss, lost=(5,)
+    )
     assert isinstance(found.pop(graph.out_neighbors(5)[0]), PeerLost)
-    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 5)}
+    assert {(type(error), error.agent) for error in found.values()} == {
+        (AgentFailed, 5)
+    }
     assert seconds < 8.0
 
 
@@ -83,16 +97,24 @@ def test_who_ends_in_an_earlier_round_is_named_at_all():
     found, seconds = endings(agents, path(5), loss=0.3)
     assert found.pop(0) is None
     assert isinstance(found.pop(1), ChannelEnded)
-    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 0)}
+    assert {(type(error), error.agent) for error in found.values()} == {
+        (AgentFailed, 0)
+    }
     assert seconds < 10.0
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
-def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends_these_too(loss):
-    agents = {i: Counting(30, 29 if i == 2 else -1, asynchronous=True) for i in range(4)}
+def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends_these_too(
+    loss,
+):
+    agents = {
+        i: Counting(30, 29 if i == 2 else -1, asynchronous=True) for i in range(4)
+    }
     found, _ = endings(agents, complete(4), loss, pace=Pace((0.01, 0.02)))
     assert isinstance(found.pop(2), SolverError)
-    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 2)}
+    assert {(type(error), error.agent) for error in found.values()} == {
+        (AgentFailed, 2)
+    }
 
 
 # Coroutines that exchange by themselves ---------------------------------------------------------------------------
@@ -108,13 +130,19 @@ def exchanging(graph, loss, policy="raise"):
                     raise ValueError("my own trouble")
                 await communicator.neighbors_exchange(k, deadline=3.0, policy=policy)
         except Exception as error:  # noqa: BLE001 - what it is is what the tests look at
-            word = (error.agent, error.reason) if isinstance(error, AgentFailed) else (communicator.id, str(error))
+            word = (
+                (error.agent, error.reason)
+                if isinstance(error, AgentFailed)
+                else (communicator.id, str(error))
+            )
             await communicator.fail(Failure(*word))
             return error
 
     async def main(clock):
         bus = Bus(clock, Impairment(1, [Rule({"loss": loss, "delay": 0.001})]))
-        return await asyncio.gather(*(part(Communicator(bus.port(i), graph)) for i in graph.ids)), clock.now()
+        return await asyncio.gather(
+            *(part(Communicator(bus.port(i), graph)) for i in graph.ids)
+        ), clock.now()
 
     return run_virtual(main)
 
@@ -124,13 +152,20 @@ def exchanging(graph, loss, policy="raise"):
 def test_who_says_that_it_goes_on_no_more_is_not_waited_for(graph, loss):
     found, seconds = exchanging(graph, loss)
     assert isinstance(found.pop(2), ValueError)
-    assert {(type(error), error.agent, error.reason) for error in found} == {(AgentFailed, 2, "my own trouble")}
+    assert {(type(error), error.agent, error.reason) for error in found} == {
+        (AgentFailed, 2, "my own trouble")
+    }
     assert seconds < 2.5
 
 
 def test_who_asks_for_those_alone_that_come_goes_on_without_it():
     found, _ = exchanging(path(4), 0.0, policy="partial")
-    assert [type(error) for error in found] == [type(None), type(None), ValueError, type(None)]
+    assert [type(error) for error in found] == [
+        type(None),
+        type(None),
+        ValueError,
+        type(None),
+    ]
 
 
 # The asynchronous method of multipliers: its agents wait for each other -------------------------------------------
@@ -138,20 +173,29 @@ def test_who_asks_for_those_alone_that_come_goes_on_without_it():
 
 def contradictory(graph):
     """x <= -1 and x >= 1, at two agents."""
-    rows = {2: Smooth(lambda x: x + 1.0, lambda x: np.eye(1)), 4: Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1))}
+    rows = {
+        2: Smooth(lambda x: x + 1.0, lambda x: np.eye(1)),
+        4: Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1)),
+    }
     return {
         i: ASYMM(
-            i, graph.neighbors(i), graph.diameter(), [1.0 * i],
-            Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)), inequalities=rows.get(i),
+            i,
+            graph.neighbors(i),
+            graph.diameter(),
+            [1.0 * i],
+            Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)),
+            inequalities=rows.get(i),
         )
         for i in graph.ids
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_nobody_is_done_while_another_one_may_still_fail(seed):
     graph = path(5)
-    found, seconds = endings(contradictory(graph), graph, loss=0.4, seed=seed, pace=Pace(seed=seed))
+    found, seconds = endings(
+        contradictory(graph), graph, loss=0.4, seed=seed, pace=Pace(seed=seed)
+    )
     assert None not in found.values()
     assert any(isinstance(error, SolverError) for error in found.values())
     for error in found.values():
@@ -164,7 +208,10 @@ BOWL = Smooth(lambda x: x @ x, lambda x: 2 * x)
 
 
 def multipliers(graph, function=BOWL):
-    return {i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0], function) for i in graph.ids}
+    return {
+        i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0], function)
+        for i in graph.ids
+    }
 
 
 def test_who_waits_for_a_neighbour_that_is_lost_ends_all():
@@ -173,7 +220,9 @@ def test_who_waits_for_a_neighbour_that_is_lost_ends_all():
     del agents[3]
     found, seconds = endings(agents, graph, loss=0.3, lost=(3,))
     assert isinstance(found.pop(2), PeerLost)
-    assert {(type(error), error.agent) for error in found.values()} == {(AgentFailed, 3)}
+    assert {(type(error), error.agent) for error in found.values()} == {
+        (AgentFailed, 3)
+    }
     assert seconds < 8.0
 
 
@@ -184,7 +233,10 @@ def test_a_cost_without_a_minimum_is_named_after_so_many_steps(monkeypatch):
     fall = Smooth(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
     found, _ = endings(multipliers(graph, fall), graph)
     assert any(isinstance(error, SolverError) for error in found.values())
-    assert all("epoch 0: |grad L| = " in str(error) and "steps, at x = [" in str(error) for error in found.values())
+    assert all(
+        "epoch 0: |grad L| = " in str(error) and "steps, at x = [" in str(error)
+        for error in found.values()
+    )
 
 
 class Hearing(Counting):
@@ -205,9 +257,13 @@ class Hearing(Counting):
 @pytest.mark.parametrize("asynchronous", [False, True])
 def test_what_a_failing_step_had_heard_is_told_the_rarest_first(asynchronous):
     sent = [0, np.zeros((2, 3)), np.zeros((2, 3)), *[np.zeros(2, bool)] * 3, None, 1.5]
-    found, _ = endings({i: Hearing(sends, asynchronous) for i, sends in enumerate(sent)}, complete(8))
+    found, _ = endings(
+        {i: Hearing(sends, asynchronous) for i, sends in enumerate(sent)}, complete(8)
+    )
     said = "None from 6, float from 7, float64 (2, 3) from 1, 2, bool (2,) from 3, 4, 5"
-    assert any(str(error).endswith(f"); it had heard {said}") for error in found.values())
+    assert any(
+        str(error).endswith(f"); it had heard {said}") for error in found.values()
+    )
 
 
 def test_of_many_senders_some_are_told():

@@ -23,15 +23,26 @@ from crazychoir.team.messages import Beat, Go, Roster
 # GO -----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rules", [None, LOSSY, [Rule({"loss": 0.5})]], ids=["good", "lossy", "half"])
-@pytest.mark.parametrize("graph", [graphs.ring(6), graphs.ring(5, directed=True), graphs.empty(1)], ids="abc")
+@pytest.mark.parametrize(
+    "rules", [None, LOSSY, [Rule({"loss": 0.5})]], ids=["good", "lossy", "half"]
+)
+@pytest.mark.parametrize(
+    "graph", [graphs.ring(6), graphs.ring(5, directed=True), graphs.empty(1)], ids="abc"
+)
 def test_all_are_there_and_go(graph, rules):
     async def story(t: Team) -> float:
         barriers = [t.start(i, incarnation=10 + i, seed=9) for i in graph.ids]
         roster = await formed(barriers)
         assert all(barrier.roster == roster for barrier in barriers)
         assert roster == Roster(
-            1, {i: 10 + i for i in graph.ids}, roster.edges, not graph.is_undirected, 9, 0, "abc", "1"
+            1,
+            {i: 10 + i for i in graph.ids},
+            roster.edges,
+            not graph.is_undirected,
+            9,
+            0,
+            "abc",
+            "1",
         )
         assert roster.graph == graph
         assert all(m.communicator.epoch == 1 for m in t.members.values())
@@ -96,7 +107,9 @@ def test_a_coordinator_that_comes_again_is_waited_for_anew():
 def test_too_few_are_refused_and_the_absent_are_named(start):
     async def story(t: Team) -> float:
         barriers = [t.start(i, start=start, start_deadline=4.0) for i in (0, 2, 3)]
-        for found in await asyncio.gather(*(b.go() for b in barriers), return_exceptions=True):
+        for found in await asyncio.gather(
+            *(b.go() for b in barriers), return_exceptions=True
+        ):
             assert isinstance(found, Refused)
             advice = {
                 "all": "Start their agents, look at the network, or set start = n in the swarm file.",
@@ -117,7 +130,9 @@ def refuse(barrier: Barrier) -> None:
     barrier.monitor.silent, barrier.refused = False, REFUSAL
 
 
-@pytest.mark.parametrize(("start", "do"), [("all", "set start = n"), (4, "lower start = 4")])
+@pytest.mark.parametrize(
+    ("start", "do"), [("all", "set start = n"), (4, "lower start = 4")]
+)
 def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, do):
     async def story(t: Team) -> float:
         barriers = [t.start(i, start=start) for i in range(4)]
@@ -156,7 +171,9 @@ def test_one_that_cannot_fly_is_named_beside_the_absent():
             await barriers[0].go()
         return str(found.value)
 
-    assert f"drone(s) 2 absent after 4 s. {TOLD}Start their agents" in team(graphs.complete(4), story)
+    assert f"drone(s) 2 absent after 4 s. {TOLD}Start their agents" in team(
+        graphs.complete(4), story
+    )
 
 
 @pytest.mark.parametrize("edge", [(1, 2), (2, 1), (3, 0), (0, 3)], ids=str)
@@ -165,7 +182,9 @@ def test_a_deaf_edge_is_not_go(edge):
 
     async def story(t: Team) -> str:
         barriers = [t.start(i, start_deadline=4.0) for i in range(4)]
-        found = await asyncio.gather(*(b.go() for b in barriers), return_exceptions=True)
+        found = await asyncio.gather(
+            *(b.go() for b in barriers), return_exceptions=True
+        )
         assert all(isinstance(error, Refused) for error in found)
         return str(found[0])
 
@@ -181,22 +200,36 @@ def test_a_directed_edge_need_not_carry_backwards():
         return await formed([t.start(i, start_deadline=4.0) for i in range(4)])
 
     rule = Rule({"loss": 1.0}, edge=(3, 2), directed=True)
-    assert team(graphs.ring(4, directed=True), story, [rule]).graph == graphs.ring(4, directed=True)
+    assert team(graphs.ring(4, directed=True), story, [rule]).graph == graphs.ring(
+        4, directed=True
+    )
 
 
-@pytest.mark.parametrize(("foreign", "start"), [((2,), 3), ((0,), 3), ((1, 3), 2), ((0, 2, 3), "all")])
+@pytest.mark.parametrize(
+    ("foreign", "start"), [((2,), 3), ((0,), 3), ((1, 3), 2), ((0, 2, 3), "all")]
+)
 def test_the_minority_with_another_mission_is_refused(foreign, start):
     """Of two and two, those with the lowest id are right."""
 
     async def story(t: Team) -> dict[int, Any]:
         barriers = {
-            i: t.start(i, mission="xyz" if i in foreign else "abc", start=start, start_deadline=5.0) for i in range(4)
+            i: t.start(
+                i,
+                mission="xyz" if i in foreign else "abc",
+                start=start,
+                start_deadline=5.0,
+            )
+            for i in range(4)
         }
-        found = await asyncio.gather(*(b.go() for b in barriers.values()), return_exceptions=True)
+        found = await asyncio.gather(
+            *(b.go() for b in barriers.values()), return_exceptions=True
+        )
         return dict(zip(barriers, found, strict=True))
 
     found = team(graphs.complete(4), story, LOSSY)
-    right = {(2,): (0, 1, 3), (0,): (1, 2, 3), (1, 3): (0, 2), (0, 2, 3): (0, 2, 3)}[foreign]
+    right = {(2,): (0, 1, 3), (0,): (1, 2, 3), (1, 3): (0, 2), (0, 2, 3): (0, 2, 3)}[
+        foreign
+    ]
     mine = {i: "xyz" if i in foreign else "abc" for i in range(4)}
     for i, result in found.items():
         if i in right and start != "all":
@@ -223,9 +256,13 @@ def test_strange_heartbeats_and_rosters_are_counted():
         ]
         for payload in strange:
             port.deliver(HEARTBEAT.number, 1, payload, 1, "", 0, 0.0)
-        for n, payload in enumerate([*strange[:3], encode({"epoch": 1}), encode(["x"])]):
+        for n, payload in enumerate(
+            [*strange[:3], encode({"epoch": 1}), encode(["x"])]
+        ):
             port.deliver(ROSTER.number, 1, payload, n, "1", 0, 0.0)
-        port.deliver(HEARTBEAT.number, 77, encode([1, 1, 0, [], [], "abc", ""]), 1, "", 0, 0.0)
+        port.deliver(
+            HEARTBEAT.number, 77, encode([1, 1, 0, [], [], "abc", ""]), 1, "", 0, 0.0
+        )
         assert not barrier.beats
         return port.counters.malformed
 
@@ -246,14 +283,20 @@ def test_a_lost_member_makes_a_new_epoch_whoever_it_is(gone, rules):
         roster = await settled(t, 2)
         assert 5.0 < t.clock.now() - before < 9.0
         assert all(member.barrier.lost(gone) for member in t.members.values())
-        assert {member.barrier.coordinator() for member in t.members.values()} == {min(t.members)}
-        assert all(member.communicator.graph == roster.graph for member in t.members.values())
+        assert {member.barrier.coordinator() for member in t.members.values()} == {
+            min(t.members)
+        }
+        assert all(
+            member.communicator.graph == roster.graph for member in t.members.values()
+        )
         return roster
 
     roster = team(graphs.ring(6), story, rules)
     assert roster.epoch == 2
     assert roster.ids == tuple(i for i in range(6) if i != gone)
-    assert roster.graph.arcs == tuple(arc for arc in graphs.ring(6).arcs if gone not in arc)
+    assert roster.graph.arcs == tuple(
+        arc for arc in graphs.ring(6).arcs if gone not in arc
+    )
 
 
 def test_two_coordinators_in_a_row_are_lost():
@@ -268,7 +311,9 @@ def test_two_coordinators_in_a_row_are_lost():
 
 @pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
 @pytest.mark.parametrize("apart", [0.0, 0.6, 2.0, 3.5])
-@pytest.mark.parametrize("gone", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)], ids=str)
+@pytest.mark.parametrize(
+    "gone", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)], ids=str
+)
 def test_however_many_are_lost_the_others_go_on(gone, apart, rules):
     n = 3 if len(gone) == 2 else 5
 
@@ -279,16 +324,22 @@ def test_however_many_are_lost_the_others_go_on(gone, apart, rules):
             t.kill(i)
             last = t.clock.now()
             await t.clock.sleep(apart)
-        while any(roster.ids != tuple(t.members) for roster in t.rosters().values() if roster):
+        while any(
+            roster.ids != tuple(t.members) for roster in t.rosters().values() if roster
+        ):
             await t.clock.sleep(0.05)
             assert t.clock.now() < last + 6.0, t.rosters()
         return await settled(t, 2, 1.0)
 
-    assert team(graphs.complete(n), story, rules).ids == tuple(i for i in range(n) if i not in gone)
+    assert team(graphs.complete(n), story, rules).ids == tuple(
+        i for i in range(n) if i not in gone
+    )
 
 
 @pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
-@pytest.mark.parametrize(("again", "pause"), [(0, 0.1), (0, 2.0), (3, 0.1), (3, 2.0), (0, 8.0), (3, 8.0)])
+@pytest.mark.parametrize(
+    ("again", "pause"), [(0, 0.1), (0, 2.0), (3, 0.1), (3, 2.0), (0, 8.0), (3, 8.0)]
+)
 def test_a_restarted_member_joins_with_a_new_epoch(again, pause, rules):
     async def story(t: Team) -> Roster:
         await formed([t.start(i) for i in range(5)])
@@ -323,13 +374,29 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
         old = Roster(1, {0: 1, 1: 1}, [[0, 1]], False, 0, 0, "abc", "1")
         t.bus.ports[1].deliver(ROSTER.number, 0, Go(old).wire(), 0, "1", 0, 0.0)
         t.bus.ports[1].deliver(
-            ROSTER.number, 0, Go(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(), 1, "1", 0, 0.0
+            ROSTER.number,
+            0,
+            Go(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(),
+            1,
+            "1",
+            0,
+            0.0,
         )
         assert barrier.roster is None
-        t.bus.ports[1].deliver(ROSTER.number, 0, Go(replace(old, members={0: 1, 1: 2})).wire(), 2, "1", 0, 0.0)
+        t.bus.ports[1].deliver(
+            ROSTER.number,
+            0,
+            Go(replace(old, members={0: 1, 1: 2})).wire(),
+            2,
+            "1",
+            0,
+            0.0,
+        )
         return barrier.roster
 
-    assert team(graphs.path(2), story) == Roster(1, {0: 1, 1: 2}, [[0, 1]], False, 0, 0, "abc", "1")
+    assert team(graphs.path(2), story) == Roster(
+        1, {0: 1, 1: 2}, [[0, 1]], False, 0, 0, "abc", "1"
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 200, 213])
@@ -337,10 +404,15 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
 def test_two_halves_that_were_apart_for_long_come_together_again(slow, seed):
     """A joinable algorithm goes on in both, at different paces; the slower half catches up first."""
 
-    async def story(t: Team) -> tuple[dict[int, tuple[int, ...]], Roster, dict[int, Any]]:
+    async def story(
+        t: Team,
+    ) -> tuple[dict[int, tuple[int, ...]], Roster, dict[int, Any]]:
         heard: dict[int, Any] = {}
         barriers = [t.start(i) for i in range(6)]
-        lives = [t.run(i, counting(t, i, heard, 60.0, 0.06 if i in slow else 0.02)) for i in range(6)]
+        lives = [
+            t.run(i, counting(t, i, heard, 60.0, 0.06 if i in slow else 0.02))
+            for i in range(6)
+        ]
         await formed(barriers)
         await t.clock.sleep(20.0)
         apart = {i: roster.ids for i, roster in t.rosters().items() if roster}
@@ -350,8 +422,13 @@ def test_two_halves_that_were_apart_for_long_come_together_again(slow, seed):
         assert not [life for life in lives if life.done() and life.exception()]
         return apart, roster, heard
 
-    apart, roster, heard = team(graphs.ring(6), story, LOSSY, [Partition(5.0, 17.0, (0, 1, 2))], seed)
-    assert apart in ({i: tuple(range(6)) for i in range(6)}, {i: (0, 1, 2) if i < 3 else (3, 4, 5) for i in range(6)})
+    apart, roster, heard = team(
+        graphs.ring(6), story, LOSSY, [Partition(5.0, 17.0, (0, 1, 2))], seed
+    )
+    assert apart in (
+        {i: tuple(range(6)) for i in range(6)},
+        {i: (0, 1, 2) if i < 3 else (3, 4, 5) for i in range(6)},
+    )
     assert roster.ids == tuple(range(6))
     assert roster.graph == graphs.ring(6)
     assert roster.epoch >= 3
@@ -369,12 +446,16 @@ def test_one_who_dies_while_two_halves_come_together_is_left_out():
         await t.clock.sleep(12.0)
         return await settled(t, 3)
 
-    assert team(graphs.ring(6), story, LOSSY, [Partition(5.0, 20.3, (0, 1, 2))]).ids == (0, 1, 2, 3, 5)
+    assert team(
+        graphs.ring(6), story, LOSSY, [Partition(5.0, 20.3, (0, 1, 2))]
+    ).ids == (0, 1, 2, 3, 5)
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.6, 3.5])
 @pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
-@pytest.mark.parametrize("dead", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)])
+@pytest.mark.parametrize(
+    "dead", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)]
+)
 def test_whoever_dies_one_after_another_the_rest_go_on_without_them(dead, rules, gap):
     """Each of them may have coordinated; those who were lost before are nobody's to report any more."""
 
@@ -386,7 +467,9 @@ def test_whoever_dies_one_after_another_the_rest_go_on_without_them(dead, rules,
         await t.clock.sleep(20.0)
         return await settled(t, 2)
 
-    assert team(graphs.complete(5), story, rules).ids == tuple(i for i in range(5) if i not in dead)
+    assert team(graphs.complete(5), story, rules).ids == tuple(
+        i for i in range(5) if i not in dead
+    )
 
 
 @pytest.mark.parametrize("alone", [(2,), (0,), (1, 3), (2, 3)])
@@ -405,7 +488,9 @@ def test_whoever_was_without_the_others_exchanges_with_them_again(alone):
         await t.clock.sleep(2.0)
         return roster, heard, max(k for k, by in heard.items() if len(by) == 4)
 
-    roster, heard, last = team(graphs.ring(5), story, LOSSY, [Partition(3.0, 18.0, alone)])
+    roster, heard, last = team(
+        graphs.ring(5), story, LOSSY, [Partition(3.0, 18.0, alone)]
+    )
     assert roster.ids == (0, 1, 2, 3)
     assert last > roster.first_round
     for k in range(roster.first_round, last + 1):
@@ -453,13 +538,17 @@ def test_who_comes_again_in_a_process_of_its_own_is_told_the_age_of_the_mission(
             def forward(self, topic, source, to, payload, number, channel, flags, age):
                 for j in to:
                     if j in buses[j].ports:
-                        buses[j].ports[j].deliver(topic.number, source, payload, number, channel, flags, age)
+                        buses[j].ports[j].deliver(
+                            topic.number, source, payload, number, channel, flags, age
+                        )
 
             def interested(self) -> None: ...
 
         def start(i: int, incarnation: int) -> Barrier:
             buses[i].forwarder = Wire()
-            barrier = Barrier(buses[i].port(i, incarnation), graph, mission_hash="abc", version="1")
+            barrier = Barrier(
+                buses[i].port(i, incarnation), graph, mission_hash="abc", version="1"
+            )
             lives[i] = asyncio.ensure_future(barrier.monitor.run())
             return barrier
 
@@ -510,16 +599,27 @@ class Alone:
     def _keep(self, j: int) -> Callable[..., None]:
         return lambda source, payload, *rest: self.sent.append((j, decode(payload)))
 
-    def beat(self, j: int, epoch: int, checksum: int = 0, incarnation: int = 1, lost: tuple[int, ...] = ()) -> None:
+    def beat(
+        self,
+        j: int,
+        epoch: int,
+        checksum: int = 0,
+        incarnation: int = 1,
+        lost: tuple[int, ...] = (),
+    ) -> None:
         beat = Beat(incarnation, epoch, checksum, (self.barrier.id,), lost, "abc")
-        self.port.deliver(HEARTBEAT.number, j, encode(beat.wire()), 1, "heartbeat", 0, 0.0)
+        self.port.deliver(
+            HEARTBEAT.number, j, encode(beat.wire()), 1, "heartbeat", 0, 0.0
+        )
 
     def tell(self, j: int, value: list[int]) -> None:
         self.port.deliver(ROSTER.number, j, encode(value), self.numbers[j], "1", 0, 0.0)
         self.numbers[j] += 1
 
 
-def alone(i: int, members: dict[int, int], story: Callable[[Alone], Awaitable[None]]) -> None:
+def alone(
+    i: int, members: dict[int, int], story: Callable[[Alone], Awaitable[None]]
+) -> None:
     async def main(t: Team) -> None:
         await story(Alone(t, i, members))
 
@@ -564,7 +664,15 @@ def test_a_lower_id_of_another_half_is_left_to_coordinate():
 def test_a_newcomer_leaves_coordinating_to_those_who_fly():
     async def story(t: Team) -> None:
         barrier = t.start(0)
-        t.bus.ports[0].deliver(HEARTBEAT.number, 2, encode(Beat(1, 3, 0, (), (), "abc").wire()), 1, "", 0, 0.0)
+        t.bus.ports[0].deliver(
+            HEARTBEAT.number,
+            2,
+            encode(Beat(1, 3, 0, (), (), "abc").wire()),
+            1,
+            "",
+            0,
+            0.0,
+        )
         barrier.monitor.tick()
         assert barrier.coordinator() == 2
 
@@ -579,7 +687,11 @@ def test_the_next_roster_counts_from_a_round_that_nobody_has_sent():
         assert it.barrier.roster == it.roster
         it.tell(2, [2, 10])
         assert it.barrier.roster == replace(
-            it.roster, epoch=2, members={0: 1, 1: 1, 2: 1, 3: 8}, first_round=13, edges=EDGES
+            it.roster,
+            epoch=2,
+            members={0: 1, 1: 1, 2: 1, 3: 8},
+            first_round=13,
+            edges=EDGES,
         )
 
     EDGES = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
@@ -612,7 +724,9 @@ def test_a_graph_that_comes_apart_is_told_until_it_is_mended():
         assert [member.barrier.apart for member in t.members.values()] == [""] * 5
         t.kill(2)
         await settled(t, 2)
-        assert {member.barrier.apart for member in t.members.values()} == {"graph in 2 parts: 0 1 | 3 4"}
+        assert {member.barrier.apart for member in t.members.values()} == {
+            "graph in 2 parts: 0 1 | 3 4"
+        }
         t.start(2, incarnation=2)
         await settled(t, 3)
         assert {member.barrier.apart for member in t.members.values()} == {""}
@@ -663,11 +777,15 @@ def test_who_watches_us_hears_us():
     async def story(t: Team) -> None:
         graph = graphs.path(4)
         barrier = Barrier(t.bus.port(3), graph, mission_hash="abc", version="1")
-        barrier._adopt(Roster(1, dict.fromkeys(range(4), 1), [], False, 0, 0, "abc", "1"))
+        barrier._adopt(
+            Roster(1, dict.fromkeys(range(4), 1), [], False, 0, 0, "abc", "1")
+        )
         barrier.monitor.watched = (0, 2)
         beat = encode(Beat(1, 1, barrier.roster.checksum, (), (), "abc").wire())
         t.bus.ports[3].deliver(HEARTBEAT.number, 1, beat, 1, "", 0, 0.0)
-        assert barrier.monitor.watched == (0, 2), "it has just heard of GO itself, and will watch fewer"
+        assert barrier.monitor.watched == (0, 2), (
+            "it has just heard of GO itself, and will watch fewer"
+        )
         await t.clock.sleep(1.5 * SILENCE)
         for number in (2, 3):  # the second one says nothing new
             t.bus.ports[3].deliver(HEARTBEAT.number, 1, beat, number, "", 0, 0.0)
@@ -691,7 +809,9 @@ def test_one_who_was_lost_and_begins_again_is_not_lost():
 # Algorithms across epochs -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rules", [[Rule({"delay": 0.01})], LOSSY], ids=["good", "lossy"])
+@pytest.mark.parametrize(
+    "rules", [[Rule({"delay": 0.01})], LOSSY], ids=["good", "lossy"]
+)
 @pytest.mark.parametrize("gone", [0, 3])
 def test_a_joinable_algorithm_goes_on_without_the_lost(gone, rules):
     graph = graphs.k_regular(6, 4)
@@ -705,7 +825,9 @@ def test_a_joinable_algorithm_goes_on_without_the_lost(gone, rules):
         await t.clock.sleep(19.0)
         roster = await settled(t, 2)
         await asyncio.sleep(2.0)
-        errors = [life.exception() for i, life in lives.items() if i != gone and life.done()]
+        errors = [
+            life.exception() for i, life in lives.items() if i != gone and life.done()
+        ]
         assert not any(errors), errors
         return roster, heard
 
@@ -719,7 +841,9 @@ def test_a_joinable_algorithm_goes_on_without_the_lost(gone, rules):
     assert all(len(heard[k]) == 5 for k in range(first, last))
 
 
-@pytest.mark.parametrize("rules", [None, [Rule({"delay": 0.01})], LOSSY], ids=["good", "slow", "lossy"])
+@pytest.mark.parametrize(
+    "rules", [None, [Rule({"delay": 0.01})], LOSSY], ids=["good", "slow", "lossy"]
+)
 @pytest.mark.parametrize("late", [0, 4])
 def test_one_who_joins_takes_part_from_the_same_round_for_all(late, rules):
     graph = graphs.ring(5)
@@ -743,7 +867,11 @@ def test_one_who_joins_takes_part_from_the_same_round_for_all(late, rules):
     begin, last = second.first_round, max(heard) - 4
     assert 20 < begin < last - 20
     for k in range(last):
-        assert as_graph_says(first.graph if k < begin else second.graph, k, heard), (k, begin, heard[k])
+        assert as_graph_says(first.graph if k < begin else second.graph, k, heard), (
+            k,
+            begin,
+            heard[k],
+        )
 
 
 def test_a_sequence_of_graphs_goes_on_among_those_who_stay():

@@ -39,14 +39,26 @@ from crazychoir.team.rounds import (
 )
 from crazychoir.types import Failure, PerNeighbor
 
-BAD = {"delay": 0.003, "jitter": 0.02, "duplicate": 0.3, "reorder": 0.3, "reorder_delay": 0.04}
+BAD = {
+    "delay": 0.003,
+    "jitter": 0.02,
+    "duplicate": 0.3,
+    "reorder": 0.3,
+    "reorder_delay": 0.04,
+}
 Agent = Callable[[Communicator], Awaitable[Any]]
 
 
 def swarm(
-    graph: Graph | GraphSequence, agent: Agent, rules: list[Rule] | None = None, *,
-    seed: int = 1, partitions: list[Partition] | None = None, gone: tuple[int, ...] = (), deadline: float = 60.0,
-) -> dict[int, Any]:  # fmt: skip
+    graph: Graph | GraphSequence,
+    agent: Agent,
+    rules: list[Rule] | None = None,
+    *,
+    seed: int = 1,
+    partitions: list[Partition] | None = None,
+    gone: tuple[int, ...] = (),
+    deadline: float = 60.0,
+) -> dict[int, Any]:
     """What `agent` returns for each drone, all in one process in virtual time; a second later, so that all is quiet."""
 
     async def main(clock: Clock) -> dict[int, Any]:
@@ -63,7 +75,9 @@ def loss(p: float, **more: float) -> list[Rule]:
     return [Rule({"loss": p, **more})]
 
 
-def averaging(graph: Graph | GraphSequence, rounds: int, channel: str = "main") -> Agent:
+def averaging(
+    graph: Graph | GraphSequence, rounds: int, channel: str = "main"
+) -> Agent:
     """Average consensus; returns the bytes of all iterates."""
 
     async def agent(c: Communicator) -> bytes:
@@ -85,7 +99,10 @@ def in_a_loop(graph: Graph, rounds: int) -> dict[int, bytes]:
     x = {i: np.array([i, 1.0 / (1 + i), np.sin(i)]) for i in graph.ids}
     w, iterates = metropolis(graph), dict.fromkeys(graph.ids, b"")
     for _ in range(rounds):
-        x = {i: w[i][i] * x[i] + sum(w[i][j] * x[j] for j in graph.in_neighbors(i)) for i in graph.ids}
+        x = {
+            i: w[i][i] * x[i] + sum(w[i][j] * x[j] for j in graph.in_neighbors(i))
+            for i in graph.ids
+        }
         iterates = {i: iterates[i] + x[i].tobytes() for i in graph.ids}
     return iterates
 
@@ -98,7 +115,11 @@ def in_a_loop(graph: Graph, rounds: int) -> dict[int, bytes]:
     [graphs.ring(5), graphs.star(6), graphs.complete(4), graphs.path(2)],
     ids=lambda graph: str(len(graph.arcs)),
 )
-@pytest.mark.parametrize("network", [None, loss(0.2), loss(0.5), loss(0.5, **BAD), loss(0.2, **BAD)], ids="abcde")
+@pytest.mark.parametrize(
+    "network",
+    [None, loss(0.2), loss(0.5), loss(0.5, **BAD), loss(0.2, **BAD)],
+    ids="abcde",
+)
 def test_average_consensus_has_the_same_bits_on_every_network(graph, network):
     assert swarm(graph, averaging(graph, 40), network) == in_a_loop(graph, 40)
 
@@ -107,12 +128,16 @@ def test_average_consensus_has_the_same_bits_on_every_network(graph, network):
 def test_the_same_bits_in_bursts_of_loss(seed):
     graph = graphs.k_regular(8, 4)
     network = [Rule({"p_good_bad": 0.1, "p_bad_good": 0.2, "loss_bad": 0.95, **BAD})]
-    assert swarm(graph, averaging(graph, 15), network, seed=seed) == in_a_loop(graph, 15)
+    assert swarm(graph, averaging(graph, 15), network, seed=seed) == in_a_loop(
+        graph, 15
+    )
 
 
 def test_a_graph_that_changes_with_the_round():
     sequence = GraphSequence.draw(graphs.complete(5), 0.3, 7, seed=3)
-    assert any(not graph.neighbors(i) for graph in sequence.graphs for i in graph.ids), "somebody is alone in a round"
+    assert any(
+        not graph.neighbors(i) for graph in sequence.graphs for i in graph.ids
+    ), "somebody is alone in a round"
     good = swarm(sequence, averaging(sequence, 300))
     assert swarm(sequence, averaging(sequence, 300), loss(0.4, **BAD)) == good
     ends = [np.frombuffer(iterates, dtype=float)[-3:] for iterates in good.values()]
@@ -121,7 +146,9 @@ def test_a_graph_that_changes_with_the_round():
 
 
 def test_each_round_of_a_changing_graph_has_its_own_neighbours():
-    sequence = GraphSequence((graphs.path(3), Graph.from_edges(3, [[0, 2]]), graphs.empty(3)))
+    sequence = GraphSequence(
+        (graphs.path(3), Graph.from_edges(3, [[0, 2]]), graphs.empty(3))
+    )
 
     async def agent(c: Communicator) -> list[dict[int, int]]:
         return [await c.neighbors_exchange(10 * k + c.id) for k in range(4)]
@@ -148,17 +175,27 @@ def test_a_directed_ring(p):
 def test_a_payload_for_each_neighbour_and_for_nobody_else():
     async def agent(c: Communicator) -> list[dict[int, str]]:
         neighbors = c.graph.at(0).neighbors(c.id)
-        return [await c.neighbors_exchange(PerNeighbor({j: f"{c.id}>{j} {k}" for j in neighbors})) for k in range(5)]
+        return [
+            await c.neighbors_exchange(
+                PerNeighbor({j: f"{c.id}>{j} {k}" for j in neighbors})
+            )
+            for k in range(5)
+        ]
 
     for i, rounds in swarm(graphs.ring(4), agent, loss(0.5)).items():
-        assert rounds == [{j: f"{j}>{i} {k}" for j in sorted([(i - 1) % 4, (i + 1) % 4])} for k in range(5)]
+        assert rounds == [
+            {j: f"{j}>{i} {k}" for j in sorted([(i - 1) % 4, (i + 1) % 4])}
+            for k in range(5)
+        ]
 
 
 def test_neighbours_named_in_the_call():
     async def agent(c: Communicator) -> dict[int, int]:
         if c.id == 0:
             return await c.neighbors_exchange(7, in_neighbors=(), out_neighbors=(2,))
-        return await c.neighbors_exchange(8, in_neighbors=(0,) if c.id == 2 else (), out_neighbors=())
+        return await c.neighbors_exchange(
+            8, in_neighbors=(0,) if c.id == 2 else (), out_neighbors=()
+        )
 
     assert swarm(graphs.complete(3), agent, loss(0.5)) == {0: {}, 1: {}, 2: {0: 7}}
 
@@ -172,7 +209,9 @@ def test_send_and_receive_are_rounds_too():
         await c.close()
         return heard
 
-    assert swarm(graphs.path(2), agent, loss(0.5, **BAD))[0] == [{1: 100 + k} for k in range(100)]
+    assert swarm(graphs.path(2), agent, loss(0.5, **BAD))[0] == [
+        {1: 100 + k} for k in range(100)
+    ]
 
 
 def test_who_sends_ahead_does_not_say_that_it_has_read():
@@ -216,10 +255,16 @@ def test_a_sender_keeps_what_nobody_has_asked_for_yet():
 
 def test_channels_do_not_meet():
     async def agent(c: Communicator) -> tuple[Any, ...]:
-        return tuple(await asyncio.gather(*(averaging(graphs.ring(4), 5 + n, f"channel {n}")(c) for n in range(4))))
+        return tuple(
+            await asyncio.gather(
+                *(averaging(graphs.ring(4), 5 + n, f"channel {n}")(c) for n in range(4))
+            )
+        )
 
     found = swarm(graphs.ring(4), agent, loss(0.5))
-    assert [found[2][n] for n in range(4)] == [in_a_loop(graphs.ring(4), 5 + n)[2] for n in range(4)]
+    assert [found[2][n] for n in range(4)] == [
+        in_a_loop(graphs.ring(4), 5 + n)[2] for n in range(4)
+    ]
 
 
 def test_one_who_begins_late_costs_time_only():
@@ -240,7 +285,9 @@ def test_a_partition_in_the_middle_costs_time_only():
         return x
 
     network = [Rule({"delay": 0.01})]
-    assert swarm(graph, agent, network, partitions=[Partition(1.0, 2.5, (0, 1, 2))]) == in_a_loop(graph, 200)
+    assert swarm(
+        graph, agent, network, partitions=[Partition(1.0, 2.5, (0, 1, 2))]
+    ) == in_a_loop(graph, 200)
     assert 3.5 < max(clocks) < 4.5
 
 
@@ -248,9 +295,17 @@ def test_a_run_repeats_to_the_last_message():
     async def agent(c: Communicator) -> tuple[float, int, int, int]:
         await averaging(graphs.k_regular(6, 4), 30)(c)
         counters = c.port.counters
-        return (c.port.bus.clock.now(), counters.sent, counters.received, counters.resent)
+        return (
+            c.port.bus.clock.now(),
+            counters.sent,
+            counters.received,
+            counters.resent,
+        )
 
-    runs = [swarm(graphs.k_regular(6, 4), agent, loss(0.4, **BAD), seed=s) for s in (5, 5, 6)]
+    runs = [
+        swarm(graphs.k_regular(6, 4), agent, loss(0.4, **BAD), seed=s)
+        for s in (5, 5, 6)
+    ]
     assert runs[0] == runs[1] != runs[2]
 
 
@@ -287,7 +342,11 @@ def test_the_latest_of_each_never_waits_and_grows_old():
         await clock.sleep(0.3)
         assert clock.now() == pytest.approx(0.3)
         found += [await c.asynchronous_receive(), await c.asynchronous_receive((2,))]
-        return [*found, await c.asynchronous_receive(max_age=0.25), await c.asynchronous_receive(max_age=0.15)]
+        return [
+            *found,
+            await c.asynchronous_receive(max_age=0.25),
+            await c.asynchronous_receive(max_age=0.15),
+        ]
 
     heard = swarm(graphs.star((1, 0, 2)), agent, gone=(2,))[0]
     assert heard == [{}, {1: 3 * HISTORY - 1}, {}, {1: 3 * HISTORY - 1}, {}]
@@ -343,7 +402,9 @@ def test_a_fast_source_waits_for_its_readers(p):
     assert swarm(graph, agent, loss(p))[1] == list(range(5 * HISTORY))
     assert HISTORY // 2 < max(lead) <= HISTORY + 1
     assert here[1].ahead == 0
-    assert p or not here[0].port.counters.resent, "credit comes before the source has to ask"
+    assert p or not here[0].port.counters.resent, (
+        "credit comes before the source has to ask"
+    )
 
 
 def test_a_sender_waits_for_one_who_receives():
@@ -354,11 +415,15 @@ def test_a_sender_waits_for_one_who_receives():
                 await c.send(k)
             await c.close()
             return []
-        got = [value for _ in range(4 * HISTORY) for value in (await c.receive()).values()]
+        got = [
+            value for _ in range(4 * HISTORY) for value in (await c.receive()).values()
+        ]
         await c.close()
         return got
 
-    got = swarm(Graph.from_edges(2, [[0, 1]], directed=True), agent, loss(0.3, delay=0.005))[1]
+    got = swarm(
+        Graph.from_edges(2, [[0, 1]], directed=True), agent, loss(0.3, delay=0.005)
+    )[1]
     assert got == list(range(4 * HISTORY))
 
 
@@ -368,7 +433,10 @@ def test_what_a_reader_lacks_is_asked_for():
 
     async def agent(c: Communicator) -> Any:
         if c.id == 0:
-            send, c.port.send = c.port.send, lambda *m: send(*m) if len(m) > 6 and m[6] else None  # type: ignore[method-assign]
+            send, c.port.send = (
+                c.port.send,
+                lambda *m: send(*m) if len(m) > 6 and m[6] else None,
+            )  # type: ignore[method-assign]
         return [await c.neighbors_exchange(k) for k in range(10)]
 
     assert swarm(graph, agent)[1] == [{0: k} for k in range(10)]
@@ -387,7 +455,11 @@ def test_a_ring_of_missing_messages_heals():
         c.port.send = lossy  # type: ignore[method-assign, assignment]
         return await c.neighbors_exchange(c.id)
 
-    assert swarm(graphs.ring(3), agent, deadline=1.0) == {0: {1: 1, 2: 2}, 1: {0: 0, 2: 2}, 2: {0: 0, 1: 1}}
+    assert swarm(graphs.ring(3), agent, deadline=1.0) == {
+        0: {1: 1, 2: 2},
+        1: {0: 0, 2: 2},
+        2: {0: 0, 1: 1},
+    }
 
 
 def test_a_duplicate_of_a_finished_round_is_not_answered():
@@ -410,7 +482,10 @@ def test_a_deadline_names_the_missing_and_is_kept(seconds):
         clock = c.port.bus.clock
         other = asyncio.ensure_future(c.receive(channel="other"))
         await clock.sleep(0.0)
-        with pytest.raises(RoundTimeout, match=r"channel 'plan', round 0: nothing from neighbour\(s\) 1, 3") as caught:
+        with pytest.raises(
+            RoundTimeout,
+            match=r"channel 'plan', round 0: nothing from neighbour\(s\) 1, 3",
+        ) as caught:
             await c.neighbors_exchange(c.id, channel="plan", deadline=seconds)
         assert clock.now() == pytest.approx(seconds, abs=1e-6)
         other.cancel()
@@ -428,7 +503,10 @@ def test_after_a_timeout_the_same_round_goes_on():
                 await c.neighbors_exchange(0, deadline=0.2)
         return [await c.neighbors_exchange(k) for k in range(3)]
 
-    assert swarm(graphs.path(2), agent) == {0: [{1: 0}, {1: 1}, {1: 2}], 1: [{0: 0}, {0: 1}, {0: 2}]}
+    assert swarm(graphs.path(2), agent) == {
+        0: [{1: 0}, {1: 1}, {1: 2}],
+        1: [{0: 0}, {0: 1}, {0: 2}],
+    }
 
 
 def test_partial_and_hold():
@@ -438,7 +516,11 @@ def test_partial_and_hold():
         heard = []
         for k in range(3 * HISTORY):
             policy = "hold" if c.id == 0 else "partial"
-            heard.append(await c.neighbors_exchange(10 * c.id + k % 2, deadline=0.05, policy=policy))
+            heard.append(
+                await c.neighbors_exchange(
+                    10 * c.id + k % 2, deadline=0.05, policy=policy
+                )
+            )
         return heard
 
     found = swarm(graphs.complete(3), agent)
@@ -464,7 +546,9 @@ def test_a_lost_neighbour(policy):
         c.membership = Lost(c.port.bus.clock, 1, 0.3)
         if policy == "partial":
             return await c.neighbors_exchange(c.id, policy="partial")
-        with pytest.raises(PeerLost, match=rf"drone {c.id}: lost drone\(s\) 1") as caught:
+        with pytest.raises(
+            PeerLost, match=rf"drone {c.id}: lost drone\(s\) 1"
+        ) as caught:
             await c.neighbors_exchange(c.id)
         assert c.port.bus.clock.now() < 0.31
         return caught.value.lost
@@ -498,7 +582,9 @@ def test_a_source_hears_that_its_reader_is_lost():
             await c.neighbors_exchange(0)
         return c.rounds
 
-    assert swarm(Graph.from_edges(2, [[0, 1]], directed=True), agent, gone=(1,)) == {0: HISTORY}
+    assert swarm(Graph.from_edges(2, [[0, 1]], directed=True), agent, gone=(1,)) == {
+        0: HISTORY
+    }
 
 
 # The end ----------------------------------------------------------------------------------------------------------
@@ -521,7 +607,9 @@ def test_the_last_round_reaches_everybody_and_closing_is_quick(p):
 @pytest.mark.parametrize("p", [0.0, 0.5])
 def test_closing_serves_the_neighbours_of_earlier_rounds_too(p):
     """1 ends a round with 2, and 0 may still lack its message of the round before."""
-    sequence = GraphSequence((graphs.Graph.from_edges(3, [[0, 1]]), graphs.Graph.from_edges(3, [[1, 2]])))
+    sequence = GraphSequence(
+        (graphs.Graph.from_edges(3, [[0, 1]]), graphs.Graph.from_edges(3, [[1, 2]]))
+    )
 
     async def agent(c: Communicator) -> list[dict[int, int]]:
         heard = [await c.neighbors_exchange(c.id) for _ in range(2)]
@@ -559,7 +647,9 @@ def test_closing_lingers_for_those_who_still_ask():
         bus.ports.pop(c.id, None)
         return clock.now()
 
-    ends = swarm(graphs.path(2), agent, [Rule({"loss": 1.0}, edge=(0, 1), directed=True)])
+    ends = swarm(
+        graphs.path(2), agent, [Rule({"loss": 1.0}, edge=(0, 1), directed=True)]
+    )
     assert max(ends.values()) < 2.3
 
 
@@ -601,8 +691,16 @@ def test_who_waits_for_one_that_has_ended_learns_it_at_once(p, soon):
         found = swarm(graphs.path(3), ending({0: 9, 1: 6, 2: 6}), loss(p), seed=seed)
         at, error = found[0]
         assert isinstance(error, ChannelEnded)
-        assert (error.drone, error.channel, error.k, error.ended) == (0, "optimize", 6, {1: 6})
-        assert "drone 1 has ended it after 6 round(s), 0 to 5; all must end in the same round" in str(error)
+        assert (error.drone, error.channel, error.k, error.ended) == (
+            0,
+            "optimize",
+            6,
+            {1: 6},
+        )
+        assert (
+            "drone 1 has ended it after 6 round(s), 0 to 5; all must end in the same round"
+            in str(error)
+        )
         assert at < soon
         assert (found[1][1], found[2][1]) == (None, None)
 
@@ -636,7 +734,9 @@ def test_one_that_has_ended_still_serves_who_is_late_in_its_rounds(p):
         return heard
 
     for seed in range(10):
-        assert swarm(graphs.ring(4), agent, loss(p, delay=0.02, reorder=0.2), seed=seed)[0] == sorted([*range(8)] * 2)
+        assert swarm(
+            graphs.ring(4), agent, loss(p, delay=0.02, reorder=0.2), seed=seed
+        )[0] == sorted([*range(8)] * 2)
 
 
 @pytest.mark.parametrize("p", [0.0, 0.5])
@@ -651,7 +751,9 @@ def test_a_channel_that_all_have_ended_together_goes_on(p):
         return heard
 
     for seed in range(10):
-        assert swarm(graphs.path(2), agent, loss(p), seed=seed) == dict.fromkeys(range(2), [*range(4)] * 3)
+        assert swarm(graphs.path(2), agent, loss(p), seed=seed) == dict.fromkeys(
+            range(2), [*range(4)] * 3
+        )
 
 
 def test_who_asked_for_what_comes_gets_what_comes_from_one_that_has_ended():
@@ -678,9 +780,19 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
         deliver = c.port.deliver
         for n in range(3000):
             deliver(ROUND.number, 1 - c.id, b"x" * 2000, 0, f"name {n}", DATA, 0.0)
-            deliver(ROUND.number, 1 - c.id, b"x" * (MAX_EARLY_BYTES + 1), 0, "large", DATA, 0.0)
+            deliver(
+                ROUND.number,
+                1 - c.id,
+                b"x" * (MAX_EARLY_BYTES + 1),
+                0,
+                "large",
+                DATA,
+                0.0,
+            )
             deliver(ROUND.number, 1 - c.id, b"x", HISTORY + n, "main", n % 8, 0.0)
-            deliver(ROUND.number, 1 - c.id, b"x", MAX_ROUND << (n % 100), "main", n % 8, 0.0)
+            deliver(
+                ROUND.number, 1 - c.id, b"x", MAX_ROUND << (n % 100), "main", n % 8, 0.0
+            )
             deliver(ROUND.number, 77 + n, b"x", 0, "main", DATA, 0.0)
             deliver(ROUND.number, 1 - c.id, b"x", 0, "main", n + 1 << KIND_BITS, 0.0)
         kept = [len(message[1]) for message in c._early]
@@ -711,7 +823,9 @@ def test_too_many_channels_are_refused_and_closed_ones_make_room():
             await c.close(f"{n}")
         for n in range(MAX_CHANNELS):
             await c.neighbors_exchange(n, channel=f"again {n}")
-        with pytest.raises(ConfigError, match=f"drone 0: channel 'more': found {MAX_CHANNELS}; allowed"):
+        with pytest.raises(
+            ConfigError, match=f"drone 0: channel 'more': found {MAX_CHANNELS}; allowed"
+        ):
             await c.neighbors_exchange(0, channel="more")
 
     swarm(graphs.empty(1), agent)
@@ -751,9 +865,14 @@ def test_a_new_epoch_ends_what_is_not_joinable_and_the_next_begins_at_zero():
             return None
         clock.call_at(10**9, c.leave, (2,), 1)
         heard = [await c.neighbors_exchange(0, channel="a")]
-        with pytest.raises(RosterChanged, match=rf"drone {c.id}: epoch 1: joined \[\], left \[2\]"):
+        with pytest.raises(
+            RosterChanged, match=rf"drone {c.id}: epoch 1: joined \[\], left \[2\]"
+        ):
             await c.neighbors_exchange(1, channel="a")
-        return [*heard, *[await c.neighbors_exchange(10 + k, channel="a") for k in range(3)]]
+        return [
+            *heard,
+            *[await c.neighbors_exchange(10 + k, channel="a") for k in range(3)],
+        ]
 
     found = swarm(graphs.complete(3), agent, loss(0.3))
     assert found[0] == [{1: 0, 2: 0}, {1: 10}, {1: 11}, {1: 12}]
@@ -795,7 +914,9 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_who_goes_on_no_more_does_so_in_the_next_epoch_too_unless_it_has_begun_anew(back):
+def test_who_goes_on_no_more_does_so_in_the_next_epoch_too_unless_it_has_begun_anew(
+    back,
+):
     async def agent(c: Communicator) -> str:
         if c.id == 1:
             await c.fail(Failure(1, "no idea"))
@@ -806,7 +927,9 @@ def test_who_goes_on_no_more_does_so_in_the_next_epoch_too_unless_it_has_begun_a
             await c.neighbors_exchange(0, deadline=5.0)
         return type(raised.value).__name__
 
-    assert swarm(graphs.complete(3), agent)[0] == ("RoundTimeout" if back else "AgentFailed")
+    assert swarm(graphs.complete(3), agent)[0] == (
+        "RoundTimeout" if back else "AgentFailed"
+    )
 
 
 class Counting:
@@ -867,9 +990,13 @@ def test_a_wait_that_is_over_does_not_keep_the_loop_from_one_that_goes_on():
         bus = Bus(clock)
         member = Communicator(bus.port(0), graphs.path(2))
         bus.port(1)
-        slow = asyncio.create_task(member.neighbors_exchange(1, channel="slow", deadline=0.6, policy="partial"))
+        slow = asyncio.create_task(
+            member.neighbors_exchange(1, channel="slow", deadline=0.6, policy="partial")
+        )
         began = clock.now()
-        heard = await member.neighbors_exchange(1, channel="quick", deadline=0.05, policy="partial")
+        heard = await member.neighbors_exchange(
+            1, channel="quick", deadline=0.05, policy="partial"
+        )
         took = clock.now() - began
         await slow
         return heard, took
@@ -885,6 +1012,8 @@ def test_a_deadline_of_nothing_waits_for_nothing(policy: Any) -> None:
         bus = Bus(clock)
         member = Communicator(bus.port(0), graphs.path(2))
         bus.port(1)
-        return await member.neighbors_exchange(1, deadline=0.0, policy=policy), clock.now()
+        return await member.neighbors_exchange(
+            1, deadline=0.0, policy=policy
+        ), clock.now()
 
     assert run_virtual(main) == ({}, 0.0)

@@ -29,7 +29,11 @@ def graphs(draw: st.DrawFn) -> Graph:
 def reach(graph: Graph) -> dict[tuple[int, int], int]:
     """All pairs' hops by Floyd and Warshall, to check the breadth-first search against."""
     far = len(graph.ids) + 1
-    hops = {(i, j): 0 if i == j else 1 if (i, j) in graph.arcs else far for i in graph.ids for j in graph.ids}
+    hops = {
+        (i, j): 0 if i == j else 1 if (i, j) in graph.arcs else far
+        for i in graph.ids
+        for j in graph.ids
+    }
     for m, i, j in product(graph.ids, repeat=3):
         hops[i, j] = min(hops[i, j], hops[i, m] + hops[m, j])
     return hops
@@ -38,9 +42,15 @@ def reach(graph: Graph) -> dict[tuple[int, int], int]:
 @given(graphs())
 def test_neighbors_agree_with_the_arcs(graph: Graph) -> None:
     for i in graph.ids:
-        assert graph.in_neighbors(i) == tuple(j for j in graph.ids if (j, i) in graph.arcs)
-        assert graph.out_neighbors(i) == tuple(j for j in graph.ids if (i, j) in graph.arcs)
-        assert graph.neighbors(i) == tuple(j for j in graph.ids if (i, j) in graph.arcs or (j, i) in graph.arcs)
+        assert graph.in_neighbors(i) == tuple(
+            j for j in graph.ids if (j, i) in graph.arcs
+        )
+        assert graph.out_neighbors(i) == tuple(
+            j for j in graph.ids if (i, j) in graph.arcs
+        )
+        assert graph.neighbors(i) == tuple(
+            j for j in graph.ids if (i, j) in graph.arcs or (j, i) in graph.arcs
+        )
     assert graph.is_undirected == all((j, i) in graph.arcs for i, j in graph.arcs)
     assert all(i < j for i, j in graph.edges())
 
@@ -67,7 +77,11 @@ def test_round_trips(graph: Graph) -> None:
 
 def test_a_directed_edge_goes_one_way() -> None:
     graph = Graph.from_edges(3, [(0, 1), (1, 2)], directed=True)
-    assert (graph.out_neighbors(0), graph.in_neighbors(1), graph.in_neighbors(0)) == ((1,), (0,), ())
+    assert (graph.out_neighbors(0), graph.in_neighbors(1), graph.in_neighbors(0)) == (
+        (1,),
+        (0,),
+        (),
+    )
     assert not graph.is_undirected
     assert not graph.is_connected
 
@@ -82,23 +96,51 @@ def test_a_directed_edge_goes_one_way() -> None:
         (shapes.star([3, 1, 8]), ((1, 3), (1, 8)), 2),
         (shapes.complete(3), ((0, 1), (0, 2), (1, 2)), 1),
         (shapes.k_regular(4, 3), shapes.complete(4).edges(), 1),
-        (shapes.k_regular(6, 4), tuple((i, j) for i, j in shapes.complete(6).edges() if j - i != 3), 2),
-        (shapes.grid(2, 3), ((0, 1), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (4, 5)), 3),
+        (
+            shapes.k_regular(6, 4),
+            tuple((i, j) for i, j in shapes.complete(6).edges() if j - i != 3),
+            2,
+        ),
+        (
+            shapes.grid(2, 3),
+            ((0, 1), (0, 3), (1, 2), (1, 4), (2, 5), (3, 4), (4, 5)),
+            3,
+        ),
         (shapes.grid(2, 2, diagonals=True), shapes.complete(4).edges(), 1),
         (
             shapes.grid(2, 3, diagonals=True),
-            ((0, 1), (0, 3), (0, 4), (1, 2), (1, 3), (1, 4), (1, 5), (2, 4), (2, 5), (3, 4), (4, 5)),
+            (
+                (0, 1),
+                (0, 3),
+                (0, 4),
+                (1, 2),
+                (1, 3),
+                (1, 4),
+                (1, 5),
+                (2, 4),
+                (2, 5),
+                (3, 4),
+                (4, 5),
+            ),
             2,
         ),
     ],
 )
-def test_shapes(graph: Graph, edges: tuple[tuple[int, int], ...], diameter: int) -> None:
-    assert (graph.edges(), graph.diameter(), graph.is_undirected) == (edges, diameter, True)
+def test_shapes(
+    graph: Graph, edges: tuple[tuple[int, int], ...], diameter: int
+) -> None:
+    assert (graph.edges(), graph.diameter(), graph.is_undirected) == (
+        edges,
+        diameter,
+        True,
+    )
 
 
 def test_parts_are_what_is_joined_whatever_the_direction() -> None:
     assert shapes.ring(4).parts() == ((0, 1, 2, 3),)
-    assert Graph.from_edges((0, 1, 3, 4, 7), [(4, 3), (1, 0)], directed=True).parts() == ((0, 1), (3, 4), (7,))
+    assert Graph.from_edges(
+        (0, 1, 3, 4, 7), [(4, 3), (1, 0)], directed=True
+    ).parts() == ((0, 1), (3, 4), (7,))
     assert shapes.empty(2).parts() == ((0,), (1,))
 
 
@@ -120,7 +162,9 @@ def test_k_regular_gives_everybody_k_neighbors(n: int, k: int) -> None:
 
 
 @given(SIZES, st.integers(-3, 1000), st.booleans())
-def test_erdos_renyi_is_connected_and_repeats(n: int, seed: int, directed: bool) -> None:
+def test_erdos_renyi_is_connected_and_repeats(
+    n: int, seed: int, directed: bool
+) -> None:
     graph = shapes.erdos_renyi_connected(n, 0.7, seed, directed)
     assert graph.is_connected
     assert graph == shapes.erdos_renyi_connected(n, 0.7, seed, directed)
@@ -149,20 +193,31 @@ def test_a_radius_that_never_connects_is_named() -> None:
 
 def test_erdos_renyi_has_about_p_of_the_edges_and_depends_on_the_seed() -> None:
     drawn = [shapes.erdos_renyi_connected(20, 0.4, seed) for seed in range(20)]
-    assert sum(len(graph.edges()) for graph in drawn) / (20 * 190) == pytest.approx(0.4, abs=0.03)
+    assert sum(len(graph.edges()) for graph in drawn) / (20 * 190) == pytest.approx(
+        0.4, abs=0.03
+    )
     assert len(set(drawn)) == 20
-    assert shapes.erdos_renyi_connected(6, 0.4, 1) != shapes.erdos_renyi_connected(6, 0.4, -1)
+    assert shapes.erdos_renyi_connected(6, 0.4, 1) != shapes.erdos_renyi_connected(
+        6, 0.4, -1
+    )
 
 
 def test_the_same_graph_whatever_the_hash_seed() -> None:
     program = "from crazychoir.team.graph import named; print(named('erdos-renyi:0.4', [5, 900, 17, 3, 44], 7))"
     texts = [
         subprocess.run(
-            [sys.executable, "-c", program], env={**os.environ, "PYTHONHASHSEED": h}, capture_output=True, check=True
+            [sys.executable, "-c", program],
+            env={**os.environ, "PYTHONHASHSEED": h},
+            capture_output=True,
+            check=True,
         ).stdout
         for h in ("1", "2")
     ]
-    assert texts[0] == texts[1] == f"{shapes.named('erdos-renyi:0.4', [5, 900, 17, 3, 44], 7)}\n".encode()
+    assert (
+        texts[0]
+        == texts[1]
+        == f"{shapes.named('erdos-renyi:0.4', [5, 900, 17, 3, 44], 7)}\n".encode()
+    )
 
 
 @pytest.mark.parametrize(
@@ -197,19 +252,46 @@ def test_a_wrong_name_lists_the_known_ones() -> None:
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        (lambda: shapes.named("grid:2x2", 6), "grid graph: found 2x2; allowed: rows times columns = 6 drones."),
-        (lambda: shapes.named("k-regular:3", 5), "k-regular graph: found k = 3; allowed: 0 to 4, with k times 5"),
-        (lambda: shapes.named("erdos-renyi:0.01", 9), "p = 0.01: none of 1000 draws is connected; allowed: a larger p"),
-        (lambda: shapes.named("erdos-renyi:7", 9), "random graph: found p = 7; allowed: a probability, 0 to 1."),
+        (
+            lambda: shapes.named("grid:2x2", 6),
+            "grid graph: found 2x2; allowed: rows times columns = 6 drones.",
+        ),
+        (
+            lambda: shapes.named("k-regular:3", 5),
+            "k-regular graph: found k = 3; allowed: 0 to 4, with k times 5",
+        ),
+        (
+            lambda: shapes.named("erdos-renyi:0.01", 9),
+            "p = 0.01: none of 1000 draws is connected; allowed: a larger p",
+        ),
+        (
+            lambda: shapes.named("erdos-renyi:7", 9),
+            "random graph: found p = 7; allowed: a probability, 0 to 1.",
+        ),
         (lambda: shapes.ring(3).neighbors(7), "graph: found drone 7; allowed: 0 to 2."),
-        (lambda: Graph.from_edges([0, 2], [(2, 2)]), "found edge [2, 2]; allowed: two different drones of 0, 2."),
-        (lambda: Graph.from_edges(2, [(0, 5)]), "found edge [0, 5]; allowed: two different drones of 0 to 1."),
-        (lambda: Graph.from_edges([1, 1], []), r"found [1, 1]; allowed: at least one drone id, each once"),
+        (
+            lambda: Graph.from_edges([0, 2], [(2, 2)]),
+            "found edge [2, 2]; allowed: two different drones of 0, 2.",
+        ),
+        (
+            lambda: Graph.from_edges(2, [(0, 5)]),
+            "found edge [0, 5]; allowed: two different drones of 0 to 1.",
+        ),
+        (
+            lambda: Graph.from_edges([1, 1], []),
+            r"found [1, 1]; allowed: at least one drone id, each once",
+        ),
         (lambda: Graph.from_edges(0, []), "found []; allowed: at least one drone id"),
         (lambda: Graph((0, 1), ((1, 0), (0, 1))), "arcs out of order or twice"),
-        (lambda: GraphSequence(()), "found 0 graph(s); allowed: one or more graphs of the same drones"),
+        (
+            lambda: GraphSequence(()),
+            "found 0 graph(s); allowed: one or more graphs of the same drones",
+        ),
         (lambda: GraphSequence((shapes.ring(3), shapes.ring(4))), "found 2 graph(s)"),
-        (lambda: shapes.metropolis(shapes.ring(3, directed=True)), "found a directed graph; allowed: an undirected"),
+        (
+            lambda: shapes.metropolis(shapes.ring(3, directed=True)),
+            "found a directed graph; allowed: an undirected",
+        ),
     ],
 )
 def test_errors_say_what_is_allowed(wrong: object, text: str) -> None:
@@ -224,8 +306,14 @@ def test_a_hostile_graph_does_not_decode() -> None:
 
 
 def test_a_sequence_repeats_and_is_jointly_connected() -> None:
-    sequence = GraphSequence((Graph.from_edges(3, [(0, 1)]), Graph.from_edges(3, [(1, 2)])))
-    assert [sequence.at(k).edges() for k in range(3)] == [((0, 1),), ((1, 2),), ((0, 1),)]
+    sequence = GraphSequence(
+        (Graph.from_edges(3, [(0, 1)]), Graph.from_edges(3, [(1, 2)]))
+    )
+    assert [sequence.at(k).edges() for k in range(3)] == [
+        ((0, 1),),
+        ((1, 2),),
+        ((0, 1),),
+    ]
     assert sequence.is_connected
     assert not any(graph.is_connected for graph in sequence.graphs)
     assert sequence.diameter() == 3  # from 0 in round 1: 0-1 in round 2, 1-2 in round 3
@@ -233,12 +321,16 @@ def test_a_sequence_repeats_and_is_jointly_connected() -> None:
     with pytest.raises(ConfigError, match="never reaches all"):
         GraphSequence((Graph.from_edges(3, [(0, 1)]),)).diameter()
     assert sequence.union() == shapes.path(3)
-    assert not GraphSequence((Graph.from_edges(3, [(0, 1)]), shapes.empty(3))).is_connected
+    assert not GraphSequence(
+        (Graph.from_edges(3, [(0, 1)]), shapes.empty(3))
+    ).is_connected
     assert shapes.ring(3).at(12) == shapes.ring(3)
 
 
 @given(graphs(), st.integers(1, 6), st.integers(0, 99))
-def test_drawn_sub_graphs_unite_to_the_whole(graph: Graph, length: int, seed: int) -> None:
+def test_drawn_sub_graphs_unite_to_the_whole(
+    graph: Graph, length: int, seed: int
+) -> None:
     sequence = GraphSequence.draw(graph, 0.2, length, seed)
     assert sequence.union() == graph
     assert len(sequence.graphs) == length
@@ -246,19 +338,41 @@ def test_drawn_sub_graphs_unite_to_the_whole(graph: Graph, length: int, seed: in
 
 
 @pytest.mark.parametrize(
-    ("ids", "text"), [([3], "3"), ([2, 0, 1], "0 to 2"), ([0, 2], "0, 2"), (range(0, 60, 2), ", 36, 38, ...")]
+    ("ids", "text"),
+    [
+        ([3], "3"),
+        ([2, 0, 1], "0 to 2"),
+        ([0, 2], "0, 2"),
+        (range(0, 60, 2), ", 36, 38, ..."),
+    ],
 )
 def test_span(ids: list[int], text: str) -> None:
     assert shapes.span(ids).endswith(text)
 
 
-@pytest.mark.parametrize("spelling", ["0.5", ".5", "5e-1", "5E-1", "0.50", "0.500000000000", "+0.5", " 0.5 ", "50e-2"])
+@pytest.mark.parametrize(
+    "spelling",
+    ["0.5", ".5", "5e-1", "5E-1", "0.50", "0.500000000000", "+0.5", " 0.5 ", "50e-2"],
+)
 def test_a_number_of_a_shape_is_taken_however_it_is_written(spelling: str) -> None:
-    assert shapes.named(f"erdos-renyi:{spelling}", 6, seed=3) == shapes.erdos_renyi_connected(6, 0.5, 3)
-    assert shapes.named(f"geometric:{spelling}", 6, seed=3) == shapes.geometric(6, 0.5, 3)
+    assert shapes.named(
+        f"erdos-renyi:{spelling}", 6, seed=3
+    ) == shapes.erdos_renyi_connected(6, 0.5, 3)
+    assert shapes.named(f"geometric:{spelling}", 6, seed=3) == shapes.geometric(
+        6, 0.5, 3
+    )
 
 
-@pytest.mark.parametrize("name", ["grid:2X3", "grid:2 x 3", "grid:2\N{MULTIPLICATION SIGN}3", "grid:02x3", " grid:2x3"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "grid:2X3",
+        "grid:2 x 3",
+        "grid:2\N{MULTIPLICATION SIGN}3",
+        "grid:02x3",
+        " grid:2x3",
+    ],
+)
 def test_the_sides_of_a_grid_are_taken_however_they_are_written(name: str) -> None:
     assert shapes.named(name, 6) == shapes.grid(2, 3)
 
@@ -294,15 +408,19 @@ def test_the_sides_of_a_grid_are_taken_however_they_are_written(name: str) -> No
         (":", "allowed: ring, path"),
     ],
     ids=lambda text: text[:20],
-)  # fmt: skip
-def test_a_number_that_a_shape_cannot_have_is_refused_with_its_form(name: str, text: str) -> None:
+)
+def test_a_number_that_a_shape_cannot_have_is_refused_with_its_form(
+    name: str, text: str
+) -> None:
     with pytest.raises(ConfigError) as refused:
         shapes.named(name, 6, seed=3)
     assert text in str(refused.value)
 
 
 @pytest.mark.parametrize("name", ["erdos-renyi:1e-9", "geometric:1e-9"])
-def test_a_shape_that_never_connects_a_large_swarm_is_refused_at_once(name: str) -> None:
+def test_a_shape_that_never_connects_a_large_swarm_is_refused_at_once(
+    name: str,
+) -> None:
     began = time.perf_counter()
     with pytest.raises(ConfigError, match="none of 1000 draws is connected"):
         shapes.named(name, 3000)

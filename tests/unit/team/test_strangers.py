@@ -33,7 +33,9 @@ def test_one_who_has_changed_to_our_mission_is_a_stranger_no_more():
         camp = Strangers(clock, 1, 2, "ours")
         camp.heard(0, "other")
         assert camp.are_more([])
-        assert camp.text().startswith("its swarm file or mission (ours) is not that of drone 0 (other). Copy one")
+        assert camp.text().startswith(
+            "its swarm file or mission (ours) is not that of drone 0 (other). Copy one"
+        )
         assert not camp.heard(0, "ours")
         assert camp.missions == {}
         assert not camp.are_more([0])
@@ -58,11 +60,18 @@ def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_i
     def hashed(config, code="00"):
         return f"{config.digest()}:{config.digests()}{code}"
 
-    other = config.replace(graph="complete", flight={"speed_limit": 2.0}, base_port=8000, network={"loss": 0.5})
+    other = config.replace(
+        graph="complete",
+        flight={"speed_limit": 2.0},
+        base_port=8000,
+        network={"loss": 0.5},
+    )
     assert difference(hashed(config), hashed(config), AGREED) == []
     assert difference(hashed(config), hashed(other), AGREED) == ["graph", "flight"]
     assert difference(hashed(config), hashed(config, "01"), AGREED) == [CODE]
-    assert difference(hashed(config), hashed(config)[:-2], AGREED) == [], "of another version, with other keys"
+    assert difference(hashed(config), hashed(config)[:-2], AGREED) == [], (
+        "of another version, with other keys"
+    )
     assert difference(hashed(config), "ours", AGREED) == []
 
     async def story(clock: Clock) -> None:

@@ -72,16 +72,25 @@ class Agreement:
     """
 
     def __init__(self, port: Port, ids: Iterable[int]) -> None:
-        self.port, self.clock, self.id = port, port.bus.clock, port.address
+        self.port = port
+        self.clock = port.bus.clock
+        self.id = port.address
         self.others = {j: Other(j) for j in ids if j != port.address}
-        self.way, self.began = NO_WAY, 0.0
-        self.offer, self.begins, self.number = NO_WAY, 0.0, port.incarnation % 2**32 * NUMBERS
+        self.way = NO_WAY
+        self.began = 0.0
+        self.offer = NO_WAY
+        self.begins = 0.0
+        self.number = port.incarnation % 2**32 * NUMBERS
         self.awaits = NOWHERE
-        self.in_vain, self._asked = 0.0, 0.0
+        self.in_vain = 0.0
+        self._asked = 0.0
         self.lacking: int | None = None
-        self._next, self._news = 0.0, False
+        self._next = 0.0
+        self._news = False
         if self.others:
-            port.bus.subscribe(PLAN, ANY, port.address, Call(self.clock, self._hear, "plans"))
+            port.bus.subscribe(
+                PLAN, ANY, port.address, Call(self.clock, self._hear, "plans")
+            )
 
     def _hear(self, message: tuple[int, Plan], age: float) -> None:
         j, plan = message
@@ -89,10 +98,15 @@ class Agreement:
         heard = self.clock.now_ns() / SECOND - age
         if other is None or heard < other.heard or not JUDGE.is_sound(plan):
             return
-        other.heard, other.agreed, other.awaits = heard, plan.agreed, plan.awaits
-        other.way, other.began = plan.way, heard - plan.since
+        other.heard = heard
+        other.agreed = plan.agreed
+        other.awaits = plan.awaits
+        other.way = plan.way
+        other.began = heard - plan.since
         other.pending = len(plan.offer) > 0 and plan.number != other.allowed
-        other.offer, other.begins, other.number = plan.offer, heard + plan.due, plan.number
+        other.offer = plan.offer
+        other.begins = heard + plan.due
+        other.number = plan.number
 
     def flying(self) -> list[Other]:
         """Those in the air, as far as is heard."""
@@ -100,15 +114,25 @@ class Agreement:
 
     def awaited(self, now: float) -> tuple[Vec, ...]:
         """The places (3,) m that others want to come to, and cannot."""
-        return tuple(other.awaits for other in self.flying() if len(other.awaits) and not other.silent(now))
+        return tuple(
+            other.awaits
+            for other in self.flying()
+            if len(other.awaits) and not other.silent(now)
+        )
 
     def begin(self, way: Mat, now: float) -> None:
         """Fly this from now on, without asking: at first, and when there is no other way."""
-        self.way, self.began, self.offer, self._news = way, now, NO_WAY, True
+        self.way = way
+        self.began = now
+        self.offer = NO_WAY
+        self._news = True
 
     def propose(self, way: Mat, begins: float) -> None:
         """Ask for another way, which begins at the time `begins`, s."""
-        self.offer, self.begins, self.number, self._news = way, begins, self.number + 1, True
+        self.offer = way
+        self.begins = begins
+        self.number = self.number + 1
+        self._news = True
         self._asked = self.clock.now()
 
     def settle(self, now: float) -> None:
@@ -116,31 +140,45 @@ class Agreement:
         if len(self.offer) == 0 or now < self.begins:
             return
         lower = [other for other in self.flying() if other.id < self.id]
-        lacking = next((other.id for other in lower if other.agreed.get(self.id) != self.number), None)
+        lacking = next(
+            (other.id for other in lower if other.agreed.get(self.id) != self.number),
+            None,
+        )
         if lacking is None:
-            self.way, self.began, self.in_vain = self.offer, self.begins, 0.0
+            self.way = self.offer
+            self.began = self.begins
+            self.in_vain = 0.0
         else:
             self.waited(lacking, now - self._asked)
-        self.offer, self._news = NO_WAY, True
+        self.offer = NO_WAY
+        self._news = True
 
     def waited(self, j: int, seconds: float) -> None:
         """So long, for the word of drone j, in vain."""
-        self.lacking, self.in_vain = j, self.in_vain + seconds
+        self.lacking = j
+        self.in_vain = self.in_vain + seconds
 
     def rest(self, now: float) -> None:
         """Say that it does not fly."""
         if len(self.way):
-            self.way, self.offer, self.in_vain, self._news = NO_WAY, NO_WAY, 0.0, True
+            self.way = NO_WAY
+            self.offer = NO_WAY
+            self.in_vain = 0.0
+            self._news = True
             self.awaits = NOWHERE
         self.tell(now)
 
     def agree(self, other: Other) -> None:
         """The other may fly what it offers."""
-        other.allowed, other.pending, self._news = other.number, False, True
+        other.allowed = other.number
+        other.pending = False
+        self._news = True
 
     def may_be_flown(self, other: Other) -> bool:
         """Whether the other may fly its offer, as far as this drone is concerned."""
-        return len(other.offer) > 0 and (other.id < self.id or other.allowed == other.number)
+        return len(other.offer) > 0 and (
+            other.id < self.id or other.allowed == other.number
+        )
 
     def mute(self, now: float) -> int | None:
         """One that keeps it from asking, or from flying another way unasked; None: nobody does.
@@ -149,7 +187,9 @@ class Agreement:
         the ways that it has told.
         """
         for other in self.flying():
-            if self.id not in other.agreed or (other.id < self.id and other.silent(now)):
+            if self.id not in other.agreed or (
+                other.id < self.id and other.silent(now)
+            ):
                 return other.id
         return None
 
@@ -161,9 +201,18 @@ class Agreement:
         """Say it, when there is something new or it is time again."""
         if not self.others or not (self._news or now >= self._next):
             return
-        self._next, self._news = now + (REPEAT if len(self.way) else RESTING), False
+        self._next = now + (REPEAT if len(self.way) else RESTING)
+        self._news = False
         agreed = {other.id: other.allowed for other in self.flying()}
-        plan = Plan(self.way, now - self.began, self.offer, self.begins - now, self.number, agreed, self.awaits)
+        plan = Plan(
+            self.way,
+            now - self.began,
+            self.offer,
+            self.begins - now,
+            self.number,
+            agreed,
+            self.awaits,
+        )
         self.port.publish(PLAN, plan)
 
 

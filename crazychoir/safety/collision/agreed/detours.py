@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.numerics.math3d import E3
-from crazychoir.safety.collision.agreed.paths import braking, end, flight, hold, leaves, moving, seconds
+from crazychoir.safety.collision.agreed.paths import (
+    braking,
+    end,
+    flight,
+    hold,
+    leaves,
+    moving,
+    seconds,
+)
 from crazychoir.safety.collision.agreed.rest_goal import NEAR, Aim
 from crazychoir.safety.rules.guard import INSET, Fence
 from crazychoir.types import Mat, Vec
@@ -42,8 +50,13 @@ class Detours:
     v_max m/s, a_max m/s2: of go_to;  fence: where ways are, and their waypoints;  draw: for some of those.
     """
 
-    def __init__(self, v_max: float, a_max: float, fence: Fence, draw: np.random.Generator) -> None:
-        self.v_max, self.a_max, self.fence, self.draw = v_max, a_max, fence, draw
+    def __init__(
+        self, v_max: float, a_max: float, fence: Fence, draw: np.random.Generator
+    ) -> None:
+        self.v_max = v_max
+        self.a_max = a_max
+        self.fence = fence
+        self.draw = draw
 
     def options(self, start: Vec, aim: Aim, most: float) -> list[Option]:
         """All that cost less than `most` s, from a motion (12,) to rest at a goal, and stay INSET inside the fence.
@@ -58,7 +71,7 @@ class Detours:
             option
             for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))
             if option.cost < most and not leaves(option.way, low, high)
-        ]  # fmt: skip
+        ]
         return sorted(found, key=lambda option: option.cost)
 
     def _option(self, aim: Aim, *pieces: Mat) -> Option:
@@ -80,12 +93,18 @@ class Detours:
             first = flight(start, point, self.v_max, self.a_max)
             yield self._option(aim, first)
             there = moving(first, seconds(first))
-            yield self._option(aim, first, flight(there, aim.goal, self.v_max, self.a_max))
+            yield self._option(
+                aim, first, flight(there, aim.goal, self.v_max, self.a_max)
+            )
 
     def _waypoints(self, p: Vec, goal: Vec) -> Iterator[Vec]:
         straight = goal - p
         flat = math.hypot(straight[0], straight[1])
-        side = np.array([-straight[1], straight[0], 0.0]) / flat if flat > NEAR else np.array([0.0, 1.0, 0.0])
+        side = (
+            np.array([-straight[1], straight[0], 0.0]) / flat
+            if flat > NEAR
+            else np.array([0.0, 1.0, 0.0])
+        )
         for share in SHARES:
             on = p + share * straight
             yield self._inside(on)
@@ -95,7 +114,8 @@ class Detours:
                     yield self._inside(on - far * side)
                 yield self._inside(on + ABOVE * E3)
                 yield self._inside(on - ABOVE * E3)
-        low, high = np.minimum(p, goal) - AROUND, np.maximum(p, goal) + AROUND
+        low = np.minimum(p, goal) - AROUND
+        high = np.maximum(p, goal) + AROUND
         for point in self.draw.uniform(low, high, (DRAWN, 3)):
             yield self._inside(point)
 

@@ -17,7 +17,12 @@ def nearest_free(p: Vec, others: Mat, fence: Fence) -> Vec | None:
     for radius in RADII.tolist():
         for angle in ANGLES.tolist():
             place: Vec = p + radius * np.array([np.cos(angle), np.sin(angle), 0.0])
-            inside = np.array_equal(fence.nearest(place, INSET)[0:2], place[0:2]) or radius == 0.0
-            if inside and np.all(np.hypot(*(others[:, 0:2] - place[0:2]).T) >= others[:, 2]):
+            inside = (
+                np.array_equal(fence.nearest(place, INSET)[0:2], place[0:2])
+                or radius == 0.0
+            )
+            if inside and np.all(
+                np.hypot(*(others[:, 0:2] - place[0:2]).T) >= others[:, 2]
+            ):
                 return place
     return None

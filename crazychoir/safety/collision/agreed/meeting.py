@@ -5,7 +5,13 @@ import math
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, matrix, real, vector
-from crazychoir.safety.collision.agreed.paths import braking, hold, moving, place, seconds
+from crazychoir.safety.collision.agreed.paths import (
+    braking,
+    hold,
+    moving,
+    place,
+    seconds,
+)
 from crazychoir.types import Mat, Vec
 
 STEP = 0.05
@@ -29,7 +35,9 @@ stands on the floor; m/s, by which it is unsure; whose it is."""
 
 
 @kernel(matrix, real, matrix, matrix, real, vector)
-def meets(way: Mat, began: float, pieces: Mat, others: Mat, now: float, f: Vec) -> tuple[float, float]:
+def meets(
+    way: Mat, began: float, pieces: Mat, others: Mat, now: float, f: Vec
+) -> tuple[float, float]:
     """The first time s at which a way meets one of the others, infinite if it never does; and whose that is.
 
         |S (p_i(t) - p_j(t))| < min(D, |S (p_i - p_j)| when both have begun),   S = diag(1, s_x / s_y, s_x / s_z)
@@ -40,7 +48,8 @@ def meets(way: Mat, began: float, pieces: Mat, others: Mat, now: float, f: Vec) 
     duration = 0.0
     for k in range(way.shape[0]):
         duration += way[k, 0]
-    soonest, whose = math.inf, -1.0
+    soonest = math.inf
+    whose = -1.0
     for row in range(others.shape[0]):
         other = others[row]
         first = int(other[FIRST])
@@ -53,11 +62,17 @@ def meets(way: Mat, began: float, pieces: Mat, others: Mat, now: float, f: Vec) 
         ends = min(max(began + duration, other[BEGAN] + lasts) + STEP, soonest)
         nearest = math.inf
         while t < ends:
-            p, q = place(way, t - began), place(theirs, t - other[BEGAN])
-            d = math.sqrt((p[0] - q[0]) ** 2 + (sy * (p[1] - q[1])) ** 2 + (sz * (p[2] - q[2])) ** 2)
+            p = place(way, t - began)
+            q = place(theirs, t - other[BEGAN])
+            d = math.sqrt(
+                (p[0] - q[0]) ** 2
+                + (sy * (p[1] - q[1])) ** 2
+                + (sz * (p[2] - q[2])) ** 2
+            )
             nearest = min(nearest, d - NEARER) if nearest == math.inf else nearest
             if d < min(width + min(other[GUESS] * (t - now), WIDEST), nearest):
-                soonest, whose = t, other[TAG]
+                soonest = t
+                whose = other[TAG]
                 break
             t += STEP
     return soonest, whose
@@ -70,13 +85,16 @@ class Meeting:
     """
 
     def __init__(self, figures: Vec, a_max: float) -> None:
-        self.figures, self.a_max = figures, a_max
+        self.figures = figures
+        self.a_max = a_max
         self._pieces: list[Mat] = []
         self._rows: list[tuple[float, ...]] = []
         self._count = 0
         self._packed: tuple[Mat, Mat] | None = None
 
-    def way(self, j: int, way: Mat, began: float, guess: float = 0.0, floor: bool = False) -> None:
+    def way(
+        self, j: int, way: Mat, began: float, guess: float = 0.0, floor: bool = False
+    ) -> None:
         """Drone j flies this."""
         self._rows.append((self._count, len(way), began, float(floor), guess, j))
         self._pieces.append(way)
@@ -85,7 +103,9 @@ class Meeting:
     def somewhere(self, j: int, way: Mat, began: float, heard: float) -> None:
         """Drone j is silent since `heard`, s: it may have stopped anywhere on what was left of its way then."""
         lasts = seconds(way)
-        for t in np.arange(min(max(0.0, heard - began), lasts), lasts + APART, APART).tolist():
+        for t in np.arange(
+            min(max(0.0, heard - began), lasts), lasts + APART, APART
+        ).tolist():
             self.way(j, hold(moving(way, t)[0:3], 0.0), -math.inf)
 
     def below(self, j: int, p: Vec) -> None:
@@ -103,9 +123,13 @@ class Meeting:
         going = hold(p, GOES_ON)
         going[0, 2], going[0, 10], going[0, 18] = v
         start[0:3] += GOES_ON * v
-        self.way(j, np.concatenate([going, braking(start, self.a_max)]), born, guess=GROWS)
+        self.way(
+            j, np.concatenate([going, braking(start, self.a_max)]), born, guess=GROWS
+        )
 
-    def first(self, way: Mat, began: float, now: float, room: float = 0.0) -> tuple[float, int | None]:
+    def first(
+        self, way: Mat, began: float, now: float, room: float = 0.0
+    ) -> tuple[float, int | None]:
         """s, when a way first meets one of them, and whom; infinite and None if it is clear. room: m, more to keep."""
         if not self._rows:
             return math.inf, None

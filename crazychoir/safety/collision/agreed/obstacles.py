@@ -9,7 +9,13 @@ from crazychoir.safety.collision.agreed.landing_place import nearest_free
 from crazychoir.safety.collision.agreed.meeting import Meeting
 from crazychoir.safety.collision.agreed.paths import end
 from crazychoir.safety.collision.filter import BODY, STANDING
-from crazychoir.safety.collision.neighbour_table import BORN, SLOW, SOON, USABLE, Traffic
+from crazychoir.safety.collision.neighbour_table import (
+    BORN,
+    SLOW,
+    SOON,
+    USABLE,
+    Traffic,
+)
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import State, Vec
 
@@ -28,8 +34,18 @@ class Obstacles:
     which one who tells no way is taken to brake;  ground: m.
     """
 
-    def __init__(self, figures: Vec, agreement: Agreement, traffic: Traffic, a_max: float, ground: float) -> None:
-        self.figures, self.agreement, self.traffic, self.a_max = figures, agreement, traffic, a_max
+    def __init__(
+        self,
+        figures: Vec,
+        agreement: Agreement,
+        traffic: Traffic,
+        a_max: float,
+        ground: float,
+    ) -> None:
+        self.figures = figures
+        self.agreement = agreement
+        self.traffic = traffic
+        self.a_max = a_max
         self._ground = ground
         self._rows = {j: traffic.rows[k] for k, j in enumerate(traffic.ids)}
         self._guessed = [j for j in traffic.ids if j not in agreement.others]
@@ -44,7 +60,9 @@ class Obstacles:
         """How soon it could be near each of the others."""
         rows = self.traffic.rows
         apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
-        rows[:, SOON] = apart / (np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW)
+        rows[:, SOON] = apart / (
+            np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW
+        )
 
     def who_stands_at(self, p: Vec) -> int | None:
         """One that stands where another would come down, p (3,) m: that does not begin to, as it may sink further."""
@@ -56,7 +74,11 @@ class Obstacles:
     def stands(self, j: int) -> bool:
         """Whether it stood on the floor when it was heard last."""
         x = self._rows[j]
-        return bool(x[BORN] > -math.inf and x[2] < self._ground + STANDING and np.linalg.norm(x[3:6]) < RESTS)
+        return bool(
+            x[BORN] > -math.inf
+            and x[2] < self._ground + STANDING
+            and np.linalg.norm(x[3:6]) < RESTS
+        )
 
     def beside(self, p: Vec, fence: Fence) -> Vec | None:
         """The place nearest to p (3,) m, as high, to come down beside all others; None: there is none near."""
@@ -65,7 +87,9 @@ class Obstacles:
             if x[BORN] > -math.inf:
                 other = self.agreement.others.get(j)
                 at = end(other.way) if other is not None and other.flies else x[0:3]
-                spots.append((at[0], at[1], self.figures[3 if self.stands(j) else 2] + FREE))
+                spots.append(
+                    (at[0], at[1], self.figures[3 if self.stands(j) else 2] + FREE)
+                )
         return nearest_free(p, np.array(spots), fence)
 
     def all(self, now: float) -> Meeting:

@@ -10,7 +10,12 @@ import numpy as np
 
 from crazychoir.numerics.kernels import kernel, matrix, memory, real, vector
 from crazychoir.numerics.math3d import Triple
-from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_DECELERATION, PEAK_SPEED, SHORTEST
+from crazychoir.planning.point_to_point import (
+    PEAK_ACCELERATION,
+    PEAK_DECELERATION,
+    PEAK_SPEED,
+    SHORTEST,
+)
 from crazychoir.types import Mat, Vec
 
 PIECE = 25
@@ -41,9 +46,13 @@ def _begin(way: Mat, t: float) -> tuple[int, float]:
 def place(way: Mat, t: float) -> Triple:
     """Where it is t s after the beginning."""
     k, s = _begin(way, t)
-    x, y, z = way[k, 8], way[k, 16], way[k, 24]
+    x = way[k, 8]
+    y = way[k, 16]
+    z = way[k, 24]
     for n in range(6, -1, -1):
-        x, y, z = x * s + way[k, 1 + n], y * s + way[k, 9 + n], z * s + way[k, 17 + n]
+        x = x * s + way[k, 1 + n]
+        y = y * s + way[k, 9 + n]
+        z = z * s + way[k, 17 + n]
     return x, y, z
 
 
@@ -52,13 +61,21 @@ def motion(way: Mat, t: float, out: Vec) -> None:
     """The motion t s after the beginning, into out (12,); at rest after the end."""
     k, s = _begin(way, t)
     for c in range(3):
-        p, v, a, j = 0.0, 0.0, 0.0, 0.0
-        for n in range(7, -1, -1):  # Horner's scheme: j, a, v hold a sixth, half and the whole of a derivative
+        p = 0.0
+        v = 0.0
+        a = 0.0
+        j = 0.0
+        for n in range(
+            7, -1, -1
+        ):  # Horner's scheme: j, a, v hold a sixth, half and the whole of a derivative
             j = j * s + a
             a = a * s + v
             v = v * s + p
             p = p * s + way[k, 1 + 8 * c + n]
-        out[c], out[3 + c], out[6 + c], out[9 + c] = p, v, 2.0 * a, 6.0 * j
+        out[c] = p
+        out[3 + c] = v
+        out[6 + c] = 2.0 * a
+        out[9 + c] = 6.0 * j
     if t >= np.sum(way[:, 0]):
         out[3:12] = 0.0
 
@@ -67,17 +84,22 @@ def motion(way: Mat, t: float, out: Vec) -> None:
 def connect(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
     """The polynomial from a motion (12,) to another in `duration` s, into piece (25,).
 
-        p(t) = sum_n c_n t^n:  p, v, a, j are the start's at 0 and the end's at T
+    p(t) = sum_n c_n t^n:  p, v, a, j are the start's at 0 and the end's at T
     """
     t = piece[0] = duration
     for c in range(3):
-        v, a, j = start[3 + c] * t, start[6 + c] * t * t, start[9 + c] * t * t * t
+        v = start[3 + c] * t
+        a = start[6 + c] * t * t
+        j = start[9 + c] * t * t * t
         g0 = end[c] - start[c] - v - a / 2.0 - j / 6.0
         g1 = end[3 + c] * t - v - a - j / 2.0
         g2 = end[6 + c] * t * t - a - j
         g3 = end[9 + c] * t * t * t - j
         row = 1 + 8 * c
-        piece[row], piece[row + 1], piece[row + 2], piece[row + 3] = start[c], v, a / 2.0, j / 6.0
+        piece[row] = start[c]
+        piece[row + 1] = v
+        piece[row + 2] = a / 2.0
+        piece[row + 3] = j / 6.0
         piece[row + 4] = 35.0 * g0 - 15.0 * g1 + 2.5 * g2 - g3 / 6.0
         piece[row + 5] = -84.0 * g0 + 39.0 * g1 - 7.0 * g2 + 0.5 * g3
         piece[row + 6] = 70.0 * g0 - 34.0 * g1 + 6.5 * g2 - 0.5 * g3
@@ -96,10 +118,13 @@ def _length(x: Vec, first: int) -> float:
 @kernel()
 def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
     """The largest speed and acceleration of a piece, as shares of their limits."""
-    worst, way = 0.0, piece.reshape((1, PIECE))
+    worst = 0.0
+    way = piece.reshape((1, PIECE))
     for n in range(1, LOOKS):
         motion(way, piece[0] * n / LOOKS, at)
-        worst = max(worst, _length(at, 3) / (FAST * v_max), _length(at, 6) / (HARD * a_max))
+        worst = max(
+            worst, _length(at, 3) / (FAST * v_max), _length(at, 6) / (HARD * a_max)
+        )
     return worst
 
 
@@ -114,7 +139,9 @@ def _limit(acceleration: float, a_max: float) -> float:
 @kernel(matrix)
 def hardest(way: Mat) -> float:
     """The largest acceleration sideways on a way, m/s2, of samples."""
-    at, worst, began = np.zeros(12), 0.0, 0.0
+    at = np.zeros(12)
+    worst = 0.0
+    began = 0.0
     for k in range(way.shape[0]):
         for n in range(LOOKS):
             motion(way, began + way[k, 0] * n / LOOKS, at)
@@ -126,7 +153,8 @@ def hardest(way: Mat) -> float:
 @kernel(matrix, vector, vector)
 def leaves(way: Mat, low: Vec, high: Vec) -> bool:
     """Whether a way comes out of the box from corner low (3,) m to corner high, seen every LOOK s."""
-    lasts, t = np.sum(way[:, 0]), 0.0
+    lasts = np.sum(way[:, 0])
+    t = 0.0
     while t < lasts + LOOK:
         p = place(way, t)
         for c in range(3):
@@ -144,22 +172,30 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
     a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast counts
     as its own limit, and one that is too hard as well, or SWING a_max from STEEP a_max on.
     """
-    begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
-    begin[9:12], end[0:3] = 0.0, goal
+    begin = start.copy()
+    end = np.zeros(12)
+    at = np.zeros(12)
+    begin[9:12] = 0.0
+    end[0:3] = goal
     d = _length(end[0:3] - start[0:3], 0)
     t = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max), SHORTEST)
-    speed, acceleration = _length(start, 3), _length(start, 6)
+    speed = _length(start, 3)
+    acceleration = _length(start, 6)
     if speed + acceleration < 1e-6:
         connect(begin, end, t, piece)
         return
-    longest, t = PATIENT * t + PEAK_DECELERATION * speed / a_max, max(SHORTEST, 0.5 * t)
-    v, a = max(v_max, speed), _limit(acceleration, a_max)
-    best, least = t, math.inf
+    longest = PATIENT * t + PEAK_DECELERATION * speed / a_max
+    t = max(SHORTEST, 0.5 * t)
+    v = max(v_max, speed)
+    a = _limit(acceleration, a_max)
+    best = t
+    least = math.inf
     while t < longest and least > 1.0:
         connect(begin, end, t, piece)
         excess = _excess(piece, v, a, at)
         if excess < least:
-            best, least = t, excess
+            best = t
+            least = excess
         t *= GROWTH
     connect(begin, end, best, piece)
 
@@ -168,12 +204,15 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
 def stop(start: Vec, a_max: float, piece: Vec) -> None:
     """The shortest way from a motion (12,) to rest, wherever that is.
 
-        p(T) = p + v T / 2 + a T^2 / 10,   T = 15/8 |v| / a_max without acceleration
+    p(T) = p + v T / 2 + a T^2 / 10,   T = 15/8 |v| / a_max without acceleration
     """
-    begin, end, at = start.copy(), np.zeros(12), np.zeros(12)
+    begin = start.copy()
+    end = np.zeros(12)
+    at = np.zeros(12)
     begin[9:12] = 0.0
     t = max(PEAK_DECELERATION * _length(start, 3) / a_max, SHORTEST)
-    a, longest = _limit(_length(start, 6), a_max), PATIENT * t + PATIENT
+    a = _limit(_length(start, 6), a_max)
+    longest = PATIENT * t + PATIENT
     while True:
         for c in range(3):
             end[c] = start[c] + start[3 + c] * t / 2.0 + start[6 + c] * t * t / 10.0

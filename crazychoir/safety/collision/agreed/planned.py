@@ -16,7 +16,15 @@ from crazychoir.safety.collision.agreed.agreement import NO_WAY, NOWHERE, Agreem
 from crazychoir.safety.collision.agreed.detours import Detours
 from crazychoir.safety.collision.agreed.meeting import Meeting
 from crazychoir.safety.collision.agreed.obstacles import UNANSWERED, Obstacles
-from crazychoir.safety.collision.agreed.paths import braking, end, flight, hardest, keeping_up, moving, seconds
+from crazychoir.safety.collision.agreed.paths import (
+    braking,
+    end,
+    flight,
+    hardest,
+    keeping_up,
+    moving,
+    seconds,
+)
 from crazychoir.safety.collision.agreed.rest_goal import NEAR, Aim
 from crazychoir.safety.collision.filter import BODY
 from crazychoir.safety.collision.neighbour_table import USABLE, Traffic
@@ -70,27 +78,49 @@ class PlannedFlights:
     """
 
     def __init__(
-        self, port: Port, settings: Collision, traffic: Traffic, planners: Iterable[int], fence: Fence, a_max: float,
-        v_max: float, ground: float,
-    ) -> None:  # fmt: skip
+        self,
+        port: Port,
+        settings: Collision,
+        traffic: Traffic,
+        planners: Iterable[int],
+        fence: Fence,
+        a_max: float,
+        v_max: float,
+        ground: float,
+    ) -> None:
         sx, sy, sz = settings.semi_axes
-        self._brake, a_max = min(a_max, URGENT), min(a_max, GENTLE)
-        self.traffic, self.a_max, self.v_max = traffic, a_max, v_max
-        figures = np.array([sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY])
+        self._brake = min(a_max, URGENT)
+        a_max = min(a_max, GENTLE)
+        self.traffic = traffic
+        self.a_max = a_max
+        self.v_max = v_max
+        figures = np.array(
+            [sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY]
+        )
         self.agreement = Agreement(port, planners)
-        self.hearsay = Hearsay(traffic)  # it answers; who is not heard by it is asked for its way
+        self.hearsay = Hearsay(
+            traffic
+        )  # it answers; who is not heard by it is asked for its way
         self.obstacles = Obstacles(figures, self.agreement, traffic, a_max, ground)
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
-        self._flew, self._next, self._phase = -math.inf, 0.0, PERIOD * (GOLDEN * port.address % 1.0)
+        self._flew = -math.inf
+        self._next = 0.0
+        self._phase = PERIOD * (GOLDEN * port.address % 1.0)
         self._kept = self._stands = False
         self._brakes = NO_WAY
         self.gives_way_to: int | None = None
         """Whom it would have met, had it flown as it was wanted to; None: nobody."""
 
     def fly(
-        self, state: State, wanted: FullState, future: Future, whole: float, now: float, lands: bool = False,
+        self,
+        state: State,
+        wanted: FullState,
+        future: Future,
+        whole: float,
+        now: float,
+        lands: bool = False,
         waits: bool = False,
-    ) -> FullState:  # fmt: skip
+    ) -> FullState:
         """What to fly now instead of `wanted`; that itself as long as nobody is in the way.
 
         future: what is wanted later;  whole: s until that ends at rest, if it does so after one go_to; else 0;
@@ -104,8 +134,12 @@ class PlannedFlights:
         self.obstacles.look(now)
         if now >= self._next and len(mine.offer) == 0:
             self.obstacles.measure(state)
-            self._next, mine.awaits = self._look_after(now), NOWHERE
-            if lands and (j := self.obstacles.who_stands_at(future(LONG).p)) is not None:
+            self._next = self._look_after(now)
+            mine.awaits = NOWHERE
+            if (
+                lands
+                and (j := self.obstacles.who_stands_at(future(LONG).p)) is not None
+            ):
                 self.gives_way_to = j
             else:
                 self._decide(future, whole, now, lands and self.unanswered)
@@ -134,10 +168,12 @@ class PlannedFlights:
         """What is wanted, whoever is in the way: for a drone that must come down, and cannot agree."""
         if now >= self._next:
             self.agreement.begin(braking(wanted.flat[0:12], self.a_max), now)
-            self._next, self.agreement.awaits = self._look_after(now), NOWHERE
+            self._next = self._look_after(now)
+            self.agreement.awaits = NOWHERE
         self.obstacles.look(now)
         self.agreement.tell(now)
-        self._flew, self._kept = now, True
+        self._flew = now
+        self._kept = True
         return wanted
 
     def departure(self, yaw: float, now: float) -> FullState | None:
@@ -168,14 +204,20 @@ class PlannedFlights:
         mine = self.agreement
         if len(mine.way) == 0 or now - self._flew > AWAY:
             near = math.dist(state.p, wanted.p) < LOST
-            mine.begin(braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now)
+            mine.begin(
+                braking(wanted.flat[0:12] if near else _motion(state), self.a_max), now
+            )
         elif math.dist(state.p, moving(mine.way, now - mine.began)[0:3]) > LOST:
             mine.begin(braking(_motion(state), self.a_max), now)
 
     def _answer(self, now: float) -> None:
         """Agree to the offers of drones with higher ids that do not meet what it flies, or may fly soon."""
         mine = self.agreement
-        asking = [other for other in mine.others.values() if other.pending and other.id > mine.id]
+        asking = [
+            other
+            for other in mine.others.values()
+            if other.pending and other.id > mine.id
+        ]
         if not asking:
             return
         own = Meeting(self.obstacles.figures, self.a_max)
@@ -211,7 +253,10 @@ class PlannedFlights:
     def _ends(self, wanted: FullState) -> bool:
         """Whether what is wanted is to be at rest where its way ends."""
         then = wanted.flat
-        return math.dist(then[0:3], end(self.agreement.way)) < SAME and float(np.linalg.norm(then[3:6])) < SAME
+        return (
+            math.dist(then[0:3], end(self.agreement.way)) < SAME
+            and float(np.linalg.norm(then[3:6])) < SAME
+        )
 
     def _brake_before(self, threat: float, now: float, others: Meeting) -> None:
         """Brake, unasked, if it meets a stranger in `threat` s, and would meet nobody sooner if it did.
@@ -235,8 +280,12 @@ class PlannedFlights:
         if self._keeps_up(future, whole, begins, now, others):
             return
         goal, moves = self._goal(future, whole, begins - now)
-        aim = Aim(goal, self.v_max, self.a_max, mine.awaited(now), self.obstacles.figures)
-        leads = moves and math.dist(end(mine.way), goal) <= max(NEAR, LEADS * math.dist(start[0:3], goal))
+        aim = Aim(
+            goal, self.v_max, self.a_max, mine.awaited(now), self.obstacles.figures
+        )
+        leads = moves and math.dist(end(mine.way), goal) <= max(
+            NEAR, LEADS * math.dist(start[0:3], goal)
+        )
         present = self.left(now) + (0.0 if leads else aim.missing(end(mine.way)))
         mine.awaits = NOWHERE if moves or self.comes_to(goal) else goal
         if threat < IMMINENT:
@@ -250,10 +299,17 @@ class PlannedFlights:
         self._brake_before(threat, now, others)
 
     def _keeps_up(
-        self, future: Future, whole: float, begins: float, now: float, others: Meeting, alone: bool = False
-    ) -> bool:  # fmt: skip
+        self,
+        future: Future,
+        whole: float,
+        begins: float,
+        now: float,
+        others: Meeting,
+        alone: bool = False,
+    ) -> bool:
         """Go on as wanted, if it is there and nobody is in the way."""
-        mine, wait = self.agreement, 0.0 if self._stands else begins - now
+        mine = self.agreement
+        wait = 0.0 if self._stands else begins - now
         start = moving(mine.way, begins - mine.began)
         behind = start - future(wait).flat[0:12]
         if np.linalg.norm(behind[0:3]) > OFF:
@@ -292,7 +348,9 @@ class PlannedFlights:
     def _inside(self, wanted: Vec, beyond: Vec) -> Vec:
         """A place (3,) m not further outside the fence than what is wanted."""
         fence = self.detours.fence
-        return np.clip(beyond, np.minimum(fence.low, wanted), np.maximum(fence.high, wanted))
+        return np.clip(
+            beyond, np.minimum(fence.low, wanted), np.maximum(fence.high, wanted)
+        )
 
 
 def _motion(state: State) -> Vec:

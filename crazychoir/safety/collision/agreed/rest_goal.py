@@ -40,10 +40,17 @@ class Aim:
         do so for ever, if neither gained anything by going away alone.
         """
         gap = math.dist(p, self.goal)
-        left = max(PEAK_SPEED * gap / self.v_max, math.sqrt(PEAK_ACCELERATION * gap / self.a_max))
+        left = max(
+            PEAK_SPEED * gap / self.v_max,
+            math.sqrt(PEAK_ACCELERATION * gap / self.a_max),
+        )
         if gap <= NEAR:
             return left
-        return UNENDED + REST * left + AWAITED * any(self._occupies(p, place) for place in self.awaited)
+        return (
+            UNENDED
+            + REST * left
+            + AWAITED * any(self._occupies(p, place) for place in self.awaited)
+        )
 
     def _occupies(self, p: Vec, place: Vec) -> bool:
         """Whether nobody can rest at a place (3,) m while another one does at p (3,) m: |S (p - q)| < D."""

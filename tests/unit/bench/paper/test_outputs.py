@@ -42,7 +42,9 @@ def agent(i, graph):
 def files(tmp_path, monkeypatch, repository):
     """A folder of inputs, and of places that cannot be written, in which commands run."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "lab.json").write_text((repository / "tests" / "data" / "pickup_delivery_flat.json").read_text())
+    (tmp_path / "lab.json").write_text(
+        (repository / "tests" / "data" / "pickup_delivery_flat.json").read_text()
+    )
     (tmp_path / "algorithm.py").write_text(ALGORITHM)
     for ending in ("png", "csv", "json", "npz"):
         (tmp_path / f"folder.{ending}").mkdir()
@@ -54,7 +56,9 @@ def files(tmp_path, monkeypatch, repository):
 def ran(*words):
     """Exit code, the JSON answer, and what was said aside, of a command."""
     done = CliRunner().invoke(app, [*words, "--json"])
-    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    assert done.exception is None or isinstance(done.exception, SystemExit), (
+        done.exception
+    )
     return done.exit_code, json.loads(done.stdout), done.stderr
 
 
@@ -77,8 +81,33 @@ COMPUTATIONS = (
 @pytest.mark.parametrize(
     ("words", "places"),
     [
-        (SOLVE, ("folder.png", "file/x.png", "a/b/x.png", "x.txt", "file", "-", ".", f"{'x' * 300}.png")),
-        (SAVE, ("folder.csv", "folder.json", "folder.npz", "file/x.csv", "a/b/x.csv", "x.png", "file", "-", ".")),
+        (
+            SOLVE,
+            (
+                "folder.png",
+                "file/x.png",
+                "a/b/x.png",
+                "x.txt",
+                "file",
+                "-",
+                ".",
+                f"{'x' * 300}.png",
+            ),
+        ),
+        (
+            SAVE,
+            (
+                "folder.csv",
+                "folder.json",
+                "folder.npz",
+                "file/x.csv",
+                "a/b/x.csv",
+                "x.png",
+                "file",
+                "-",
+                ".",
+            ),
+        ),
         (DRAW, ("folder.png", "file/x.png", "a/b/x.png", "x.csv", "-")),
         (RUN, ("folder.png", "file/x.png", "a/b/x.png", "x.gif", "-")),
         (RECORD, ("folder.csv", "file/x.mcap", "x.bag", "-")),
@@ -86,7 +115,9 @@ COMPUTATIONS = (
         (PAPER, ("file", "file/below", f"{'x' * 300}")),
     ],
 )
-def test_a_place_that_cannot_be_written_is_said_before_anything_is_computed(files, monkeypatch, words, places):
+def test_a_place_that_cannot_be_written_is_said_before_anything_is_computed(
+    files, monkeypatch, words, places
+):
     def compute(*arguments, **options):
         raise AssertionError("it was computed first")
 
@@ -100,7 +131,9 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_computed(file
     assert (files / "file").read_text() == "kept"
 
 
-@pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here, which is a disk without room")
+@pytest.mark.skipif(
+    not FULL.exists(), reason="no /dev/full here, which is a disk without room"
+)
 @pytest.mark.parametrize(
     ("words", "place", "answer"),
     [
@@ -121,10 +154,25 @@ def test_a_disk_that_fills_loses_no_answer(files, words, place, answer):
 
 
 def test_values_that_cannot_be_drawn_or_saved_lose_no_answer(files):
-    code, told, _ = ran("simulate", "algorithm.py", "--record", "words", "--picture", "x.png")
+    code, told, _ = ran(
+        "simulate", "algorithm.py", "--record", "words", "--picture", "x.png"
+    )
     assert (code, told["rounds"], list(told["not_written"])) == (1, 3, ["--picture"])
-    code, told, _ = ran("simulate", "algorithm.py", "--record", "grown", "--save", "x.npz", "--picture", "x.png")
-    assert (code, told["rounds"], list(told["not_written"])) == (1, 3, ["--save", "--picture"])
+    code, told, _ = ran(
+        "simulate",
+        "algorithm.py",
+        "--record",
+        "grown",
+        "--save",
+        "x.npz",
+        "--picture",
+        "x.png",
+    )
+    assert (code, told["rounds"], list(told["not_written"])) == (
+        1,
+        3,
+        ["--save", "--picture"],
+    )
     assert not (files / "x.npz").exists()
     assert not (files / "x.png").exists()
 
@@ -143,7 +191,9 @@ def test_any_failure_of_a_picture_leaves_the_plan(files, monkeypatch):
     assert done.exit_code == 1
 
 
-def test_a_picture_that_a_mission_does_not_draw_leaves_the_flight_and_is_said(files, monkeypatch):
+def test_a_picture_that_a_mission_does_not_draw_leaves_the_flight_and_is_said(
+    files, monkeypatch
+):
     def nothing(*arguments):
         pass
 
@@ -165,12 +215,18 @@ def test_what_is_asked_for_is_written_and_no_word_is_said_of_it(files):
 
 
 def test_the_tables_of_the_paper_are_not_computed_for_a_file(files, monkeypatch):
-    monkeypatch.setattr(bench_ablation, "run", lambda *arguments: pytest.fail("it was computed first"))
+    monkeypatch.setattr(
+        bench_ablation, "run", lambda *arguments: pytest.fail("it was computed first")
+    )
     assert CliRunner().invoke(app, [*PAPER, "file"]).exit_code == 2
 
 
-@pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here, which is a disk without room")
-def test_an_answer_that_standard_output_does_not_take_goes_to_standard_error(monkeypatch, capsys):
+@pytest.mark.skipif(
+    not FULL.exists(), reason="no /dev/full here, which is a disk without room"
+)
+def test_an_answer_that_standard_output_does_not_take_goes_to_standard_error(
+    monkeypatch, capsys
+):
     with FULL.open("w") as full:
         monkeypatch.setattr(show.sys, "stdout", full)
         with pytest.raises(show.typer.Exit) as ended:

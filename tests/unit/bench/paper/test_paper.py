@@ -15,16 +15,28 @@ from crazychoir.team.graph import named
 @pytest.fixture(scope="module")
 def rows():
     """A robust pair of runs: the same instance with and without loss."""
-    of = [Case("loss", 4, "ring", "resource-columns", loss, burst, 1) for loss, burst in ((0.0, None), (0.4, 3.0))]
+    of = [
+        Case("loss", 4, "ring", "resource-columns", loss, burst, 1)
+        for loss, burst in ((0.0, None), (0.4, 3.0))
+    ]
     return bench_ablation.run(of)
 
 
 def test_the_cases_cover_loss_graphs_sizes_and_methods():
     of = bench_ablation.cases()
-    loss, size, method = ([case for case in of if case.study == study] for study in ("loss", "size", "method"))
-    assert {(c.graph, c.loss) for c in loss if c.burst is None} == {(g, p) for g in GRAPHS for p in LOSSES}
-    assert {(c.graph, c.loss) for c in loss if c.burst} == {(g, p) for g in GRAPHS for p in LOSSES if p}
-    assert {(c.robots, c.graph) for c in size} >= {(n, g) for n in SIZES for g in GRAPHS if g != "complete"}
+    loss, size, method = (
+        [case for case in of if case.study == study]
+        for study in ("loss", "size", "method")
+    )
+    assert {(c.graph, c.loss) for c in loss if c.burst is None} == {
+        (g, p) for g in GRAPHS for p in LOSSES
+    }
+    assert {(c.graph, c.loss) for c in loss if c.burst} == {
+        (g, p) for g in GRAPHS for p in LOSSES if p
+    }
+    assert {(c.robots, c.graph) for c in size} >= {
+        (n, g) for n in SIZES for g in GRAPHS if g != "complete"
+    }
     assert {c.robots for c in size if c.graph == "complete"} == {6, 10, 20, 30}
     assert {c.method for c in method} == set(METHODS)
     assert len(of) == len(set(of))
@@ -33,7 +45,9 @@ def test_the_cases_cover_loss_graphs_sizes_and_methods():
 @pytest.mark.parametrize("robots", SIZES)
 def test_every_size_has_an_instance(robots):
     for seed in (1, 2, 3):
-        of = bench_ablation.instance_of(Case("size", robots, "ring", "columns", 0.1, None, seed))
+        of = bench_ablation.instance_of(
+            Case("size", robots, "ring", "columns", 0.1, None, seed)
+        )
         assert (of.robots, len(of.tasks)) == (robots, robots)
 
 
@@ -42,7 +56,11 @@ def test_every_size_has_an_instance(robots):
 def test_every_graph_can_be_drawn_at_every_size(graph, robots):
     links = named(GRAPHS[graph](robots), robots, 1)
     assert links.is_connected
-    assert graph == "complete" or robots == 6 or len(links.edges()) < robots * (robots - 1) / 2
+    assert (
+        graph == "complete"
+        or robots == 6
+        or len(links.edges()) < robots * (robots - 1) / 2
+    )
 
 
 def test_loss_costs_time_and_bytes_and_changes_no_plan(rows):
@@ -57,13 +75,17 @@ def test_loss_costs_time_and_bytes_and_changes_no_plan(rows):
 
 def test_without_loss_a_round_takes_the_delay(rows):
     perfect = rows[0]
-    assert perfect["communication_s"] == pytest.approx(perfect["rounds"] * bench_ablation.DELAY, rel=0.1)
+    assert perfect["communication_s"] == pytest.approx(
+        perfect["rounds"] * bench_ablation.DELAY, rel=0.1
+    )
 
 
 def test_another_plan_is_told(monkeypatch):
     plans = iter("ab")
     row = {"robots": 4, "graph": "ring", "method": "x", "seed": 1}
-    monkeypatch.setattr(bench_ablation, "measured", lambda case: row | {"plan_digest": next(plans)})
+    monkeypatch.setattr(
+        bench_ablation, "measured", lambda case: row | {"plan_digest": next(plans)}
+    )
     of = [Case("loss", 4, "ring", "x", loss, None, 1) for loss in (0.0, 0.1)]
     assert [row["same_plan"] for row in bench_ablation.run(of)] == [True, False]
 
@@ -71,19 +93,35 @@ def test_another_plan_is_told(monkeypatch):
 def test_a_cell_has_the_median_over_its_seeds(rows):
     more = [rows[0] | {"seed": seed, "rounds": 100 * seed} for seed in (1, 2, 4)]
     (cell,) = bench_ablation.summary(more)
-    assert (cell["seeds"], cell["rounds_median"], cell["rounds_most"]) == (3, 200.0, 400.0)
+    assert (cell["seeds"], cell["rounds_median"], cell["rounds_most"]) == (
+        3,
+        200.0,
+        400.0,
+    )
 
 
 def test_all_files_are_written(tmp_path, monkeypatch, rows):
-    of = [Case("loss", 4, "ring", "resource-columns", loss, None, 1) for loss in (0.0, 0.2)]
+    of = [
+        Case("loss", 4, "ring", "resource-columns", loss, None, 1)
+        for loss in (0.0, 0.2)
+    ]
     of += [Case("size", n, "ring", "resource-columns", 0.1, None, 1) for n in (3, 4)]
-    of += [Case("method", 4, "ring", method, 0.1, None, 1) for method in ("resource-columns", "resource-argmax")]
+    of += [
+        Case("method", 4, "ring", method, 0.1, None, 1)
+        for method in ("resource-columns", "resource-argmax")
+    ]
     monkeypatch.setattr(bench_ablation, "cases", lambda quick: of)
     result = bench_paper.run(tmp_path / "paper", quick=True, peers=False)
     assert result["same_plans"]
     for name in result["files"]:
         assert (tmp_path / "paper" / name).stat().st_size > 500
-    assert {"ablation_runs.csv", "ablation.csv", "loss.png", "size.png", "method.png"} == set(result["files"])
+    assert {
+        "ablation_runs.csv",
+        "ablation.csv",
+        "loss.png",
+        "size.png",
+        "method.png",
+    } == set(result["files"])
     with (tmp_path / "paper" / "ablation_runs.csv").open() as file:
         written = list(csv.DictReader(file))
     assert len(written) == len(of)
@@ -92,14 +130,33 @@ def test_all_files_are_written(tmp_path, monkeypatch, rows):
 
 def test_the_solvers_are_drawn(tmp_path):
     curve = [[0.5, 30.0], [1.0, 24.0]]
-    of = [(name, seed, tasks) for name in ("crazychoir", "VROOM", "MILP") for seed in (1, 2) for tasks in (5, 20)]
+    of = [
+        (name, seed, tasks)
+        for name in ("crazychoir", "VROOM", "MILP")
+        for seed in (1, 2)
+        for tasks in (5, 20)
+    ]
     common = {"robots": 3, "wall_s": 2.0, "curve": curve}
-    rows = [common | {"name": name, "seed": seed, "tasks": tasks, "cost": 24.0 + seed, "feasible": name != "MILP"}
-            for name, seed, tasks in of]  # fmt: skip
+    rows = [
+        common
+        | {
+            "name": name,
+            "seed": seed,
+            "tasks": tasks,
+            "cost": 24.0 + seed,
+            "feasible": name != "MILP",
+        }
+        for name, seed, tasks in of
+    ]
     for file in bench_pictures.draw_routing(rows, tmp_path):
         assert file.stat().st_size > 5000
 
 
 def test_nested_figures_become_columns():
     row = {"size": "small", "cost": {"median": 1.0, "most": 2.0}, "notes": ["a", "b"]}
-    assert bench_paper.flat(row) == {"size": "small", "cost_median": 1.0, "cost_most": 2.0, "notes": "a; b"}
+    assert bench_paper.flat(row) == {
+        "size": "small",
+        "cost_median": 1.0,
+        "cost_most": 2.0,
+        "notes": "a; b",
+    }

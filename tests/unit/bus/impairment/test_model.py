@@ -22,12 +22,23 @@ def impaired(seed=1, **effects):
     return impairment
 
 
-def one(impairment, number=0, attempt=0, channel="a", source=1, destination=2, size=100, now=0.0):
+def one(
+    impairment,
+    number=0,
+    attempt=0,
+    channel="a",
+    source=1,
+    destination=2,
+    size=100,
+    now=0.0,
+):
     return impairment.verdict(source, destination, channel, number, attempt, size, now)
 
 
 def losses(impairment, count, **where):
-    return np.array([one(impairment, number, **where) is LOST for number in range(count)])
+    return np.array(
+        [one(impairment, number, **where) is LOST for number in range(count)]
+    )
 
 
 # The draws.
@@ -95,7 +106,14 @@ def test_loss_has_its_probability_and_is_counted(loss):
 
 
 @pytest.mark.parametrize(
-    "other", [{"source": 3}, {"destination": 3}, {"source": 2, "destination": 1}, {"channel": "b"}, {"channel": 0}]
+    "other",
+    [
+        {"source": 3},
+        {"destination": 3},
+        {"source": 2, "destination": 1},
+        {"channel": "b"},
+        {"channel": 0},
+    ],
 )
 def test_edges_directions_and_channels_are_independent(other):
     impairment = impaired(loss=0.5)
@@ -110,17 +128,28 @@ def test_attempts_are_independent():
 
 
 def test_another_seed_gives_other_verdicts():
-    agree = np.mean(losses(impaired(1, loss=0.5), 10_000) == losses(impaired(2, loss=0.5), 10_000))
+    agree = np.mean(
+        losses(impaired(1, loss=0.5), 10_000) == losses(impaired(2, loss=0.5), 10_000)
+    )
     assert abs(agree - 0.5) < 4.5 * 0.5 / np.sqrt(10_000)
 
 
 RICH = {
-    "loss": 0.2, "p_good_bad": 0.05, "p_bad_good": 0.3, "delay": 0.01, "jitter": 0.02,
-    "duplicate": 0.3, "reorder": 0.2,
-}  # fmt: skip
+    "loss": 0.2,
+    "p_good_bad": 0.05,
+    "p_bad_good": 0.3,
+    "delay": 0.01,
+    "jitter": 0.02,
+    "duplicate": 0.3,
+    "reorder": 0.2,
+}
 
 
-@given(st.permutations([(number, attempt) for number in range(0, 2000, 97) for attempt in range(3)]))
+@given(
+    st.permutations(
+        [(number, attempt) for number in range(0, 2000, 97) for attempt in range(3)]
+    )
+)
 def test_verdicts_do_not_depend_on_the_order_of_calls(order):
     expected = impaired(7, **RICH)
     table = {pair: one(expected, *pair) for pair in sorted(order)}
@@ -134,11 +163,15 @@ def test_verdicts_do_not_depend_on_the_order_of_calls(order):
 def test_resending_gets_out_of_a_burst():
     impairment = impaired(p_good_bad=0.2, p_bad_good=0.1)
     for number in range(2000):
-        assert any(one(impairment, number, attempt) is AT_ONCE for attempt in range(200))
+        assert any(
+            one(impairment, number, attempt) is AT_ONCE for attempt in range(200)
+        )
 
 
 def test_loss_in_the_good_state_adds_to_bursts():
-    rate = losses(impaired(p_good_bad=0.05, p_bad_good=0.2, loss_bad=0.5, loss=0.1), N).mean()
+    rate = losses(
+        impaired(p_good_bad=0.05, p_bad_good=0.2, loss_bad=0.5, loss=0.1), N
+    ).mean()
     assert rate == pytest.approx(0.8 * 0.1 + 0.2 * 0.5, abs=0.01)
 
 
@@ -147,7 +180,9 @@ def test_loss_in_the_good_state_adds_to_bursts():
 
 def test_delay_and_jitter():
     impairment = impaired(delay=0.01, jitter=0.02)
-    delays = np.array([one(impairment, number).deliveries[0] for number in range(20_000)])
+    delays = np.array(
+        [one(impairment, number).deliveries[0] for number in range(20_000)]
+    )
     assert delays.min() >= 0.01
     assert delays.max() < 0.03
     assert delays.mean() == pytest.approx(0.02, abs=1e-4)
@@ -175,13 +210,21 @@ def test_reordering_makes_some_late():
 
 def test_bandwidth_queues_messages_and_drops_what_waits_too_long():
     impairment = impaired(bandwidth=1000.0, queue=0.25)
-    delays = [one(impairment, number, size=100, now=1.0).deliveries for number in range(5)]
-    assert delays[:3] == [(pytest.approx(0.1),), (pytest.approx(0.2),), (pytest.approx(0.3),)]
+    delays = [
+        one(impairment, number, size=100, now=1.0).deliveries for number in range(5)
+    ]
+    assert delays[:3] == [
+        (pytest.approx(0.1),),
+        (pytest.approx(0.2),),
+        (pytest.approx(0.3),),
+    ]
     assert delays[3:] == [(), ()]
     assert impairment.counters[1, 2].lost == 2
     assert one(impairment, 5, size=100, now=1.2).deliveries == (pytest.approx(0.2),)
     assert one(impairment, 6, size=100, now=9.0).deliveries == (pytest.approx(0.1),)
-    assert one(impairment, 0, source=2, destination=1, now=1.0).deliveries == (pytest.approx(0.1),)
+    assert one(impairment, 0, source=2, destination=1, now=1.0).deliveries == (
+        pytest.approx(0.1),
+    )
 
 
 # Partitions.
@@ -192,20 +235,37 @@ def test_partitions_cut_both_ways_while_they_last():
     impairment.begin(0.0)
     impairment.update({"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": [2]}]})
     for i, j in ((0, 2), (2, 0), (1, 2)):
-        assert [one(impairment, source=i, destination=j, now=now).deliveries for now in (4.9, 5.0, 8.9, 9.0)] == [
-            (0.0,), (), (), (0.0,),
-        ]  # fmt: skip
+        assert [
+            one(impairment, source=i, destination=j, now=now).deliveries
+            for now in (4.9, 5.0, 8.9, 9.0)
+        ] == [
+            (0.0,),
+            (),
+            (),
+            (0.0,),
+        ]
     for i, j in ((0, 1), (0, 3), (2, 3)):
         assert one(impairment, source=i, destination=j, now=6.0) is AT_ONCE
 
 
 def test_partitions_count_from_the_oldest_go_and_cut_nobody_before():
     impairment = Impairment(1, partitions=[Partition(5.0, 9.0, (1,))])
-    cut = [time for time in range(200) if not one(impairment, now=float(time)).deliveries]
+    cut = [
+        time for time in range(200) if not one(impairment, now=float(time)).deliveries
+    ]
     assert (cut, impairment.age(100.0)) == ([], 0.0)
-    for now, age, first in [(100.0, 0.0, 105), (101.5, 2.0, 105), (103.0, 0.0, 105), (104.0, 6.0, 103)]:
+    for now, age, first in [
+        (100.0, 0.0, 105),
+        (101.5, 2.0, 105),
+        (103.0, 0.0, 105),
+        (104.0, 6.0, 103),
+    ]:
         impairment.begin(now, age)
-        cut = [time for time in range(200) if not one(impairment, now=float(time)).deliveries]
+        cut = [
+            time
+            for time in range(200)
+            if not one(impairment, now=float(time)).deliveries
+        ]
         assert cut == list(range(first, first + 4))
     assert impairment.age(104.0) == 6.0
 
@@ -223,8 +283,14 @@ def test_a_cut_is_added_to_the_partitions_once():
     impairment = Impairment(1, partitions=[Partition(5.0, 9.0, (0,), (1,))])
     for drone in (2, 3, 3):
         impairment.update({"cut": {"a": [drone]}})
-    assert [partition["a"] for partition in impairment.describe()["partitions"]] == [(0,), (2,), (3,)]
-    impairment.update({"clear": True, "cut": {"since": 1.0, "until": 2.0, "a": [4], "b": [5]}})
+    assert [partition["a"] for partition in impairment.describe()["partitions"]] == [
+        (0,),
+        (2,),
+        (3,),
+    ]
+    impairment.update(
+        {"clear": True, "cut": {"since": 1.0, "until": 2.0, "a": [4], "b": [5]}}
+    )
     assert impairment.partitions == (Partition(1.0, 2.0, (4,), (5,)),)
     impairment.update({"partitions": [], "loss": 0.1})
     assert impairment.partitions == ()
@@ -254,7 +320,11 @@ def test_the_rule_nearest_to_the_edge_wins_field_by_field():
     ]
     assert resolve(rules, 1, 2) == Link(delay=0.4, loss=0.3, jitter=0.2, reorder=0.1)
     assert resolve(rules, 2, 1) == Link(delay=0.3, loss=0.3, jitter=0.2, reorder=0.1)
-    assert resolve(rules, 2, 5) == resolve(rules, 5, 2) == Link(loss=0.2, jitter=0.2, reorder=0.1)
+    assert (
+        resolve(rules, 2, 5)
+        == resolve(rules, 5, 2)
+        == Link(loss=0.2, jitter=0.2, reorder=0.1)
+    )
     assert resolve(rules, 5, 6) == Link(loss=0.1, reorder=0.1)
 
 
@@ -269,7 +339,11 @@ def test_updates_change_fields_of_the_rule_of_their_scope():
     impairment.update({"loss": 0.0})
     assert one(impairment).deliveries == (0.1,)
     impairment.update({"clear": True, "drone": 1, "loss": 1})
-    assert impairment.describe() == {"seed": 1, "rules": [{"drone": 1, "loss": 1}], "partitions": []}
+    assert impairment.describe() == {
+        "seed": 1,
+        "rules": [{"drone": 1, "loss": 1}],
+        "partitions": [],
+    }
     impairment.update({"clear": True})
     assert not impairment.active
 
@@ -285,7 +359,9 @@ def test_updates_act_at_once_and_keep_the_counters():
 def test_what_is_described_can_be_set_again():
     first = impaired(loss=0.2)
     first.update({"edge": [3, 1], "directed": True, "delay": 0.1})
-    first.update({"partitions": [{"a": [1]}, {"since": 1, "until": 2, "a": [0], "b": [3]}]})
+    first.update(
+        {"partitions": [{"a": [1]}, {"since": 1, "until": 2, "a": [0], "b": [3]}]}
+    )
     second = Impairment(1)
     said = json.loads(json.dumps(first.describe(), allow_nan=False))
     for rule in said["rules"]:
@@ -298,27 +374,45 @@ def test_what_is_described_can_be_set_again():
     ("changes", "text"),
     [
         ({"los": 0.3}, "impairment: found los; allowed: loss, p_good_bad"),
-        ({"loss": 1.5}, "impairment: loss: found 1.5; allowed: a probability from 0 to 1"),
+        (
+            {"loss": 1.5},
+            "impairment: loss: found 1.5; allowed: a probability from 0 to 1",
+        ),
         ({"loss": -0.1}, "impairment: loss: found -0.1"),
         ({"loss": float("nan")}, "impairment: loss: found nan"),
         ({"loss": "much"}, "impairment: loss: found much"),
         ({"loss": True}, "impairment: loss: found True"),
         ({"delay": -1}, "impairment: delay: found -1; allowed: s, from 0 to 3600"),
-        ({"bandwidth": float("inf")}, "impairment: bandwidth: found inf; allowed: bytes/s"),
+        (
+            {"bandwidth": float("inf")},
+            "impairment: bandwidth: found inf; allowed: bytes/s",
+        ),
         ({"p_good_bad": 0.1}, "p_good_bad and p_bad_good together"),
         ({"p_good_bad": 0.1, "p_bad_good": 0.0}, "a burst never ends"),
-        ({"p_good_bad": 0.6, "p_bad_good": 0.5}, "found p_good_bad + p_bad_good = 1.1; allowed: at most 1"),
-        ({"edge": [1], "loss": 0.1}, "impairment: edge: found (1,); allowed: two drone ids"),
+        (
+            {"p_good_bad": 0.6, "p_bad_good": 0.5},
+            "found p_good_bad + p_bad_good = 1.1; allowed: at most 1",
+        ),
+        (
+            {"edge": [1], "loss": 0.1},
+            "impairment: edge: found (1,); allowed: two drone ids",
+        ),
         ({"edge": "1-2", "loss": 0.1}, "impairment: edge: found 1-2"),
         ({"edge": [1, 1], "loss": 0.1}, "two different drones"),
         ({"edge": [1, -2], "loss": 0.1}, "two drone ids"),
         ({"edge": [1, 2], "drone": 1, "loss": 0.1}, "not both"),
         ({"drone": "3", "loss": 0.1}, "a drone's id"),
         ({"directed": True, "loss": 0.1}, "with an edge only"),
-        ({"edge": [1, 2]}, "impairment: found {'edge': [1, 2]}; allowed: at least one of loss"),
+        (
+            {"edge": [1, 2]},
+            "impairment: found {'edge': [1, 2]}; allowed: at least one of loss",
+        ),
         ({"partitions": [3]}, "a list of tables"),
         ({"partitions": 3}, "a list of tables"),
-        ({"partitions": [{"from": 3}]}, "partition: found from; allowed: since, until, a, b"),
+        (
+            {"partitions": [{"from": 3}]},
+            "partition: found from; allowed: since, until, a, b",
+        ),
         ({"partitions": [{"since": 9, "until": 5, "a": [1]}]}, "0 <= since < until"),
         ({"partitions": [{"since": "now", "a": [1]}]}, "0 <= since < until"),
         ({"partitions": [{"a": []}]}, "a not empty"),
@@ -336,7 +430,9 @@ def test_wrong_changes_are_explained_and_change_nothing(changes, text):
 
 def test_verdicts_are_the_same_for_ever():
     impairment = impaired(11, **RICH)
-    kinds = "".join(str(len(one(impairment, number).deliveries)) for number in range(40))
+    kinds = "".join(
+        str(len(one(impairment, number).deliveries)) for number in range(40)
+    )
     assert kinds == "1121120112000000000100000201110011200002"
 
 

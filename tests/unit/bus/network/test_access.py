@@ -50,14 +50,22 @@ def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(co
     assert access.may_hold("laptop", 0)
     assert access.may_hold("desktop", 1)
     assert access.may_hold("laptop", BODIES + 1), "its world"
-    for host, address in (("laptop", 1), ("desktop", 0), ("desktop", BODIES + 1), ("laptop", EYES), ("laptop", 7)):
+    for host, address in (
+        ("laptop", 1),
+        ("desktop", 0),
+        ("desktop", BODIES + 1),
+        ("laptop", EYES),
+        ("laptop", 7),
+    ):
         assert not access.may_hold(host, address)
     assert access.may_hold("desktop", OBSERVER + 5), "anybody looks on"
 
 
 def test_only_operators_command(config):
     access = config.access("desktop")
-    asks = [access.may_say(name, said(REQUEST)) for name in ("console", "laptop", "desktop")]
+    asks = [
+        access.may_say(name, said(REQUEST)) for name in ("console", "laptop", "desktop")
+    ]
     assert asks == [True, True, False]
     assert not access.may_say("desktop", said(ESTOP))
     assert access.may_say("desktop", said(STATE))
@@ -66,49 +74,95 @@ def test_only_operators_command(config):
 def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
     access = config.access("laptop")
     assert access.may_say("desktop", said(REQUEST, BODIES + 1)), "to arm it"
-    for topic, to in ((REQUEST, (BODIES,)), (REQUEST, (BODIES + 1, 0)), (REQUEST, ()), (ESTOP, (BODIES + 1,))):
+    for topic, to in (
+        (REQUEST, (BODIES,)),
+        (REQUEST, (BODIES + 1, 0)),
+        (REQUEST, ()),
+        (ESTOP, (BODIES + 1,)),
+    ):
         assert not access.may_say("desktop", said(topic, *to))
 
 
 def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
-    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peers = Peers(
+        bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
+    )
     for host, process in (
-        ("desktop", "0-1"), ("desktop", "world-1"), ("desktop", "observer-console.1"), ("desktop", "observer-1"),
-        ("desktop", "1"), ("desktop", "1-*"), ("desktop", "1-\n"), ("tower", "1-1"), ("console", "1-1"),
-    ):  # fmt: skip
+        ("desktop", "0-1"),
+        ("desktop", "world-1"),
+        ("desktop", "observer-console.1"),
+        ("desktop", "observer-1"),
+        ("desktop", "1"),
+        ("desktop", "1-*"),
+        ("desktop", "1-\n"),
+        ("tower", "1-1"),
+        ("console", "1-1"),
+    ):
         assert peers.came(host, process, "token") is None, process
     assert peers.came("console", "observer-console.1", "token")
     assert peers.came("desktop", "1-1", "token")
-    assert sum(peers.came("desktop", f"1-{k}", "token") is not None for k in range(1000)) < 64
+    assert (
+        sum(peers.came("desktop", f"1-{k}", "token") is not None for k in range(1000))
+        < 64
+    )
     assert peers.came("laptop", "world-1", "token"), "there is room for the others"
 
 
 def test_who_claims_what_another_host_holds_is_refused(config):
     access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
-    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peers = Peers(
+        bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
+    )
     peer = peers.came("desktop", "1-1", "token")
-    for drones, observers in (([0], []), ([1, 0], []), ([1], [BODIES + 1]), ([7], []), ([], [EYES + 1])):
-        claims = Hello("1-1", "desktop", 2, "1", 1.0, drones, observers, [], ["0-1"], False)
+    for drones, observers in (
+        ([0], []),
+        ([1, 0], []),
+        ([1], [BODIES + 1]),
+        ([7], []),
+        ([], [EYES + 1]),
+    ):
+        claims = Hello(
+            "1-1", "desktop", 2, "1", 1.0, drones, observers, [], ["0-1"], False
+        )
         peers.greeted(peer, claims.payload(), 0.0)
         assert peers.directory == {}
-    peers.greeted(peer, Hello("1-1", "desktop", 2, "1", 1.0, [1], [], [], ["0-1"], False).payload(), 0.0)
+    peers.greeted(
+        peer,
+        Hello("1-1", "desktop", 2, "1", 1.0, [1], [], [], ["0-1"], False).payload(),
+        0.0,
+    )
     assert peers.directory == {1: peer}
 
 
 def test_drones_of_one_process_may_be_flown_by_more(config):
-    drones = [{"id": i, "home": [i, 0, 0], "host": "laptop" if i < 2 else "desktop"} for i in range(4)]
+    drones = [
+        {"id": i, "home": [i, 0, 0], "host": "laptop" if i < 2 else "desktop"}
+        for i in range(4)
+    ]
     access = config.replace(drones=drones, processes=[[0, 1], [2, 3]]).access("laptop")
-    assert [access.may_be("laptop", name) for name in ("0-1", "1-1", "2-1", "world-1")] == [True, True, False, True]
+    assert [
+        access.may_be("laptop", name) for name in ("0-1", "1-1", "2-1", "world-1")
+    ] == [True, True, False, True]
 
 
 def test_what_cameras_see_is_said_by_their_host_alone(config):
-    drones = [{"id": 0, "home": [0, 0, 0], "host": "desktop", "uri": "udp://127.0.0.1:19850"}]
+    drones = [
+        {"id": 0, "home": [0, 0, 0], "host": "desktop", "uri": "udp://127.0.0.1:19850"}
+    ]
     radio = {"dongles": [{"dongle": 0, "host": "desktop"}]}
-    reached = config.replace(drones=drones, radio=radio, world={}, mocap={"host": "laptop"})
+    reached = config.replace(
+        drones=drones, radio=radio, world={}, mocap={"host": "laptop"}
+    )
     access = reached.access("laptop")
-    assert [access.may_hold(host, EYES) for host in ("laptop", "desktop")] == [True, False]
-    assert [access.may_hold(host, BODIES) for host in ("laptop", "desktop")] == [False, True]
+    assert [access.may_hold(host, EYES) for host in ("laptop", "desktop")] == [
+        True,
+        False,
+    ]
+    assert [access.may_hold(host, BODIES) for host in ("laptop", "desktop")] == [
+        False,
+        True,
+    ]
 
 
 def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
@@ -119,10 +173,23 @@ def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
 
 def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
     access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
-    peers = Peers(bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None)
+    peers = Peers(
+        bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
+    )
     peer = peers.came("desktop", "1-1", "token")
     for k in range(20):
-        hello = Hello("1-1", "desktop", 2, f"other {k}", 1.0, [] if k % 3 else [0, 7][k % 2 :], [], [], [], False)
+        hello = Hello(
+            "1-1",
+            "desktop",
+            2,
+            f"other {k}",
+            1.0,
+            [] if k % 3 else [0, 7][k % 2 :],
+            [],
+            [],
+            [],
+            False,
+        )
         peers.greeted(peer, hello.payload(), 0.0)
     assert caplog.text.count("it is refused") == 1
     assert peers.directory == {}
@@ -131,15 +198,35 @@ def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
     assert config.endpoint(1) == "tls/192.168.1.11:7461"
     plain = config.replace(security={"insecure": True})
-    assert (plain.endpoint(1), plain.access("laptop")) == ("tcp/192.168.1.11:7461", None)
-    local = {**RAW, "hosts": {"laptop": "127.0.0.1", "desktop": "localhost"}, "security": {}}
-    assert not SwarmConfig.of(local).secured, "nobody else reaches this machine's own addresses"
-    assert SwarmConfig.of({**local, "security": {"insecure": False, "operators": ["laptop"]}}).secured
-    with pytest.raises(ConfigError, match=r"security.operators: found nothing.* operators = \[\"laptop\"\]"):
+    assert (plain.endpoint(1), plain.access("laptop")) == (
+        "tcp/192.168.1.11:7461",
+        None,
+    )
+    local = {
+        **RAW,
+        "hosts": {"laptop": "127.0.0.1", "desktop": "localhost"},
+        "security": {},
+    }
+    assert not SwarmConfig.of(local).secured, (
+        "nobody else reaches this machine's own addresses"
+    )
+    assert SwarmConfig.of(
+        {**local, "security": {"insecure": False, "operators": ["laptop"]}}
+    ).secured
+    with pytest.raises(
+        ConfigError,
+        match=r"security.operators: found nothing.* operators = \[\"laptop\"\]",
+    ):
         SwarmConfig.of({**RAW, "security": {}})
     drones = [{"id": 0, "home": [0, 0, 0]}]
     with pytest.raises(ConfigError, match=r"a swarm with \[hosts\]"):
-        SwarmConfig.of({"name": "lab", "drones": drones, "security": {"insecure": False, "operators": ["a"]}})
+        SwarmConfig.of(
+            {
+                "name": "lab",
+                "drones": drones,
+                "security": {"insecure": False, "operators": ["a"]},
+            }
+        )
 
 
 def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows():
@@ -147,15 +234,21 @@ def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows()
     near = ("tcp/127.0.0.1:7460", "tcp/[::1]:7460", "tcp/localhost:7460")
     assert local.access("here", *near) is None
     for far in ("tcp/0.0.0.0:7460", "tcp/192.168.1.2:7460", "tcp/127.lab.org:7460"):
-        with pytest.raises(ConfigError, match=r"endpoint = tcp/.*insecure = true in \[security\]"):
+        with pytest.raises(
+            ConfigError, match=r"endpoint = tcp/.*insecure = true in \[security\]"
+        ):
             local.access("here", near[0], far)
         assert local.replace(security={"insecure": True}).access("here", far) is None
 
 
-def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agree_on(config, tmp_path):
+def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agree_on(
+    config, tmp_path
+):
     path = tmp_path / "deep" / "swarm.json"
     path.parent.mkdir()
-    path.write_text(config.replace(security={**RAW["security"], "keys": "../keys"}).dumps())
+    path.write_text(
+        config.replace(security={**RAW["security"], "keys": "../keys"}).dumps()
+    )
     found = SwarmConfig.load(path)
     assert found.access("desktop").folder == tmp_path / "keys" / "desktop"
     assert found.digest() == config.digest()
@@ -164,7 +257,14 @@ def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agre
 
 
 def test_zenoh_holds_each_host_to_its_own_keys():
-    access = Access("s", "a", Path("k"), {"a": ("0", "world"), "b": ("2",)}, {0: "a", 2: "b"}, ("a",))
+    access = Access(
+        "s",
+        "a",
+        Path("k"),
+        {"a": ("0", "world"), "b": ("2",)},
+        {0: "a", 2: "b"},
+        ("a",),
+    )
     control = access.settings()["access_control"]
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
     rules = {rule["id"]: rule for rule in control["rules"]}
@@ -172,8 +272,17 @@ def test_zenoh_holds_each_host_to_its_own_keys():
     heard = ["choir/s/f/0-$*/**", "choir/s/f/world-$*/**", "choir/s/f/observer-a.$*/**"]
     assert rules["a hears"]["key_exprs"][:3] == heard
     assert rules["b is there"]["key_exprs"] == ["choir/s/live/b/**"]
-    assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {
-        name: ["out", f"{name} says", f"{name} hears", f"{name} is there", f"{name} looks"] for name in ("a", "b")
+    assert {
+        policy["subjects"][0]: policy["rules"] for policy in control["policies"]
+    } == {
+        name: [
+            "out",
+            f"{name} says",
+            f"{name} hears",
+            f"{name} is there",
+            f"{name} looks",
+        ]
+        for name in ("a", "b")
     }
 
 
@@ -183,15 +292,22 @@ def test_a_router_is_believed_and_holds_the_others_to_their_names():
     rules = {rule["id"]: rule for rule in control["rules"]}
     assert rules["r passes on"]["key_exprs"] == ["choir/s/**"]
     assert "r says" not in rules
-    assert {policy["subjects"][0]: policy["rules"] for policy in control["policies"]} == {
-        "a": ["out", "a says", "a hears", "a is there", "a looks"], "r": ["out", "r passes on"],
-    }  # fmt: skip
+    assert {
+        policy["subjects"][0]: policy["rules"] for policy in control["policies"]
+    } == {
+        "a": ["out", "a says", "a hears", "a is there", "a looks"],
+        "r": ["out", "r passes on"],
+    }
 
 
 def test_without_a_router_to_connect_to_it_is_said_what_to_start():
-    error = endpoints.cannot_open(["tls/10.0.0.9:7460"], [], "tls/10.0.0.9:7460: Cannot assign requested address")
+    error = endpoints.cannot_open(
+        ["tls/10.0.0.9:7460"], [], "tls/10.0.0.9:7460: Cannot assign requested address"
+    )
     assert "The address of this host in [hosts] is not its own" in str(error)
-    error = endpoints.cannot_open([], ["tls/10.0.0.9:7441"], "Connection refused (os error 111)")
+    error = endpoints.cannot_open(
+        [], ["tls/10.0.0.9:7441"], "Connection refused (os error 111)"
+    )
     assert "Start it first: crazychoir router" in str(error)
     settings = endpoints.settings([], ["tcp/10.0.0.9:7441"], 1.0, "client")
     assert (settings["mode"], settings["listen/endpoints"]) == ("client", [])

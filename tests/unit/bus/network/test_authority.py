@@ -6,7 +6,17 @@ import pytest
 from cryptography import x509
 
 from crazychoir.bus.network import authority
-from crazychoir.bus.network.authority import AUTHORITY, CERTIFICATE, KEY, ROOT, add, checked, holders, init, revoke
+from crazychoir.bus.network.authority import (
+    AUTHORITY,
+    CERTIFICATE,
+    KEY,
+    ROOT,
+    add,
+    checked,
+    holders,
+    init,
+    revoke,
+)
 from crazychoir.errors import ConfigError
 
 
@@ -30,21 +40,28 @@ def test_an_authority_signs_a_certificate_for_each_host(keys):
     certificate.verify_directly_issued_by(root)
     assert certificate.subject.rfc4514_string() == "CN=laptop"
     assert certificate.not_valid_after_utc <= root.not_valid_after_utc
-    constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value
+    constraints = certificate.extensions.get_extension_for_class(
+        x509.BasicConstraints
+    ).value
     assert not constraints.ca, "a host makes no hosts"
 
 
 def test_no_certificate_is_good_for_longer_than_its_authority(tmp_path):
     init(tmp_path, days=10)
     add(tmp_path, "laptop", days=300)
-    assert read(tmp_path / "laptop").not_valid_after_utc == read(tmp_path / AUTHORITY).not_valid_after_utc
+    assert (
+        read(tmp_path / "laptop").not_valid_after_utc
+        == read(tmp_path / AUTHORITY).not_valid_after_utc
+    )
 
 
 def test_keys_are_read_by_their_owner_alone(keys):
     for name in (AUTHORITY, "laptop"):
         assert stat.S_IMODE((keys / name).stat().st_mode) == 0o700
         assert stat.S_IMODE((keys / name / KEY).stat().st_mode) == 0o600
-    assert not (keys / "laptop" / AUTHORITY).exists(), "what makes certificates stays where it is"
+    assert not (keys / "laptop" / AUTHORITY).exists(), (
+        "what makes certificates stays where it is"
+    )
 
 
 def test_who_is_taken_out_holds_a_certificate_of_an_authority_that_is_gone(keys):
@@ -56,7 +73,9 @@ def test_who_is_taken_out_holds_a_certificate_of_an_authority_that_is_gone(keys)
     with pytest.raises(ValueError, match=r"(?i)issuer|signature"):
         before.verify_directly_issued_by(read(keys / AUTHORITY))
     assert checked(keys, "desktop")
-    assert sorted(path.name for path in keys.parent.iterdir()) == ["keys"], "nothing is left over"
+    assert sorted(path.name for path in keys.parent.iterdir()) == ["keys"], (
+        "nothing is left over"
+    )
 
 
 def test_what_cannot_be_is_refused_and_changes_nothing(keys, tmp_path):
@@ -75,13 +94,18 @@ def test_what_cannot_be_is_refused_and_changes_nothing(keys, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_an_authority_that_has_expired_gives_nothing_and_says_what_to_do(tmp_path, monkeypatch):
+def test_an_authority_that_has_expired_gives_nothing_and_says_what_to_do(
+    tmp_path, monkeypatch
+):
     keys, now = tmp_path / "keys", authority.today()
     monkeypatch.setattr(authority, "today", lambda: now - datetime.timedelta(days=2))
     init(keys, days=1)
     add(keys, "laptop", days=1)
     monkeypatch.undo()
-    with pytest.raises(ConfigError, match=r"it has expired.*Remove .*keys, then make all anew: crazychoir keys init"):
+    with pytest.raises(
+        ConfigError,
+        match=r"it has expired.*Remove .*keys, then make all anew: crazychoir keys init",
+    ):
         add(keys, "desktop")
     assert not (keys / "desktop").exists()
     assert [holder.name for holder in holders(keys)] == ["laptop"]
@@ -89,7 +113,9 @@ def test_an_authority_that_has_expired_gives_nothing_and_says_what_to_do(tmp_pat
     assert add(keys, "desktop"), "of the new authority"
 
 
-def test_keys_are_made_anew_in_this_folder_and_behind_a_link(keys, tmp_path, monkeypatch):
+def test_keys_are_made_anew_in_this_folder_and_behind_a_link(
+    keys, tmp_path, monkeypatch
+):
     monkeypatch.chdir(keys)
     assert revoke(Path(), "laptop") == ["desktop"]
     monkeypatch.chdir(tmp_path)
@@ -107,11 +133,23 @@ def other_authority(keys):
     ("harm", "says"),
     [
         (lambda keys: (keys / "laptop" / CERTIFICATE).unlink(), "keys add laptop"),
-        (lambda keys: (keys / "laptop" / CERTIFICATE).write_text("nothing"), "a certificate in PEM"),
-        (lambda keys: (keys / "laptop" / KEY).unlink(), "the private key of its certificate"),
-        (lambda keys: (keys / "desktop" / KEY).replace(keys / "laptop" / KEY), "another certificate"),
+        (
+            lambda keys: (keys / "laptop" / CERTIFICATE).write_text("nothing"),
+            "a certificate in PEM",
+        ),
+        (
+            lambda keys: (keys / "laptop" / KEY).unlink(),
+            "the private key of its certificate",
+        ),
+        (
+            lambda keys: (keys / "desktop" / KEY).replace(keys / "laptop" / KEY),
+            "another certificate",
+        ),
         (lambda keys: (keys / "laptop" / KEY).chmod(0o644), "chmod 600"),
-        (lambda keys: (keys / "desktop").rename(keys / "tower"), "that of desktop; allowed: that of tower"),
+        (
+            lambda keys: (keys / "desktop").rename(keys / "tower"),
+            "that of desktop; allowed: that of tower",
+        ),
         (other_authority, "signed by another authority"),
     ],
 )

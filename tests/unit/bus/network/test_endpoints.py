@@ -6,7 +6,17 @@ from crazychoir.bus.network.endpoints import address_fault, are_local, check, se
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
-GOOD = ["10.0.0.7", "127.0.0.1", "localhost", "fd00::2", "::1", "fe80::1", "::ffff:10.0.0.1", "lab", "lab.local"]
+GOOD = [
+    "10.0.0.7",
+    "127.0.0.1",
+    "localhost",
+    "fd00::2",
+    "::1",
+    "fe80::1",
+    "::ffff:10.0.0.1",
+    "lab",
+    "lab.local",
+]
 BAD = {
     "fe80::1%eth0": "Leave out %eth0",
     "fe80::1%2": "Leave out %2",
@@ -31,7 +41,12 @@ BAD = {
 
 def on(address):
     drones = [{"id": 0, "home": [0, 0, 0], "host": "lab"}]
-    raw = {"name": "a", "hosts": {"lab": address}, "security": {"operators": ["lab"]}, "drones": drones}
+    raw = {
+        "name": "a",
+        "hosts": {"lab": address},
+        "security": {"operators": ["lab"]},
+        "drones": drones,
+    }
     return SwarmConfig.of(raw, "x.toml")
 
 
@@ -76,11 +91,19 @@ def test_a_network_card_by_its_number_is_an_endpoint_of_one_host():
 @pytest.mark.parametrize(
     ("endpoint", "local"),
     [
-        ("tcp/127.0.0.1:1", True), ("tcp/127.1.2.3:1", True), ("tcp/localhost:1", True), ("tcp/LOCALHOST:1", True),
-        ("tcp/[::1]:1", True), ("tcp/[0:0:0:0:0:0:0:1]:1", True), ("unixsock-stream/a", True),
+        ("tcp/127.0.0.1:1", True),
+        ("tcp/127.1.2.3:1", True),
+        ("tcp/localhost:1", True),
+        ("tcp/LOCALHOST:1", True),
+        ("tcp/[::1]:1", True),
+        ("tcp/[0:0:0:0:0:0:0:1]:1", True),
+        ("unixsock-stream/a", True),
         ("tcp/10.0.0.1:1", False),
-        ("tcp/[fd00::1]:1", False), ("tcp/localhost.lab:1", False), ("tcp/127.0.0.1.lab:1", False), ("", False),
+        ("tcp/[fd00::1]:1", False),
+        ("tcp/localhost.lab:1", False),
+        ("tcp/127.0.0.1.lab:1", False),
+        ("", False),
     ],
-)  # fmt: skip
+)
 def test_an_endpoint_is_local_however_its_address_is_written(endpoint, local):
     assert are_local([endpoint]) == local

@@ -1,5 +1,12 @@
 from crazychoir.bus.frames import MAX_FRAME
-from crazychoir.bus.network.flood_limit import BURST, MAX_HOSTS, PART, RATE, Budget, Budgets
+from crazychoir.bus.network.flood_limit import (
+    BURST,
+    MAX_HOSTS,
+    PART,
+    RATE,
+    Budget,
+    Budgets,
+)
 from crazychoir.runtime.clock import SECOND
 
 

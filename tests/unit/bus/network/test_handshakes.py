@@ -8,11 +8,12 @@ from crazychoir.bus.network.handshakes import MOST, Overheard
 
 CONNECT = "zenoh::net::runtime::orchestrator: Unable to connect to configured peer tls/10.0.0.1:7460!"
 AT = "2026-11-25T02:25:06.566105Z  WARN acc-0 ThreadId(05) "
-LATE = AT + "zenoh_link_tls::unicast: certificate expired ({} seconds ago). Hint: increase the system open file limit."
-CARGO = "at /root/.cargo/git/checkouts/zenoh/io/zenoh-links/zenoh-link-tls/src/unicast.rs:226.. Retry in 1s."
-NONE = (
-    f"\x1b[2m{AT}\x1b[0m zenoh_link_tls::unicast: peer sent no certificates. Hint: increase the system open file limit."
+LATE = (
+    AT
+    + "zenoh_link_tls::unicast: certificate expired ({} seconds ago). Hint: increase the system open file limit."
 )
+CARGO = "at /root/.cargo/git/checkouts/zenoh/io/zenoh-links/zenoh-link-tls/src/unicast.rs:226.. Retry in 1s."
+NONE = f"\x1b[2m{AT}\x1b[0m zenoh_link_tls::unicast: peer sent no certificates. Hint: increase the system open file limit."  # noqa: E501
 ALERT = f"{AT} {CONNECT} received fatal alert: CertificateExpired {CARGO}"
 ISSUER = (
     f"{AT} {CONNECT} Can not create a "
@@ -62,5 +63,7 @@ def test_what_is_not_zenoh_s_is_left(said):
 def test_nobody_fills_the_log(said):
     heard = Overheard()
     for n in range(2 * MOST):
-        heard.line(f"{AT} zenoh_link_tls::unicast: reason {chr(n)}{n}. Hint: increase the system open file limit.")
+        heard.line(
+            f"{AT} zenoh_link_tls::unicast: reason {chr(n)}{n}. Hint: increase the system open file limit."
+        )
     assert len(said()) == MOST

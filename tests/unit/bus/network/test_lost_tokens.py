@@ -11,7 +11,9 @@ def estranged() -> Estranged:
     return Estranged()
 
 
-def test_a_stranger_is_answered_once_for_all_of_its_frames(estranged: Estranged) -> None:
+def test_a_stranger_is_answered_once_for_all_of_its_frames(
+    estranged: Estranged,
+) -> None:
     for _ in range(3):
         estranged.heard("b")
     assert estranged.due(gone_too=False) == ["b"]
@@ -29,17 +31,26 @@ def test_who_went_is_greeted_until_it_comes_back(estranged: Estranged) -> None:
     assert estranged.due(gone_too=True) == []
 
 
-def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom(estranged: Estranged) -> None:
+def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom(
+    estranged: Estranged,
+) -> None:
     declared = [k for k in range(1, 70) if estranged.greeted("b", knows_us=False)]
     assert declared == [4, 8, 16, 32, 64]
 
 
-@pytest.mark.parametrize("known", [lambda e: e.greeted("b", knows_us=True), lambda e: e.went("b")])
+@pytest.mark.parametrize(
+    "known", [lambda e: e.greeted("b", knows_us=True), lambda e: e.went("b")]
+)
 def test_who_knows_us_or_went_is_counted_anew(estranged: Estranged, known) -> None:
     for _ in range(3):
         assert not estranged.greeted("b", knows_us=False)
     known(estranged)
-    assert [estranged.greeted("b", knows_us=False) for _ in range(4)] == [False, False, False, True]
+    assert [estranged.greeted("b", knows_us=False) for _ in range(4)] == [
+        False,
+        False,
+        False,
+        True,
+    ]
 
 
 def test_however_many_there_are_a_bound_is_kept(estranged: Estranged) -> None:
@@ -49,7 +60,11 @@ def test_however_many_there_are_a_bound_is_kept(estranged: Estranged) -> None:
         estranged.heard(process)
     assert estranged.due(gone_too=True) == many[:ANSWERS] + many[-REMEMBERED:]
     answered = [estranged.due(gone_too=False) for _ in range(MAX_PEERS // ANSWERS)]
-    assert [len(some) for some in answered] == [ANSWERS] * (MAX_PEERS // ANSWERS - 1) + [0]
+    assert [len(some) for some in answered] == [ANSWERS] * (
+        MAX_PEERS // ANSWERS - 1
+    ) + [0]
     for _ in range(4):
-        declared = [process for process in many if estranged.greeted(process, knows_us=False)]
+        declared = [
+            process for process in many if estranged.greeted(process, knows_us=False)
+        ]
     assert declared == many[:MAX_PEERS]

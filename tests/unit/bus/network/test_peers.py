@@ -24,7 +24,13 @@ from crazychoir.types import FPQR, FullState, State, Status
 
 
 def hello(process: str = "b", drones: tuple[int, ...] = (1,), **changes: Any) -> Hello:
-    fields = {"host": "there", "incarnation": 2, "version": "1", "uptime": 1.0, "observers": []}
+    fields = {
+        "host": "there",
+        "incarnation": 2,
+        "version": "1",
+        "uptime": 1.0,
+        "observers": [],
+    }
     fields |= {"interests": [], "heard": ["a"], "stopped": False}
     return Hello(process=process, drones=list(drones), **{**fields, **changes})
 
@@ -41,20 +47,31 @@ class Still(Clock):
 class Here:
     """Process a with drone 0, and what it was told."""
 
-    def __init__(self, uptime: float = 0.0, agreed: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, uptime: float = 0.0, agreed: dict[str, str] | None = None
+    ) -> None:
         self.clock = Still()
         self.bus = Bus(self.clock, process="a", host="here")
         self.bus.port(0)
         self.tokens: list[tuple[list[int], bool]] = []
         self.refused: list[Refused] = []
         self.peers = Peers(
-            self.bus, "s", 1, "1", None, lambda ids, there: self.tokens.append((ids, there)), self.refused.append,
+            self.bus,
+            "s",
+            1,
+            "1",
+            None,
+            lambda ids, there: self.tokens.append((ids, there)),
+            self.refused.append,
             agreed,
-        )  # fmt: skip
+        )
         self.clock.ns = round(uptime * 1e9)
 
     def hear(self, said: Hello, age: float = 0.0) -> bool:
-        peer = self.peers.came("there", said.process, "token") or self.peers.by_name[said.process]
+        peer = (
+            self.peers.came("there", said.process, "token")
+            or self.peers.by_name[said.process]
+        )
         return self.peers.greeted(peer, said.payload(), age)
 
 
@@ -62,7 +79,9 @@ WORLD = hello("world", (), observers=[BODIES], agreed={"drones": "ab", "plant": 
 
 
 @pytest.mark.parametrize("uptime", [0.5, 60.0])
-def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(uptime, caplog) -> None:
+def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(
+    uptime, caplog
+) -> None:
     here = Here(uptime, {"drones": "ab", "plant": "ef"})
     here.hear(WORLD)
     what = "process world on host there has another swarm file than this process, with another plant"
@@ -71,13 +90,20 @@ def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(upt
             f"swarm s: refused: {what}. Copy one file to every host, and start both again."
         ]
     else:
-        assert (here.refused, what in caplog.text) == ([], True), "who came later ends, and says so"
+        assert (here.refused, what in caplog.text) == ([], True), (
+            "who came later ends, and says so"
+        )
     assert here.peers.directory == {}
 
 
-@pytest.mark.parametrize("said", [
-    WORLD, hello("b", (1,), agreed={"drones": "another", "plant": "ef"}), hello("observer", (), observers=[OBSERVER]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "said",
+    [
+        WORLD,
+        hello("b", (1,), agreed={"drones": "another", "plant": "ef"}),
+        hello("observer", (), observers=[OBSERVER]),
+    ],
+)
 def test_who_owns_nothing_is_judged_by_others_or_may_look_on(said) -> None:
     here = Here(0.5, {"drones": "ab", "plant": "cd"})
     here.hear(said)
@@ -94,7 +120,9 @@ def test_a_peer_is_known_from_token_to_token(here: Here) -> None:
     assert here.hear(hello(heard=[])) is True, "it does not know us"
     assert here.hear(hello()) is False
     assert here.peers.directory[1].process == "b"
-    assert here.peers.went("elsewhere", "b", "token") is None, "the token of another host"
+    assert here.peers.went("elsewhere", "b", "token") is None, (
+        "the token of another host"
+    )
     assert here.peers.went("there", "b", "token") is not None
     assert (here.peers.directory, here.peers.by_name) == ({}, {})
     assert here.tokens == [([1], True), ([1], False)]
@@ -113,16 +141,34 @@ def test_a_peer_is_there_while_one_of_its_tokens_is(here: Here) -> None:
 def measure(here: Here, process: str, ahead: int, way: int) -> None:
     """A clock is asked for, which is `ahead` ns; the answer comes after 2 `way`."""
     sent = here.clock.ns
-    answer = Offset().hear(here.peers.by_name[process].offset.ask(sent), sent + ahead + way, sent + ahead + way)
+    answer = Offset().hear(
+        here.peers.by_name[process].offset.ask(sent),
+        sent + ahead + way,
+        sent + ahead + way,
+    )
     here.clock.ns += 2 * way
     here.peers.by_name[process].offset.hear(answer, here.clock.ns, here.clock.ns)
 
 
-def test_of_a_host_the_process_with_the_shortest_way_tells_its_clock(here: Here) -> None:
-    for name, host in (("b", "there"), ("c", "there"), ("d", "afar"), ("e", "here"), ("f", "afar")):
+def test_of_a_host_the_process_with_the_shortest_way_tells_its_clock(
+    here: Here,
+) -> None:
+    for name, host in (
+        ("b", "there"),
+        ("c", "there"),
+        ("d", "afar"),
+        ("e", "here"),
+        ("f", "afar"),
+    ):
         peer = here.peers.came(host, name, name)
-        here.peers.greeted(peer, hello(name, (), host=host, heard=["a"] if name != "f" else []).payload(), 0.0)
-    assert [peer.process for peer in here.peers.on_other_hosts] == ["b", "c", "d"], "e is of our host, f knows us not"
+        here.peers.greeted(
+            peer,
+            hello(name, (), host=host, heard=["a"] if name != "f" else []).payload(),
+            0.0,
+        )
+    assert [peer.process for peer in here.peers.on_other_hosts] == ["b", "c", "d"], (
+        "e is of our host, f knows us not"
+    )
     assert here.peers.offsets() == {}
     for name, ahead, way in (("b", 1100, 200), ("c", 1000, 100), ("d", 5000, 300)):
         measure(here, name, ahead, way)
@@ -154,9 +200,15 @@ def test_hello_of_somebody_else_is_refused(here: Here) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"drones": (OBSERVER,)}, {"observers": [3]}, {"observers": list(range(OBSERVER, OBSERVER + 17))}],
+    [
+        {"drones": (OBSERVER,)},
+        {"observers": [3]},
+        {"observers": list(range(OBSERVER, OBSERVER + 17))},
+    ],
 )
-def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(here: Here, wrong: Any) -> None:
+def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(
+    here: Here, wrong: Any
+) -> None:
     with pytest.raises(CodecError, match="HELLO"):
         here.hear(hello(**wrong))
     assert here.peers.directory == {}
@@ -165,13 +217,19 @@ def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(here: He
 def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
     """b says that it is there for longer, and at the console's address; the console is heard, and reads on."""
     processes, looks = {"here": ("a",), "desk": (), "there": ("b",)}, OBSERVER + 5
-    here.peers.access = Access("s", "here", Path("k"), processes, {0: "here", 1: "there"}, ("desk",))
+    here.peers.access = Access(
+        "s", "here", Path("k"), processes, {0: "here", 1: "there"}, ("desk",)
+    )
     wants = [Interest("status", 0, looks)]
     console = here.peers.came("desk", "observer-desk.1", "token")
     said = hello("observer-desk.1", (), host="desk", observers=[looks], interests=wants)
     here.peers.greeted(console, said.payload(), 0.0)
     liar = here.peers.came("there", "b-1", "token")
-    for observers, interests in (([looks], [Interest("state", 0, looks)]), ([looks], []), ([], [])):
+    for observers, interests in (
+        ([looks], [Interest("state", 0, looks)]),
+        ([looks], []),
+        ([], []),
+    ):
         claims = hello("b-1", observers=observers, interests=interests, uptime=1e8)
         here.peers.greeted(liar, claims.payload(), 0.0)
         assert here.peers.directory[looks] is console
@@ -194,7 +252,11 @@ def test_we_repeat_the_same_bytes_until_something_changes(here: Here) -> None:
     assert older - age == pytest.approx(2.0)
     here.bus.port(7)
     changed, age = here.peers.hello()
-    assert (Hello.of(changed).drones, Hello.of(changed).uptime, age) == ([0, 7], 2.0, 0.0)
+    assert (Hello.of(changed).drones, Hello.of(changed).uptime, age) == (
+        [0, 7],
+        2.0,
+        0.0,
+    )
 
 
 def test_the_later_of_two_gives_way(here: Here) -> None:
@@ -211,7 +273,11 @@ def test_the_later_of_two_gives_way(here: Here) -> None:
     assert (senior.refused, senior.peers.directory) == ([], {})
 
 
-@pytest.mark.parametrize("said", [hello(drones=(0,), uptime=1e8), WORLD], ids=["our drone", "another swarm file"])
+@pytest.mark.parametrize(
+    "said",
+    [hello(drones=(0,), uptime=1e8), WORLD],
+    ids=["our drone", "another swarm file"],
+)
 def test_who_has_run_for_a_while_is_ended_by_nobody(said, caplog) -> None:
     """A host whose cable is back, or that says that it was first: somebody may fly by this process."""
     here = Here(NEW, {"drones": "ab", "plant": "ef"})
@@ -249,11 +315,15 @@ def test_the_later_of_two_that_see_the_same_drones_gives_way(here: Here) -> None
     assert here.refused == [], "the owner of a world, or of a radio, is another one"
     here.hear(hello(drones=(), observers=[EYES + 3, EYES + 4], uptime=1.0))
     (refused,) = here.refused
-    assert "process b on host there owns the motion capture of drone(s) 3 too" in str(refused)
+    assert "process b on host there owns the motion capture of drone(s) 3 too" in str(
+        refused
+    )
 
 
 @given(st.floats(0.0, TIE / 2), st.floats(0.0, TIE / 2), st.floats(0.0, 0.9 * TIE))
-def test_of_two_that_start_together_exactly_one_gives_way_or_both(ours: float, theirs: float, apart: float) -> None:
+def test_of_two_that_start_together_exactly_one_gives_way_or_both(
+    ours: float, theirs: float, apart: float
+) -> None:
     """The way of a HELLO takes `ours` or `theirs` s; b starts `apart` s after a."""
     b_yields = hello("a").precedes("b", apart - ours)
     a_yields = hello("b").precedes("a", -apart - theirs)
@@ -271,7 +341,11 @@ def test_a_third_party_believes_the_elder(here: Here) -> None:
 
 def test_interests_count_once_both_have_heard(here: Here) -> None:
     sent: list[tuple[int, ...]] = []
-    here.bus.forwarder = type("F", (), {"forward": lambda self, topic, source, to, *rest: sent.append(tuple(to))})()
+    here.bus.forwarder = type(
+        "F",
+        (),
+        {"forward": lambda self, topic, source, to, *rest: sent.append(tuple(to))},
+    )()
     here.bus.ports[0].publish(STATUS, Status("landed"))
     wish = [Interest("status", 0, 10_001)]
     here.hear(hello(drones=(), observers=[10_001], interests=wish, heard=[]))
@@ -286,8 +360,12 @@ def test_interests_count_once_both_have_heard(here: Here) -> None:
 
 def test_only_sensible_interests_are_wanted() -> None:
     rates = (0.0, 10.0, -1.0, float("nan"), float("inf"), 5e-324)
-    wishes = [Interest("state", 0, 10_001, rate) for rate in rates] + [Interest("state", 0, 3)]
-    assert [one.rate for one in hello(observers=[10_001], interests=wishes).wants()] == [0.0, 10.0]
+    wishes = [Interest("state", 0, 10_001, rate) for rate in rates] + [
+        Interest("state", 0, 3)
+    ]
+    assert [
+        one.rate for one in hello(observers=[10_001], interests=wishes).wants()
+    ] == [0.0, 10.0]
 
 
 def test_an_emergency_stop_spreads_to_newcomers(here: Here) -> None:
@@ -300,14 +378,26 @@ def test_peers_are_bounded(here: Here) -> None:
     assert sum(isinstance(peer, Peer) for peer in made) == MAX_PEERS
 
 
-@given(st.binary(max_size=200) | st.builds(encode, st.dictionaries(st.text(), st.integers(-9, 9) | st.text())))
+@given(
+    st.binary(max_size=200)
+    | st.builds(encode, st.dictionaries(st.text(), st.integers(-9, 9) | st.text()))
+)
 def test_nonsense_is_no_hello(payload: bytes) -> None:
     with pytest.raises(CodecError):
         Hello.of(payload)
 
 
 @pytest.mark.parametrize(
-    "wrong", ["bogus", "tcp/127.0.0.1", "tcp/127.0.0.1:99999", "foo/127.0.0.1:7", "tcp/a b:7", "tcp/::1:7", ""]
+    "wrong",
+    [
+        "bogus",
+        "tcp/127.0.0.1",
+        "tcp/127.0.0.1:99999",
+        "foo/127.0.0.1:7",
+        "tcp/a b:7",
+        "tcp/::1:7",
+        "",
+    ],
 )
 def test_malformed_endpoints_are_named(wrong: str) -> None:
     with pytest.raises(ConfigError) as caught:
@@ -327,17 +417,28 @@ def test_the_lease_is_for_other_hosts() -> None:
 
 def test_names_must_fit_into_keys() -> None:
     endpoints.check_name("swarm", "lab-3.x_Y")
-    with pytest.raises(ConfigError, match=r"name of the swarm: found a/\*; allowed: 1 to 100 of"):
+    with pytest.raises(
+        ConfigError, match=r"name of the swarm: found a/\*; allowed: 1 to 100 of"
+    ):
         endpoints.check_name("swarm", "a/*")
 
 
 def test_public_copies_are_plain_json() -> None:
     value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
-    assert value == {"p": [1, 2, None], "v": [0, 0, 0], "q": [0, 0, 0, 1], "w": [0, 0, 0], "age": 0, "a": [0, 0, 0]}
+    assert value == {
+        "p": [1, 2, None],
+        "v": [0, 0, 0],
+        "q": [0, 0, 0, 1],
+        "w": [0, 0, 0],
+        "age": 0,
+        "a": [0, 0, 0],
+    }
     assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"
     assert json.loads(as_json(FullState.at([1, 2, 3], yaw=0.5)))["yaw"] == 0.5
     command = json.loads(as_json(FPQR(np.array([0.3, 1, 2, 3]))))
-    assert command == {"thrust": 0.3, "flat": [0.3, 1, 2, 3]}, "whole, where not all its parts have names"
+    assert command == {"thrust": 0.3, "flat": [0.3, 1, 2, 3]}, (
+        "whole, where not all its parts have names"
+    )
 
 
 def test_a_drone_that_was_started_again_is_not_gone_with_its_former_process(here):

@@ -11,7 +11,14 @@ from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.network.access import Access
 from crazychoir.bus.network.flood_limit import BURST, PART
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.network.zenoh_link import BACKLOG, SLICE, SLICE_MOST_NS, SLICE_NS, ZenohLink, _speaker
+from crazychoir.bus.network.zenoh_link import (
+    BACKLOG,
+    SLICE,
+    SLICE_MOST_NS,
+    SLICE_NS,
+    ZenohLink,
+    _speaker,
+)
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import LOG, STATE
 from crazychoir.runtime.clock import Clock
@@ -48,7 +55,9 @@ async def test_a_message_is_given_once_to_who_is_named_often():
     link = await link_of_a()
     heard = []
     link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
-    link._frame(OF_B, frame(Envelope(LOG.number, 1, (0,) * 1000, 1, 0, 0.0, "", encode("x"))), 0)
+    link._frame(
+        OF_B, frame(Envelope(LOG.number, 1, (0,) * 1000, 1, 0, 0.0, "", encode("x"))), 0
+    )
     assert len(heard) == 1
 
 
@@ -99,7 +108,12 @@ def test_who_speaks_is_read_where_access_control_looks():
 
 
 @pytest.mark.parametrize(
-    "key", ["choir/s/f/0-1/b/a/0-2/control", "choir/s/f/0-1/b/1-2", "choir/s/f/0-1/b/x/a/0-2/control"]
+    "key",
+    [
+        "choir/s/f/0-1/b/a/0-2/control",
+        "choir/s/f/0-1/b/1-2",
+        "choir/s/f/0-1/b/x/a/0-2/control",
+    ],
 )
 def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
     assert _speaker(key) == ("", "")
@@ -111,23 +125,35 @@ async def test_key_token_frame_and_message_must_name_one_sender():
     heard, counters = [], link.counters
     link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
     said = Envelope(LOG.number, 1, (0,), 1, 0, 0.0, "", encode("x"))
-    link._frame("choir/s/f/0-1/c/1-1/control", frame(said), 0)  # the name of a process of another host
-    link._frame("choir/s/f/0-1/b/1-2/control", frame(said), 0)  # of which there is no token
+    link._frame(
+        "choir/s/f/0-1/c/1-1/control", frame(said), 0
+    )  # the name of a process of another host
+    link._frame(
+        "choir/s/f/0-1/b/1-2/control", frame(said), 0
+    )  # of which there is no token
     link._frame(OF_B, encode_frame(Frame("1-2", 2, STATE.klass, [said])), 0)
     link.table.came("c", "2-1", "token")
     other = Hello("2-1", "c", 2, "1", 1.0, [2], [], [], ["0-1"], False)
     link.table.greeted(link.peers["2-1"], other.payload(), 0.0)
-    link._frame(OF_B, frame(Envelope(LOG.number, 2, (0,), 1, 0, 0.0, "", encode("x"))), 0)  # for drone 2, of c
+    link._frame(
+        OF_B, frame(Envelope(LOG.number, 2, (0,), 1, 0, 0.0, "", encode("x"))), 0
+    )  # for drone 2, of c
     assert (heard, counters.strangers) == ([], 4)
     link._frame(OF_B, frame(said), 0)
     assert len(heard) == 1
 
 
 async def test_a_stranger_with_another_s_name_is_not_answered():
-    access = Access("s", "a", Path("k"), {"a": ("0",), "b": ("1",)}, {0: "a", 1: "b"}, ("a",))
+    access = Access(
+        "s", "a", Path("k"), {"a": ("0",), "b": ("1",)}, {0: "a", 1: "b"}, ("a",)
+    )
     link = await link_of_a(access)
     for process in ("0-2", "observer-a.1", "1-2"):
-        link._frame(f"choir/s/f/0-1/b/{process}/control", encode_frame(Frame(process, 2, STATE.klass, [])), 0)
+        link._frame(
+            f"choir/s/f/0-1/b/{process}/control",
+            encode_frame(Frame(process, 2, STATE.klass, [])),
+            0,
+        )
     assert link._estranged.due(gone_too=True) == ["1-2"]
 
 
@@ -140,8 +166,12 @@ class Sample:
         self.key_expr, self.payload = key, zenoh.ZBytes(payload)
 
 
-@pytest.mark.parametrize(("size", "most"), [(1, BURST), (8 << 20, BURST * PART / (8 << 20))])
-async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(size, most):
+@pytest.mark.parametrize(
+    ("size", "most"), [(1, BURST), (8 << 20, BURST * PART / (8 << 20))]
+)
+async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(
+    size, most
+):
     link, payload = await link_of_a(), bytes(size)
     for _ in range(2 * int(most)):
         link._received(Sample(OF_B, payload))

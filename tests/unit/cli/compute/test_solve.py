@@ -9,8 +9,13 @@ from crazychoir.cli.compute import solve
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve.solving import solve_here
 
-RAW = {"home": [[0.0, 0.0], [0.0, 8.0]], "pickup": [[1.0, 0.0], [2.0, 0.0]], "delivery": [[1.0, 1.0], [2.0, 1.0]],
-       "load": [1.0, 1.0], "capacity": [1.0, 1.0]}  # fmt: skip
+RAW = {
+    "home": [[0.0, 0.0], [0.0, 8.0]],
+    "pickup": [[1.0, 0.0], [2.0, 0.0]],
+    "delivery": [[1.0, 1.0], [2.0, 1.0]],
+    "load": [1.0, 1.0],
+    "capacity": [1.0, 1.0],
+}
 
 
 @pytest.fixture
@@ -31,20 +36,34 @@ def test_a_plain_plan_shows_neither_times_nor_trips(shown):
     lines = shown({})
     assert "cost 6.65028 m" in lines
     assert "lower_bound 6.65028 m" in lines
-    assert not [line for line in lines if line.startswith(("makespan_s", "refused", "total_m"))]
+    assert not [
+        line for line in lines if line.startswith(("makespan_s", "refused", "total_m"))
+    ]
     assert "0 6.650 +0 -0 +1 -1" in lines
     assert "+3: picks task 3 up, -3: delivers it" in lines
 
 
 def test_trips_are_rows_and_no_stop_to_recharge_is_a_task(shown):
-    lines = shown({"recharge": 2, "route_length_limit": 5.5, "capability": [[True, True], [False, False]]})
+    lines = shown(
+        {
+            "recharge": 2,
+            "route_length_limit": 5.5,
+            "capability": [[True, True], [False, False]],
+        }
+    )
     assert "0 1 3.414 +0 -0" in lines or "0 1 5.236 +1 -1" in lines
     assert "0 2 5.236 +1 -1" in lines or "0 2 3.414 +0 -0" in lines
     assert not [line for line in lines if "--1" in line]
 
 
 def test_where_times_matter_each_service_has_its_own(shown):
-    lines = shown({"time_windows": {"pickup": [[5, 9], None]}, "penalty": [None, 0.5], "service_time": 2.0})
+    lines = shown(
+        {
+            "time_windows": {"pickup": [[5, 9], None]},
+            "penalty": [None, 0.5],
+            "service_time": 2.0,
+        }
+    )
     assert "makespan_s 11.4142 s" in lines
     assert "0 3.414 11.41 +0@5.00 -0@8.00" in lines
     assert "refused task 1 (penalty 0.5)" in lines

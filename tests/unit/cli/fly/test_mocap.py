@@ -9,7 +9,12 @@ from crazychoir.errors import ConfigError
 
 def swarm():
     return SwarmConfig.of(
-        {"name": "lab", "drones": [{"id": 0, "home": [0.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19850"}]}
+        {
+            "name": "lab",
+            "drones": [
+                {"id": 0, "home": [0.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19850"}
+            ],
+        }
     )
 
 

@@ -13,7 +13,11 @@ def said(*words):
 
 
 def test_without_its_packages_it_says_what_to_install(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith(("nicegui", "crazychoir.dashboard"))]:
+    for name in [
+        name
+        for name in sys.modules
+        if name.startswith(("nicegui", "crazychoir.dashboard"))
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "fastapi", None)
     monkeypatch.setitem(sys.modules, "nicegui", None)
@@ -25,7 +29,9 @@ def test_without_its_packages_it_says_what_to_install(monkeypatch):
 
 @pytest.fixture
 def installed(monkeypatch):
-    pytest.importorskip("nicegui", reason="the page needs: pip install 'crazychoir[dashboard]'")
+    pytest.importorskip(
+        "nicegui", reason="the page needs: pip install 'crazychoir[dashboard]'"
+    )
     monkeypatch.delenv(PASSWORD, raising=False)
 
 
@@ -33,7 +39,9 @@ def installed(monkeypatch):
 def test_others_than_this_machine_need_a_password(installed, monkeypatch, host):
     code, text = said("--host", host)
     assert code == 2
-    assert "a password or an authority, where others than this machine can come in" in text
+    assert (
+        "a password or an authority, where others than this machine can come in" in text
+    )
     monkeypatch.setenv(PASSWORD, "short")
     code, text = said("--host", host)
     assert "8 or more" in text
@@ -41,6 +49,9 @@ def test_others_than_this_machine_need_a_password(installed, monkeypatch, host):
 
 def test_files_that_are_not_there_are_named(installed, tmp_path):
     assert "no.txt" in said("--password-file", tmp_path / "no.txt")[1]
-    assert "no.pem" in said("--certificate", tmp_path / "no.pem", "--key", tmp_path / "no.pem")[1]
+    assert (
+        "no.pem"
+        in said("--certificate", tmp_path / "no.pem", "--key", tmp_path / "no.pem")[1]
+    )
     (tmp_path / "a.pem").write_text("")
     assert "without --key" in said("--certificate", tmp_path / "a.pem")[1]

@@ -11,11 +11,20 @@ from crazychoir.types import State
 def test_a_state_is_printed_by_its_parts_and_no_age_is_negative(capsys):
     look._print_value(3, State.at((1.0, 2.0, float("nan")), (0.5, 0.0, 0.0)), -0.0004)
     assert json.loads(capsys.readouterr().out) == {
-        "drone": 3, "p": [1.0, 2.0, None], "v": [0.5, 0.0, 0.0], "q": [0.0, 0.0, 0.0, 1.0], "w": [0.0, 0.0, 0.0],
-        "age": 0.0, "a": [0.0, 0.0, 0.0],
-    }  # fmt: skip
+        "drone": 3,
+        "p": [1.0, 2.0, None],
+        "v": [0.5, 0.0, 0.0],
+        "q": [0.0, 0.0, 0.0, 1.0],
+        "w": [0.0, 0.0, 0.0],
+        "age": 0.0,
+        "a": [0.0, 0.0, 0.0],
+    }
     look._print_value(3, "a line", 0.25)
-    assert json.loads(capsys.readouterr().out) == {"drone": 3, "value": "a line", "age": 0.25}
+    assert json.loads(capsys.readouterr().out) == {
+        "drone": 3,
+        "value": "a line",
+        "age": 0.25,
+    }
 
 
 def test_a_simulated_network_is_printed_in_words():

@@ -9,7 +9,9 @@ def test_drones_are_told_by_numbers_and_ranges():
     assert numbers("3, 5-7,3") == [3, 5, 6, 7]
 
 
-@pytest.mark.parametrize(("text", "said"), [("7-5", "5-7"), ("3,7-5", "5-7"), ("x", "3,5-7"), ("", "3,5-7")])
+@pytest.mark.parametrize(
+    ("text", "said"), [("7-5", "5-7"), ("3,7-5", "5-7"), ("x", "3,5-7"), ("", "3,5-7")]
+)
 def test_what_names_no_drones_is_refused(text, said, capsys):
     with pytest.raises(typer.Exit) as ended:
         numbers(text)
@@ -19,7 +21,11 @@ def test_what_names_no_drones_is_refused(text, said, capsys):
 
 @pytest.mark.parametrize(
     ("rows", "code"),
-    [({}, 1), ({0: {"answer": "done", "says": ""}}, 0), ({0: {"answer": "silent", "says": ""}}, 1)],
+    [
+        ({}, 1),
+        ({0: {"answer": "done", "says": ""}}, 0),
+        ({0: {"answer": "silent", "says": ""}}, 1),
+    ],
 )
 def test_an_order_that_reaches_nobody_has_failed(rows, code, capsys):
     with pytest.raises(typer.Exit) as ended:

@@ -14,7 +14,10 @@ def asked(monkeypatch):
     answers = {
         0: (False, "refused: the mission is over"),
         2: (True, {"id": 10002, "note": "it waits"}),
-        3: (False, "drone 3: no answer to 'task_add' within 5 s; is its agent running?"),
+        3: (
+            False,
+            "drone 3: no answer to 'task_add' within 5 s; is its agent running?",
+        ),
     }
 
     class Window:
@@ -42,17 +45,35 @@ def asked(monkeypatch):
 
 
 def test_the_first_drone_that_takes_a_task_is_enough(asked):
-    words = ["add", "--pickup", "1,2.5", "--delivery", "[3,4]", "--robots", "0,3", "--json"]
+    words = [
+        "add",
+        "--pickup",
+        "1,2.5",
+        "--delivery",
+        "[3,4]",
+        "--robots",
+        "0,3",
+        "--json",
+    ]
     said = CliRunner().invoke(task.app, words)
     assert said.exit_code == 0
     assert '"id": 10002' in said.output
-    arguments = {"pickup": [1.0, 2.5], "delivery": [3.0, 4.0], "load": 1.0, "robots": [0, 3]}
+    arguments = {
+        "pickup": [1.0, 2.5],
+        "delivery": [3.0, 4.0],
+        "load": 1.0,
+        "robots": [0, 3],
+    }
     assert asked == [(0, "task_add", arguments), (2, "task_add", arguments)]
 
 
 def test_a_task_that_is_done_at_a_place_needs_no_delivery(asked):
     assert CliRunner().invoke(task.app, ["add", "--pickup", "1,2"]).exit_code == 0
-    assert asked[0] == (0, "task_add", {"pickup": [1.0, 2.0], "delivery": None, "load": 1.0, "robots": []})
+    assert asked[0] == (
+        0,
+        "task_add",
+        {"pickup": [1.0, 2.0], "delivery": None, "load": 1.0, "robots": []},
+    )
 
 
 def test_a_drone_that_is_named_is_asked_alone(asked):
@@ -63,7 +84,13 @@ def test_a_drone_that_is_named_is_asked_alone(asked):
 
 
 @pytest.mark.parametrize(
-    "words", [["--pickup", "1"], ["--pickup", "a,b"], ["--pickup", "1,2,3"], ["--pickup", "1,2", "--robots", "x"]]
+    "words",
+    [
+        ["--pickup", "1"],
+        ["--pickup", "a,b"],
+        ["--pickup", "1,2,3"],
+        ["--pickup", "1,2", "--robots", "x"],
+    ],
 )
 def test_wrong_numbers_are_named(asked, words):
     said = CliRunner().invoke(task.app, ["add", "--delivery", "1,1", *words])
@@ -72,7 +99,9 @@ def test_wrong_numbers_are_named(asked, words):
 
 
 def test_what_a_drone_adds_to_its_answer_is_said(asked):
-    said = CliRunner().invoke(task.app, ["add", "--pickup", "1,2", "--delivery", "3,4", "--drone", "2"])
+    said = CliRunner().invoke(
+        task.app, ["add", "--pickup", "1,2", "--delivery", "3,4", "--drone", "2"]
+    )
     assert said.exit_code == 0
     assert "drone 2: task 10002: it waits" in said.output
 
@@ -93,8 +122,13 @@ def test_a_drone_that_is_not_there_is_named(asked):
 
 
 def test_the_same_refusal_of_several_is_one_line():
-    same = {i: (False, "refused: task: its load 9 is more than any drone can carry: 4") for i in (0, 1, 2)}
-    assert task._lines(same) == ["drone 0, 1, 2: refused: task: its load 9 is more than any drone can carry: 4"]
+    same = {
+        i: (False, "refused: task: its load 9 is more than any drone can carry: 4")
+        for i in (0, 1, 2)
+    }
+    assert task._lines(same) == [
+        "drone 0, 1, 2: refused: task: its load 9 is more than any drone can carry: 4"
+    ]
 
 
 async def test_where_nobody_flies_it_says_what_to_start():

@@ -17,7 +17,11 @@ from crazychoir.types import State, Status
 
 CONFIG = default_swarm(2).replace(mission="goto")
 TIMES = np.arange(41) / 20.0
-RESULT = {"served": [], "history": [[1, 4.5, None], [3, 4.75, 5.0]], "objective": ["total"]}
+RESULT = {
+    "served": [],
+    "history": [[1, 4.5, None], [3, 4.75, 5.0]],
+    "objective": ["total"],
+}
 
 
 def place(i, t):
@@ -29,7 +33,10 @@ def said(i, topic):
     values = {
         "truth": [(t, place(i, t)) for t in TIMES],
         "state": [(t, State.at((0.5 * t, i + 0.003, 1.0))) for t in TIMES],
-        "status": [(t, Status("mission", "flying", sent=int(100 * t))) for t in (0.0, 0.5, 1.0, 1.5, 2.0)],
+        "status": [
+            (t, Status("mission", "flying", sent=int(100 * t)))
+            for t in (0.0, 0.5, 1.0, 1.5, 2.0)
+        ],
         "result": [(2.0, RESULT)],
     }
     return values[topic]
@@ -44,7 +51,12 @@ def plot(tmp_path, monkeypatch):
     def run(*topics, unseen=""):
         path = tmp_path / "a.mcap"
         path.unlink(missing_ok=True)
-        file = RecordingFile(path, about(CONFIG, virtual=False) | {"unseen": unseen}, CONFIG.dumps(), False)
+        file = RecordingFile(
+            path,
+            about(CONFIG, virtual=False) | {"unseen": unseen},
+            CONFIG.dumps(),
+            False,
+        )
         entries = []
         for i in (0, 1):
             for topic in topics:
@@ -56,11 +68,20 @@ def plot(tmp_path, monkeypatch):
         file.write(entries)
         file.close()
         words = ["plot", str(path), "--out", str(tmp_path / "out")]
-        done, shown = (CliRunner().invoke(app, [*words, *more]) for more in (["--json"], []))
+        done, shown = (
+            CliRunner().invoke(app, [*words, *more]) for more in (["--json"], [])
+        )
         assert done.exit_code == shown.exit_code
         told = json.loads(done.stdout)
-        drawn = sorted(Path(file).stem for file in told.get("files", ()) if file.endswith(".png"))
-        return done.exit_code, told, drawn, " ".join((shown.stdout + shown.stderr).split())
+        drawn = sorted(
+            Path(file).stem for file in told.get("files", ()) if file.endswith(".png")
+        )
+        return (
+            done.exit_code,
+            told,
+            drawn,
+            " ".join((shown.stdout + shown.stderr).split()),
+        )
 
     return run
 
@@ -71,9 +92,16 @@ def test_states_and_statuses_are_enough(plot):
     assert drawn == ["heights", "messages", "separation", "space", "tasks", "top"]
     assert sorted(told["not_drawn"]) == ["convergence", "tracking"]
     own = told["drones"]["1"]
-    assert (own["source"], own["estimation_rmse_m"], own["flown_m"]) == ("state", None, pytest.approx(1.0))
+    assert (own["source"], own["estimation_rmse_m"], own["flown_m"]) == (
+        "state",
+        None,
+        pytest.approx(1.0),
+    )
     assert "By state: where the drone took itself to be" in shown
-    assert "Not drawn: tracking: no reference while it was known where a drone was; convergence: no result" in shown
+    assert (
+        "Not drawn: tracking: no reference while it was known where a drone was; convergence: no result"
+        in shown
+    )
 
 
 def test_truth_is_what_somebody_else_has_seen(plot):
@@ -82,17 +110,26 @@ def test_truth_is_what_somebody_else_has_seen(plot):
     assert told["drones"]["0"]["estimation_rmse_m"] == pytest.approx(0.003)
     assert "By state" not in shown
     _, told, _, shown = plot("truth", "state", unseen="0")
-    assert {i: own["source"] for i, own in told["drones"].items()} == {"0": "state", "1": "truth"}
+    assert {i: own["source"] for i, own in told["drones"].items()} == {
+        "0": "state",
+        "1": "truth",
+    }
     assert told["drones"]["0"]["estimation_rmse_m"] is None
     assert "By state" in shown
 
 
 @pytest.mark.parametrize(
-    ("topic", "pictures"), [("status", ["messages", "tasks"]), ("result", ["convergence"])]
+    ("topic", "pictures"),
+    [("status", ["messages", "tasks"]), ("result", ["convergence"])],
 )
 def test_what_drones_said_is_drawn_though_nobody_saw_them(plot, topic, pictures):
     code, told, drawn, shown = plot(topic)
-    assert (code, drawn, told["drones"], told["min_separation_m"]) == (0, pictures, {}, None)
+    assert (code, drawn, told["drones"], told["min_separation_m"]) == (
+        0,
+        pictures,
+        {},
+        None,
+    )
     assert told["not_drawn"]["top"] == "no truth or state of any drone"
     assert "goto, seed 0" in shown
     assert "top: no truth or state of any drone" in shown
@@ -102,5 +139,7 @@ def test_of_nothing_that_could_be_drawn_there_is_an_error(plot, tmp_path, monkey
     monkeypatch.setitem(RESULT, "history", [])
     code, told, _, shown = plot("result")
     assert (code, told["success"], told["kind"]) == (2, False, "ConfigError")
-    assert "a.mcap: found no truth or state of any drone; no status of any drone;" in shown
+    assert (
+        "a.mcap: found no truth or state of any drone; no status of any drone;" in shown
+    )
     assert not (tmp_path / "out").exists()

@@ -38,7 +38,9 @@ def record(monkeypatch, tmp_path):
                 bus, there = Bus(clock), {0: "its process", 1: "its process"}
                 for address in (OBSERVER + 1, 0, 1):
                     bus.port(address)
-                window = Window(clock, default_swarm(2), SimpleNamespace(bus=bus, directory=there))
+                window = Window(
+                    clock, default_swarm(2), SimpleNamespace(bus=bus, directory=there)
+                )
                 working = asyncio.create_task(work(window))
                 playing = asyncio.create_task(scene(clock, bus, there, working.cancel))
                 await asyncio.wait([working])
@@ -67,7 +69,12 @@ async def stays(clock, bus, there, leave):
 def test_what_was_asked_for_is_there(record):
     done, recording, seconds = record(stays, "--seconds", "3.5", "--json")
     said = json.loads(done.stdout)
-    assert (done.exit_code, said["success"], said["messages"], said["lost"]) == (0, True, 6, 0)
+    assert (done.exit_code, said["success"], said["messages"], said["lost"]) == (
+        0,
+        True,
+        6,
+        0,
+    )
     assert said["ended"] == "after 3.5 s"
     assert recording.outcome == {"lost": "0", "missed": "0", "ended": "after 3.5 s"}
     assert recording.about == about(default_swarm(2), virtual=False) | {FILES: "{}"}
@@ -84,7 +91,12 @@ def test_one_that_lost_messages_is_no_success(record):
 
     done, recording, _ = record(too_large, "--seconds", "2.2", "--json")
     said = json.loads(done.stdout)
-    assert (done.exit_code, said["success"], said["lost"], said["error"]) == (1, False, 3, "")
+    assert (done.exit_code, said["success"], said["lost"], said["error"]) == (
+        1,
+        False,
+        3,
+        "",
+    )
     assert (recording.lost, recording.complete) == (3, True)
 
 
@@ -104,10 +116,19 @@ def test_an_outage_of_its_own_network_does_not_end_it(record):
     done, recording, seconds = record(away_and_back, "--json")
     said = json.loads(done.stdout)
     last = 2.0 + GONE - 1.0 + 3.0
-    assert (done.exit_code, said["ended"], recording.outcome["ended"]) == (0, NOBODY, NOBODY)
+    assert (done.exit_code, said["ended"], recording.outcome["ended"]) == (
+        0,
+        NOBODY,
+        NOBODY,
+    )
     assert seconds == pytest.approx(last + GONE, abs=0.6)
     assert said["messages"] == 2 * int(last + 2.5)
-    assert done.stderr.count(f"no drone is there: it ends in {GONE:g} s, unless one comes back") == 2
+    assert (
+        done.stderr.count(
+            f"no drone is there: it ends in {GONE:g} s, unless one comes back"
+        )
+        == 2
+    )
 
 
 def test_ctrl_c_is_told(record):
@@ -120,27 +141,41 @@ def test_ctrl_c_is_told(record):
     done, recording, _ = record(interrupts)
     assert done.exit_code == 0
     assert recording.outcome["ended"] == "Ctrl-C"
-    assert "2 messages, 0 lost, 0 missed; it ended: Ctrl-C" in " ".join(done.stdout.split())
+    assert "2 messages, 0 lost, 0 missed; it ended: Ctrl-C" in " ".join(
+        done.stdout.split()
+    )
 
 
 def test_a_disk_that_fails_is_told(record, monkeypatch):
     async def fails(clock, bus, there, leave):
         await clock.sleep(1.5)
-        monkeypatch.setattr(RecordingFile, "_put", lambda self, sync: setattr(self, "error", "No space left"))
+        monkeypatch.setattr(
+            RecordingFile,
+            "_put",
+            lambda self, sync: setattr(self, "error", "No space left"),
+        )
 
     async def scene(*story):
         await asyncio.gather(stays(*story), fails(*story))
 
     done, recording, seconds = record(scene, "--json")
     said = json.loads(done.stdout)
-    assert (done.exit_code, said["success"], said["error"], said["ended"]) == (1, False, *2 * ["No space left"])
+    assert (done.exit_code, said["success"], said["error"], said["ended"]) == (
+        1,
+        False,
+        *2 * ["No space left"],
+    )
     assert not recording.complete
     assert seconds < 4.0
     assert (said["messages"], said["lost"] > 0) == (2, True)
 
 
 @pytest.mark.parametrize(
-    ("topics", "what"), [((), "no message came"), (("--topics", "result,truth"), "no message of result,truth came")]
+    ("topics", "what"),
+    [
+        ((), "no message came"),
+        (("--topics", "result,truth"), "no message of result,truth came"),
+    ],
 )
 def test_a_recording_of_nothing_is_no_success(record, topics, what):
     async def silent(clock, bus, there, leave):
@@ -148,13 +183,20 @@ def test_a_recording_of_nothing_is_no_success(record, topics, what):
 
     done, recording, _ = record(silent, "--seconds", "2.5", "--json", *topics)
     said = json.loads(done.stdout)
-    assert (done.exit_code, said["success"], said["messages"], said["ended"]) == (1, False, 0, "after 2.5 s")
+    assert (done.exit_code, said["success"], said["messages"], said["ended"]) == (
+        1,
+        False,
+        0,
+        "after 2.5 s",
+    )
     assert what in said["error"]
     assert "Record for longer, or more topics" in said["error"]
     assert recording is None
     done, _, _ = record(silent, "--seconds", "2.5", *topics)
     assert done.exit_code == 1
-    assert "0 messages, 0 lost, 0 missed; it ended: after 2.5 s" in " ".join(done.stdout.split())
+    assert "0 messages, 0 lost, 0 missed; it ended: after 2.5 s" in " ".join(
+        done.stdout.split()
+    )
     assert f"There is no file: {what}" in " ".join(done.stderr.split())
 
 
@@ -163,7 +205,11 @@ def test_a_disk_without_room_for_a_message_is_told(record, monkeypatch):
     room = iter([True])
 
     def once(self, sync):
-        return put(self, sync) if next(room, False) else setattr(self, "error", "No space left")
+        return (
+            put(self, sync)
+            if next(room, False)
+            else setattr(self, "error", "No space left")
+        )
 
     monkeypatch.setattr(RecordingFile, "_put", once)
     done, recording, _ = record(stays)

@@ -26,7 +26,12 @@ def written(path, lost=0):
     series = Series(0, LOG.name, MESSAGES[str])
     pack = packer(series.message, 0)
     for k in range(CHUNKS):
-        file.write([Entry(series, n, n, pack(f"line {n}", n)) for n in range(k * EACH, (k + 1) * EACH)])
+        file.write(
+            [
+                Entry(series, n, n, pack(f"line {n}", n))
+                for n in range(k * EACH, (k + 1) * EACH)
+            ]
+        )
     file.lost = lost
     file.close()
     return path.read_bytes()
@@ -50,9 +55,13 @@ def said(*words):
     return done.exit_code, json.loads(done.stdout), " ".join(done.stderr.split())
 
 
-@pytest.mark.parametrize(("harm", "words"), [(cut, "was cut off at byte"), (spoilt, "was spoilt at byte")])
+@pytest.mark.parametrize(
+    ("harm", "words"), [(cut, "was cut off at byte"), (spoilt, "was spoilt at byte")]
+)
 @pytest.mark.parametrize("options", [(), ("--partial",)])
-def test_a_bag_of_a_part_is_no_success_unless_it_was_asked_for(tmp_path, harm, words, options):
+def test_a_bag_of_a_part_is_no_success_unless_it_was_asked_for(
+    tmp_path, harm, words, options
+):
     path = tmp_path / "a.mcap"
     path.write_bytes(harm(written(tmp_path / "whole.mcap")))
     code, told, aside = said("convert", path, "--rosbag2", tmp_path / "bag", *options)
@@ -64,13 +73,17 @@ def test_a_bag_of_a_part_is_no_success_unless_it_was_asked_for(tmp_path, harm, w
 
 def test_a_bag_of_all(tmp_path):
     written(tmp_path / "a.mcap", lost=3)
-    code, told, aside = said("convert", tmp_path / "a.mcap", "--rosbag2", tmp_path / "bag")
+    code, told, aside = said(
+        "convert", tmp_path / "a.mcap", "--rosbag2", tmp_path / "bag"
+    )
     assert (code, told["success"], told["complete"], told["lost"]) == (0, True, True, 3)
     assert told["messages"] == CHUNKS * EACH
     assert "messages lost while it was recorded: 3" in aside
 
 
-@pytest.mark.parametrize("command", [("convert", "--rosbag2", "bag"), ("replay",), ("rerun",)])
+@pytest.mark.parametrize(
+    "command", [("convert", "--rosbag2", "bag"), ("replay",), ("rerun",)]
+)
 def test_a_recording_without_a_message_is_refused(tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     content = written(tmp_path / "whole.mcap")
@@ -81,7 +94,9 @@ def test_a_recording_without_a_message_is_refused(tmp_path, monkeypatch, command
     assert not (tmp_path / "bag").exists()
 
 
-@pytest.mark.parametrize(("harm", "complete"), [(cut, False), (spoilt, False), (bytes, True)])
+@pytest.mark.parametrize(
+    ("harm", "complete"), [(cut, False), (spoilt, False), (bytes, True)]
+)
 def test_a_replay_says_what_is_not_said(tmp_path, monkeypatch, harm, complete):
     async def replaying(*arguments):
         return {"messages": 1, "seconds": 0.0}
@@ -93,16 +108,27 @@ def test_a_replay_says_what_is_not_said(tmp_path, monkeypatch, harm, complete):
     code, told, aside = said("replay", path)
     assert (code, told["complete"]) == (0, complete)
     assert ("what lies before is said" in aside) is not complete
-    assert (told["lost"], "lost while it was recorded: 2" in aside) == ((2, True) if complete else (0, False))
+    assert (told["lost"], "lost while it was recorded: 2" in aside) == (
+        (2, True) if complete else (0, False)
+    )
 
 
-@pytest.mark.parametrize(("harm", "complete"), [(cut, False), (spoilt, False), (bytes, True)])
-def test_a_rerun_is_compared_as_far_as_the_recording_goes(tmp_path, monkeypatch, harm, complete):
+@pytest.mark.parametrize(
+    ("harm", "complete"), [(cut, False), (spoilt, False), (bytes, True)]
+)
+def test_a_rerun_is_compared_as_far_as_the_recording_goes(
+    tmp_path, monkeypatch, harm, complete
+):
     def flies_the_same(config, mission, progress, file):
         """The same lines, and one more."""
         series = Series(0, LOG.name, MESSAGES[str])
         pack = packer(series.message, 0)
-        file.write([Entry(series, n, n, pack(f"line {n}", n)) for n in range(CHUNKS * EACH + 1)])
+        file.write(
+            [
+                Entry(series, n, n, pack(f"line {n}", n))
+                for n in range(CHUNKS * EACH + 1)
+            ]
+        )
         return {"digest": "ab", "simulated_s": 1.0, "wall_s": 1.0}
 
     monkeypatch.setattr(flight, "fly_fast", flies_the_same)
@@ -110,7 +136,11 @@ def test_a_rerun_is_compared_as_far_as_the_recording_goes(tmp_path, monkeypatch,
     path.write_bytes(harm(written(tmp_path / "whole.mcap")))
     code, told, aside = said("rerun", path, "--record", tmp_path / "again.mcap")
     assert (told["complete"], told["same"]) == (complete, not complete)
-    assert (code, told["success"]) == (1, False), "half a recording proves nothing of the whole flight"
+    assert (code, told["success"]) == (1, False), (
+        "half a recording proves nothing of the whole flight"
+    )
     assert ("it is compared as far as it goes" in aside) is not complete
-    assert ("no message first, the message then" in (told["first_difference"] or "")) is complete
+    assert (
+        "no message first, the message then" in (told["first_difference"] or "")
+    ) is complete
     assert header(tmp_path / "again.mcap").complete

@@ -36,8 +36,16 @@ def test_a_line_is_a_step_and_its_end_the_rest(typed, capsys):
     typed(b"\n 2.5 \n \n")
     assert steps(4) == [0.5, 2.5, 0.5, math.inf]
     said = capsys.readouterr().err.splitlines()
-    assert said[0] == "at 0.00 s; Enter: on by 0.5 s; a number and Enter: by that many; Ctrl-C ends it"
-    assert [line.split(";")[0] for line in said] == ["at 0.00 s", "at 0.50 s", "at 3.00 s", "at 3.50 s"]
+    assert (
+        said[0]
+        == "at 0.00 s; Enter: on by 0.5 s; a number and Enter: by that many; Ctrl-C ends it"
+    )
+    assert [line.split(";")[0] for line in said] == [
+        "at 0.00 s",
+        "at 0.50 s",
+        "at 3.00 s",
+        "at 3.50 s",
+    ]
 
 
 def test_what_is_no_step_is_said_and_asked_for_again(typed, capsys):
@@ -71,8 +79,10 @@ def test_who_is_cancelled_waits_for_no_line(monkeypatch):
 
 def test_a_closed_network_of_several_hosts_is_said_again_on_this_machine_alone():
     raw = {
-        "name": "lab", "hosts": {"a": "10.0.0.1"}, "security": {"insecure": False, "operators": ["a"]},
+        "name": "lab",
+        "hosts": {"a": "10.0.0.1"},
+        "security": {"insecure": False, "operators": ["a"]},
         "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
-    }  # fmt: skip
+    }
     here = _here(SwarmConfig.of(raw))
     assert (here.endpoint(0), here.access("a")) == ("tcp/127.0.0.1:7460", None)

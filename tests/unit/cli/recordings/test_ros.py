@@ -56,16 +56,22 @@ def told(silent=lambda i, t: False, rate=10.0, seconds=3.0, leave=10.0):
         bus, outside = Bus(clock), Outside()
         for address in (OBSERVER + 1, 0, 1):
             bus.port(address)
-        window = Window(clock, default_swarm(2), SimpleNamespace(bus=bus, directory={0: "", 1: ""}))
+        window = Window(
+            clock, default_swarm(2), SimpleNamespace(bus=bus, directory={0: "", 1: ""})
+        )
         clock.call_at(round(leave * 1e9), window.link.directory.clear)
-        serving = asyncio.create_task(serve(window, Bridge(outside, 0, [0, 1]), [0, 1], rate, seconds))
+        serving = asyncio.create_task(
+            serve(window, Bridge(outside, 0, [0, 1]), [0, 1], rate, seconds)
+        )
         async for _ in clock.ticks(STATE.rate):
             if serving.done():
                 await serving
                 return outside, clock.now()
             for i in (0, 1):
                 if not silent(i, clock.now()):
-                    bus.ports[i].publish(STATE, State.at((clock.now() - AGE, i, 0.0)), AGE)
+                    bus.ports[i].publish(
+                        STATE, State.at((clock.now() - AGE, i, 0.0)), AGE
+                    )
 
     return run_virtual(main)
 
@@ -84,11 +90,18 @@ def test_a_place_is_said_with_the_time_when_it_was_measured():
             assert stamp(pose) == pytest.approx(pose["pose"]["position"]["x"], abs=1e-6)
             assert AGE - 1e-6 <= t - stamp(pose) <= AGE + 0.11
         paths = [path for _, path in outside.of(f"drone{i}/path")]
-        assert [len(path["poses"]) for path in paths] == [1 + PATH_EVERY * k for k in range(len(paths))]
+        assert [len(path["poses"]) for path in paths] == [
+            1 + PATH_EVERY * k for k in range(len(paths))
+        ]
         assert len(paths) in (3, 4)
     for t, found in outside.of("tf"):
-        assert [one["child_frame_id"] for one in found["transforms"]] == ["drone0", "drone1"]
-        assert all(AGE - 1e-6 <= t - stamp(one) <= AGE + 0.11 for one in found["transforms"])
+        assert [one["child_frame_id"] for one in found["transforms"]] == [
+            "drone0",
+            "drone1",
+        ]
+        assert all(
+            AGE - 1e-6 <= t - stamp(one) <= AGE + 0.11 for one in found["transforms"]
+        )
 
 
 def test_a_drone_that_falls_silent_is_taken_away_once_and_comes_back():
@@ -97,7 +110,9 @@ def test_a_drone_that_falls_silent_is_taken_away_once_and_comes_back():
     assert [t for t, _ in outside.of("drone1/pose") if late < t < 2.0] == []
     assert [t for t, _ in outside.of("drone1/pose") if t > 2.2], "it is back"
     silent = [found for t, found in outside.of("tf") if late < t < 2.0]
-    assert {one["child_frame_id"] for found in silent for one in found["transforms"]} == {"drone0"}
+    assert {
+        one["child_frame_id"] for found in silent for one in found["transforms"]
+    } == {"drone0"}
     marks = [(t, one) for t, found in outside.of("drones") for one in found["markers"]]
     taken = [(t, one["ns"], one["id"]) for t, one in marks if one["action"] == 2]
     assert [(name, i) for _, name, i in taken] == [("drones", 1), ("names", 1)]
@@ -111,9 +126,14 @@ def test_when_all_are_silent_they_are_taken_away_and_no_more_is_said():
     marks = [one for _, found in outside.of("drones") for one in found["markers"]]
     assert outside.said[-1][0] < 1.0 + STATE.max_age + 0.11
     assert sorted((one["ns"], one["id"]) for one in marks if one["action"] == 2) == [
-        ("drones", 0), ("drones", 1), ("names", 0), ("names", 1),
-    ]  # fmt: skip
-    assert all(found["transforms"] for _, found in outside.of("tf")), "none that is empty"
+        ("drones", 0),
+        ("drones", 1),
+        ("names", 0),
+        ("names", 1),
+    ]
+    assert all(found["transforms"] for _, found in outside.of("tf")), (
+        "none that is empty"
+    )
 
 
 def test_a_slow_picture_is_whole():

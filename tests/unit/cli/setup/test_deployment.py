@@ -18,8 +18,13 @@ from crazychoir.config.swarm_config import DONGLES, MOCAP, ROUTER, WORLD, SwarmC
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.processes import patience
 
-PROGRAMS = {"crazychoir": "crazychoir", "crazychoir-agent": "agent", "crazychoir-world": "world",
-            "crazychoir-mocap": "mocap", "crazychoir-radio": "radios"}  # fmt: skip
+PROGRAMS = {
+    "crazychoir": "crazychoir",
+    "crazychoir-agent": "agent",
+    "crazychoir-world": "world",
+    "crazychoir-mocap": "mocap",
+    "crazychoir-radio": "radios",
+}
 UNITS = ("agent@", "world", "mocap", "radio@", "router")
 
 
@@ -27,17 +32,29 @@ def unit(repository, name):
     """A unit's keys."""
     parser = configparser.ConfigParser(interpolation=None, strict=False)
     parser.optionxform = str
-    parser.read_string((repository / "deploy/systemd" / f"crazychoir-{name}.service").read_text())
+    parser.read_string(
+        (repository / "deploy/systemd" / f"crazychoir-{name}.service").read_text()
+    )
     return parser
 
 
 def test_thirty_drones_on_three_workstations(repository):
     config = SwarmConfig.load(repository / "deploy/three_workstations.toml")
     grid = SwarmConfig.load(repository / "deploy/grid30.toml")
-    assert (config.owned, config.world.host, config.security.operators) == (config.ids, "physics", ("physics",))
+    assert (config.owned, config.world.host, config.security.operators) == (
+        config.ids,
+        "physics",
+        ("physics",),
+    )
     assert [drone.host for drone in config.drones] == ["left"] * 15 + ["right"] * 15
-    assert (config.edges, config.mission_options, config.mission) == (grid.edges, grid.mission_options, grid.mission)
-    assert [(d.home, d.leader) for d in config.drones] == [(d.home, d.leader) for d in grid.drones]
+    assert (config.edges, config.mission_options, config.mission) == (
+        grid.edges,
+        grid.mission_options,
+        grid.mission,
+    )
+    assert [(d.home, d.leader) for d in config.drones] == [
+        (d.home, d.leader) for d in grid.drones
+    ]
 
 
 def test_a_drone_moves_by_one_word(repository, tmp_path):
@@ -46,34 +63,54 @@ def test_a_drone_moves_by_one_word(repository, tmp_path):
     assert moved != text
     config = SwarmConfig.loads(moved)
     assert config.endpoint(3) == "tls/192.168.1.10:7463"
-    assert units.units(config, "physics") == ["crazychoir-world.service", "crazychoir-agent@3.service"]
+    assert units.units(config, "physics") == [
+        "crazychoir-world.service",
+        "crazychoir-agent@3.service",
+    ]
 
 
 def test_six_drones_on_three_dongles_of_three_hosts(repository):
     config = SwarmConfig.load(repository / "deploy/three_dongles.toml")
     assert config.dongles == {0: (0, 1), 1: (2, 3), 2: (4, 5)}
-    assert [config.dongle_host(k) for k in config.dongles] == ["physics", "left", "right"]
-    assert all(drone.uri.startswith("radio://0/") for drone in config.drones), "each is the first of its host"
+    assert [config.dongle_host(k) for k in config.dongles] == [
+        "physics",
+        "left",
+        "right",
+    ]
+    assert all(drone.uri.startswith("radio://0/") for drone in config.drones), (
+        "each is the first of its host"
+    )
     assert units.units(config, "left") == [
-        "crazychoir-radio@1.service", "crazychoir-agent@2.service", "crazychoir-agent@3.service",
-    ]  # fmt: skip
+        "crazychoir-radio@1.service",
+        "crazychoir-agent@2.service",
+        "crazychoir-agent@3.service",
+    ]
 
 
 def test_six_virtual_drones_behind_dongles_of_two_hosts(repository):
     config = SwarmConfig.load(repository / "deploy/virtual_dongles.toml")
     assert [config.dongle_host(k) for k in config.dongles] == ["left", "right"]
     assert config.mocap.host == "physics"
-    assert {drone.uri.split(":")[1] for drone in config.drones} == {"//" + config.hosts["physics"]}
+    assert {drone.uri.split(":")[1] for drone in config.drones} == {
+        "//" + config.hosts["physics"]
+    }
 
 
 def test_one_dongle_has_one_number_on_its_host(repository):
     text = (repository / "deploy/three_dongles.toml").read_text()
     with pytest.raises(ConfigError, match="other drones of dongle 2 say 0"):
-        SwarmConfig.loads(text.replace("radio://0/80/2M/E7E7E7E705", "radio://1/80/2M/E7E7E7E705"))
+        SwarmConfig.loads(
+            text.replace("radio://0/80/2M/E7E7E7E705", "radio://1/80/2M/E7E7E7E705")
+        )
 
 
 def test_names_of_processes_are_those_of_the_swarm_file():
-    assert (units.WORLD, units.MOCAP, units.DONGLES, units.ROUTER) == (WORLD, MOCAP, DONGLES, ROUTER)
+    assert (units.WORLD, units.MOCAP, units.DONGLES, units.ROUTER) == (
+        WORLD,
+        MOCAP,
+        DONGLES,
+        ROUTER,
+    )
     assert units.unit_of(ROUTER) == "crazychoir-router.service"
     assert units.name_of(DONGLES - 2) == "dongle 2"
 
@@ -84,8 +121,12 @@ def test_what_a_unit_starts_is_there(repository, name):
     program = started[0].rpartition("/")[2]
     module = f"crazychoir.cli.{PROGRAMS[program]}"
     words = [word for word in started[1:2] if not word.startswith("-")]
-    done = subprocess.run([sys.executable, "-m", module, *words, "--help"], capture_output=True, text=True,
-                          env={"COLUMNS": "200", "NO_COLOR": "1", "PATH": ""})  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", module, *words, "--help"],
+        capture_output=True,
+        text=True,
+        env={"COLUMNS": "200", "NO_COLOR": "1", "PATH": ""},
+    )
     assert done.returncode == 0, done.stderr
     for option in (word for word in started if word.startswith("--")):
         assert option in done.stdout, f"{option} of {started}"
@@ -113,15 +154,22 @@ def test_zenoh_takes_its_files(repository, name):
 
 
 def test_a_swarm_with_a_router_talks_through_it_alone():
-    config = SwarmConfig.of({
-        "name": "r", "hosts": {"a": "10.0.0.1", "r": "10.0.0.9"}, "router": "r", "security": {"insecure": True},
-        "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
-    })  # fmt: skip
+    config = SwarmConfig.of(
+        {
+            "name": "r",
+            "hosts": {"a": "10.0.0.1", "r": "10.0.0.9"},
+            "router": "r",
+            "security": {"insecure": True},
+            "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
+        }
+    )
     assert config.routers == ["tcp/10.0.0.9:7441"]
     assert config.endpoints()[ROUTER] == config.routers[0]
     assert config.host_of(ROUTER) == "r"
     assert endpoints.of_router(config.routers, 1.0)["mode"] == "router"
-    assert config.replace(router=None).digest() == config.digest(), "hosts need not agree on it"
+    assert config.replace(router=None).digest() == config.digest(), (
+        "hosts need not agree on it"
+    )
     with pytest.raises(ConfigError, match=r"router = .*there is no such host"):
         config.replace(router="x")
 
@@ -147,17 +195,38 @@ def lab(tmp_path):
 
 
 def test_a_dry_push_prints_each_step_and_does_nothing(lab, repository, monkeypatch):
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: pytest.fail("it did something"))
+    monkeypatch.setattr(
+        subprocess, "run", lambda *a, **k: pytest.fail("it did something")
+    )
     folder = str(repository / "deploy/systemd")
-    command = ["push", "--swarm", str(lab), "--host", "a", "--user", "me", "--units", folder, "--dry-run"]
+    command = [
+        "push",
+        "--swarm",
+        str(lab),
+        "--host",
+        "a",
+        "--user",
+        "me",
+        "--units",
+        folder,
+        "--dry-run",
+    ]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     lines = done.output.splitlines()
-    assert "mkdir -p -m 700 choir choir/missions choir/keys .config/systemd/user" in lines[0]
+    assert (
+        "mkdir -p -m 700 choir choir/missions choir/keys .config/systemd/user"
+        in lines[0]
+    )
     assert any(line.endswith("me@10.0.0.1:choir/swarm.toml") for line in lines)
-    assert any(line.endswith("missions/own.py me@10.0.0.1:choir/missions/own.py") for line in lines)
+    assert any(
+        line.endswith("missions/own.py me@10.0.0.1:choir/missions/own.py")
+        for line in lines
+    )
     assert any(line.endswith("keys/a me@10.0.0.1:choir/keys/") for line in lines)
-    assert not any("keys/authority" in line for line in lines), "that stays on one machine"
+    assert not any("keys/authority" in line for line in lines), (
+        "that stays on one machine"
+    )
     assert sum(".service" in line for line in lines) == len(UNITS)
     assert re.search(r"pip install --quiet crazychoir==\d", lines[-2])
     assert "import crazychoir.launch.process.process" in lines[-1]
@@ -169,7 +238,7 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
     for folder in (there, bin_folder):
         folder.mkdir()
     (bin_folder / "ssh").write_text(
-        f'#!/bin/sh\ncd {there}; for last; do :; done\n'
+        f"#!/bin/sh\ncd {there}; for last; do :; done\n"
         'case "$last" in *venv*|*systemctl*) echo "$last" >>said;; *) sh -c "$last";; esac\n'
     )
     (bin_folder / "scp").write_text(
@@ -180,7 +249,9 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", f"{bin_folder}:/usr/bin:/bin")
     folder = str(repository / "deploy/systemd")
     for _ in range(2):  # again is no different
-        done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "a", "--units", folder])
+        done = CliRunner().invoke(
+            app, ["push", "--swarm", str(lab), "--host", "a", "--units", folder]
+        )
         assert done.exit_code == 0, done.output
     moved = SwarmConfig.load(there / "choir/swarm.toml")
     assert moved.access("a").folder == there / "choir/keys/a"
@@ -196,13 +267,17 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
 
 def test_a_push_of_what_units_do_not_read_is_refused(lab):
     lab.with_suffix(".json").write_text("{}")
-    done = CliRunner().invoke(app, ["push", "--swarm", str(lab.with_suffix(".json")), "--dry-run"])
+    done = CliRunner().invoke(
+        app, ["push", "--swarm", str(lab.with_suffix(".json")), "--dry-run"]
+    )
     assert done.exit_code == 2
     assert "allowed: a TOML file" in done.output
 
 
 def test_a_push_without_keys_or_beside_its_folder_is_refused(lab):
-    done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "b", "--dry-run"])
+    done = CliRunner().invoke(
+        app, ["push", "--swarm", str(lab), "--host", "b", "--dry-run"]
+    )
     assert done.exit_code == 2
     with pytest.raises(ConfigError, match="below the folder of the swarm file"):
         pushing.within(lab, lab.parent.parent / "elsewhere.py")
@@ -210,9 +285,17 @@ def test_a_push_without_keys_or_beside_its_folder_is_refused(lab):
         pushing.chosen(SwarmConfig.load(lab), lab, ["c"])
 
 
-def test_what_is_missing_for_one_host_is_said_before_anything_is_done(lab, tmp_path, monkeypatch):
-    monkeypatch.setattr(subprocess, "run", lambda *a, **k: pytest.fail("it did something"))
-    for words in ([], ["--host", "a", "--package", "no.whl"], ["--host", "a", "--units", str(tmp_path / "missions")]):
+def test_what_is_missing_for_one_host_is_said_before_anything_is_done(
+    lab, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        subprocess, "run", lambda *a, **k: pytest.fail("it did something")
+    )
+    for words in (
+        [],
+        ["--host", "a", "--package", "no.whl"],
+        ["--host", "a", "--units", str(tmp_path / "missions")],
+    ):
         done = CliRunner().invoke(app, ["push", "--swarm", str(lab), *words])
         assert done.exit_code == 2, done.output
         assert "folders" not in done.output
@@ -221,14 +304,18 @@ def test_what_is_missing_for_one_host_is_said_before_anything_is_done(lab, tmp_p
 def test_a_folder_is_installed_under_its_name(lab, tmp_path, monkeypatch):
     (tmp_path / "source").mkdir()
     monkeypatch.chdir(tmp_path / "source")
-    done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "a", "--package", ".", "--dry-run"])
+    done = CliRunner().invoke(
+        app, ["push", "--swarm", str(lab), "--host", "a", "--package", ".", "--dry-run"]
+    )
     assert f"{tmp_path}/source 10.0.0.1:choir/" in done.output
     assert "install --quiet choir/source" in done.output
 
 
 def test_scp_takes_an_ipv6_address_in_brackets(lab):
     lab.write_text(lab.read_text().replace("10.0.0.1", "fd00::11"))
-    done = CliRunner().invoke(app, ["push", "--swarm", str(lab), "--host", "a", "--user", "me", "--dry-run"])
+    done = CliRunner().invoke(
+        app, ["push", "--swarm", str(lab), "--host", "a", "--user", "me", "--dry-run"]
+    )
     assert "me@[fd00::11]:choir/swarm.toml" in done.output
     assert re.search(r"ssh [^\n]* me@fd00::11 ", done.output)
 
@@ -238,14 +325,23 @@ def test_a_step_that_fails_says_why_and_what_to_try():
     with pytest.raises(ProcessFailed, match="exit code 1: no route to host"):
         pushing.run("a", pushing.Step("folders", failing))
     with pytest.raises(ProcessFailed, match=r"not done within 0\.2 s"):
-        pushing.run("a", pushing.Step("x", (sys.executable, "-c", "import time; time.sleep(9)"), 0.2))
+        pushing.run(
+            "a",
+            pushing.Step(
+                "x", (sys.executable, "-c", "import time; time.sleep(9)"), 0.2
+            ),
+        )
     with pytest.raises(ProcessFailed, match="not on this machine"):
         pushing.run("a", pushing.Step("x", ("no-such-program",)))
 
 
 def test_the_guide_names_what_there_is(repository):
     text = (repository / "deploy/GUIDE.md").read_text()
-    commands = [word for group in app.registered_commands for word in [group.name or group.callback.__name__]]
+    commands = [
+        word
+        for group in app.registered_commands
+        for word in [group.name or group.callback.__name__]
+    ]
     groups = [group.name for group in app.registered_groups]
     for name in re.findall(r"(?:bin/|`|\n)crazychoir ([a-z][a-z-]+)", text):
         assert name in commands + groups, name
@@ -260,10 +356,14 @@ def test_the_guide_names_what_there_is(repository):
 
 @pytest.mark.parametrize("name", [".gitignore", ".dockerignore"])
 def test_keys_beside_a_swarm_file_go_into_no_commit_and_no_image(repository, name):
-    assert "keys" in [line.strip("*/") for line in (repository / name).read_text().splitlines()]
+    assert "keys" in [
+        line.strip("*/") for line in (repository / name).read_text().splitlines()
+    ]
 
 
-def test_a_host_with_a_drone_moved_is_refused_by_those_who_have_the_old_file(repository):
+def test_a_host_with_a_drone_moved_is_refused_by_those_who_have_the_old_file(
+    repository,
+):
     text = (repository / "deploy/three_workstations.toml").read_text()
     moved = text.replace('id = 3\nhost = "left"', 'id = 3\nhost = "right"')
     assert SwarmConfig.loads(moved).digest() != SwarmConfig.loads(text).digest()

@@ -53,7 +53,9 @@ def lab(folder, port, mission="goto", far="127.0.0.1", expired=False, monkeypatc
     """A swarm file of two hosts with keys."""
     real = authority.today
     if expired:
-        monkeypatch.setattr(authority, "today", lambda: real() - datetime.timedelta(days=40))
+        monkeypatch.setattr(
+            authority, "today", lambda: real() - datetime.timedelta(days=40)
+        )
     authority.init(folder / "keys", days=400)
     for name in ("here", "far"):
         authority.add(folder / "keys", name, days=20 if expired else 300)
@@ -84,26 +86,38 @@ def test_a_taken_port_is_named_with_who_has_it(tmp_path, taken):
     assert "base_port" in row.mend
 
 
-@pytest.mark.parametrize("by", ["python -m crazychoir.cli.fly.agent", "/v/python3 /v/crazychoir-agent --id 0"])
+@pytest.mark.parametrize(
+    "by",
+    ["python -m crazychoir.cli.fly.agent", "/v/python3 /v/crazychoir-agent --id 0"],
+)
 def test_a_port_of_our_own_agents_is_good(by):
     (row,) = host_checks.ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
     assert row.state == "ok"
     assert by in row.found
 
 
-@pytest.mark.parametrize("by", ["python -m http.server --directory /me/crazychoir", "/me/crazychoir/own 7460"])
+@pytest.mark.parametrize(
+    "by",
+    ["python -m http.server --directory /me/crazychoir", "/me/crazychoir/own 7460"],
+)
 def test_a_port_of_another_program_is_not_ours_whatever_its_folder_is_called(by):
     (row,) = host_checks.ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
     assert row.state == "wrong"
 
 
-def test_of_a_swarm_with_a_router_that_alone_must_be_reached(tmp_path, free, monkeypatch):
+def test_of_a_swarm_with_a_router_that_alone_must_be_reached(
+    tmp_path, free, monkeypatch
+):
     """Its other processes listen nowhere."""
     asked = []
-    monkeypatch.setattr(host_facts, "answer", lambda *where: asked.append(where) or "refused")
+    monkeypatch.setattr(
+        host_facts, "answer", lambda *where: asked.append(where) or "refused"
+    )
     monkeypatch.setattr(host_facts, "is_own", lambda address: address == "127.0.0.1")
     file = tmp_path / "lab.toml"
-    text = SWARM.format(port=7460, mission="goto", far="192.0.2.7").replace("[hosts]", '[hosts]\nr = "192.0.2.9"')
+    text = SWARM.format(port=7460, mission="goto", far="192.0.2.7").replace(
+        "[hosts]", '[hosts]\nr = "192.0.2.9"'
+    )
     file.write_text(text.replace("[hosts]", 'router = "r"\n[hosts]'))
     rows = rows_of(str(file))
     assert asked == [("192.0.2.9", 7460 - 19)]
@@ -121,7 +135,9 @@ def test_a_name_that_means_the_loopback_here_is_named(tmp_path, free, monkeypatc
 
 
 def test_an_expired_key_is_named(tmp_path, free, monkeypatch):
-    row = rows_of(lab(tmp_path, free, expired=True, monkeypatch=monkeypatch))["keys of here"]
+    row = rows_of(lab(tmp_path, free, expired=True, monkeypatch=monkeypatch))[
+        "keys of here"
+    ]
     assert row.state == "wrong"
     assert "good from" in row.found
     assert "keys add here" in row.mend
@@ -139,7 +155,9 @@ def test_a_key_that_ends_soon_is_a_warning():
 
 def test_an_address_of_another_machine_is_named(tmp_path, free, monkeypatch):
     monkeypatch.setattr(host_facts, "DEADLINE", 0.05)
-    monkeypatch.setattr(host_facts, "answer", lambda address, port: "no answer within 1 s")
+    monkeypatch.setattr(
+        host_facts, "answer", lambda address, port: "no answer within 1 s"
+    )
     rows = rows_of(lab(tmp_path, free, far="192.0.2.7"), host="far")
     assert rows["own host"].state == "wrong"
     assert "far is 192.0.2.7: no address of this machine" in rows["own host"].found
@@ -150,9 +168,14 @@ def test_a_governor_that_saves_power_is_named(tmp_path):
     for cpu in ("cpu0", "cpu1"):
         folder = tmp_path / "devices/system/cpu" / cpu / "cpufreq"
         folder.mkdir(parents=True)
-        (folder / "scaling_governor").write_text("powersave\n" if cpu == "cpu1" else "performance\n")
+        (folder / "scaling_governor").write_text(
+            "powersave\n" if cpu == "cpu1" else "performance\n"
+        )
     (row,) = (row for row in doctor.machine(tmp_path) if row.what == "cpu governor")
-    assert (row.state, row.mend) == ("warning", "sudo cpupower frequency-set -g performance")
+    assert (row.state, row.mend) == (
+        "warning",
+        "sudo cpupower frequency-set -g performance",
+    )
     assert "powersave on cpu1" in row.found
 
 
@@ -169,12 +192,23 @@ def test_a_swarm_file_that_is_not_there_is_named(tmp_path):
 
 
 def test_packages_and_python_that_are_too_old_are_named():
-    rows = host_checks.packages(["eclipse-zenoh>=1.10", "cflib>=0.1.32", "numpy>=2.4", 'av>=16.0; extra == "test"'],
-                                {"eclipse-zenoh": "1.9.0", "numpy": "2.10.1"})  # fmt: skip
+    rows = host_checks.packages(
+        [
+            "eclipse-zenoh>=1.10",
+            "cflib>=0.1.32",
+            "numpy>=2.4",
+            'av>=16.0; extra == "test"',
+        ],
+        {"eclipse-zenoh": "1.9.0", "numpy": "2.10.1"},
+    )
     assert [row.what for row in rows] == ["package eclipse-zenoh", "package cflib"]
     assert all(row.state == "wrong" for row in rows)
     assert rows[0].mend == "pip install 'eclipse-zenoh>=1.10'"
-    assert host_checks.python((3, 10, 2)).state == host_checks.python((3, 14, 0)).state == "wrong"
+    assert (
+        host_checks.python((3, 10, 2)).state
+        == host_checks.python((3, 14, 0)).state
+        == "wrong"
+    )
     assert host_checks.python((3, 13, 9)).state == "ok"
 
 
@@ -182,10 +216,18 @@ def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
     for n, kind in enumerate(("1915:7777", "8087:0024")):
         folder = tmp_path / "sys/bus/usb/devices" / f"1-{n}"
         folder.mkdir(parents=True)
-        for name, text in zip(("idVendor", "idProduct", "busnum", "devnum"), (*kind.split(":"), "1", n), strict=True):
+        for name, text in zip(
+            ("idVendor", "idProduct", "busnum", "devnum"),
+            (*kind.split(":"), "1", n),
+            strict=True,
+        ):
             (folder / name).write_text(f"{text}\n")
     (found,) = host_facts.crazyradios(tmp_path / "sys", tmp_path / "dev")
-    assert (found.kind, found.path, found.writable) == ("1915:7777", str(tmp_path / "dev/001/000"), False)
+    assert (found.kind, found.path, found.writable) == (
+        "1915:7777",
+        str(tmp_path / "dev/001/000"),
+        False,
+    )
     rows = host_checks.radios([found], [1])
     assert [row.state for row in rows] == ["wrong", "wrong"]
     assert "udevadm" in rows[0].mend
@@ -193,13 +235,21 @@ def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
     assert host_checks.radios([Usb("1915:7777", "/dev/x", True)], [0])[0].state == "ok"
     assert host_checks.radios([], [])[0].state == "not here"
     rows = host_checks.radios([Usb(host_checks.BOOTLOADER, "/dev/x", True)], [0])
-    assert [row.state for row in rows] == ["wrong", "wrong"], "one in its bootloader does not fly"
+    assert [row.state for row in rows] == ["wrong", "wrong"], (
+        "one in its bootloader does not fly"
+    )
 
 
 def test_little_memory_and_a_late_timer_are_warnings():
-    assert host_checks.memory(500.0, 6).state == host_checks.timer(9.0).state == "warning"
+    assert (
+        host_checks.memory(500.0, 6).state == host_checks.timer(9.0).state == "warning"
+    )
     assert host_checks.files(256).state == "warning"
-    assert host_checks.clock(False, 1.0).state == host_checks.disk(10.0, "/x").state == "warning"
+    assert (
+        host_checks.clock(False, 1.0).state
+        == host_checks.disk(10.0, "/x").state
+        == "warning"
+    )
     assert host_checks.clock(None, 0.0).state == "not here"
 
 
@@ -207,14 +257,25 @@ def test_other_hosts_are_asked_within_a_deadline(taken, free):
     assert host_facts.answer("127.0.0.1", taken) == "connected"
     assert host_facts.answer("127.0.0.1", free) == "refused"
     assert host_checks.reachable("b", "10.0.0.9", "No route to host").state == "wrong"
-    stranger = host_checks.reachable("b", "10.0.0.9", "connected", "its certificate is not good here: expired")
+    stranger = host_checks.reachable(
+        "b", "10.0.0.9", "connected", "its certificate is not good here: expired"
+    )
     assert (stranger.state, stranger.found) == (
-        "wrong", "10.0.0.9 answers, and its certificate is not good here: expired",
-    )  # fmt: skip
+        "wrong",
+        "10.0.0.9 answers, and its certificate is not good here: expired",
+    )
 
 
 def test_its_exit_code_says_that_something_is_wrong(tmp_path):
-    command = (sys.executable, "-m", "crazychoir.cli.main", "doctor", "--json", "--swarm", tmp_path / "no.toml")
+    command = (
+        sys.executable,
+        "-m",
+        "crazychoir.cli.main",
+        "doctor",
+        "--json",
+        "--swarm",
+        tmp_path / "no.toml",
+    )
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "no.toml" in json.loads(done.stdout)["rows"][-1]["found"]

@@ -47,7 +47,9 @@ def dongle(monkeypatch):
     """One that measures what the simulated radio does."""
     room = random_room(3, range(0, 81, 8))
     open_probe = contextlib.nullcontext(SimulatedRadio(room, 3))
-    monkeypatch.setattr("crazychoir.radio.survey.survey_radio.open_probe", lambda uri, now: open_probe)
+    monkeypatch.setattr(
+        "crazychoir.radio.survey.survey_radio.open_probe", lambda uri, now: open_probe
+    )
 
 
 def test_the_survey_says_what_it_has_measured():
@@ -59,7 +61,9 @@ def test_the_survey_says_what_it_has_measured():
     assert result["success"]
     assert len(result["chosen"]) == 2
     assert [c for c, row in rows.items() if row["chosen"]] == result["chosen"]
-    assert result["worst_ack_rate"] == min(rows[c]["worst_pass"] for c in result["chosen"])
+    assert result["worst_ack_rate"] == min(
+        rows[c]["worst_pass"] for c in result["chosen"]
+    )
     for row in rows.values():
         assert len(row["passes"]) == 3
         assert sum(row["retries"]) + row["lost_with_retries"] == 60
@@ -75,11 +79,15 @@ def test_the_table_marks_what_is_picked(tmp_path):
 
 
 def test_the_channels_of_a_swarm_file_are_written(swarm, dongle):
-    result = json.loads(said("survey", *BRIEF, "--swarm", swarm, "--write", "--json").stdout)
+    result = json.loads(
+        said("survey", *BRIEF, "--swarm", swarm, "--write", "--json").stdout
+    )
     low, high = result["chosen"]
     assert result["dongles"] == {"1": low, "0": high}
     assert result["written"] == str(swarm)
-    expected = SWARM.replace("//1/80/", f"//1/{low}/").replace("//0/80/", f"//0/{high}/")
+    expected = SWARM.replace("//1/80/", f"//1/{low}/").replace(
+        "//0/80/", f"//0/{high}/"
+    )
     assert swarm.read_text() == expected != SWARM
 
 
@@ -89,8 +97,12 @@ def test_without_write_the_file_stays(swarm):
     assert swarm.read_text() == SWARM
 
 
-def test_channels_where_nothing_comes_through_are_not_written(swarm, dongle, monkeypatch):
-    monkeypatch.setattr("crazychoir.radio.survey.simulated_radio.success", lambda sinr: 0.0 * sinr)
+def test_channels_where_nothing_comes_through_are_not_written(
+    swarm, dongle, monkeypatch
+):
+    monkeypatch.setattr(
+        "crazychoir.radio.survey.simulated_radio.success", lambda sinr: 0.0 * sinr
+    )
     done = said("survey", *BRIEF, "--swarm", swarm, "--write", "--json")
     assert done.exit_code == 1
     assert json.loads(done.stdout)["written"] is None
@@ -102,7 +114,10 @@ def test_channels_where_nothing_comes_through_are_not_written(swarm, dongle, mon
     [
         (["--write"], "--swarm"),
         (["--swarm", "SWARM", "--write"], "--write: found --simulated beside it"),
-        (["--swarm", "SWARM", "--write", "--dongles", "3", "REAL"], "that is how many the file has"),
+        (
+            ["--swarm", "SWARM", "--write", "--dongles", "3", "REAL"],
+            "that is how many the file has",
+        ),
         (["--dongles", "12"], "room for 11"),
         (["--drone", "radio://0/80"], "no real drone hears a simulated radio"),
         (["--channels", "9-3"], "channels 0 to 125"),
@@ -112,7 +127,9 @@ def test_channels_where_nothing_comes_through_are_not_written(swarm, dongle, mon
         (["--picture", "a.gif"], ".png"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_is_measured(swarm, words, says, monkeypatch):
+def test_what_cannot_be_is_refused_before_anything_is_measured(
+    swarm, words, says, monkeypatch
+):
     monkeypatch.setattr(Survey, "visits", None)
     broken = swarm.with_name("broken.toml")
     broken.write_text(SWARM.replace("home = [0, 0, 0]", ""))
@@ -120,13 +137,20 @@ def test_what_cannot_be_is_refused_before_anything_is_measured(swarm, words, say
     odd.write_text(SWARM.replace('"radio://0/80', '"radio:\\u002f/0/80'))
     files = {"SWARM": swarm, "BROKEN": broken, "ODD": odd}
     few = BRIEF if "REAL" in words else FEW
-    done = said("survey", *few, *(files.get(word, word) for word in words if word != "REAL"), "--json")
+    done = said(
+        "survey",
+        *few,
+        *(files.get(word, word) for word in words if word != "REAL"),
+        "--json",
+    )
     assert done.exit_code == 2
     assert says in json.loads(done.stdout)["error"]
 
 
 def test_without_hardware_it_says_what_to_plug_in(monkeypatch):
-    monkeypatch.setattr("cflib.drivers.crazyradio._find_devices", lambda serial=None: [])
+    monkeypatch.setattr(
+        "cflib.drivers.crazyradio._find_devices", lambda serial=None: []
+    )
     done = said("survey")
     assert done.exit_code == 2
     assert "Plug a Crazyradio in" in done.stderr
@@ -134,7 +158,10 @@ def test_without_hardware_it_says_what_to_plug_in(monkeypatch):
 
 def test_the_drone_that_answers_is_the_first_of_the_file(swarm, monkeypatch):
     opened = []
-    monkeypatch.setattr("crazychoir.radio.survey.survey_radio.open_probe", lambda uri, now: opened.append(uri) or 1 / 0)
+    monkeypatch.setattr(
+        "crazychoir.radio.survey.survey_radio.open_probe",
+        lambda uri, now: opened.append(uri) or 1 / 0,
+    )
     said("survey", "--swarm", swarm)
     said("survey", "--swarm", swarm, "--drone", "radio://0/7")
     said("survey")
@@ -151,14 +178,21 @@ def test_progress_shows_each_channel():
     assert len(bars.plain) == len("0 ") + 10 + len(" 36")
 
 
-@pytest.mark.parametrize(("lost", "error", "code"), [(0, "", 0), (1, "", 1), (0, "cut", 1)])
+@pytest.mark.parametrize(
+    ("lost", "error", "code"), [(0, "", 0), (1, "", 1), (0, "cut", 1)]
+)
 def test_ping_succeeds_if_nothing_is_lost(monkeypatch, lost, error, code):
     found = [Echoes("udp://a:1", 3 + lost, (0.001, 0.002, 0.003), error)]
     monkeypatch.setattr("crazychoir.radio.survey.ping.ping", lambda *arguments: found)
     done = said("ping", "udp://a:1", "--json")
     assert done.exit_code == code
     (link,) = json.loads(done.stdout)["links"]
-    assert (link["sent"], link["lost"], link["p50_s"], link["error"]) == (3 + lost, lost, 0.002, error)
+    assert (link["sent"], link["lost"], link["p50_s"], link["error"]) == (
+        3 + lost,
+        lost,
+        0.002,
+        error,
+    )
     table = said("ping", "udp://a:1").stdout
     assert "2.00 ms" in table
     assert ("udp://a:1: cut" in table) == bool(error)

@@ -39,7 +39,10 @@ def lab(tmp_path):
         with Recorder(tmp_path / name) as recorder:
             for k in range(100):
                 drone = np.array([1.0, 0.0, 0.0, *quaternion_of_yaw(0.005 * k * turn)])
-                bodies = {"a": np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), "b": MOUNTING.body(drone)}
+                bodies = {
+                    "a": np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]),
+                    "b": MOUNTING.body(drone),
+                }
                 for flat in bodies.values():
                     flat[0:3] += draw.normal(0.0, 0.0002, 3)
                 wand = np.array([3.0, 3.0, 1.0, 0.0, 0.0, 0.0, 1.0])
@@ -54,7 +57,9 @@ def lab(tmp_path):
 
 
 def said(*words, seconds=0.25):
-    done = CliRunner().invoke(app, ["mocap", *map(str, words), "--seconds", str(seconds)])
+    done = CliRunner().invoke(
+        app, ["mocap", *map(str, words), "--seconds", str(seconds)]
+    )
     return done, json.loads(done.stdout) if done.stdout.startswith("{") else None
 
 
@@ -62,9 +67,16 @@ def test_names_are_proposed_by_where_drones_stand_and_written(lab):
     path = lab()
     done, told = said("names", "--swarm", path, "--write", "--json")
     assert done.exit_code == 0, done.output
-    assert {i: one["body"] for i, one in told["proposed"].items()} == {"0": "a", "1": "b"}
+    assert {i: one["body"] for i, one in told["proposed"].items()} == {
+        "0": "a",
+        "1": "b",
+    }
     assert [one["name"] for one in told["bodies"]] == ["a", "b", "wand"]
-    new = [line for line in path.read_text().splitlines() if line not in ("", *FILE.splitlines())]
+    new = [
+        line
+        for line in path.read_text().splitlines()
+        if line not in ("", *FILE.splitlines())
+    ]
     assert new == ['body = "a"', 'body = "b"']
     assert path.read_text().startswith('name = "lab"  # ours\n[[drones]]\nid = 0\n')
 
@@ -73,7 +85,9 @@ def test_without_write_the_lines_are_shown_and_the_file_stays(lab):
     path = lab('body = "b"')
     before = path.read_text()
     done, _ = said("names", "--swarm", path)
-    assert done.stdout.endswith('[[drones]]\nid = 0\nbody = "a"\n'), "drone 1 has its body already"
+    assert done.stdout.endswith('[[drones]]\nid = 0\nbody = "a"\n'), (
+        "drone 1 has its body already"
+    )
     assert path.read_text() == before
 
 
@@ -91,7 +105,9 @@ def test_rest_shows_tilt_and_height_and_a_turn_the_offset(lab, tmp_path):
     done, _ = said("calibrate", 1, "--swarm", path, "--write", "--json")
     assert done.exit_code == 0, done.output
     turns = ("calibrate", 1, "--turn", "--source", tmp_path / "turn.csv")
-    done, _ = said(*turns, "--swarm", path, "--write", "--json", seconds=1.0)  # a busy machine misses some of it
+    done, _ = said(
+        *turns, "--swarm", path, "--write", "--json", seconds=1.0
+    )  # a busy machine misses some of it
     assert done.exit_code == 0, done.output
     drone = SwarmConfig.load(path).drone(1)
     np.testing.assert_allclose(drone.body_rotation, MOUNTING.rotation, atol=1e-4)
@@ -101,7 +117,10 @@ def test_rest_shows_tilt_and_height_and_a_turn_the_offset(lab, tmp_path):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (("calibrate", 5), "DRONE: found 5; allowed: drones that a radio reaches: [0, 1]"),
+        (
+            ("calibrate", 5),
+            "DRONE: found 5; allowed: drones that a radio reaches: [0, 1]",
+        ),
         (("calibrate", 1), "body cf1 of drone 1: it is not seen; seen are: a, b, wand"),
         (("calibrate", 1, "--turn"), "it is not seen"),
         (("names", "--source", "virtual@a:b"), "--source: found virtual@a:b"),

@@ -14,7 +14,10 @@ def test_all_drones_start_unless_some_are_named():
     assert to_start(None, PAIRS) == (0, 1, 2, 3)
 
 
-@pytest.mark.parametrize(("only", "here"), [("2", (2,)), ("3,2", (2, 3)), ("1, 0,1", (0, 1)), ("3,1,0", (0, 1, 3))])
+@pytest.mark.parametrize(
+    ("only", "here"),
+    [("2", (2,)), ("3,2", (2, 3)), ("1, 0,1", (0, 1)), ("3,1,0", (0, 1, 3))],
+)
 def test_the_named_drones_start(only, here):
     assert to_start(only, PAIRS) == here
 
@@ -26,7 +29,9 @@ def test_drones_that_there_are_not_are_refused(only):
 
 
 def test_a_process_starts_whole_or_not():
-    with pytest.raises(ConfigError, match=r"drones 0, 1 share a process.*Name all of them or none"):
+    with pytest.raises(
+        ConfigError, match=r"drones 0, 1 share a process.*Name all of them or none"
+    ):
         to_start("1,2", PAIRS)
 
 
@@ -50,16 +55,30 @@ def test_only_goes_with_nothing_of_a_whole_swarm(option):
     ("what", "swarm", "given", "said"),
     [
         ("swarm.toml", None, {"--drones": 6}, "--drones: found 6 beside a swarm file"),
-        ("bearing_formation", "swarm.toml", {"--drones": 6}, "--drones: found 6 beside a swarm file"),
+        (
+            "bearing_formation",
+            "swarm.toml",
+            {"--drones": 6},
+            "--drones: found 6 beside a swarm file",
+        ),
         ("a.toml", "b.toml", {}, "--swarm: found b.toml beside a.toml"),
-        ("bearing_formation", None, {"--fast": True, "--processes": 2}, "--processes: found --fast beside it"),
+        (
+            "bearing_formation",
+            None,
+            {"--fast": True, "--processes": 2},
+            "--processes: found --fast beside it",
+        ),
     ],
 )
 def test_an_option_that_would_say_nothing_is_refused(what, swarm, given, said):
     with pytest.raises(ConfigError, match=said):
         check_options(what, swarm, None, NOTHING | given)
-    check_options("bearing_formation", None, None, NOTHING | {"--drones": 6, "--processes": 2})
-    check_options("bearing_formation", None, None, NOTHING | {"--drones": 6, "--fast": True})
+    check_options(
+        "bearing_formation", None, None, NOTHING | {"--drones": 6, "--processes": 2}
+    )
+    check_options(
+        "bearing_formation", None, None, NOTHING | {"--drones": 6, "--fast": True}
+    )
 
 
 def test_the_command_line_changes_what_it_names_and_nothing_else():
@@ -88,7 +107,10 @@ def test_a_mission_without_a_swarm_of_its_own_gets_one(tmp_path):
 
 
 def test_a_mission_draws_its_own_picture_else_what_was_flown_is_drawn(tmp_path):
-    result = {"results": {0: {}, 1: {}}, "tracks": {0: [(0.0, 0.0, 0.0, 1.0), (1.0, 2.0, 0.0, 1.0)], 1: []}}
+    result = {
+        "results": {0: {}, 1: {}},
+        "tracks": {0: [(0.0, 0.0, 0.0, 1.0), (1.0, 2.0, 0.0, 1.0)], 1: []},
+    }
     path, drawn = tmp_path / "new" / "x.png", []
     own = SimpleNamespace(picture=lambda config, results, path: drawn.append(results))
     assert _drawn(own, PAIRS, result, path) is None, "it has written nothing"

@@ -36,7 +36,9 @@ class Swarm:
         """Drone i is found; if deaf, it never answers."""
         self.directory[i] = "its process"
         if not deaf:
-            CommandServer(self.bus.port(i), partial(self.execute, i), partial(self.stop, i))
+            CommandServer(
+                self.bus.port(i), partial(self.execute, i), partial(self.stop, i)
+            )
 
     async def execute(self, i, verb, arguments):
         """Obey, after `slow` s."""
@@ -77,7 +79,11 @@ def test_when_all_have_answered_nobody_waits():
     swarm, said, seconds = play(scene)
     assert said == dict.fromkeys(range(3), (True, "acknowledged"))
     assert seconds < 0.2
-    assert {i: [on for _, on in stops] for i, stops in swarm.stops.items()} == {0: [True], 1: [True], 2: [True]}
+    assert {i: [on for _, on in stops] for i, stops in swarm.stops.items()} == {
+        0: [True],
+        1: [True],
+        2: [True],
+    }
 
 
 def test_who_is_absent_is_named_and_delays_nobody():
@@ -87,17 +93,27 @@ def test_who_is_absent_is_named_and_delays_nobody():
         return await swarm.window.emergency_stop(clear=False)
 
     swarm, said, seconds = play(scene)
-    assert said == {0: (True, "acknowledged"), 1: (False, "absent"), 2: (True, "acknowledged")}
-    assert swarm.stops[0][0][0] == pytest.approx(0.0, abs=0.02), "before it is known who else is there"
+    assert said == {
+        0: (True, "acknowledged"),
+        1: (False, "absent"),
+        2: (True, "acknowledged"),
+    }
+    assert swarm.stops[0][0][0] == pytest.approx(0.0, abs=0.02), (
+        "before it is known who else is there"
+    )
     assert swarm.stops[2][0][0] == pytest.approx(1.0, abs=0.15)
-    assert seconds == pytest.approx(1.0 + DISCOVERY, abs=0.1), "after the last that was found"
+    assert seconds == pytest.approx(1.0 + DISCOVERY, abs=0.1), (
+        "after the last that was found"
+    )
 
 
 def test_who_is_there_and_does_not_answer_is_not_absent():
     async def scene(swarm):
         for i in range(3):
             swarm.comes(i, deaf=i == 1)
-        return await swarm.window.emergency_stop(clear=True), await swarm.window.request("land")
+        return await swarm.window.emergency_stop(
+            clear=True
+        ), await swarm.window.request("land")
 
     swarm, (cleared, landed), seconds = play(scene)
     assert cleared[1] == (False, "no acknowledgement")
@@ -113,11 +129,17 @@ def test_who_refuses_says_why():
         swarm.refuses = {2: math.inf}
         for i in range(3):
             swarm.comes(i)
-        return await swarm.window.request("land"), await swarm.window.request("impair", loss=0.3)
+        return await swarm.window.request("land"), await swarm.window.request(
+            "impair", loss=0.3
+        )
 
     swarm, (landed, impaired), seconds = play(scene)
     not_now = f"refused: {NOT_READY}: waiting for the others"
-    assert landed == {0: (True, "acknowledged"), 1: (True, "acknowledged"), 2: (False, not_now)}
+    assert landed == {
+        0: (True, "acknowledged"),
+        1: (True, "acknowledged"),
+        2: (False, not_now),
+    }
     assert impaired[0] == (True, {"loss": 0.3})
     assert swarm.verbs == [(0, "land"), (1, "land"), (0, "impair"), (1, "impair")]
     assert seconds < 0.2
@@ -132,20 +154,33 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
 
     swarm, said, _ = play(scene)
     if owner:
-        assert said == {0: (True, "acknowledged"), 1: (False, "absent; its body has obeyed")}
-        assert [at for i in (0, 1) for at, _ in swarm.stops[BODIES + i]] == pytest.approx([0.0, 0.0], abs=0.02)
+        assert said == {
+            0: (True, "acknowledged"),
+            1: (False, "absent; its body has obeyed"),
+        }
+        assert [
+            at for i in (0, 1) for at, _ in swarm.stops[BODIES + i]
+        ] == pytest.approx([0.0, 0.0], abs=0.02)
     else:
         silent = "its body's owner does not answer"
-        assert said == {0: (False, f"acknowledged; {silent}"), 1: (False, f"absent; {silent}")}
+        assert said == {
+            0: (False, f"acknowledged; {silent}"),
+            1: (False, f"absent; {silent}"),
+        }
 
 
 def test_without_anybody_there_is_no_swarm():
     async def scene(swarm):
         began = swarm.clock.now()
-        with pytest.raises(Refused, match=r"no swarm of yours runs here: start one .*crazychoir run.*--swarm FILE"):
+        with pytest.raises(
+            Refused,
+            match=r"no swarm of yours runs here: start one .*crazychoir run.*--swarm FILE",
+        ):
             await swarm.window.order("hold", None, 5.0)
         swarm.window.option = "lab.toml"
-        with pytest.raises(Refused, match=r"no agent found at tcp/127.0.0.1:7460 .*is it running"):
+        with pytest.raises(
+            Refused, match=r"no agent found at tcp/127.0.0.1:7460 .*is it running"
+        ):
             await swarm.window.emergency_stop(clear=False)
         return swarm.clock.now() - began
 
@@ -156,13 +191,19 @@ def test_without_anybody_there_is_no_swarm():
 def with_owner(swarm, bodies=(0, 1)):
     """The bodies of two drones are in the world of an owner, which answers for these."""
     drones = [{"id": i, "home": [float(i), 0.0, 0.0]} for i in range(2)]
-    swarm.window.config = SwarmConfig.of({"name": "a", "drones": drones, "world": {"owned": True}})
+    swarm.window.config = SwarmConfig.of(
+        {"name": "a", "drones": drones, "world": {"owned": True}}
+    )
     for i in bodies:
-        CommandServer(swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i))
+        CommandServer(
+            swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i)
+        )
 
 
 @pytest.mark.parametrize("patience", [0.0, DISCOVERY, 30.0])
-def test_what_the_bodies_have_answered_is_said_though_no_agent_is_there(patience, caplog):
+def test_what_the_bodies_have_answered_is_said_though_no_agent_is_there(
+    patience, caplog
+):
     async def scene(swarm):
         with_owner(swarm)
         swarm.window.patience = patience
@@ -171,8 +212,12 @@ def test_what_the_bodies_have_answered_is_said_though_no_agent_is_there(patience
     swarm, said, seconds = play(scene)
     assert said == dict.fromkeys(range(2), (False, "absent; its body has obeyed"))
     assert [on for i in range(2) for _, on in swarm.stops[BODIES + i]] == [True, True]
-    assert seconds == pytest.approx(DISCOVERY, abs=0.2), "agents get no longer, though a run may be starting"
-    assert caplog.messages == ["swarm a: stopped: bodies 0 to 1; waiting for the others"]
+    assert seconds == pytest.approx(DISCOVERY, abs=0.2), (
+        "agents get no longer, though a run may be starting"
+    )
+    assert caplog.messages == [
+        "swarm a: stopped: bodies 0 to 1; waiting for the others"
+    ]
 
 
 def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
@@ -183,7 +228,10 @@ def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
         return await swarm.window.emergency_stop(clear=False)
 
     _, said, seconds = play(partial(scene, bodies=(0, 1)))
-    assert said == {0: (True, "acknowledged"), 1: (False, "no acknowledgement; its body has obeyed")}
+    assert said == {
+        0: (True, "acknowledged"),
+        1: (False, "no acknowledgement; its body has obeyed"),
+    }
     assert seconds == pytest.approx(DISCOVERY, abs=0.2)
     _, said, seconds = play(partial(scene, bodies=(0,)))
     assert said[1] == (False, "no acknowledgement; its body's owner does not answer")
@@ -199,9 +247,13 @@ def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog
         return await swarm.window.emergency_stop(clear=False)
 
     _, said, seconds = play(scene)
-    assert said == dict.fromkeys(range(2), (False, "acknowledged; its body's owner does not answer"))
+    assert said == dict.fromkeys(
+        range(2), (False, "acknowledged; its body's owner does not answer")
+    )
     assert seconds == pytest.approx(DISCOVERY, abs=0.2)
-    assert caplog.messages == ["swarm a: stopped: agents 0 to 1; waiting for the others"], "at once"
+    assert caplog.messages == [
+        "swarm a: stopped: agents 0 to 1; waiting for the others"
+    ], "at once"
 
 
 def test_a_stop_waits_for_a_run_that_is_starting_with_words(caplog):
@@ -211,7 +263,11 @@ def test_a_stop_waits_for_a_run_that_is_starting_with_words(caplog):
         return await swarm.window.emergency_stop(clear=True)
 
     _, said, seconds = play(scene)
-    assert said == {0: (False, "absent"), 1: (True, "acknowledged"), 2: (False, "absent")}
+    assert said == {
+        0: (False, "absent"),
+        1: (True, "acknowledged"),
+        2: (False, "absent"),
+    }
     assert seconds == pytest.approx(18.0 + DISCOVERY, abs=0.2)
     assert caplog.messages == [
         "swarm default is starting: waiting for its drones, up to 30 s",
@@ -228,10 +284,14 @@ def test_an_order_waits_for_a_swarm_that_is_starting(caplog):
         return await swarm.window.order("take-off", None, 10.0)
 
     swarm, said, seconds = play(scene)
-    assert {i: answer[1][0] for i, answer in said.items()} == dict.fromkeys(range(3), "done")
+    assert {i: answer[1][0] for i, answer in said.items()} == dict.fromkeys(
+        range(3), "done"
+    )
     assert seconds == pytest.approx(25.0, abs=0.5), "drone 1 was not ready before"
     assert sorted(swarm.verbs) == [(i, "take-off") for i in range(3)]
-    assert caplog.messages == ["swarm default is starting: waiting for its drones, up to 30 s"]
+    assert caplog.messages == [
+        "swarm default is starting: waiting for its drones, up to 30 s"
+    ]
 
 
 def test_who_does_not_get_ready_says_so_in_time():
@@ -254,7 +314,9 @@ def test_what_is_not_done_in_time_names_the_time_that_was_given():
         return await swarm.window.order("land", None, 30.0)
 
     _, said, seconds = play(scene)
-    assert said == dict.fromkeys(range(3), (False, ("accepted", "not done within 30 s"))), "drone 1 was asked again"
+    assert said == dict.fromkeys(
+        range(3), (False, ("accepted", "not done within 30 s"))
+    ), "drone 1 was asked again"
     assert seconds == pytest.approx(30.0, abs=0.1)
 
 
@@ -274,7 +336,9 @@ def test_reading_gives_values_with_their_age():
 
         swarm.comes(0)
         heard = []
-        box = swarm.window.read(STATUS, 0, lambda value, age: heard.append((value.phase, age)))
+        box = swarm.window.read(
+            STATUS, 0, lambda value, age: heard.append((value.phase, age))
+        )
         swarm.bus.ports[0].publish(STATUS, Status("hovering"), 0.1)
         return box.received, heard
 
@@ -283,17 +347,32 @@ def test_reading_gives_values_with_their_age():
     assert heard == [("hovering", 0.1)]
 
 
-@pytest.mark.parametrize("work", [
-    lambda window: window.request("ping"), lambda window: window.order("land", None, 5.0),
-    lambda window: window.emergency_stop(clear=False),
-])  # fmt: skip
-def test_from_a_host_that_is_no_operator_nothing_is_commanded_and_the_reason_is_said_at_once(work):
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda window: window.request("ping"),
+        lambda window: window.order("land", None, 5.0),
+        lambda window: window.emergency_stop(clear=False),
+    ],
+)
+def test_from_a_host_that_is_no_operator_nothing_is_commanded_and_the_reason_is_said_at_once(
+    work,
+):
     async def scene(swarm):
-        drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0], "host": "ab"[i]} for i in range(2)]
-        hosts, security = {"a": "10.0.0.1", "b": "10.0.0.2"}, {"operators": ["console", "a"]}
-        swarm.window.config = SwarmConfig.of({"name": "s", "drones": drones, "hosts": hosts, "security": security})
+        drones = [
+            {"id": i, "home": [1.0 * i, 0.0, 0.0], "host": "ab"[i]} for i in range(2)
+        ]
+        hosts, security = (
+            {"a": "10.0.0.1", "b": "10.0.0.2"},
+            {"operators": ["console", "a"]},
+        )
+        swarm.window.config = SwarmConfig.of(
+            {"name": "s", "drones": drones, "hosts": hosts, "security": security}
+        )
         swarm.bus.host = "b"
-        with pytest.raises(Refused, match=r"are those of b: drones obey and answer console, a alone"):
+        with pytest.raises(
+            Refused, match=r"are those of b: drones obey and answer console, a alone"
+        ):
             await work(swarm.window)
         swarm.bus.host = "console"
         with pytest.raises(Refused, match="no swarm of yours runs here"):

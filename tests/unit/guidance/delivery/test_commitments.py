@@ -19,7 +19,12 @@ from crazychoir.routing.instance.generate import random_instance
 from crazychoir.team.graph import named
 
 OWN = random_instance(4, 1, 0).local(0)
-HERE, PUT, DONE, GONE = "where it lies", "put where it belongs, and nobody may know", "delivered", "gone"
+HERE, PUT, DONE, GONE = (
+    "where it lies",
+    "put where it belongs, and nobody may know",
+    "delivered",
+    "gone",
+)
 FAULTS, STEPS = 600, 30_000
 """Turns in which something may happen, and in which all must have ended."""
 
@@ -48,21 +53,35 @@ class Team:
         self.draw = np.random.default_rng(seed)
         self.recover, self.epoch, self.turn = recover, 0, 0
         points = self.draw.uniform(0.0, 9.0, size=(tasks, 2, 2)).tolist()
-        whole = [Task(j, 0, False, tuple(a), tuple(b)) for j, (a, b) in enumerate(points)]
+        whole = [
+            Task(j, 0, False, tuple(a), tuple(b)) for j, (a, b) in enumerate(points)
+        ]
         self.tasks, self.later = whole[: tasks // 2], whole[tasks // 2 :]
         self.asked, self.promised = [], {task.id for task in self.tasks}
         self.goods, self.delivered = dict.fromkeys(range(tasks), HERE), Counter()
         self.members = tuple(range(robots))
-        self.robots = {i: self.started(i, int(self.draw.integers(1 << 40))) for i in self.members}
+        self.robots = {
+            i: self.started(i, int(self.draw.integers(1 << 40))) for i in self.members
+        }
         self.rounds = {}  # messages of plannings that have arrived: (to, from, key, run, round)
         self.cut = None
         self.stray = {}  # who it was that took goods along, by task
-        self.taken_back, self.too_late = [], []  # pickups that were none, and those of which the team heard at its end
+        self.taken_back, self.too_late = (
+            [],
+            [],
+        )  # pickups that were none, and those of which the team heard at its end
 
     def started(self, i, incarnation):
-        port = SimpleNamespace(incarnation=incarnation, bus=SimpleNamespace(clock=SimpleNamespace(now=lambda: 0.0)))
-        communicator = SimpleNamespace(id=i, port=port, graph=named("complete", self.members), epoch=self.epoch)
-        news = TeamNews(communicator, tuple(self.tasks), lambda: (0.0, 0.0), self.recover)
+        port = SimpleNamespace(
+            incarnation=incarnation,
+            bus=SimpleNamespace(clock=SimpleNamespace(now=lambda: 0.0)),
+        )
+        communicator = SimpleNamespace(
+            id=i, port=port, graph=named("complete", self.members), epoch=self.epoch
+        )
+        news = TeamNews(
+            communicator, tuple(self.tasks), lambda: (0.0, 0.0), self.recover
+        )
         return Robot(i, incarnation, news, Commitments(news))
 
     @property
@@ -107,7 +126,9 @@ class Team:
 
     def fault(self):
         dead = [i for i in self.members if i not in self.robots]
-        what = self.draw.choice(["kill", "restart", "cut", "heal", "notice", "task", "task", "cancel"])
+        what = self.draw.choice(
+            ["kill", "restart", "cut", "heal", "notice", "task", "task", "cancel"]
+        )
         if what == "kill" and len(self.robots) > 2 and self.cut is None and not dead:
             self.kill(int(self.draw.choice(list(self.robots))))
         elif what == "restart" and dead:
@@ -176,7 +197,9 @@ class Team:
                     news.say(idle=True)
             elif commitments.allow(stop):
                 if stop.kind == "delivery":
-                    assert stop.task in robot.aboard, "it delivers what it does not have"
+                    assert stop.task in robot.aboard, (
+                        "it delivers what it does not have"
+                    )
                 robot.at = stop, commitments.announce(stop)
 
     def stand(self, robot, stop, number):
@@ -196,7 +219,9 @@ class Team:
         robot.at = None
         j = stop.task
         if stop.kind == "pickup":
-            assert self.goods[j] in (HERE, PUT), f"task {j} is {self.goods[j]}, and robot {robot.id} picks it up"
+            assert self.goods[j] in (HERE, PUT), (
+                f"task {j} is {self.goods[j]}, and robot {robot.id} picks it up"
+            )
             self.goods[j] = robot.id
             robot.aboard.append(j)
         else:
@@ -231,8 +256,14 @@ class Team:
         news = robot.news
         alive = news.book.alive(news.members).values()
         run = key[0], len(key[1]), robot.runs + 1
-        begun = any(record.run[:2] == run[:2] and record.run[2] >= run[2] for record in alive)
-        if robot.runs and not (begun or mark(news.book) != robot.mark or all(record.idle for record in alive)):
+        begun = any(
+            record.run[:2] == run[:2] and record.run[2] >= run[2] for record in alive
+        )
+        if robot.runs and not (
+            begun
+            or mark(news.book) != robot.mark
+            or all(record.idle for record in alive)
+        ):
             return
         robot.runs += 1
         news.say(run=run)
@@ -243,18 +274,30 @@ class Team:
             head.append(stop)
         bound, aboard = robot.commitments.begin(head)
         graph = news.links(without=key[1])
-        robot.program = Replanning(robot.id, graph, news.book, bound, aboard, self.problem(robot), self.recover)
+        robot.program = Replanning(
+            robot.id, graph, news.book, bound, aboard, self.problem(robot), self.recover
+        )
         robot.sent[robot.runs, 0] = robot.program.message()
 
     def problem(self, robot):
         """Its own: capacity 2, capable of everything; it is anywhere, so each plan may be another."""
-        home, start = np.array([2.0 * robot.id, 0.0]), self.draw.uniform(0.0, 9.0, size=2)
+        home, start = (
+            np.array([2.0 * robot.id, 0.0]),
+            self.draw.uniform(0.0, 9.0, size=2),
+        )
 
         def of(goods):
             mine, free = np.array(goods.mine, bool), np.array(goods.free, bool)
             tasks = goods.public(1.0)
             return replace(
-                OWN, robot=robot.id, home=home, start=start, capacity=2.0, tasks=tasks, aboard=mine, capable=mine | free
+                OWN,
+                robot=robot.id,
+                home=home,
+                start=start,
+                capacity=2.0,
+                tasks=tasks,
+                aboard=mine,
+                capable=mine | free,
             )
 
         return of
@@ -268,7 +311,10 @@ class Team:
 
     def exchange(self, robot):
         program = robot.program
-        at = {j: (robot.id, j, robot.key, robot.runs, program.k) for j in program.graph.neighbors(robot.id)}
+        at = {
+            j: (robot.id, j, robot.key, robot.runs, program.k)
+            for j in program.graph.neighbors(robot.id)
+        }
         if all(box in self.rounds for box in at.values()):
             program.step({j: self.rounds[box] for j, box in at.items()})
             if not program.done:
@@ -284,7 +330,9 @@ class Team:
 
     def run(self):
         """Until all have ended."""
-        while not all(robot.news.ended or robot.news.record.out for robot in self.living):
+        while not all(
+            robot.news.ended or robot.news.record.out for robot in self.living
+        ):
             self.turn += 1
             assert self.turn < STEPS, self.story()
             if self.turn < FAULTS and self.draw.random() < 0.02:
@@ -301,7 +349,10 @@ class Team:
         return self
 
     def story(self):
-        return [(r.id, r.news.record, r.commitments.route, r.at, r.news.standings()) for r in self.living]
+        return [
+            (r.id, r.news.record, r.commitments.route, r.at, r.news.standings())
+            for r in self.living
+        ]
 
 
 @pytest.mark.parametrize("recover", [False, True])
@@ -314,7 +365,9 @@ def test_each_task_is_served_once_unless_it_is_lost_with_its_carrier(seed, recov
     assert team.promised <= set(stories[0]), "what was promised is forgotten"
     for j, standing in stories[0].items():
         if standing.fate is Fate.DELIVERED:
-            assert team.goods[j] == PUT or team.delivered[j] == 1, "said to be delivered"
+            assert team.goods[j] == PUT or team.delivered[j] == 1, (
+                "said to be delivered"
+            )
         elif standing.fate is Fate.CANCELLED:
             assert not team.delivered[j]
         else:

@@ -27,7 +27,9 @@ PICK, DROP = "pickup", "delivery"
 
 def robot(clock, i=0):
     """Robot i of five, all of whom it has heard of, with the tasks 0 to 3 known."""
-    guidance = OnlinePDVRPGuidance(MISSION.instance(CONFIG).local(i), TASKS, (), MISSION.options(CONFIG))
+    guidance = OnlinePDVRPGuidance(
+        MISSION.instance(CONFIG).local(i), TASKS, (), MISSION.options(CONFIG)
+    )
     communicator = Communicator(Bus(clock).port(i), CONFIG.graph())
     guidance.bind(Member(i, CONFIG, clock, communicator, SimpleNamespace(state=None)))
     for j in CONFIG.ids:
@@ -69,7 +71,10 @@ async def test_its_route_is_over_the_stops_that_are_left_home(clock):
     guidance = robot(clock)
     assert guidance.route() == []
     guidance.commitments.route = stops((1, PICK), (1, DROP))
-    z, home = CONFIG.flight.ground + CONFIG.flight.takeoff_height, guidance.own.home[:2].tolist()
+    z, home = (
+        CONFIG.flight.ground + CONFIG.flight.takeoff_height,
+        guidance.own.home[:2].tolist(),
+    )
     assert np.allclose(guidance.route(), [[1.0, 1.0, z], [1.0, 4.0, z], [*home, z]])
     guidance.commitments.route, guidance.up = [], True
     assert np.allclose(guidance.route(), [[*home, z]])
@@ -113,7 +118,9 @@ async def test_a_pickup_waits_while_it_may_be_given_to_somebody_else(clock):
     await clock.sleep(0.1)
     assert not waits.result(), "it has another route now"
     guidance.commitments.route = stops((2, DROP))
-    assert await guidance._permitted(Stop(2, DROP)), "what is aboard may always be delivered"
+    assert await guidance._permitted(Stop(2, DROP)), (
+        "what is aboard may always be delivered"
+    )
 
 
 @virtual
@@ -150,13 +157,17 @@ def test_who_is_cut_off_at_a_stop_leaves_the_goods_there(kind):
     async def test(clock):
         guidance = robot(clock)
         guidance.news.say(deeds=() if kind == PICK else (Deed(1, PICK, 1),))
-        guidance.commitments.route = stops((1, kind), *([(1, DROP)] if kind == PICK else []), (2, DROP))
+        guidance.commitments.route = stops(
+            (1, kind), *([(1, DROP)] if kind == PICK else []), (2, DROP)
+        )
         serves = asyncio.ensure_future(guidance._serve(Stop(1, kind)))
         await clock.sleep(2.0)
         cut_off(guidance)
         await serves
         assert guidance.commitments.aboard() == {}
-        assert guidance.commitments.route == stops((2, DROP)), "what stays there is not delivered either"
+        assert guidance.commitments.route == stops((2, DROP)), (
+            "what stays there is not delivered either"
+        )
         assert len(guidance.news.record.deeds) == (0 if kind == PICK else 2)
 
     test()
@@ -181,7 +192,9 @@ async def test_a_drone_on_its_way_to_goods_turns_to_where_they_are_heard_to_lie(
         flown.append(tuple(p[:2]))
         await clock.sleep(1.0)
         if len(flown) == 1:
-            guidance.news.book.hear(Record(9, 1, 2, (3.0, 3.0), (Deed(1, PICK, 1),)))  # who else was told of it
+            guidance.news.book.hear(
+                Record(9, 1, 2, (3.0, 3.0), (Deed(1, PICK, 1),))
+            )  # who else was told of it
 
     guidance.go_to = go_to
     guidance.member.pilot.remaining = lambda: 0.0
@@ -191,7 +204,9 @@ async def test_a_drone_on_its_way_to_goods_turns_to_where_they_are_heard_to_lie(
     assert await guidance._reach(Stop(1, PICK))
     assert flown == [(1.0, 1.0), (3.0, 3.0)]
     guidance.news.book.hear(Record(9, 1, 3, (3.1, 3.0), (Deed(1, PICK, 1),)))
-    assert guidance._leads_to(Stop(1, PICK), np.array([3.0, 3.0])), "near enough: a place is never known to the mm"
+    assert guidance._leads_to(Stop(1, PICK), np.array([3.0, 3.0])), (
+        "near enough: a place is never known to the mm"
+    )
 
 
 @virtual
@@ -202,7 +217,9 @@ async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done
     new = Task(9, 0, False, (2.0, 2.0), (3.0, 3.0))
     shared = stops((9, PICK), (0, DROP), (1, DROP), (9, DROP))
     guidance._adopt(Share(tuple(shared), (3,), TaskBook([*TASKS, new]), False, {}))
-    assert guidance.commitments.route == stops((1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP))
+    assert guidance.commitments.route == stops(
+        (1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP)
+    )
     assert not guidance.commitments.planning
     assert list(guidance.unserved) == [3]
     assert not guidance.news.record.idle
@@ -220,20 +237,36 @@ async def test_its_own_problem_begins_where_it_will_be_with_what_it_may(clock):
     capable = guidance.own.capable[:4]
     assert local.capable.tolist() == [capable[0], capable[1], False, capable[3], False]
     assert local.aboard.tolist() == [False, True, False, False, False]
-    assert (local.start.tolist(), local.start_time, local.left) == ([2.0, 3.0], 4.0, 7.0)
+    assert (local.start.tolist(), local.start_time, local.left) == (
+        [2.0, 3.0],
+        4.0,
+        7.0,
+    )
     assert local.vehicle.tasks == 5
 
 
 @virtual
 async def test_nobody_is_capable_of_what_lies_where_none_can_stand(clock):
-    outside, above = Task(20, 0, False, (2.0, 2.0), (99.0, 3.0)), Task(21, 0, False, (0.0, -0.8), (1.0, 1.0))
+    outside, above = (
+        Task(20, 0, False, (2.0, 2.0), (99.0, 3.0)),
+        Task(21, 0, False, (0.0, -0.8), (1.0, 1.0)),
+    )
     fallen = Task(22, 0, False, (1.0, 1.0), (2.0, 2.0))
     tasks, mine = (*TASKS[:1], outside, above, fallen, fallen), (False,) * 5
     pickup = (*(task.pickup for task in tasks[:3]), (0.0, -0.8), (0.0, -0.8))
     goods = Goods(tasks, pickup, mine, (True,) * 5, (None, None, None, 0, 1))
-    capable = {i: robot(clock, i)._problem(goods, np.zeros(2), 0.0, 9.0).capable.tolist() for i in (1, 2)}
+    capable = {
+        i: robot(clock, i)._problem(goods, np.zeros(2), 0.0, 9.0).capable.tolist()
+        for i in (1, 2)
+    }
     for i, found in capable.items():
-        assert found == [MISSION.instance(CONFIG).local(i).capable[0], False, False, True, False], i
+        assert found == [
+            MISSION.instance(CONFIG).local(i).capable[0],
+            False,
+            False,
+            True,
+            False,
+        ], i
 
 
 def test_what_is_left_alone_is_said_with_the_reason(caplog):
@@ -242,9 +275,18 @@ def test_what_is_left_alone_is_said_with_the_reason(caplog):
         guidance = robot(clock)
         limited = Task(23, 0, False, (1.0, 1.0), (2.0, 2.0))
         bad = {
-            20: (Task(20, 0, False, (2.0, 2.0), (99.0, 3.0)), "its delivery [99, 3] is outside the fence"),
-            21: (Task(21, 0, False, (1.0, 1.0), (2.0, 2.0), 5.0), "its load 5 is more than any drone can carry"),
-            22: (Task(22, 0, False, (1.0, 1.0), (2.0, 2.0), 1.0, (4,)), "drone 4, who alone can serve it, does not"),
+            20: (
+                Task(20, 0, False, (2.0, 2.0), (99.0, 3.0)),
+                "its delivery [99, 3] is outside the fence",
+            ),
+            21: (
+                Task(21, 0, False, (1.0, 1.0), (2.0, 2.0), 5.0),
+                "its load 5 is more than any drone can carry",
+            ),
+            22: (
+                Task(22, 0, False, (1.0, 1.0), (2.0, 2.0), 1.0, (4,)),
+                "drone 4, who alone can serve it, does not",
+            ),
             23: (limited, "has enough left of its route_length_limit"),
         }
         guidance.news.book.hear(Record(4, 1, 2, (0.0, 0.0), out=True))
@@ -254,7 +296,9 @@ def test_what_is_left_alone_is_said_with_the_reason(caplog):
             guidance._adopt(Share((), tuple(bad), book, False, {}))
         for j, (_, why) in bad.items():
             assert why in guidance.outcome()["unserved"][str(j)]
-            assert caplog.text.count(f"task {j} is left alone") == 1, "once, not at every planning"
+            assert caplog.text.count(f"task {j} is left alone") == 1, (
+                "once, not at every planning"
+            )
 
     test()
 
@@ -263,7 +307,12 @@ def test_what_is_left_alone_is_said_with_the_reason(caplog):
 async def test_a_robot_that_does_not_know_where_it_is_stays_where_it_was(clock):
     guidance = robot(clock)
     seen = []
-    for p in ([1.0, 2.0, 0.5], [float("nan"), 2.0, 0.5], [1e9, 0.0, 0.0], [1.5, 2.0, 0.5]):
+    for p in (
+        [1.0, 2.0, 0.5],
+        [float("nan"), 2.0, 0.5],
+        [1e9, 0.0, 0.0],
+        [1.5, 2.0, 0.5],
+    ):
         guidance.member.pilot.state = SimpleNamespace(p=np.array(p))
         seen.append(guidance.news.here())
     assert seen == [(1.0, 2.0), (1.0, 2.0), (1.0, 2.0), (1.5, 2.0)]

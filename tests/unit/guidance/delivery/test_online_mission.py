@@ -20,7 +20,9 @@ def config(drones=10, seed=1, **options):
 
 @pytest.mark.parametrize("drones", [2, 3, 6, 10])
 @pytest.mark.parametrize("seed", range(3))
-def test_any_seed_gives_tasks_that_can_be_served_and_a_graph_that_bears_a_loss(drones, seed):
+def test_any_seed_gives_tasks_that_can_be_served_and_a_graph_that_bears_a_loss(
+    drones, seed
+):
     drawn = config(drones, seed)
     assert MISSION.check(drawn, False) == []
     assert len(MISSION.known(drawn)) == 15
@@ -38,11 +40,25 @@ def test_the_seed_alone_decides():
 
 
 def test_tasks_appear_and_are_cancelled_as_the_file_says():
-    new = {"t": 4.0, "pickup": [1.0, 1.5], "delivery": [2.0, 2.5], "load": 2.0, "robots": [3], "heard_by": [1, 2]}
-    events = MISSION.events(config(appear=[new], cancel=[{"t": 5.0, "task": 15}, {"t": 6.0, "task": 0}]))
+    new = {
+        "t": 4.0,
+        "pickup": [1.0, 1.5],
+        "delivery": [2.0, 2.5],
+        "load": 2.0,
+        "robots": [3],
+        "heard_by": [1, 2],
+    }
+    events = MISSION.events(
+        config(appear=[new], cancel=[{"t": 5.0, "task": 15}, {"t": 6.0, "task": 0}])
+    )
     first, gone, other = events
     assert first == Event(4.0, first.task, (1, 2))
-    assert (first.task.pickup, first.task.delivery, first.task.load, first.task.robots) == ((1, 1.5), (2, 2.5), 2, (3,))
+    assert (
+        first.task.pickup,
+        first.task.delivery,
+        first.task.load,
+        first.task.robots,
+    ) == ((1, 1.5), (2, 2.5), 2, (3,))
     assert gone.task.cancelled
     assert gone.task > first.task
     assert (other.task.id, other.robots) == (0, ())
@@ -50,7 +66,9 @@ def test_tasks_appear_and_are_cancelled_as_the_file_says():
 
 def appear(**changes):
     """One task that appears, sound but for the changes."""
-    return {"appear": [{"t": 1.0, "pickup": [0.0, 1.0], "delivery": [1.0, 1.0], **changes}]}
+    return {
+        "appear": [{"t": 1.0, "pickup": [0.0, 1.0], "delivery": [1.0, 1.0], **changes}]
+    }
 
 
 @pytest.mark.parametrize(
@@ -58,24 +76,54 @@ def appear(**changes):
     [
         ({"methd": 1}, "methd"),
         ({"method": "magic"}, "magic.*auction"),
-        ({"appear": [{"t": 1.0, "pickup": [0.0, -0.7], "delivery": [1.0, 1.0]}]}, "from the home of drone 0"),
+        (
+            {"appear": [{"t": 1.0, "pickup": [0.0, -0.7], "delivery": [1.0, 1.0]}]},
+            "from the home of drone 0",
+        ),
         ({"cancel": [{"t": 1.0, "task": 99}]}, "99"),
         ({"appear": [{"t": 1.0, "pickup": [0.0, 1.0]}]}, "delivery"),
         ({"appear": [{"t": 1.0, "pickup": "here", "delivery": [1.0, 1.0]}]}, "pickup"),
         (appear(t=-1.0), r"mission_options\.appear\[0\]\.t.*not negative"),
-        (appear(weight=1), r"mission_options\.appear\[0\]\.weight = 1: there is no such key"),
-        (appear(load=-1), r"mission_options\.appear\[0\]\.load: found -1; allowed: a load"),
-        (appear(load=4.5), r"appear\[0\]\.load = 4.5: its load 4.5 is more than any drone can carry: 4"),
-        (appear(robots=[77]), r"appear\[0\]\.robots = \[77\]: there is no drone 77; this swarm has 0 to 9"),
+        (
+            appear(weight=1),
+            r"mission_options\.appear\[0\]\.weight = 1: there is no such key",
+        ),
+        (
+            appear(load=-1),
+            r"mission_options\.appear\[0\]\.load: found -1; allowed: a load",
+        ),
+        (
+            appear(load=4.5),
+            r"appear\[0\]\.load = 4.5: its load 4.5 is more than any drone can carry: 4",
+        ),
+        (
+            appear(robots=[77]),
+            r"appear\[0\]\.robots = \[77\]: there is no drone 77; this swarm has 0 to 9",
+        ),
         (appear(robots=[-1]), r"mission_options\.appear\[0\]\.robots"),
-        (appear(heard_by=[3, 10]), r"appear\[0\]\.heard_by = \[3, 10\]: there is no drone 10"),
-        (appear(pickup=[9.0, 0.0]), r"appear\[0\]\.pickup = \[9.0, 0.0\]: outside the fence, .*\[7, 6.8\]"),
+        (
+            appear(heard_by=[3, 10]),
+            r"appear\[0\]\.heard_by = \[3, 10\]: there is no drone 10",
+        ),
+        (
+            appear(pickup=[9.0, 0.0]),
+            r"appear\[0\]\.pickup = \[9.0, 0.0\]: outside the fence, .*\[7, 6.8\]",
+        ),
         (appear(delivery=[0.0, 7.0]), r"appear\[0\]\.delivery = .*outside the fence"),
-        (appear(delivery=[0.0, -0.7]), r"appear\[0\]\.delivery = .*0.10 m from the home of drone 0"),
+        (
+            appear(delivery=[0.0, -0.7]),
+            r"appear\[0\]\.delivery = .*0.10 m from the home of drone 0",
+        ),
         ({"cancel": [{"when": 1.0, "task": 0}]}, r"cancel\[0\]"),
-        ({"cancel": [{"t": 1.0, "task": 0, "heard_by": [10]}]}, r"cancel\[0\]\.heard_by = \[10\]"),
+        (
+            {"cancel": [{"t": 1.0, "task": 0, "heard_by": [10]}]},
+            r"cancel\[0\]\.heard_by = \[10\]",
+        ),
         ({"cancel": 3}, r"mission_options\.cancel"),
-        ({"tasks": -1}, r"mission_options\.tasks: found -1; allowed: a number of tasks, 1 to"),
+        (
+            {"tasks": -1},
+            r"mission_options\.tasks: found -1; allowed: a number of tasks, 1 to",
+        ),
         ({"tasks": 0}, r"mission_options\.tasks: found 0"),
         ({"tasks": 2.5}, r"mission_options\.tasks: found 2.5"),
         ({"tasks": 100_000}, r"mission_options\.tasks"),
@@ -105,13 +153,25 @@ def test_no_number_is_not_a_number(key):
 
 def test_drawn_tasks_that_nobody_can_reach_are_refused_before_anybody_flies():
     homes = [{"id": i, "home": [float(i), -0.8, 0.0]} for i in range(4)]
-    small = MISSION.swarm(4).replace(fence={"min": [-1.0, -1.8, 0.0], "max": [4.5, 6.8, 3.0]}, drones=homes)
-    with pytest.raises(ConfigError, match=r"mission_options.tasks = \d+: its .* is outside the fence"):
+    small = MISSION.swarm(4).replace(
+        fence={"min": [-1.0, -1.8, 0.0], "max": [4.5, 6.8, 3.0]}, drones=homes
+    )
+    with pytest.raises(
+        ConfigError, match=r"mission_options.tasks = \d+: its .* is outside the fence"
+    ):
         MISSION.check(small, False)
-    few = [seed for seed in range(60) if fits(small.replace(seed=seed, mission_options={"tasks": 1, "later": 0}))]
+    few = [
+        seed
+        for seed in range(60)
+        if fits(small.replace(seed=seed, mission_options={"tasks": 1, "later": 0}))
+    ]
     assert few
-    with pytest.raises(ConfigError, match=r"mission_options.later = \d+: its .* is outside the fence"):
-        MISSION.check(small.replace(seed=few[0], mission_options={"tasks": 1, "later": 40}), False)
+    with pytest.raises(
+        ConfigError, match=r"mission_options.later = \d+: its .* is outside the fence"
+    ):
+        MISSION.check(
+            small.replace(seed=few[0], mission_options={"tasks": 1, "later": 40}), False
+        )
 
 
 def fits(config):
@@ -123,9 +183,12 @@ def fits(config):
 
 
 RAW = {
-    "home": [[0.0, -0.8], [0.0, 5.8]], "pickup": [[1.0, 1.0]], "delivery": [[2.0, 2.0]], "load": [1.0],
+    "home": [[0.0, -0.8], [0.0, 5.8]],
+    "pickup": [[1.0, 1.0]],
+    "delivery": [[2.0, 2.0]],
+    "load": [1.0],
     "capacity": [1.0, 1.0],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(
@@ -133,18 +196,40 @@ RAW = {
     [
         ({}, {}, ""),
         ({}, {"tasks": 3}, r"mission_options\.tasks = 3: beside instance"),
-        ({"pickup": [[99.0, 1.0]]}, {}, r"mission_options\.instance = 0: its pickup \[99, 1\] is outside the fence"),
-        ({"delivery": [[0.0, 5.5]]}, {}, r"mission_options\.instance = 0: its delivery .*from the home of drone 1"),
-        ({"end": [[1.0, 0.0], [1.0, 1.0]]}, {}, r"mission_options\.instance = .*it has end; in flight"),
+        (
+            {"pickup": [[99.0, 1.0]]},
+            {},
+            r"mission_options\.instance = 0: its pickup \[99, 1\] is outside the fence",
+        ),
+        (
+            {"delivery": [[0.0, 5.5]]},
+            {},
+            r"mission_options\.instance = 0: its delivery .*from the home of drone 1",
+        ),
+        (
+            {"end": [[1.0, 0.0], [1.0, 1.0]]},
+            {},
+            r"mission_options\.instance = .*it has end; in flight",
+        ),
         ({"open_tours": True}, {}, "it has open_tours"),
         ({"service_time": 2.0}, {}, "it has service_time"),
         ({"release": [2.0]}, {}, "it has time_windows or release"),
         ({"penalty": [2.0]}, {}, "it has penalty"),
         ({"objective": "makespan"}, {}, "it has objective"),
-        ({"distance": [[0.0 if i == j else 9.0 for i in range(4)] for j in range(4)]}, {}, "it has distance"),
+        (
+            {
+                "distance": [
+                    [0.0 if i == j else 9.0 for i in range(4)] for j in range(4)
+                ]
+            },
+            {},
+            "it has distance",
+        ),
     ],
 )
-def test_an_instance_is_refused_that_would_be_flown_otherwise(tmp_path, more, options, said):
+def test_an_instance_is_refused_that_would_be_flown_otherwise(
+    tmp_path, more, options, said
+):
     file = tmp_path / "instance.json"
     file.write_text(json.dumps(RAW | more))
     flown = config(2, instance=str(file), **options)
@@ -161,8 +246,16 @@ def test_a_directed_graph_is_refused():
 
 
 def result(served, fates, success=True):
-    stops = [{"task": j, "kind": kind} for j in served for kind in ("pickup", "delivery")]
-    return {"success": success, "served": stops, "tasks": fates, "plannings_s": [0.1], "longest_wait_s": 0.5}
+    stops = [
+        {"task": j, "kind": kind} for j in served for kind in ("pickup", "delivery")
+    ]
+    return {
+        "success": success,
+        "served": stops,
+        "tasks": fates,
+        "plannings_s": [0.1],
+        "longest_wait_s": 0.5,
+    }
 
 
 @pytest.mark.parametrize(
@@ -171,12 +264,17 @@ def result(served, fates, success=True):
         ({0: ([1], {"1": ["delivered", 0]}), 1: ([], {"1": ["delivered", 0]})}, True),
         ({0: ([1], {"1": ["delivered", 0]}), 1: ([1], {"1": ["delivered", 0]})}, False),
         ({0: ([], {"1": ["open", None]}), 1: ([], {"1": ["open", None]})}, False),
-        ({0: ([], {"1": ["cancelled", None]}), 1: ([], {"1": ["cancelled", None]})}, True),
+        (
+            {0: ([], {"1": ["cancelled", None]}), 1: ([], {"1": ["cancelled", None]})},
+            True,
+        ),
         ({0: ([1], {"1": ["delivered", 0]}), 1: ([], {"1": ["open", None]})}, False),
     ],
 )
 def test_a_run_succeeds_if_all_is_delivered_once_and_all_say_so(results, success):
-    report = MISSION.report(config(2), {i: result(*told) for i, told in results.items()})
+    report = MISSION.report(
+        config(2), {i: result(*told) for i, told in results.items()}
+    )
     assert report["success"] == success
     assert bool(report["reasons"]) != success
     assert report["plannings"] == 1
@@ -185,7 +283,10 @@ def test_a_run_succeeds_if_all_is_delivered_once_and_all_say_so(results, success
 
 def test_why_a_task_was_not_served_is_in_the_report():
     fates = {"0": ["delivered", 0], "1": ["open", None], "2": ["lost", 1]}
-    results = {0: result([0], fates) | {"unserved": {"1": "its load 9 is more than any drone can carry: 4"}}}
+    results = {
+        0: result([0], fates)
+        | {"unserved": {"1": "its load 9 is more than any drone can carry: 4"}}
+    }
     results[1] = {"success": False, "reason": "killed"}
     report = MISSION.report(config(2), results)
     assert not report["success"]
@@ -198,22 +299,44 @@ def test_why_a_task_was_not_served_is_in_the_report():
 
 def test_the_picture_shows_ways_tasks_and_who_was_lost(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: drawn.append(figure))
+    monkeypatch.setattr(
+        Figure, "savefig", lambda figure, path, **options: drawn.append(figure)
+    )
     flown = config(3, tasks=2, appear=[], later=0)
     place = [1.0, 1.5]
-    stops = [{"task": j, "kind": kind, "place": place} for j in (0, 900) for kind in ("pickup", "delivery")]
+    stops = [
+        {"task": j, "kind": kind, "place": place}
+        for j in (0, 900)
+        for kind in ("pickup", "delivery")
+    ]
     fates = {"0": ["delivered", 0], "1": ["lost", 1], "900": ["delivered", 0]}
     results = {
-        0: {"success": True, "served": stops, "tasks": fates, "way": [[0.0, -0.8], place, [0.0, -0.8]]},
+        0: {
+            "success": True,
+            "served": stops,
+            "tasks": fates,
+            "way": [[0.0, -0.8], place, [0.0, -0.8]],
+        },
         1: {"success": False, "reason": "killed", "way": [[0.0, 5.8], [2.0, 3.0]]},
     }
     MISSION.picture(flown, results, str(tmp_path / "a.png"))
     axes = drawn[0].axes[0]
     labels = [line.get_label() for line in axes.lines]
     assert "robot 0: 5.02 m" in labels
-    lost = {line.get_label(): line.get_xydata().tolist() for line in axes.lines if "lost" in line.get_label()}
-    assert lost == {"lost: robot 1": [[2.0, 3.0]], "lost: robot 2": [list(flown.drone(2).home[:2])]}
-    named = {text.get_text(): (text.get_color(), list(text.xy)) for text in axes.texts if hasattr(text, "xy")}
+    lost = {
+        line.get_label(): line.get_xydata().tolist()
+        for line in axes.lines
+        if "lost" in line.get_label()
+    }
+    assert lost == {
+        "lost: robot 1": [[2.0, 3.0]],
+        "lost: robot 2": [list(flown.drone(2).home[:2])],
+    }
+    named = {
+        text.get_text(): (text.get_color(), list(text.xy))
+        for text in axes.texts
+        if hasattr(text, "xy")
+    }
     assert named["900"] == (INK, place)
     assert named["1"][0] == RED
     assert named["0"][0] == INK

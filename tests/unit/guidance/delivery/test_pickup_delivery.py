@@ -16,7 +16,12 @@ from crazychoir.routing.instance.plan import Stop
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 
-BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.8}
+BRISK = {
+    "takeoff_height": 0.5,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.8,
+}
 # Two robots face to face, whose goods lie between them, and a third that carries nothing worth its way.
 THREE = {
     "home": [[0.0, 0.0], [2.0, 0.0], [9.0, 9.0]],
@@ -36,7 +41,10 @@ def flown():
     mission = load("pickup_delivery")
     drones = [{"id": i, "home": [*home, 0.0]} for i, home in enumerate(THREE["home"])]
     config = mission.swarm(None).replace(
-        drones=drones, flight=BRISK, fence={"min": [-3, -3, 0], "max": [12, 12, 3]}, network={"delay": 0.3}
+        drones=drones,
+        flight=BRISK,
+        fence={"min": [-3, -3, 0], "max": [12, 12, 3]},
+        network={"delay": 0.3},
     )
 
     class Missions:
@@ -49,27 +57,54 @@ def flown():
         told, track, ahead = ({i: [] for i in config.ids} for _ in range(3))
         agent.bus.port(OBSERVER)
         for i in config.ids:
-            agent.bus.subscribe(STATUS, i, OBSERVER, Call(clock, lambda s, age, i=i: told[i].append((s.phase, s.task))))
-            agent.bus.subscribe(STATE, i, OBSERVER, Call(clock, lambda s, age, i=i: track[i].append(s.p.copy())))
+            agent.bus.subscribe(
+                STATUS,
+                i,
+                OBSERVER,
+                Call(clock, lambda s, age, i=i: told[i].append((s.phase, s.task))),
+            )
+            agent.bus.subscribe(
+                STATE,
+                i,
+                OBSERVER,
+                Call(clock, lambda s, age, i=i: track[i].append(s.p.copy())),
+            )
+
             def look(status, age, i=i):
                 ahead[i].append([p.tolist() for p in agent.drones[i].guidance.route()])
 
             agent.bus.subscribe(STATUS, i, OBSERVER, Call(clock, look))
-        return await agent.run(), told, {i: np.array(p) for i, p in track.items()}, ahead
+        return (
+            await agent.run(),
+            told,
+            {i: np.array(p) for i, p in track.items()},
+            ahead,
+        )
 
     return instance, config, *run_virtual(main)
 
 
 def states(told):
     """The states in their order."""
-    return [state for state, _ in groupby(task.split(":")[0].split("/")[0] for _, task in told)]
+    return [
+        state
+        for state, _ in groupby(task.split(":")[0].split("/")[0] for _, task in told)
+    ]
 
 
 def test_a_robot_plans_flies_lands_and_is_done(flown):
     *_, told, _, _ = flown
     for i in (0, 1):
-        assert states(told[i]) == ["waiting for the others", "planning", "flying", "landing", "done"]
-        flights = list(dict.fromkeys(task for _, task in told[i] if task.startswith("flying")))
+        assert states(told[i]) == [
+            "waiting for the others",
+            "planning",
+            "flying",
+            "landing",
+            "done",
+        ]
+        flights = list(
+            dict.fromkeys(task for _, task in told[i] if task.startswith("flying"))
+        )
         assert flights == [f"flying: {n}/2 stops" for n in range(3)]
         assert told[i][-1] == ("on ground", "done: 2 stops")
 
@@ -88,7 +123,13 @@ def test_its_route_is_over_the_stops_that_are_left_to_where_it_ends(flown):
     for i, x in ((0, 0.5), (1, 1.5)):
         home = [*THREE["home"][i], 0.5]
         whole = [[x, 0.0, 0.5], [1.0, 0.0, 0.5], home]
-        assert [route for route, _ in groupby(ahead[i])] == [[], whole, whole[1:], whole[2:], []]
+        assert [route for route, _ in groupby(ahead[i])] == [
+            [],
+            whole,
+            whole[1:],
+            whole[2:],
+            [],
+        ]
     assert ahead[2] == [[]] * len(ahead[2])
 
 
@@ -104,19 +145,31 @@ def test_what_is_served_is_the_route_and_everybody_has_the_same_plan(flown):
 
 def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_own():
     raw = {**THREE, "home": [[*p, 0.0] for p in THREE["home"]]}
-    raw |= {"pickup": [[0.5, 0.0, 0.9], [1.5, 0.0, 0.9]], "delivery": [[1.0, 0.0, 1.1], [1.0, 0.0, 1.1]]}
+    raw |= {
+        "pickup": [[0.5, 0.0, 0.9], [1.5, 0.0, 0.9]],
+        "delivery": [[1.0, 0.0, 1.1], [1.0, 0.0, 1.1]],
+    }
     config = load("pickup_delivery").swarm(None).replace(flight=BRISK)
-    for instance, heights in ((Instance.parse(THREE), (0.5, 0.5)), (Instance.parse(raw), (0.9, 1.1))):
+    for instance, heights in (
+        (Instance.parse(THREE), (0.5, 0.5)),
+        (Instance.parse(raw), (0.9, 1.1)),
+    ):
         guidance = PDVRPGuidance(instance.local(0))
         guidance.member = Member(0, config, None, None, None)
-        assert guidance.place(Stop(0, "pickup")) == pytest.approx([0.5, 0.0, heights[0]])
-        assert guidance.place(Stop(0, "delivery")) == pytest.approx([1.0, 0.0, heights[1]])
+        assert guidance.place(Stop(0, "pickup")) == pytest.approx(
+            [0.5, 0.0, heights[0]]
+        )
+        assert guidance.place(Stop(0, "delivery")) == pytest.approx(
+            [1.0, 0.0, heights[1]]
+        )
 
 
 def test_two_take_off_at_once_and_serve_the_same_stop_one_after_the_other(flown):
     """At each stop a drone stands for the service time, at the last one while the other waits near it."""
     *_, track, _ = flown
-    there = {i: np.linalg.norm(track[i] - [1.0, 0.0, 0.5], axis=1) < 0.1 for i in (0, 1)}
+    there = {
+        i: np.linalg.norm(track[i] - [1.0, 0.0, 0.5], axis=1) < 0.1 for i in (0, 1)
+    }
     for i, x in ((0, 0.5), (1, 1.5)):
         pickup = np.linalg.norm(track[i] - [x, 0.0, 0.5], axis=1) < 0.05
         assert pickup.sum() * 0.01 >= SERVICE
@@ -125,4 +178,6 @@ def test_two_take_off_at_once_and_serve_the_same_stop_one_after_the_other(flown)
     risen = [int(np.argmax(track[i][:, 2] > 0.1)) for i in (0, 1)]
     assert abs(risen[0] - risen[1]) < 20, "ticks of 0.01 s"
     assert not (there[0][:n] & there[1][:n]).any()
-    assert np.linalg.norm(track[0][:n] - track[1][:n], axis=1).min() > 0.24, "two semi-axes"
+    assert np.linalg.norm(track[0][:n] - track[1][:n], axis=1).min() > 0.24, (
+        "two semi-axes"
+    )

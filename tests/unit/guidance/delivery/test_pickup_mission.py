@@ -14,15 +14,24 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, Stop
 
 MISSION = load("pickup_delivery")
-BRISK = {"takeoff_height": 0.5, "speed_limit": 2.0, "acceleration_limit": 4.0, "landing_speed": 0.8}
+BRISK = {
+    "takeoff_height": 0.5,
+    "speed_limit": 2.0,
+    "acceleration_limit": 4.0,
+    "landing_speed": 0.8,
+}
 RAW = {
-    "home": [[0.0, 0.0], [0.0, 2.0]], "pickup": [[1.0, 0.0], [-1.0, 0.0]], "delivery": [[1.5, 0.0], [-1.5, 0.0]],
-    "load": [1.0, 1.0], "capacity": [1.0, 1.0],
-}  # fmt: skip
+    "home": [[0.0, 0.0], [0.0, 2.0]],
+    "pickup": [[1.0, 0.0], [-1.0, 0.0]],
+    "delivery": [[1.5, 0.0], [-1.5, 0.0]],
+    "load": [1.0, 1.0],
+    "capacity": [1.0, 1.0],
+}
 SPACE = {
-    "home": [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]], "pickup": [[1.0, 0.0, 0.5], [-1.0, 0.0, 0.5]],
+    "home": [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]],
+    "pickup": [[1.0, 0.0, 0.5], [-1.0, 0.0, 0.5]],
     "delivery": [[1.5, 0.0, 0.5], [-1.5, 0.0, 0.5]],
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -32,7 +41,9 @@ def swarm(tmp_path):
     def make(more=(), **options):
         file = tmp_path / "instance.json"
         file.write_text(json.dumps(RAW | dict(more)))
-        return MISSION.swarm(None, file).replace(flight=BRISK, mission_options={"instance": str(file), **options})
+        return MISSION.swarm(None, file).replace(
+            flight=BRISK, mission_options={"instance": str(file), **options}
+        )
 
     return make
 
@@ -40,10 +51,15 @@ def swarm(tmp_path):
 @pytest.mark.parametrize(
     "more",
     [
-        {}, SPACE, {"end": [[2.0, 1.0], None]}, {"recharge": 2, "route_length_limit": 3.5}, {"service_time": 2.0},
-        {"penalty": [2.0, None]}, {"fixed_cost": 1.0},
+        {},
+        SPACE,
+        {"end": [[2.0, 1.0], None]},
+        {"recharge": 2, "route_length_limit": 3.5},
+        {"service_time": 2.0},
+        {"penalty": [2.0, None]},
+        {"fixed_cost": 1.0},
     ],
-)  # fmt: skip
+)
 def test_what_is_flown_passes(swarm, more):
     assert MISSION.check(swarm(more)) == []
 
@@ -55,18 +71,54 @@ SOME = {"penalty": [2.0, None]}
 @pytest.mark.parametrize(
     ("more", "options", "said"),
     [
-        ({}, {"service_time": "x"}, r'mission_options\.service_time: found "x"; allowed: a time in s'),
+        (
+            {},
+            {"service_time": "x"},
+            r'mission_options\.service_time: found "x"; allowed: a time in s',
+        ),
         ({}, {"service_time": -1}, r"mission_options\.service_time: found -1"),
-        ({}, {"method": "magic"}, r'mission_options\.method: found "magic"; allowed: columns, .*auction'),
-        ({}, {"methd": "columns"}, r"mission_options\.methd = .*no such key.*Did you mean method"),
+        (
+            {},
+            {"method": "magic"},
+            r'mission_options\.method: found "magic"; allowed: columns, .*auction',
+        ),
+        (
+            {},
+            {"methd": "columns"},
+            r"mission_options\.methd = .*no such key.*Did you mean method",
+        ),
         (SOME, {"method": "resource"}, r"method resource: found a finite penalty"),
-        ({"pickup": [[50.0, 0.0], [-1.0, 0.0]]}, {}, r"instance: pickup\[0\] = .*: outside the fence"),
-        ({"delivery": [[1.5, 0.0], [-1.5, 9.0]]}, {}, r"instance: delivery\[1\] = .*: outside the fence"),
-        (SPACE | {"pickup": [[1.0, 0.0, 5.0], [0.0, 1.0, 1.0]]}, {}, r"pickup\[0\] = .*a height of 5 m, not 0.1 to 3"),
-        (SPACE | {"delivery": [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]}, {}, r"delivery\[0\] = .*at a height of 0 m"),
+        (
+            {"pickup": [[50.0, 0.0], [-1.0, 0.0]]},
+            {},
+            r"instance: pickup\[0\] = .*: outside the fence",
+        ),
+        (
+            {"delivery": [[1.5, 0.0], [-1.5, 9.0]]},
+            {},
+            r"instance: delivery\[1\] = .*: outside the fence",
+        ),
+        (
+            SPACE | {"pickup": [[1.0, 0.0, 5.0], [0.0, 1.0, 1.0]]},
+            {},
+            r"pickup\[0\] = .*a height of 5 m, not 0.1 to 3",
+        ),
+        (
+            SPACE | {"delivery": [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]},
+            {},
+            r"delivery\[0\] = .*at a height of 0 m",
+        ),
         ({"end": [None, [0.0, 9.0]]}, {}, r"instance: end\[1\] = .*outside the fence"),
-        ({"end": [[0.0, 1.8], None]}, {}, r"instance: end\[0\] = .*from the home of drone 1"),
-        ({"end": [[2.0, 1.0], [2.0, 1.3]]}, {}, r"end\[0\] = \[2.0, 1.0\]: 0.30 m from the end of drone 1"),
+        (
+            {"end": [[0.0, 1.8], None]},
+            {},
+            r"instance: end\[0\] = .*from the home of drone 1",
+        ),
+        (
+            {"end": [[2.0, 1.0], [2.0, 1.3]]},
+            {},
+            r"end\[0\] = \[2.0, 1.0\]: 0.30 m from the end of drone 1",
+        ),
         ({"time_windows": WINDOWS}, {}, "it has time_windows or release; in flight"),
         ({"release": [2.0, 0.0]}, {}, "it has time_windows or release; in flight"),
         ({"open_tours": True}, {}, "it has open_tours; in flight"),
@@ -92,7 +144,10 @@ def test_a_graph_on_which_they_cannot_plan_is_refused(swarm, graph, said):
 
 @pytest.fixture
 def robot():
-    raw = RAW | {"end": [[2.0, 1.0], None], "service_time": {"pickup": [0.0, 0.2], "delivery": [3.0, 0.0]}}
+    raw = RAW | {
+        "end": [[2.0, 1.0], None],
+        "service_time": {"pickup": [0.0, 0.2], "delivery": [3.0, 0.0]},
+    }
     instance, config = Instance.parse(raw), MISSION.swarm(None).replace(flight=BRISK)
 
     def make(i):
@@ -110,7 +165,13 @@ def test_it_recharges_where_it_ends(robot):
 
 
 def test_it_stays_as_long_as_the_longer_of_the_two_service_times(robot):
-    stops = (Stop(0, "pickup"), Stop(1, "pickup"), Stop(0, "delivery"), Stop(1, "delivery"), Stop(-1, "recharge"))
+    stops = (
+        Stop(0, "pickup"),
+        Stop(1, "pickup"),
+        Stop(0, "delivery"),
+        Stop(1, "delivery"),
+        Stop(-1, "recharge"),
+    )
     assert [robot(0).seconds(stop) for stop in stops] == [0.5, 0.5, 3.0, 0.5, 0.5]
 
 
@@ -122,7 +183,12 @@ def test_a_stop_of_an_unknown_kind_is_flown_nowhere(robot):
 def test_a_trip_is_flown_by_way_of_the_end_and_ends_there(swarm):
     """Drone 0 alone serves both: its route comes to its end between them, and is as long as was planned."""
     end = [0.5, 1.0]
-    more = {"recharge": 2, "route_length_limit": 5.0, "capability": [[True, True], [False, False]], "end": [end, None]}
+    more = {
+        "recharge": 2,
+        "route_length_limit": 5.0,
+        "capability": [[True, True], [False, False]],
+        "end": [end, None],
+    }
     config = swarm(more, service_time=0.3)
     assert MISSION.check(config) == []
     result = fly_fast(config, MISSION)
@@ -143,7 +209,11 @@ def told(swarm, served, **route):
     config = swarm({"home": [[0.0, 0.0], [-2.0, 2.0]]})
     own = {"robot": 0, "stops": STOPS, "length": 3.0} | route
     length = float(np.hypot(1, 2) + 0.5 + np.hypot(0.5, 2))
-    other = {"robot": 1, "stops": [stop | {"task": 1} for stop in STOPS], "length": length}
+    other = {
+        "robot": 1,
+        "stops": [stop | {"task": 1} for stop in STOPS],
+        "length": length,
+    }
     plan = MISSION.instance(config).plan(Route.from_json(r) for r in (own, other))
     results = {
         0: {"served": served, "route": own, "plan_digest": plan.digest},
@@ -154,7 +224,11 @@ def told(swarm, served, **route):
 
 def test_who_has_served_all_stops_of_its_route_in_order_has_succeeded(swarm):
     report = told(swarm, STOPS)
-    assert (report["success"], report["reasons"], report["violations"]) == (True, {}, [])
+    assert (report["success"], report["reasons"], report["violations"]) == (
+        True,
+        {},
+        [],
+    )
 
 
 @pytest.mark.parametrize(

@@ -32,19 +32,34 @@ def problem(i, start, robots=None):
     def of(goods):
         may = np.array([not t.robots or i in t.robots for t in goods.tasks], bool)
         return replace(
-            OWN.local(0), robot=i, home=np.array(HOMES[i]), start=np.array(start), capacity=2.0,
-            tasks=goods.public(1.0), aboard=np.array(goods.mine, bool),
+            OWN.local(0),
+            robot=i,
+            home=np.array(HOMES[i]),
+            start=np.array(start),
+            capacity=2.0,
+            tasks=goods.public(1.0),
+            aboard=np.array(goods.mine, bool),
             capable=may & (np.array(goods.free, bool) | np.array(goods.mine, bool)),
-        )  # fmt: skip
+        )
 
     return of
 
 
-def planned(books, bound=None, carried=None, graph=GRAPH, method=AUCTION, starts=HOMES, recover=False):
+def planned(
+    books,
+    bound=None,
+    carried=None,
+    graph=GRAPH,
+    method=AUCTION,
+    starts=HOMES,
+    recover=False,
+):
     agents = {}
     for i in graph.ids:
         bonds, goods = (bound or {}).get(i, ()), (carried or {}).get(i, ())
-        agents[i] = Replanning(i, graph, books[i], bonds, goods, problem(i, starts[i]), recover, method)
+        agents[i] = Replanning(
+            i, graph, books[i], bonds, goods, problem(i, starts[i]), recover, method
+        )
     while not all(agent.done for agent in agents.values()):
         assert not any(agent.done for agent in agents.values()), "all end in one round"
         messages = {i: decode(encode(agent.message())) for i, agent in agents.items()}
@@ -72,14 +87,19 @@ def test_everybody_plans_with_what_anybody_knows():
     assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
     assert stops(shares[8]) == [(6, "pickup"), (6, "delivery")]
     assert stops(shares[3]) == stops(shares[5]) == []
-    assert {mark(share.book) for share in shares.values()} == {((4, 1, False), (6, 1, False))}
+    assert {mark(share.book) for share in shares.values()} == {
+        ((4, 1, False), (6, 1, False))
+    }
     assert not any(share.ended for share in shares.values())
     assert 4 not in books[2].tasks, "what is known here stays as it was"
 
 
 def test_the_plan_begins_where_the_robots_are():
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
-    assert stops(planned(books, starts=HOMES | {5: (1.0, 0.1), 2: (9.0, 9.0)})[5]) == [(4, "pickup"), (4, "delivery")]
+    assert stops(planned(books, starts=HOMES | {5: (1.0, 0.1), 2: (9.0, 9.0)})[5]) == [
+        (4, "pickup"),
+        (4, "delivery"),
+    ]
 
 
 def test_what_somebody_is_bound_to_or_carries_is_not_shared_out():
@@ -100,9 +120,14 @@ def test_goods_of_a_robot_that_is_gone_are_fetched_from_where_it_fell_if_wanted(
 
 
 def test_what_nobody_can_serve_is_named_and_nothing_is_left_to_do():
-    heavy, foreign = task(1, (1.0, 1.0), (2.0, 2.0), load=3.0), task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,))
+    heavy, foreign = (
+        task(1, (1.0, 1.0), (2.0, 2.0), load=3.0),
+        task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,)),
+    )
     books = {i: TaskBook([heavy, foreign], records(idle=True)) for i in IDS}
-    assert {(share.unserved, share.ended) for share in planned(books).values()} == {((1, 9), True)}
+    assert {(share.unserved, share.ended) for share in planned(books).values()} == {
+        ((1, 9), True)
+    }
 
 
 BUSY = [{"bound": {3: (6,)}}, {"carried": {3: (6,)}}, {"idle": False}, {"task": NEAR_2}]
@@ -129,14 +154,21 @@ def test_one_robot_alone_plans_without_anybody():
 
 
 def length(share, start, home, tasks):
-    points = [start, *(getattr(tasks[stop.task], stop.kind) for stop in share.stops), home]
+    points = [
+        start,
+        *(getattr(tasks[stop.task], stop.kind) for stop in share.stops),
+        home,
+    ]
     return sum(np.linalg.norm(np.subtract(a, b)) for a, b in pairwise(points))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(seed):
     draw = np.random.default_rng(seed)
-    tasks = {j: task(j, *map(tuple, draw.uniform(0, 10, (2, 2)).tolist())) for j in range(1, 8)}
+    tasks = {
+        j: task(j, *map(tuple, draw.uniform(0, 10, (2, 2)).tolist()))
+        for j in range(1, 8)
+    }
     nobody = task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,))
     books = {i: TaskBook([*tasks.values(), nobody], records()) for i in IDS}
     starts = {i: tuple(draw.uniform(0, 10, 2)) for i in IDS}
@@ -145,26 +177,39 @@ def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(se
     for method in (AUCTION, "columns", "resource-columns"):
         shares = planned(books, carried=carried, starts=starts, method=method)
         served = sorted(stop for share in shares.values() for stop in stops(share))
-        assert served == sorted([(j, "delivery") for j in tasks] + [(j, "pickup") for j in tasks if j > 2])
+        assert served == sorted(
+            [(j, "delivery") for j in tasks] + [(j, "pickup") for j in tasks if j > 2]
+        )
         assert {share.unserved for share in shares.values()} == {(9,)}
         assert (1, "delivery") in stops(shares[3])
-        lengths[method] = sum(length(shares[i], starts[i], HOMES[i], tasks) for i in IDS)
-    assert max(lengths["columns"], lengths["resource-columns"]) <= lengths[AUCTION] + 1e-6
+        lengths[method] = sum(
+            length(shares[i], starts[i], HOMES[i], tasks) for i in IDS
+        )
+    assert (
+        max(lengths["columns"], lengths["resource-columns"]) <= lengths[AUCTION] + 1e-6
+    )
 
 
 def test_goods_that_only_a_robot_far_away_may_carry_are_fetched(monkeypatch):
     monkeypatch.setitem(HOMES, 2, (900.0, 0.0))
-    books = {i: TaskBook([task(4, (1.0, 0.0), (2.0, 0.0), robots=(2,))], records()) for i in IDS}
+    books = {
+        i: TaskBook([task(4, (1.0, 0.0), (2.0, 0.0), robots=(2,))], records())
+        for i in IDS
+    }
     shares = planned(books, method="columns")
     assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
 
 
-def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(monkeypatch):
+def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(
+    monkeypatch,
+):
     books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
     short = problem
 
     def tired(i, start):
-        return lambda goods: replace(short(i, start)(goods), left=1.0 if i == 3 else None)
+        return lambda goods: replace(
+            short(i, start)(goods), left=1.0 if i == 3 else None
+        )
 
     monkeypatch.setitem(globals(), "problem", tired)
     for method in (AUCTION, "columns", "resource-columns", "resource"):
@@ -184,7 +229,9 @@ def with_trouble(monkeypatch, who, after, **options):
 
     def broken(self, heard):
         step(self, heard)
-        if IDS[self._member.place.robot] in who and (self.k == after or (after is None and self.done)):
+        if IDS[self._member.place.robot] in who and (
+            self.k == after or (after is None and self.done)
+        ):
             raise SolverError("columns", "no plan found")
 
     monkeypatch.setattr(PickupDelivery, "step", broken)
@@ -225,14 +272,24 @@ def test_a_planning_for_which_somebody_has_no_problem_is_none(monkeypatch):
 
     monkeypatch.setitem(globals(), "problem", broken)
     shares = planned({i: TaskBook([NEAR_2], records(idle=True)) for i in IDS})
-    assert all("robot 2: ZeroDivisionError" in share.trouble[AUCTION] for share in shares.values())
-    assert all(share.ended for share in shares.values()), "on the ground nobody plans for ever"
+    assert all(
+        "robot 2: ZeroDivisionError" in share.trouble[AUCTION]
+        for share in shares.values()
+    )
+    assert all(share.ended for share in shares.values()), (
+        "on the ground nobody plans for ever"
+    )
 
 
-@pytest.mark.parametrize("nonsense", [b"no book", [b"no book", [], []], [TaskBook().wire(), ["x"], []], None, 7])
+@pytest.mark.parametrize(
+    "nonsense",
+    [b"no book", [b"no book", [], []], [TaskBook().wire(), ["x"], []], None, 7],
+)
 def test_who_says_what_is_no_book_is_dropped_by_all_alike(nonsense):
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
-    agents = {i: Replanning(i, GRAPH, books[i], (), (), problem(i, HOMES[i])) for i in IDS}
+    agents = {
+        i: Replanning(i, GRAPH, books[i], (), (), problem(i, HOMES[i])) for i in IDS
+    }
     while not all(agent.done for agent in agents.values()):
         messages = {i: agent.message() for i, agent in agents.items()}
         if agents[8].k == 0:
@@ -267,4 +324,7 @@ class Torn(TaskBook):
 
 def test_goods_that_nobody_knows_of_are_not_planned_for():
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
-    assert stops(planned(books, carried={8: (77,)})[2]) == [(4, "pickup"), (4, "delivery")]
+    assert stops(planned(books, carried={8: (77,)})[2]) == [
+        (4, "pickup"),
+        (4, "delivery"),
+    ]

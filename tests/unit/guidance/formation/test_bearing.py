@@ -9,13 +9,21 @@ from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositi
 from crazychoir.control.senders import FPQRSender
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.guidance.formation.bearing import KP, KV, bearing_laplacian, check_formation
+from crazychoir.guidance.formation.bearing import (
+    KP,
+    KV,
+    bearing_laplacian,
+    check_formation,
+)
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.numerics.math3d import projector
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import Acceleration, FullState
 
-SQUARE = {i: np.array(p, float) for i, p in enumerate([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])}
+SQUARE = {
+    i: np.array(p, float)
+    for i, p in enumerate([(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
+}
 PAPER_GRAPH = {0: {1, 3}, 1: {0, 2, 3}, 2: {1, 3}, 3: {0, 1, 2}}
 
 
@@ -67,10 +75,16 @@ def test_only_leaders_or_a_neighbour_that_does_not_exist_are_refused():
 def controller(leader):
     if leader:
         return HierarchicalController(
-            FlatnessPositionCtrl(), GeometryAttitudeCtrl(STANDARD), FPQRSender(), FullStateTraj()
+            FlatnessPositionCtrl(),
+            GeometryAttitudeCtrl(STANDARD),
+            FPQRSender(),
+            FullStateTraj(),
         )
     return HierarchicalController(
-        FlatnessAccelerationCtrl(FORMATION), GeometryAttitudeCtrl(FORMATION), FPQRSender(), AccelerationTraj()
+        FlatnessAccelerationCtrl(FORMATION),
+        GeometryAttitudeCtrl(FORMATION),
+        FPQRSender(),
+        AccelerationTraj(),
     )
 
 
@@ -78,10 +92,22 @@ def settle(seed, noise, until=18.0, **world):
     """Last time in s at which a drone of the paper's example was farther than 1 cm from its place."""
     rng = np.random.default_rng(seed)
     p0 = np.array([SQUARE[i] for i in range(4)])
-    p0[2:] += rng.uniform(0.5, 1.0, (2, 3)) * rng.choice([-1.0, 1.0], (2, 3)) * [1.0, 1.0, 0.5]
-    engine, mocap = CFIntegrator(range(4), p0, **world), SimulatedMocap(range(4), seed, noise, 2.0 * noise)
-    filters, laws = [VelocityFilter() for _ in SQUARE], [controller(i < 2) for i in range(4)]
-    projectors = {(i, j): projector(SQUARE[j] - SQUARE[i]) for i in (2, 3) for j in PAPER_GRAPH[i]}
+    p0[2:] += (
+        rng.uniform(0.5, 1.0, (2, 3))
+        * rng.choice([-1.0, 1.0], (2, 3))
+        * [1.0, 1.0, 0.5]
+    )
+    engine, mocap = (
+        CFIntegrator(range(4), p0, **world),
+        SimulatedMocap(range(4), seed, noise, 2.0 * noise),
+    )
+    filters, laws = (
+        [VelocityFilter() for _ in SQUARE],
+        [controller(i < 2) for i in range(4)],
+    )
+    projectors = {
+        (i, j): projector(SQUARE[j] - SQUARE[i]) for i in (2, 3) for j in PAPER_GRAPH[i]
+    }
     heard, last = None, 0.0
     for k in range(round(until / engine.dt)):
         now, poses = engine.time, mocap.sample(engine.states, k)
@@ -90,13 +116,25 @@ def settle(seed, noise, until=18.0, **world):
         for i in range(4):
             u = np.zeros(3)
             for j in PAPER_GRAPH[i] if i > 1 else ():
-                u -= projectors[i, j] @ (KP * (states[i].p - heard[j].p) + KV * (states[i].v - heard[j].v))
+                u -= projectors[i, j] @ (
+                    KP * (states[i].p - heard[j].p) + KV * (states[i].v - heard[j].v)
+                )
             engine.command(
-                i, laws[i].command(states[i], Acceleration(u) if i > 1 else FullState.at(SQUARE[i]), now).flat
+                i,
+                laws[i]
+                .command(
+                    states[i],
+                    Acceleration(u) if i > 1 else FullState.at(SQUARE[i]),
+                    now,
+                )
+                .flat,
             )
         heard = states
         engine.step()
-        if max(np.linalg.norm(engine.states[i, :3] - SQUARE[i]) for i in range(4)) > 0.01:
+        if (
+            max(np.linalg.norm(engine.states[i, :3] - SQUARE[i]) for i in range(4))
+            > 0.01
+        ):
             last = engine.time
     return last
 

@@ -33,8 +33,14 @@ def swarm(name, **options):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"radius": 50.0, "period": 100.0}, r"mission_options\.leaders: drone 0: trajectory: set-point.*fence"),
-        ({"period": 1.0, "ramp": 1.0}, r"mission_options\.leaders: drone 0: trajectory at .* s: (speed|acceleration)"),
+        (
+            {"radius": 50.0, "period": 100.0},
+            r"mission_options\.leaders: drone 0: trajectory: set-point.*fence",
+        ),
+        (
+            {"period": 1.0, "ramp": 1.0},
+            r"mission_options\.leaders: drone 0: trajectory at .* s: (speed|acceleration)",
+        ),
     ],
 )
 def test_paths_that_leaders_cannot_fly_are_refused(name, options, said):
@@ -51,14 +57,23 @@ def test_a_circle_inside_the_fence_may_be_flown(name):
 
 def test_a_drawing_that_is_not_named_is_asked_for():
     mission, config = swarm("containment", leaders="drawn")
-    with pytest.raises(ConfigError, match=r"mission_options\.drawing: found nothing; allowed: a CSV file"):
+    with pytest.raises(
+        ConfigError,
+        match=r"mission_options\.drawing: found nothing; allowed: a CSV file",
+    ):
         mission.check(config)
 
 
 def test_who_would_hover_outside_the_fence_is_named():
     mission, config = swarm("containment")
     drones = [
-        {"id": d.id, "home": d.home, "leader": d.leader, "options": {"height": 2.0 + d.id}} for d in config.drones
+        {
+            "id": d.id,
+            "home": d.home,
+            "leader": d.leader,
+            "options": {"height": 2.0 + d.id},
+        }
+        for d in config.drones
     ]
     with pytest.raises(ConfigError, match=r"drone 2: hovers.*4\.0.*within the fence"):
         mission.check(config.replace(drones=drones))
@@ -68,21 +83,30 @@ def test_in_a_directed_graph_a_follower_flies_by_those_whom_it_hears():
     mission, config = swarm("bearing_formation")
     edges = [[0, 2], [1, 2], [3, 2], [0, 3], [1, 3]]
     config = config.replace(edges=edges, directed=True)
-    assert mission.guidance(3, config).neighbors == mission.neighbors(config)[3] == (0, 1)
+    assert (
+        mission.guidance(3, config).neighbors == mission.neighbors(config)[3] == (0, 1)
+    )
 
 
 def test_a_directed_graph_of_distances_is_refused():
     mission, config = swarm("distance_formation")
-    with pytest.raises(ConfigError, match="a directed graph; allowed: an undirected one"):
+    with pytest.raises(
+        ConfigError, match="a directed graph; allowed: an undirected one"
+    ):
         mission.check(config.replace(directed=True))
 
 
 def test_a_share_whose_rare_ticks_are_too_strong_is_refused():
     mission, config = swarm("containment", edges="random")
     assert mission.check(config) == []
-    with pytest.raises(Refused, match=r"kp = 0.8, kv = 1.6 over share\^2 = 0.04 are unstable.*or raise share"):
+    with pytest.raises(
+        Refused,
+        match=r"kp = 0.8, kv = 1.6 over share\^2 = 0.04 are unstable.*or raise share",
+    ):
         mission.check(swarm("containment", edges="random", share=0.2)[1])
-    assert mission.check(swarm("containment", share=0.2)[1]) == [], "of static edges it says nothing"
+    assert mission.check(swarm("containment", share=0.2)[1]) == [], (
+        "of static edges it says nothing"
+    )
 
 
 def test_where_all_are_leaders_nothing_is_contained():
@@ -103,7 +127,9 @@ def test_a_tick_that_one_drone_has_missed_changes_no_random_edge():
             law.member = SimpleNamespace(clock=now)
         mine = ends[0].step(at[4], {5: at[5]}).a
         if k % 7:  # a tick that drone 5 misses
-            same.append(np.allclose(mine[0] != 0.0, ends[1].step(at[5], {4: at[4]}).a[0] != 0.0))
+            same.append(
+                np.allclose(mine[0] != 0.0, ends[1].step(at[5], {4: at[4]}).a[0] != 0.0)
+            )
     assert all(same)
 
 
@@ -114,7 +140,9 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
     mission = load(config.mission)
     places = np.array([[5.0, 5.0, 2.0], [5.5, 5.0, 2.0], [5.5, 5.5, 2.0]])
     path = path_message(spline([0.0, 4.0, 8.0], places, degree=7))
-    far = path_message(spline([0.0, 30.0], [[0.0, 0.0, 0.0], [0.0, 9.0, 0.0]], degree=7))
+    far = path_message(
+        spline([0.0, 30.0], [[0.0, 0.0, 0.0], [0.0, 9.0, 0.0]], degree=7)
+    )
 
     async def main(clock):
         agent = Agent(clock, config, mission, config.ids)
@@ -126,10 +154,17 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
         seen = [{i: drone.pilot.state.p.copy() for i, drone in agent.drones.items()}]
         for _ in range(2):
             answers = [await commander.request(i, "fly", **path) for i in (0, 1)]
-            assert all(answer.kind == DONE and "leads along it" in answer.detail for answer in answers), answers
+            assert all(
+                answer.kind == DONE and "leads along it" in answer.detail
+                for answer in answers
+            ), answers
             await clock.sleep(16.0)
-            seen.append({i: drone.pilot.state.p.copy() for i, drone in agent.drones.items()})
-        refused = [await commander.request(i, "fly", **one) for i, one in ((2, path), (0, far))]
+            seen.append(
+                {i: drone.pilot.state.p.copy() for i, drone in agent.drones.items()}
+            )
+        refused = [
+            await commander.request(i, "fly", **one) for i, one in ((2, path), (0, far))
+        ]
         assert [answer.kind for answer in refused] == [REFUSED, REFUSED]
         assert "its mission flies it" in refused[0].detail
         assert "fence" in refused[1].detail
@@ -147,7 +182,9 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
 
 def test_leaders_fly_an_svg_picture(tmp_path):
     file = tmp_path / "arc.svg"
-    file.write_text('<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 0a200 200 0 01400 0"/></svg>')
+    file.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 0a200 200 0 01400 0"/></svg>'
+    )
     _, config = swarm("containment", leaders="drawn", drawing=str(file))
     path = path_of(config, LeaderOptions(leaders="drawn", drawing=str(file)))
     places = path.samples(np.linspace(0.0, path.duration, 100))[:, 0:2]

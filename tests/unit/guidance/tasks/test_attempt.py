@@ -27,7 +27,11 @@ def work(i, fails):
 
 def run(fails, damage=lambda i, k, message: message, of=work):
     """What each robot of a path gets, and in which round."""
-    programs, messages, ended = {i: attempt(i, of(i, fails), N - 1) for i in PATH}, {}, {}
+    programs, messages, ended = (
+        {i: attempt(i, of(i, fails), N - 1) for i in PATH},
+        {},
+        {},
+    )
     heard = dict.fromkeys(PATH)
     for k in count():
         for i, program in programs.items():
@@ -52,7 +56,9 @@ def test_work_that_raises_nowhere_returns_what_it_would_alone():
 
 
 @pytest.mark.parametrize("first", range(ROUNDS + 1))
-@pytest.mark.parametrize("more", [{}, {4: 6}, {4: 4, 1: 5}, {2: 3}, {i: 2 for i in PATH}])
+@pytest.mark.parametrize(
+    "more", [{}, {4: 6}, {4: 4, 1: 5}, {2: 3}, {i: 2 for i in PATH}]
+)
 def test_where_one_raises_all_end_in_one_round_with_the_word_of_the_first(first, more):
     fails = {0: first} | more
     k, i = min((k, i) for i, k in fails.items())
@@ -61,10 +67,16 @@ def test_where_one_raises_all_end_in_one_round_with_the_word_of_the_first(first,
     assert {(end, found) for end, found, _ in ended.values()} == {(k + N - 1, None)}
     (why,) = {why for _, _, why in ended.values()}
     said = f"SolverError: solver {i}: the solver ended with status broken"
-    assert why.startswith(f"robot {i}: " + (said if k < ROUNDS else "ValueError: at the very end (test_attempt.py:"))
+    assert why.startswith(
+        f"robot {i}: "
+        + (said if k < ROUNDS else "ValueError: at the very end (test_attempt.py:")
+    )
 
 
-@pytest.mark.parametrize("nonsense", [None, 7, [], [1, 2], [9, 1, "later"], [-1, 1, ""], ["x", 1, ""], {}, "abc"])
+@pytest.mark.parametrize(
+    "nonsense",
+    [None, 7, [], [1, 2], [9, 1, "later"], [-1, 1, ""], ["x", 1, ""], {}, "abc"],
+)
 def test_what_is_no_message_is_a_failure_too(nonsense):
     ended = run({}, lambda i, k, message: nonsense if (i, k) == (2, 3) else message)
     assert {end for end, _, _ in ended.values()} == {4 + N - 1}

@@ -12,7 +12,11 @@ from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.member import Interrupted
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.tasks.room import Room
-from crazychoir.guidance.tasks.task_assignment import TaskAssignmentGuidance, Work, distance
+from crazychoir.guidance.tasks.task_assignment import (
+    TaskAssignmentGuidance,
+    Work,
+    distance,
+)
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.types import State
 
@@ -46,7 +50,13 @@ def test_the_missions_own_swarms_may_fly():
         ({"mission_options": {"generation": 3}}, "generation.*generations"),
         ({"mission_options": {"chance": 1.5}}, r"chance.*0 to 1"),
         ({"fence": {"min": [-2.0, -4.0, 0.0]}}, "square from -3 to 3 m"),
-        ({"edges": [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [5, 0]], "directed": True}, "undirected"),
+        (
+            {
+                "edges": [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5], [5, 0]],
+                "directed": True,
+            },
+            "undirected",
+        ),
     ],
 )
 def test_what_cannot_be_flown_is_refused(changes, said):
@@ -58,35 +68,72 @@ def test_where_and_for_whom_operators_may_add_tasks():
     room = Room(CONFIG)
     inside, outside = (3.9, -3.9), (0.0, 4.0)
     assert room.lies_badly(Task(0, 0, False, inside, inside), inside) == ""
-    assert "outside the fence" in room.lies_badly(Task(0, 0, False, outside, outside), outside)
-    assert "there is no drone 7" in room.never(Task(0, 0, False, inside, inside, robots=(1, 7)))
+    assert "outside the fence" in room.lies_badly(
+        Task(0, 0, False, outside, outside), outside
+    )
+    assert "there is no drone 7" in room.never(
+        Task(0, 0, False, inside, inside, robots=(1, 7))
+    )
     assert room.waits(Task(0, 0, False, inside, inside, robots=(1, 2)), (2, 3)) == ""
-    assert "drone 1 " in room.waits(Task(0, 0, False, inside, inside, robots=(1,)), (2, 3)).replace(",", " ")
+    assert "drone 1 " in room.waits(
+        Task(0, 0, False, inside, inside, robots=(1,)), (2, 3)
+    ).replace(",", " ")
 
 
 def test_the_central_solver_serves_as_many_as_can_be_at_the_least_cost():
     for _ in range(30):
         costs = DRAW.uniform(0.0, 9.0, (4, 3))
         costs[DRAW.random((4, 3)) < 0.5] = np.inf
-        pairs = [sum((costs[i, k] for k, i in enumerate(order) if i is not None and np.isfinite(costs[i, k])), 0.0)
-                 for order in permutations([0, 1, 2, 3], 3)]  # fmt: skip
-        served = [sum(np.isfinite(costs[i, k]) for k, i in enumerate(order)) for order in permutations([0, 1, 2, 3], 3)]
-        best = min(cost for cost, n in zip(pairs, served, strict=True) if n == max(served))
+        pairs = [
+            sum(
+                (
+                    costs[i, k]
+                    for k, i in enumerate(order)
+                    if i is not None and np.isfinite(costs[i, k])
+                ),
+                0.0,
+            )
+            for order in permutations([0, 1, 2, 3], 3)
+        ]
+        served = [
+            sum(np.isfinite(costs[i, k]) for k, i in enumerate(order))
+            for order in permutations([0, 1, 2, 3], 3)
+        ]
+        best = min(
+            cost for cost, n in zip(pairs, served, strict=True) if n == max(served)
+        )
         assert MISSION.optimum(costs) == pytest.approx(best)
     assert MISSION.optimum(np.zeros((3, 0))) is None
-    assert distance(State.at((0.0, 3.0, 9.0)), Task(0, 0, False, (4.0, 0.0), (4.0, 0.0))) == pytest.approx(5.0)
+    assert distance(
+        State.at((0.0, 3.0, 9.0)), Task(0, 0, False, (4.0, 0.0), (4.0, 0.0))
+    ) == pytest.approx(5.0)
 
 
 def results():
     """Of two robots that have done two of three tasks, of which nobody may do the third, in one generation."""
-    table = {"number": 1, "filled": 1, "team": [0, 1], "tasks": [0, 1, 2], "places": [[0.0, 0.0]] * 3, "cost": 3.0,
-             "infeasible": "task(s) 2 may be done by no robot", "unserved": [2], "rounds": 9, "seconds": 0}  # fmt: skip
+    table = {
+        "number": 1,
+        "filled": 1,
+        "team": [0, 1],
+        "tasks": [0, 1, 2],
+        "places": [[0.0, 0.0]] * 3,
+        "cost": 3.0,
+        "infeasible": "task(s) 2 may be done by no robot",
+        "unserved": [2],
+        "rounds": 9,
+        "seconds": 0,
+    }
     return {
-        i: {"success": True, "done": [[i, 1]], "open": [2], "tables": [
-            {**table, "costs": [[1.0, 5.0, None], [4.0, 2.0, None]][i], "mine": i}
-        ]}
+        i: {
+            "success": True,
+            "done": [[i, 1]],
+            "open": [2],
+            "tables": [
+                {**table, "costs": [[1.0, 5.0, None], [4.0, 2.0, None]][i], "mine": i}
+            ],
+        }
         for i in (0, 1)
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize(
@@ -94,7 +141,10 @@ def results():
     [
         (lambda r: None, ""),
         (lambda r: r[1]["done"].append([0, 1]), "task 0: done twice"),
-        (lambda r: r[0]["tables"][0].update(cost=3.001), "generation 1: 3.001 m, 3.0 m is possible"),
+        (
+            lambda r: r[0]["tables"][0].update(cost=3.001),
+            "generation 1: 3.001 m, 3.0 m is possible",
+        ),
         (lambda r: r[0]["tables"][0]["costs"].__setitem__(0, 0.1), "m is possible"),
     ],
 )
@@ -110,13 +160,17 @@ def test_a_report_finds_what_is_wrong(change, said):
         assert report["tables"][0]["optimum"] == 3.0
         assert report["served_by_generation"] == [2]
         assert report["left"] == {2: "task(s) 2 may be done by no robot"}
-        assert not MISSION.report(CONFIG, found)["success"], "there is somebody who may do it"
+        assert not MISSION.report(CONFIG, found)["success"], (
+            "there is somebody who may do it"
+        )
 
 
 def test_costs_that_left_with_a_lost_robot_are_not_compared():
     found = results()
     del found[1]
-    table = MISSION.report(CONFIG.replace(mission_options={"chance": 0.0}), found)["tables"][0]
+    table = MISSION.report(CONFIG.replace(mission_options={"chance": 0.0}), found)[
+        "tables"
+    ][0]
     assert (table["optimum"], MISSION.gap(table)) == (None, 0.0)
 
 
@@ -124,13 +178,25 @@ def test_while_the_team_plans_nothing_is_completed():
     """A task may be somebody else's by then."""
     said = []
     guidance = TaskAssignmentGuidance(Work(lambda count: [], 1))
-    pilot = SimpleNamespace(mode=Mode.HOVER, state=State.at((1.0, 1.02, 0.5)), follow=lambda reference: True)
-    guidance.member = SimpleNamespace(pilot=pilot, config=CONFIG, id=0, ended="")
-    book, record = TaskBook([Task(3, 0, False, (1.0, 1.0), (1.0, 1.0))]), Record(0, 1, 1, (0.0, 0.0))
-    guidance.news = SimpleNamespace(
-        book=book, members=CONFIG.ids, record=record, ended=False, say=lambda **changes: said.append(changes)
+    pilot = SimpleNamespace(
+        mode=Mode.HOVER, state=State.at((1.0, 1.02, 0.5)), follow=lambda reference: True
     )
-    guidance.generation, guidance._turns = SimpleNamespace(mine=3, number=7), SimpleNamespace(to=lambda p: p)
+    guidance.member = SimpleNamespace(pilot=pilot, config=CONFIG, id=0, ended="")
+    book, record = (
+        TaskBook([Task(3, 0, False, (1.0, 1.0), (1.0, 1.0))]),
+        Record(0, 1, 1, (0.0, 0.0)),
+    )
+    guidance.news = SimpleNamespace(
+        book=book,
+        members=CONFIG.ids,
+        record=record,
+        ended=False,
+        say=lambda **changes: said.append(changes),
+    )
+    guidance.generation, guidance._turns = (
+        SimpleNamespace(mine=3, number=7),
+        SimpleNamespace(to=lambda p: p),
+    )
     guidance._shares = True
     guidance._pursue()
     assert (guidance.done, said) == ([], [])

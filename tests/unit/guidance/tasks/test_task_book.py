@@ -9,25 +9,53 @@ from hypothesis import strategies as st
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import CodecError
-from crazychoir.guidance.tasks.task_book import Deed, Fate, Record, Standing, Task, TaskBook
+from crazychoir.guidance.tasks.task_book import (
+    Deed,
+    Fate,
+    Record,
+    Standing,
+    Task,
+    TaskBook,
+)
 
 PICK, DROP = "pickup", "delivery"
 places = st.tuples(st.integers(-3, 3).map(float), st.integers(-3, 3).map(float))
 tasks = st.builds(
-    Task, id=st.integers(0, 3), version=st.integers(0, 2), cancelled=st.booleans(), pickup=places, delivery=places
+    Task,
+    id=st.integers(0, 3),
+    version=st.integers(0, 2),
+    cancelled=st.booleans(),
+    pickup=places,
+    delivery=places,
 )
-deeds = st.lists(st.builds(Deed, st.integers(0, 3), st.sampled_from([PICK, DROP]), st.integers(1, 2)), max_size=3)
+deeds = st.lists(
+    st.builds(
+        Deed, st.integers(0, 3), st.sampled_from([PICK, DROP]), st.integers(1, 2)
+    ),
+    max_size=3,
+)
 records = st.builds(
-    Record, robot=st.integers(0, 2), incarnation=st.integers(1, 2), number=st.integers(1, 3), place=places,
-    deeds=deeds.map(tuple), out=st.booleans(), life=st.integers(1, 2),
-)  # fmt: skip
+    Record,
+    robot=st.integers(0, 2),
+    incarnation=st.integers(1, 2),
+    number=st.integers(1, 3),
+    place=places,
+    deeds=deeds.map(tuple),
+    out=st.booleans(),
+    life=st.integers(1, 2),
+)
 books = st.builds(TaskBook, st.lists(tasks, max_size=4), st.lists(records, max_size=5))
 
 TEAMS = (0, 1, 2), (0,), ()
 
 
 def content(book):
-    return book.tasks, book.records, {i: book.newest(i) for i in range(3)}, *(book.standings(m, True) for m in TEAMS)
+    return (
+        book.tasks,
+        book.records,
+        {i: book.newest(i) for i in range(3)},
+        *(book.standings(m, True) for m in TEAMS),
+    )
 
 
 def merged(*parts):
@@ -70,14 +98,26 @@ def test_other_tasks_have_another_checksum(a, b):
 
 @pytest.mark.parametrize(
     "wire",
-    [b"", b"nonsense", None, [], 3, "text", b"\x92\x90\x90 and more", b"\xc1" * 40, b"\x91" * 5000],
+    [
+        b"",
+        b"nonsense",
+        None,
+        [],
+        3,
+        "text",
+        b"\x92\x90\x90 and more",
+        b"\xc1" * 40,
+        b"\x91" * 5000,
+    ],
 )
 def test_what_is_no_book_is_refused(wire):
     with pytest.raises(CodecError, match="task book"):
         TaskBook.of(wire)
 
 
-@pytest.mark.parametrize("place", [(float("nan"), 0.0), (float("inf"), 0.0), (1e9, 0.0)])
+@pytest.mark.parametrize(
+    "place", [(float("nan"), 0.0), (float("inf"), 0.0), (1e9, 0.0)]
+)
 def test_a_place_that_is_none_is_refused(place):
     with pytest.raises(CodecError):
         TaskBook.of(TaskBook([Task(0, 0, False, place, (0.0, 0.0))]).wire())
@@ -89,7 +129,14 @@ TASK = Task(7, 1, False, (1.0, 2.0), (3.0, 4.0))
 
 
 def record(i, *done, **changes):
-    return Record(i, 1, 1, (float(i), -1.0), tuple(Deed(7, kind, n) for kind, n in done), **changes)
+    return Record(
+        i,
+        1,
+        1,
+        (float(i), -1.0),
+        tuple(Deed(7, kind, n) for kind, n in done),
+        **changes,
+    )
 
 
 @pytest.mark.parametrize(
@@ -99,12 +146,32 @@ def record(i, *done, **changes):
         ([record(0, (PICK, 1))], Standing(Fate.ABOARD, (1, 2), 0, 1), None),
         ([record(0, (PICK, 1), (DROP, 1))], Standing(Fate.DELIVERED, (1, 2), 0), None),
         # 5 is no member
-        ([record(5, (PICK, 1))], Standing(Fate.LOST, (1, 2), 5, 1), Standing(Fate.OPEN, (5, -1), 5, 1)),
-        ([record(0, (PICK, 1), out=True)], Standing(Fate.LOST, (1, 2), 0, 1), Standing(Fate.OPEN, (0, -1), 0, 1)),
+        (
+            [record(5, (PICK, 1))],
+            Standing(Fate.LOST, (1, 2), 5, 1),
+            Standing(Fate.OPEN, (5, -1), 5, 1),
+        ),
+        (
+            [record(0, (PICK, 1), out=True)],
+            Standing(Fate.LOST, (1, 2), 0, 1),
+            Standing(Fate.OPEN, (0, -1), 0, 1),
+        ),
         ([record(5, (PICK, 1), (DROP, 1))], Standing(Fate.DELIVERED, (1, 2), 5), None),
-        ([record(5, (PICK, 1)), record(1, (PICK, 2))], Standing(Fate.ABOARD, (1, 2), 1, 2), None),
-        ([record(0, (PICK, 1)), record(1, (PICK, 2))], Standing(Fate.ABOARD, (1, 2), 1, 2), None),
-        ([record(0, (PICK, 1)), record(1, (PICK, 1))], Standing(Fate.ABOARD, (1, 2), 0, 1), None),
+        (
+            [record(5, (PICK, 1)), record(1, (PICK, 2))],
+            Standing(Fate.ABOARD, (1, 2), 1, 2),
+            None,
+        ),
+        (
+            [record(0, (PICK, 1)), record(1, (PICK, 2))],
+            Standing(Fate.ABOARD, (1, 2), 1, 2),
+            None,
+        ),
+        (
+            [record(0, (PICK, 1)), record(1, (PICK, 1))],
+            Standing(Fate.ABOARD, (1, 2), 0, 1),
+            None,
+        ),
     ],
 )
 def test_a_task_is_where_the_last_who_picked_it_up_is(said, lost, recovered):
@@ -124,7 +191,11 @@ def test_the_later_life_of_a_robot_counts_whatever_its_random_incarnation():
     """Of the lower of two incarnations nobody took note: its team never ended, and what it had carried was nobody's."""
     before, after = record(0, (PICK, 1)), Record(0, 0, 1, (9.0, 9.0))
     second = replace(after, life=2)
-    for order in ((before, second), (second, before), (before, after, replace(after, 2))):
+    for order in (
+        (before, second),
+        (second, before),
+        (before, after, replace(after, 2)),
+    ):
         book = TaskBook([TASK], order)
         book.standings((0, 1), recover=True)
         book.hear(replace(after, number=3, life=2))
@@ -143,7 +214,10 @@ def test_a_cancelled_task_that_is_aboard_is_still_delivered():
     assert not book.cancel(7)
     assert book.standings((0,), recover=False)[7].fate is Fate.ABOARD
     assert book.standings((1,), recover=True)[7].fate is Fate.CANCELLED
-    assert TaskBook([book.tasks[7]]).standings((0,), recover=False)[7].fate is Fate.CANCELLED
+    assert (
+        TaskBook([book.tasks[7]]).standings((0,), recover=False)[7].fate
+        is Fate.CANCELLED
+    )
 
 
 def test_a_higher_version_of_a_task_replaces_a_cancelled_one():
@@ -157,7 +231,9 @@ def test_a_higher_version_of_a_task_replaces_a_cancelled_one():
 
 def test_witnesses_are_those_that_are_known_to_have_heard_as_much():
     heard = [((0, 1, 4),), ((0, 1, 5),), ((0, 2, 9),), ((0, 1, 6), (2, 1, 1))]
-    book = TaskBook([], [Record(j + 1, 1, 1, (0.0, 0.0), (), seen) for j, seen in enumerate(heard)])
+    book = TaskBook(
+        [], [Record(j + 1, 1, 1, (0.0, 0.0), (), seen) for j, seen in enumerate(heard)]
+    )
     book.hear(Record(0, 1, 6, (0.0, 0.0)))
     everybody = (0, 1, 2, 3, 4)
     assert [book.witnesses(0, 1, n, everybody) for n in (4, 5, 6, 7)] == [3, 2, 1, 0]
@@ -176,13 +252,18 @@ def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
 
 def test_goods_are_where_a_robot_that_is_lost_has_last_said_whoever_is_told_later():
     """They were fetched from where it had been when its loss was noticed, by those who heard its last record later."""
-    last, before = (Record(1, 1, n, place, (Deed(7, PICK, 1),)) for n, place in ((9, (3.0, 3.0)), (4, (1.0, 1.0))))
+    last, before = (
+        Record(1, 1, n, place, (Deed(7, PICK, 1),))
+        for n, place in ((9, (3.0, 3.0)), (4, (1.0, 1.0)))
+    )
     for order in permutations((before, last)):
         book = TaskBook([TASK])
         for said in order:
             book.hear(said)
             book.standings((0,), recover=True)
-        assert book.standings((0,), recover=True)[7] == Standing(Fate.OPEN, (3.0, 3.0), 1, 1)
+        assert book.standings((0,), recover=True)[7] == Standing(
+            Fate.OPEN, (3.0, 3.0), 1, 1
+        )
 
 
 def test_where_a_robot_flies_changes_nothing():
@@ -199,4 +280,6 @@ def test_where_a_robot_flies_changes_nothing():
 def test_standings_follow_every_change(a, b):
     a.standings((0, 1), True)
     a.merge(b)
-    assert a.standings((0, 1), True) == TaskBook(a.tasks.values(), a.records.values()).standings((0, 1), True)
+    assert a.standings((0, 1), True) == TaskBook(
+        a.tasks.values(), a.records.values()
+    ).standings((0, 1), True)

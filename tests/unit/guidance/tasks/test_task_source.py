@@ -19,19 +19,29 @@ from crazychoir.team.graph import named
 
 FIRST = Task(0, 0, False, (1.0, 0.0), (2.0, 0.0), 1.0)
 HOMES = [{"id": i, "home": [float(i), -2.0, 0.0]} for i in range(3)]
-CONFIG = SwarmConfig.of({"name": "lab", "drones": HOMES, "fence": {"min": [-3, -3, 0], "max": [3, 3, 2]}})
+CONFIG = SwarmConfig.of(
+    {"name": "lab", "drones": HOMES, "fence": {"min": [-3, -3, 0], "max": [3, 3, 2]}}
+)
 WHERE = {"pickup": [1.0, 1.0], "delivery": [2.0, 1.0]}
 CREW = Instance.parse(
     {
-        "home": [drone["home"][:2] for drone in HOMES], "pickup": [[1.0, 0.0]], "delivery": [[2.0, 0.0]],
-        "load": [1.0], "capacity": [2.0, 3.0, 3.0],
+        "home": [drone["home"][:2] for drone in HOMES],
+        "pickup": [[1.0, 0.0]],
+        "delivery": [[2.0, 0.0]],
+        "load": [1.0],
+        "capacity": [2.0, 3.0, 3.0],
     }
-)  # fmt: skip
+)
 SITE = Site(CONFIG, 0.4, CREW)
 
 
 def source(bus, i=1, events=(), may_end=lambda: False):
-    news = TeamNews(Communicator(bus.port(i), named("complete", 3)), (FIRST,), lambda: (0.0, 0.0), False)
+    news = TeamNews(
+        Communicator(bus.port(i), named("complete", 3)),
+        (FIRST,),
+        lambda: (0.0, 0.0),
+        False,
+    )
     return TaskSource(news, SITE, events, may_end)
 
 
@@ -51,7 +61,16 @@ async def talking(*sources):
 async def test_events_are_heard_in_time_by_those_who_hear_them(clock):
     later, other, gone = (Task(j, 0, False, (0.0, 0.0), (1.0, 0.0)) for j in (5, 6, 7))
     cancelled = Event(4.0, Task(7, 0, True, gone.pickup, gone.delivery))
-    one = source(Bus(clock), 1, [Event(2.0, later, (1,)), Event(2.5, other, (0,)), Event(3.0000001, gone), cancelled])
+    one = source(
+        Bus(clock),
+        1,
+        [
+            Event(2.0, later, (1,)),
+            Event(2.5, other, (0,)),
+            Event(3.0000001, gone),
+            cancelled,
+        ],
+    )
     one.news.communicator.port.bus.impairment.begin(clock.now())
     job = asyncio.ensure_future(one.hear())
     for t, known in ((1.9, [0]), (2.1, [0, 5]), (3.2, [0, 5, 7])):
@@ -67,34 +86,66 @@ async def test_events_are_heard_in_time_by_those_who_hear_them(clock):
 @virtual
 async def test_an_added_task_has_an_id_that_no_other_robot_gives(clock):
     bus = Bus(clock)
-    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, other, _):
-        assert [(await one.asked("task_add", WHERE))["id"] for _ in range(2)] == [ADDED + 1, 2 * ADDED + 1]
-        assert await other.asked("task_add", WHERE | {"load": 2.0, "robots": [1]}) == {"id": ADDED}
-        assert other.news.book.tasks[ADDED] == Task(ADDED, 0, False, (1.0, 1.0), (2.0, 1.0), 2.0, (1,))
+    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (
+        one,
+        other,
+        _,
+    ):
+        assert [(await one.asked("task_add", WHERE))["id"] for _ in range(2)] == [
+            ADDED + 1,
+            2 * ADDED + 1,
+        ]
+        assert await other.asked("task_add", WHERE | {"load": 2.0, "robots": [1]}) == {
+            "id": ADDED
+        }
+        assert other.news.book.tasks[ADDED] == Task(
+            ADDED, 0, False, (1.0, 1.0), (2.0, 1.0), 2.0, (1,)
+        )
         assert await one.asked("task_cancel", {"id": ADDED + 1}) == {"id": ADDED + 1}
         assert one.news.book.tasks[ADDED + 1].cancelled
 
 
 @virtual
-async def test_the_list_says_of_each_task_where_it_lies_and_what_has_become_of_it(clock):
+async def test_the_list_says_of_each_task_where_it_lies_and_what_has_become_of_it(
+    clock,
+):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, _, _):
         await one.asked("task_add", WHERE)
         await one.asked("task_cancel", {"id": ADDED + 1})
         one.news.say(deeds=(Deed(0, "pickup", 1),))
-        first = {"id": 0, "pickup": [1.0, 0.0], "delivery": [2.0, 0.0], "load": 1.0, "fate": "aboard", "robot": 1}
-        second = WHERE | {"id": ADDED + 1, "load": 1.0, "fate": "cancelled", "robot": None}
+        first = {
+            "id": 0,
+            "pickup": [1.0, 0.0],
+            "delivery": [2.0, 0.0],
+            "load": 1.0,
+            "fate": "aboard",
+            "robot": 1,
+        }
+        second = WHERE | {
+            "id": ADDED + 1,
+            "load": 1.0,
+            "fate": "cancelled",
+            "robot": None,
+        }
         assert await one.asked("task_list", {}) == {"tasks": [first, second]}
 
 
 @virtual
 async def test_what_is_accepted_is_known_to_more_than_half_of_the_team(clock):
     bus = Bus(clock)
-    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *others):
+    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (
+        one,
+        *others,
+    ):
         j = (await one.asked("task_add", WHERE))["id"]
         assert any(j in other.news.book.tasks for other in others)
         await one.asked("task_cancel", {"id": j})
-        assert any(other.news.book.tasks[j].cancelled for other in others if j in other.news.book.tasks)
+        assert any(
+            other.news.book.tasks[j].cancelled
+            for other in others
+            if j in other.news.book.tasks
+        )
 
 
 @virtual
@@ -104,7 +155,10 @@ async def test_who_is_heard_by_nobody_says_so(clock):
         pass
     began = clock.now()
     said = await one.asked("task_add", WHERE)
-    assert (said["id"], clock.now() - began) == (ADDED + 1, pytest.approx(PATIENCE, abs=0.1))
+    assert (said["id"], clock.now() - began) == (
+        ADDED + 1,
+        pytest.approx(PATIENCE, abs=0.1),
+    )
     assert "less than half of the team has heard of it" in said["note"]
 
 
@@ -136,7 +190,9 @@ def restarted(bus, knows, i):
 @virtual
 async def test_nothing_is_taken_while_the_team_decides_that_its_mission_is_over(clock):
     bus, deciding = Bus(clock), [True]
-    async with talking(source(bus, 1, may_end=lambda: deciding[0]), source(bus, 0), source(bus, 2)) as (one, *_):
+    async with talking(
+        source(bus, 1, may_end=lambda: deciding[0]), source(bus, 0), source(bus, 2)
+    ) as (one, *_):
         for ended in (False, True):
             deciding[:] = [True]
             asked = asyncio.ensure_future(one.asked("task_add", WHERE))
@@ -156,11 +212,18 @@ async def test_nothing_is_taken_while_the_team_decides_that_its_mission_is_over(
 @virtual
 async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
     bus = Bus(clock)
-    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, _, gone):
+    async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (
+        one,
+        _,
+        gone,
+    ):
         gone.news.say(out=True)
         await clock.sleep(5 * PERIOD)
         said = await one.asked("task_add", WHERE | {"robots": [2]})
-        assert said == {"id": ADDED + 1, "note": "it waits: drone 2, who alone can serve it, does not fly"}
+        assert said == {
+            "id": ADDED + 1,
+            "note": "it waits: drone 2, who alone can serve it, does not fly",
+        }
         assert one.news.standings()[ADDED + 1].fate is Fate.OPEN
         with pytest.raises(Refused, match="this drone flies no more; ask another one"):
             await gone.asked("task_add", WHERE)
@@ -174,12 +237,36 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
         ("task_add", WHERE | {"pickup": [float("nan"), 0.0]}, "`pickup|places"),
         ("task_add", WHERE | {"load": -1.0}, ">= 0.*`load`"),
         ("task_add", WHERE | {"load": float("nan")}, "`load`"),
-        ("task_add", WHERE | {"load": 3.5}, "its load 3.5 is more than any drone can carry: 3"),
-        ("task_add", WHERE | {"load": 2.5, "robots": [0]}, "more than drone 0, who alone may serve it, can carry: 2"),
-        ("task_add", WHERE | {"robots": [0, 77]}, "there is no drone 77; this swarm has 0 to 2"),
-        ("task_add", WHERE | {"weight": 1.0}, "unknown: weight; there are pickup, delivery, load, robots"),
-        ("task_add", WHERE | {"delivery": [9.0, 0.0]}, r"its delivery \[9, 0\] is outside the fence, \[-3, -3\] to"),
-        ("task_add", WHERE | {"delivery": [1.2, -2.1]}, "0.22 m from the home of drone 1.*clearance is 0.4 m"),
+        (
+            "task_add",
+            WHERE | {"load": 3.5},
+            "its load 3.5 is more than any drone can carry: 3",
+        ),
+        (
+            "task_add",
+            WHERE | {"load": 2.5, "robots": [0]},
+            "more than drone 0, who alone may serve it, can carry: 2",
+        ),
+        (
+            "task_add",
+            WHERE | {"robots": [0, 77]},
+            "there is no drone 77; this swarm has 0 to 2",
+        ),
+        (
+            "task_add",
+            WHERE | {"weight": 1.0},
+            "unknown: weight; there are pickup, delivery, load, robots",
+        ),
+        (
+            "task_add",
+            WHERE | {"delivery": [9.0, 0.0]},
+            r"its delivery \[9, 0\] is outside the fence, \[-3, -3\] to",
+        ),
+        (
+            "task_add",
+            WHERE | {"delivery": [1.2, -2.1]},
+            "0.22 m from the home of drone 1.*clearance is 0.4 m",
+        ),
         ("task_cancel", {"id": 77}, "there is no 77; there are 0"),
         ("task_cancel", {}, "there is no None"),
     ],
@@ -202,7 +289,11 @@ PICKED, DELIVERED = Deed(0, "pickup", 1), Deed(0, "delivery", 1)
 @pytest.mark.parametrize(
     ("done", "gone", "said"),
     [
-        ((PICKED,), False, {"id": 0, "note": "it is aboard drone 2, which delivers it all the same"}),
+        (
+            (PICKED,),
+            False,
+            {"id": 0, "note": "it is aboard drone 2, which delivers it all the same"},
+        ),
         ((PICKED,), True, "0 is lost, with drone 2 that had it aboard"),
         ((PICKED, DELIVERED), False, "drone 2 has delivered 0 already"),
     ],
@@ -211,7 +302,11 @@ def test_what_has_become_of_a_task_is_said_to_who_cancels_it(done, gone, said):
     @virtual
     async def test(clock):
         bus = Bus(clock)
-        async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, _, carrier):
+        async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (
+            one,
+            _,
+            carrier,
+        ):
             carrier.news.say(deeds=done, out=gone)
             await clock.sleep(5 * PERIOD)
             if isinstance(said, dict):
@@ -229,7 +324,10 @@ async def test_cancelling_twice_is_no_harm_and_said(clock):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *_):
         assert await one.asked("task_cancel", {"id": 0}) == {"id": 0}
-        assert await one.asked("task_cancel", {"id": 0}) == {"id": 0, "note": "it was cancelled already"}
+        assert await one.asked("task_cancel", {"id": 0}) == {
+            "id": 0,
+            "note": "it was cancelled already",
+        }
 
 
 @virtual

@@ -9,7 +9,15 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import Rule
 from crazychoir.bus.port import Bus
 from crazychoir.guidance.tasks.task_book import Deed, Fate, Record, Task
-from crazychoir.guidance.tasks.team_news import BOOK, NOBODY, PERIOD, SILENT, UNREACHED, TeamNews, mended
+from crazychoir.guidance.tasks.team_news import (
+    BOOK,
+    NOBODY,
+    PERIOD,
+    SILENT,
+    UNREACHED,
+    TeamNews,
+    mended,
+)
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, named
 from crazychoir.types import Failure
@@ -19,7 +27,12 @@ TASK = Task(1, 0, False, (1.0, 0.0), (2.0, 0.0))
 
 def team(clock, graph, loss=0.0):
     bus = Bus(clock, Impairment(3, [Rule({"loss": loss})] if loss else []))
-    return {i: TeamNews(Communicator(bus.port(i), graph), (), lambda i=i: (float(i), 0.0), False) for i in graph.ids}
+    return {
+        i: TeamNews(
+            Communicator(bus.port(i), graph), (), lambda i=i: (float(i), 0.0), False
+        )
+        for i in graph.ids
+    }
 
 
 async def gossiping(clock, news, seconds):
@@ -65,14 +78,23 @@ async def test_who_is_started_again_takes_the_place_of_its_former_life(clock):
     for former, present in ((9, 5), (5, 9)):
         bus = Bus(clock)
         news = {
-            i: TeamNews(Communicator(bus.port(i, former), graph), (), lambda i=i: (float(i), 0.0), False)
+            i: TeamNews(
+                Communicator(bus.port(i, former), graph),
+                (),
+                lambda i=i: (float(i), 0.0),
+                False,
+            )
             for i in graph.ids
         }
         await gossiping(clock, news, 4 * PERIOD)
         bus.close(2)
-        news[2] = TeamNews(Communicator(bus.port(2, present), graph), (), lambda: (2.0, 0.0), False)
+        news[2] = TeamNews(
+            Communicator(bus.port(2, present), graph), (), lambda: (2.0, 0.0), False
+        )
         await gossiping(clock, news, 6 * PERIOD)
-        assert [one.book.newest(2).incarnation for one in news.values()] == [present] * 3
+        assert [one.book.newest(2).incarnation for one in news.values()] == [
+            present
+        ] * 3
 
 
 @virtual
@@ -128,9 +150,17 @@ def test_a_team_change_is_told():
 
 @pytest.mark.parametrize(
     ("left", "quorate"),
-    [((0, 1, 2, 3, 4, 5), True), ((2, 3, 4, 5), True), ((0, 4, 5), True), ((1, 2, 3), False), ((0, 5), False)],
+    [
+        ((0, 1, 2, 3, 4, 5), True),
+        ((2, 3, 4, 5), True),
+        ((0, 4, 5), True),
+        ((1, 2, 3), False),
+        ((0, 5), False),
+    ],
 )
-def test_more_than_half_of_the_last_team_may_decide_or_the_half_with_its_lowest(left, quorate):
+def test_more_than_half_of_the_last_team_may_decide_or_the_half_with_its_lowest(
+    left, quorate
+):
     @virtual
     async def test(clock):
         one = team(clock, named("complete", 6))[left[0]]
@@ -163,7 +193,9 @@ def test_a_graph_is_mended_where_it_fell_apart():
 
 
 @virtual
-async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it_is_out(clock):
+async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it_is_out(
+    clock,
+):
     news = team(clock, named("ring", 6), 0.4)
     await gossiping(clock, news, 30 * PERIOD)
     before = news[2].record
@@ -175,14 +207,22 @@ async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it
     again = Record(2, before.incarnation + 1, 1, (5.0, 5.0), life=before.life + 1)
     news[3].book.hear(again)
     await gossiping(clock, others, 30 * PERIOD)
-    assert all(one.book.newest(2) == again for one in others.values()), "who is started again is another one"
+    assert all(one.book.newest(2) == again for one in others.values()), (
+        "who is started again is another one"
+    )
 
 
 @pytest.mark.parametrize(
     ("who", "out", "why"),
-    [((0, 1, 2), (), ""), ((0, 1), (), ""), ((0, 1), (0,), ""), ((0,), (), UNREACHED), ((0,), (0,), UNREACHED),
-     ((0, 1, 2), (0, 1, 2), NOBODY)],
-)  # fmt: skip
+    [
+        ((0, 1, 2), (), ""),
+        ((0, 1), (), ""),
+        ((0, 1), (0,), ""),
+        ((0,), (), UNREACHED),
+        ((0,), (0,), UNREACHED),
+        ((0, 1, 2), (0, 1, 2), NOBODY),
+    ],
+)
 def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
     """Who talks, and who of them is out, as robot 0 sees it when all others have been silent for long."""
 

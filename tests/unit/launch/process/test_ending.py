@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-HANGS = '''
+HANGS = """
 import atexit, threading, time
 import typer
 from crazychoir.launch.process import ending
@@ -26,7 +26,7 @@ def command(code: int, session: bool):
 
 
 ending.run(app)
-'''
+"""
 
 
 @pytest.mark.parametrize("code", [0, 1])
@@ -34,7 +34,11 @@ ending.run(app)
 def test_who_has_had_a_session_ends_at_once_with_its_exit_code(code, session):
     began = time.monotonic()
     words = [sys.executable, "-c", HANGS, str(code), str(session)]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=50)
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, timeout=50
+    )
     assert done.returncode == code, done.stderr
-    assert done.stdout.splitlines() == (["the result"] if session else ["the result", "taken down"])
+    assert done.stdout.splitlines() == (
+        ["the result"] if session else ["the result", "taken down"]
+    )
     assert time.monotonic() - began < 40.0

@@ -12,12 +12,24 @@ from crazychoir.mocap.watch import Watch
 def shown(now):
     watch = Watch({0: "cf0", 1: "cf1", 2: "cf2"}, 100.0, live=True)
     for k in range(300):
-        moving, still = np.array([0.001 * k, 2.0, 0.5, 0, 0, 0, 1.0]), np.array([0, 0, 0, 0, 0, 0, 1.0])
-        watch.note(Frame(k, k / 100, {"wand": still} | ({"cf0": moving} if k % 2 else {}) | {"cf1": moving}), k / 100)
+        moving, still = (
+            np.array([0.001 * k, 2.0, 0.5, 0, 0, 0, 1.0]),
+            np.array([0, 0, 0, 0, 0, 0, 1.0]),
+        )
+        watch.note(
+            Frame(
+                k,
+                k / 100,
+                {"wand": still} | ({"cf0": moving} if k % 2 else {}) | {"cf1": moving},
+            ),
+            k / 100,
+        )
         if k % 25 == 0:
             watch.look(k / 100)
     source = SimpleNamespace(where="vicon at 10.0.0.5", state="connected")
-    process = SimpleNamespace(watch=watch, clock=SimpleNamespace(now=lambda: now), source=source)
+    process = SimpleNamespace(
+        watch=watch, clock=SimpleNamespace(now=lambda: now), source=source
+    )
     text = io.StringIO()
     Console(file=text, width=100).print(mocap_table(process))
     return [line.split() for line in text.getvalue().splitlines() if line.strip()]

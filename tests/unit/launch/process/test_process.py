@@ -22,7 +22,6 @@ class Told:
     def cut_all(self, reason):
         self.calls.append(("cut", reason))
 
-
     def end(self, reason):
         self.calls.append(("end", reason))
 
@@ -44,7 +43,10 @@ def told(number, times, obey=_obey_signals):
     return run_wall(main)
 
 
-@pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "Ctrl-C (SIGINT)"), (signal.SIGTERM, "SIGTERM")])
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [(signal.SIGINT, "Ctrl-C (SIGINT)"), (signal.SIGTERM, "SIGTERM")],
+)
 def test_the_first_signal_lands_and_the_third_cuts(number, name):
     assert told(number, 3) == [("land", f"{name}: landing"), ("cut", "third signal")]
 
@@ -55,7 +57,10 @@ def test_however_often_the_parent_is_said_to_be_gone_the_drones_land():
 
 
 def test_a_world_ends_when_nobody_flies_and_at_once_if_an_operator_insists():
-    assert told(signal.SIGINT, 2, end_on_signals) == [("end", "Ctrl-C (SIGINT)"), ("abort", "a second signal")]
+    assert told(signal.SIGINT, 2, end_on_signals) == [
+        ("end", "Ctrl-C (SIGINT)"),
+        ("abort", "a second signal"),
+    ]
     assert told(signal.SIGTERM, 1, end_on_signals) == [("end", "SIGTERM")]
 
 

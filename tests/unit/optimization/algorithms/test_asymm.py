@@ -15,23 +15,34 @@ def agents(graph, functions, start, equalities=None, inequalities=None, **option
     own = lambda i, of: of.get(i) if of else None  # noqa: E731
     return {
         i: ASYMM(
-            i, graph.neighbors(i), graph.diameter(), start[i], functions[i],
-            equalities=own(i, equalities), inequalities=own(i, inequalities), **options,
+            i,
+            graph.neighbors(i),
+            graph.diameter(),
+            start[i],
+            functions[i],
+            equalities=own(i, equalities),
+            inequalities=own(i, inequalities),
+            **options,
         )
         for i in graph.ids
-    }  # fmt: skip
+    }
 
 
 def localisation(count, seed):
     """The place of a target by noisy distances to known points: sum_i (|x - a_i|^2 - d_i^2)^2, not convex."""
     draw = np.random.default_rng(seed)
     points, target = draw.uniform(-5, 5, (count, 2)), np.array([1.0, 2.0])
-    squares = (np.linalg.norm(points - target, axis=1) + 0.1 * draw.normal(size=count)) ** 2
+    squares = (
+        np.linalg.norm(points - target, axis=1) + 0.1 * draw.normal(size=count)
+    ) ** 2
     return [_distance(a, d) for a, d in zip(points, squares, strict=True)]
 
 
 def _distance(a, d):
-    return Smooth(lambda x: ((x - a) @ (x - a) - d) ** 2 / 100, lambda x: ((x - a) @ (x - a) - d) * (x - a) / 25)
+    return Smooth(
+        lambda x: ((x - a) @ (x - a) - d) ** 2 / 100,
+        lambda x: ((x - a) @ (x - a) - d) * (x - a) / 25,
+    )
 
 
 def together(functions, start, **constraints):
@@ -47,7 +58,10 @@ def together(functions, start, **constraints):
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
 def test_it_finds_a_convex_optimum_whatever_is_lost(loss):
-    parts, graph = problems(costs(5, 2, 2), bound=100.0), erdos_renyi_connected(5, 0.5, 3)
+    parts, graph = (
+        problems(costs(5, 2, 2), bound=100.0),
+        erdos_renyi_connected(5, 0.5, 3),
+    )
     functions = [Smooth(part.value, part.gradient) for part in parts]
     team = agents(graph, functions, np.zeros((5, 2)), penalty=4.0, epochs=14)
     history = simulate(team, graph, loss=loss, compute=(0.0, 0.01), rounds=3000)
@@ -72,7 +86,15 @@ def test_constraints_of_single_agents_bind_all():
     functions, graph, start = localisation(5, 4), ring(5), np.array([1.0, 2.0])
     circle = Smooth(lambda x: np.array([x @ x - 9.0]), lambda x: 2 * x[None])
     left = Smooth(lambda x: x[0] - 1.5, lambda x: np.array([1.0, 0.0]))
-    team = agents(graph, functions, np.tile(start, (5, 1)), {2: circle}, {3: left}, penalty=4.0, epochs=16)
+    team = agents(
+        graph,
+        functions,
+        np.tile(start, (5, 1)),
+        {2: circle},
+        {3: left},
+        penalty=4.0,
+        epochs=16,
+    )
     simulate(team, graph, loss=0.4, rounds=3000)
     bounds = [
         {"type": "eq", "fun": lambda x: circle.value(x)[0]},
@@ -125,20 +147,47 @@ def test_what_is_wrong_is_named():
     good = Smooth(lambda x: x @ x, lambda x: 2 * x)
     make = lambda f, **options: ASYMM(3, (4,), 1, [0.0, 0.0], f, **options)  # noqa: E731
     said = {4: [0, b"\x00", np.ones(2), np.zeros(2), 1.0]}
-    with pytest.raises(ConfigError, match="agent 3: penalty: found 0; allowed: above 0"):
+    with pytest.raises(
+        ConfigError, match="agent 3: penalty: found 0; allowed: above 0"
+    ):
         make(good, penalty=0)
-    with pytest.raises(ConfigError, match="agent 3: shrink: found 1; allowed: above 0, below 1"):
+    with pytest.raises(
+        ConfigError, match="agent 3: shrink: found 1; allowed: above 0, below 1"
+    ):
         make(good, shrink=1.0)
-    with pytest.raises(ConfigError, match=r"agent 3: objective: value and .* shapes \(1,\) and \(1, 3\)"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 3: objective: value and .* shapes \(1,\) and \(1, 3\)",
+    ):
         make(Smooth(lambda x: 0.0, lambda x: np.zeros(3))).step(said)
-    with pytest.raises(SolverError, match=r"agent 3: inequalities: value, row 1, at x = \[0.0, 0.0\]: .* not finite"):
-        make(good, inequalities=Smooth(lambda x: np.array([0, np.nan]), lambda x: np.zeros((2, 2)))).step(said)
-    with pytest.raises(ConfigError, match="agent 3: epochs: found 0; allowed: 1 or more"):
+    with pytest.raises(
+        SolverError,
+        match=r"agent 3: inequalities: value, row 1, at x = \[0.0, 0.0\]: .* not finite",
+    ):
+        make(
+            good,
+            inequalities=Smooth(
+                lambda x: np.array([0, np.nan]), lambda x: np.zeros((2, 2))
+            ),
+        ).step(said)
+    with pytest.raises(
+        ConfigError, match="agent 3: epochs: found 0; allowed: 1 or more"
+    ):
         make(good, epochs=0)
-    for bad in (None, [0], [0, 1, np.ones(2), np.zeros(2), 1.0], [0, b"", np.ones(2), np.zeros(2), "x"]):
-        with pytest.raises(ConfigError, match=r"agent 3: message of agent 4, round 1: found .*; allowed: a list of 5"):
+    for bad in (
+        None,
+        [0],
+        [0, 1, np.ones(2), np.zeros(2), 1.0],
+        [0, b"", np.ones(2), np.zeros(2), "x"],
+    ):
+        with pytest.raises(
+            ConfigError,
+            match=r"agent 3: message of agent 4, round 1: found .*; allowed: a list of 5",
+        ):
             make(good).step({4: bad})
-    with pytest.raises(ConfigError, match=r"agent 3: message of agent 4: found shape \(3,\)"):
+    with pytest.raises(
+        ConfigError, match=r"agent 3: message of agent 4: found shape \(3,\)"
+    ):
         make(good).step({4: [0, b"\x00", np.ones(3), np.zeros(2), 1.0]})
 
 
@@ -156,24 +205,49 @@ def test_constraints_that_exclude_each_other_are_no_answer():
     below = Smooth(lambda x: x + 1.0, lambda x: np.eye(1))
     above = Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1))
     rows = {1: below, 2: above}
-    functions = [Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)) for i in graph.ids]
+    functions = [
+        Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i))
+        for i in graph.ids
+    ]
     team = {
-        i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0 * i], functions[i], inequalities=rows.get(i))
+        i: ASYMM(
+            i,
+            graph.neighbors(i),
+            graph.diameter(),
+            [1.0 * i],
+            functions[i],
+            inequalities=rows.get(i),
+        )
         for i in graph.ids
     }
-    with pytest.raises(SolverError, match=r"agent \d: x is 0.\d+ from that of agent \d after 25 epochs"):
+    with pytest.raises(
+        SolverError, match=r"agent \d: x is 0.\d+ from that of agent \d after 25 epochs"
+    ):
         simulate(team, graph, loss=0.4, seed=3, rounds=20_000)
 
 
-ROWS = Smooth(lambda x: np.array([x[0] - 1.0, x[0] - 2.0]), lambda x: np.array([[1.0, 0.0], [1.0, 0.0]]))
-SIDES = Smooth(lambda x: np.array([x[0] - 1.0, 2.0 - x[0]]), lambda x: np.array([[1.0, 0.0], [-1.0, 0.0]]))
+ROWS = Smooth(
+    lambda x: np.array([x[0] - 1.0, x[0] - 2.0]),
+    lambda x: np.array([[1.0, 0.0], [1.0, 0.0]]),
+)
+SIDES = Smooth(
+    lambda x: np.array([x[0] - 1.0, 2.0 - x[0]]),
+    lambda x: np.array([[1.0, 0.0], [-1.0, 0.0]]),
+)
 
 
 @pytest.mark.parametrize("epochs", [10, 25])
 @pytest.mark.parametrize("kind", ["equalities", "inequalities"])
-def test_constraints_of_one_agent_that_exclude_each_other_are_not_averaged(kind, epochs):
+def test_constraints_of_one_agent_that_exclude_each_other_are_not_averaged(
+    kind, epochs
+):
     functions = [Smooth(lambda x: float(x @ x), lambda x: 2.0 * x)] * 2
     rows = ROWS if kind == "equalities" else SIDES
-    team = agents(path(2), functions, np.zeros((2, 2)), **{kind: {0: rows}}, epochs=epochs)
-    with pytest.raises(SolverError, match=f"agent 0: {kind}, row [01]: violated by 0.5 .*exclude each other"):
+    team = agents(
+        path(2), functions, np.zeros((2, 2)), **{kind: {0: rows}}, epochs=epochs
+    )
+    with pytest.raises(
+        SolverError,
+        match=f"agent 0: {kind}, row [01]: violated by 0.5 .*exclude each other",
+    ):
         simulate(team, path(2), rounds=20000)

@@ -8,7 +8,12 @@ from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.rounds.mixing import rows, team
 from crazychoir.solve.simulate import simulate
-from crazychoir.team.graph import GraphSequence, erdos_renyi_connected, ring, row_stochastic
+from crazychoir.team.graph import (
+    GraphSequence,
+    erdos_renyi_connected,
+    ring,
+    row_stochastic,
+)
 
 
 def matrix(graph, rule):
@@ -18,9 +23,13 @@ def matrix(graph, rule):
 
 def test_it_gives_the_recorded_trajectory(reference_data):
     """Ring of 5, Metropolis weights, 500 rounds."""
-    data = json.loads((reference_data("disropt") / "consensus_ring_N5.json").read_text())
+    data = json.loads(
+        (reference_data("disropt") / "consensus_ring_N5.json").read_text()
+    )
     weights = [{j: w for j, w in enumerate(row) if w} for row in data["W"]]
-    agents = {i: Consensus(i, data["x0"][i], weights[i], data["iterations"]) for i in range(5)}
+    agents = {
+        i: Consensus(i, data["x0"][i], weights[i], data["iterations"]) for i in range(5)
+    }
     history = simulate(agents, ring(5), loss=0.4)
     assert history.rounds == 500
     np.testing.assert_allclose(history.of()[:, -1], data["x_final"], atol=1e-9)
@@ -33,7 +42,11 @@ def test_row_stochastic_weights_lead_to_the_mean_weighted_by_their_left_eigenvec
     run_in_step(agents, graph)
     values, vectors = np.linalg.eig(matrix(graph, row_stochastic).T)
     pi = np.real(vectors[:, np.argmax(np.real(values))])
-    np.testing.assert_allclose([agent.x for agent in agents.values()], np.tile(pi / pi.sum() @ x, (7, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        [agent.x for agent in agents.values()],
+        np.tile(pi / pi.sum() @ x, (7, 1)),
+        atol=1e-12,
+    )
 
 
 def test_a_changing_graph_leads_to_the_mean():
@@ -41,16 +54,32 @@ def test_a_changing_graph_leads_to_the_mean():
     agents = team(graph, lambda i, w: Consensus(i, [i, i**2], w, 600))
     assert len(agents[0].weights) == 6
     run_in_step(agents, graph)
-    np.testing.assert_allclose([agent.x for agent in agents.values()], np.tile([2.5, 55 / 6], (6, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        [agent.x for agent in agents.values()],
+        np.tile([2.5, 55 / 6], (6, 1)),
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize(
     ("x", "weights", "error"),
     [
-        ([1.0, np.nan], {0: 1.0}, r"agent 0: x\[1\]: found nan; allowed: finite numbers"),
+        (
+            [1.0, np.nan],
+            {0: 1.0},
+            r"agent 0: x\[1\]: found nan; allowed: finite numbers",
+        ),
         ("three", {0: 1.0}, r"agent 0: x: found str"),
-        ([1.0], {0: 0.5, 1: 0.4}, r"agent 0: weights = {0: 0.5, 1: 0.4}: they sum to 0.9"),
-        ([1.0], {1: 1.0}, r"agent 0: weights: found weights of \[1\]; allowed: one of agent 0 itself too"),
+        (
+            [1.0],
+            {0: 0.5, 1: 0.4},
+            r"agent 0: weights = {0: 0.5, 1: 0.4}: they sum to 0.9",
+        ),
+        (
+            [1.0],
+            {1: 1.0},
+            r"agent 0: weights: found weights of \[1\]; allowed: one of agent 0 itself too",
+        ),
         ([1.0], {0: np.inf, 1: 0.5}, r"agent 0: weights\[0\]: found inf"),
         ([1.0], (), r"agent 0: weights: found none"),
     ],
@@ -67,13 +96,25 @@ def test_rounds_are_no_negative_number():
 
 def test_who_hears_others_than_it_has_weights_for_says_so():
     agent = Consensus(0, [1.0], {0: 0.5, 1: 0.5})
-    with pytest.raises(ConfigError, match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[2\]"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[2\]",
+    ):
         agent.step({2: np.ones(1)})
-    with pytest.raises(ConfigError, match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[\]"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[\]",
+    ):
         agent.step({})
-    with pytest.raises(ConfigError, match=r"agent 0: message of agent 1: found shape \(2,\); allowed: floats of shape"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 0: message of agent 1: found shape \(2,\); allowed: floats of shape",
+    ):
         agent.step({1: np.ones(2)})
-    with pytest.raises(ConfigError, match=r"found shape \(1,\) of int64; allowed: floats of shape \(1,\), as its own"):
+    with pytest.raises(
+        ConfigError,
+        match=r"found shape \(1,\) of int64; allowed: floats of shape \(1,\), as its own",
+    ):
         agent.step({1: np.ones(1, np.int64)})
     with pytest.raises(ConfigError, match=r"agent 0: message of agent 1: found str"):
         agent.step({1: "x"})

@@ -6,27 +6,52 @@ import pytest
 from in_step import run_in_step
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.algorithms.constraints_consensus import ConstraintsConsensus
+from crazychoir.optimization.algorithms.constraints_consensus import (
+    ConstraintsConsensus,
+)
 from crazychoir.optimization.problems.problems import CommonCost
 from crazychoir.solve.simulate import simulate
-from crazychoir.team.graph import GraphSequence, complete, erdos_renyi_connected, path, ring
+from crazychoir.team.graph import (
+    GraphSequence,
+    complete,
+    erdos_renyi_connected,
+    path,
+    ring,
+)
 
-GRAPHS = {"ring": ring, "directed ring": lambda n: ring(n, directed=True), "complete": complete, "path": path}
+GRAPHS = {
+    "ring": ring,
+    "directed ring": lambda n: ring(n, directed=True),
+    "complete": complete,
+    "path": path,
+}
 
 
 def drawn(count, n, rows, seed, linear, tight=False):
     """Rows with a common point, a box at agent 0; tight: all rows hold with equality there."""
     draw = np.random.default_rng(seed)
-    c, L, A, x0 = draw.normal(size=n), draw.normal(size=(n, n)), draw.normal(size=(count, rows, n)), draw.normal(size=n)
+    c, L, A, x0 = (
+        draw.normal(size=n),
+        draw.normal(size=(n, n)),
+        draw.normal(size=(count, rows, n)),
+        draw.normal(size=n),
+    )
     b = A @ x0 + (0.0 if tight else draw.uniform(0, 2, (count, rows)))
     x = cp.Variable(n)
-    objective = c @ x if linear else cp.quad_form(x, L @ L.T + 0.1 * np.eye(n)) + 5 * c @ x
+    objective = (
+        c @ x if linear else cp.quad_form(x, L @ L.T + 0.1 * np.eye(n)) + 5 * c @ x
+    )
     box = [x <= 20, x >= -20]
-    return [CommonCost(i, x, objective, [A[i] @ x <= b[i], *(box if i == 0 else [])]) for i in range(count)]
+    return [
+        CommonCost(i, x, objective, [A[i] @ x <= b[i], *(box if i == 0 else [])])
+        for i in range(count)
+    ]
 
 
 def optimum(parts):
-    problem = cp.Problem(cp.Minimize(parts[0].objective), [c for part in parts for c in part.constraints])
+    problem = cp.Problem(
+        cp.Minimize(parts[0].objective), [c for part in parts for c in part.constraints]
+    )
     problem.solve(solver=cp.CLARABEL)
     return problem.value
 
@@ -37,19 +62,28 @@ def optimum(parts):
 def test_all_find_the_centralised_optimum_in_finite_time(name, linear, tight):
     for seed in range(3):
         parts, graph = drawn(7, 3, 4, seed, linear, tight), GRAPHS[name](7)
-        team = {i: ConstraintsConsensus(part, graph.diameter()) for i, part in enumerate(parts)}
+        team = {
+            i: ConstraintsConsensus(part, graph.diameter())
+            for i, part in enumerate(parts)
+        }
         rounds = run_in_step(team, graph)
         assert rounds < 10 * graph.diameter()
-        assert parts[0].value(team[0].x) == pytest.approx(optimum(parts), rel=1e-6, abs=1e-6)
+        assert parts[0].value(team[0].x) == pytest.approx(
+            optimum(parts), rel=1e-6, abs=1e-6
+        )
         for agent in team.values():
             np.testing.assert_allclose(agent.x, team[0].x, atol=1e-9)
-            np.testing.assert_allclose(agent.basis[:, :-1] @ agent.x, agent.basis[:, -1], rtol=0, atol=1e-13)
+            np.testing.assert_allclose(
+                agent.basis[:, :-1] @ agent.x, agent.basis[:, -1], rtol=0, atol=1e-13
+            )
             assert len(agent.basis) <= 3
 
 
 def test_agents_with_many_rows_send_at_most_n():
     parts, graph = drawn(4, 2, 300, 1, linear=True), ring(4)
-    team = {i: ConstraintsConsensus(part, graph.diameter()) for i, part in enumerate(parts)}
+    team = {
+        i: ConstraintsConsensus(part, graph.diameter()) for i, part in enumerate(parts)
+    }
     run_in_step(team, graph)
     assert parts[0].value(team[3].x) == pytest.approx(optimum(parts), rel=1e-6)
     assert all(len(agent.basis) <= 2 for agent in team.values())
@@ -58,21 +92,32 @@ def test_agents_with_many_rows_send_at_most_n():
 def test_of_several_optima_all_take_the_same():
     x = cp.Variable(2)
     rows = [[x[0] >= 1], [x[1] >= -3], [x[1] <= 5]]
-    team = {i: ConstraintsConsensus(CommonCost(i, x, x[0], own), 1) for i, own in enumerate(rows)}
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, x[0], own), 1)
+        for i, own in enumerate(rows)
+    }
     run_in_step(team, complete(3))
-    np.testing.assert_allclose([agent.x for agent in team.values()], np.tile([1.0, 0.0], (3, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        [agent.x for agent in team.values()], np.tile([1.0, 0.0], (3, 1)), atol=1e-9
+    )
 
 
 def test_equalities_count():
     x = cp.Variable(2)
     rows = [[x[0] + x[1] == 3], [x[0] <= 1]]
-    team = {i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 1) for i, own in enumerate(rows)}
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 1)
+        for i, own in enumerate(rows)
+    }
     run_in_step(team, path(2))
     np.testing.assert_allclose(team[1].x, [1.0, 2.0], atol=1e-9)
 
 
 def test_on_a_changing_graph_it_takes_so_many_rounds():
-    parts, graph = drawn(6, 3, 4, 2, linear=True), GraphSequence.draw(erdos_renyi_connected(6, 0.4, 1), 0.3, 5, 1)
+    parts, graph = (
+        drawn(6, 3, 4, 2, linear=True),
+        GraphSequence.draw(erdos_renyi_connected(6, 0.4, 1), 0.3, 5, 1),
+    )
     team = {i: ConstraintsConsensus(part, rounds=40) for i, part in enumerate(parts)}
     assert run_in_step(team, graph) == 40
     for agent in team.values():
@@ -82,7 +127,12 @@ def test_on_a_changing_graph_it_takes_so_many_rounds():
 def test_the_rounds_are_the_same_whatever_is_lost():
     parts, graph = drawn(6, 3, 4, 2, linear=True), ring(6, directed=True)
     runs = [
-        simulate({i: ConstraintsConsensus(part, 5) for i, part in enumerate(parts)}, graph, loss=loss, seed=1)
+        simulate(
+            {i: ConstraintsConsensus(part, 5) for i, part in enumerate(parts)},
+            graph,
+            loss=loss,
+            seed=1,
+        )
         for loss in (0.0, 0.4)
     ]
     assert runs[0].rounds == runs[1].rounds
@@ -92,8 +142,14 @@ def test_the_rounds_are_the_same_whatever_is_lost():
 def test_constraints_that_exclude_each_other_are_found_and_named():
     x = cp.Variable(2)
     rows = [[x[0] >= 1], [x[1] >= 0], [x[0] <= -0.5]]
-    team = {i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 2) for i, own in enumerate(rows)}
-    with pytest.raises(SolverError, match=r"agent 1: .*infeasible: row [+-]1 x\[0\] <= -(0.5|1): violated by 1.5"):
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 2)
+        for i, own in enumerate(rows)
+    }
+    with pytest.raises(
+        SolverError,
+        match=r"agent 1: .*infeasible: row [+-]1 x\[0\] <= -(0.5|1): violated by 1.5",
+    ):
         simulate(team, path(3), loss=0.2)
 
 
@@ -104,7 +160,10 @@ def test_what_is_wrong_is_named():
         ConstraintsConsensus(part)
     agent = ConstraintsConsensus(part, 2)
     agent.message()
-    with pytest.raises(ConfigError, match=r"agent 3: message of agent 4: found a basis \(1, 5\); allowed: \(m, 3\)"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 3: message of agent 4: found a basis \(1, 5\); allowed: \(m, 3\)",
+    ):
         agent.step({4: [0, np.zeros((1, 5))]})
 
 
@@ -118,9 +177,14 @@ def test_what_is_wrong_is_named():
     ],
     ids=["unbounded", "far", "small multiplier", "unbounded quadratic"],
 )
-def test_an_optimum_that_only_the_tie_break_holds_is_refused_by_all_in_one_round(objective, rows):
+def test_an_optimum_that_only_the_tie_break_holds_is_refused_by_all_in_one_round(
+    objective, rows
+):
     x = cp.Variable(2)
-    team = {i: ConstraintsConsensus(CommonCost(i, x, objective(x), rows(x, i)), 1) for i in range(3)}
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, objective(x), rows(x, i)), 1)
+        for i in range(3)
+    }
     said = []
     for _ in range(10):
         messages = {i: agent.message() for i, agent in team.items()}
@@ -132,7 +196,10 @@ def test_an_optimum_that_only_the_tie_break_holds_is_refused_by_all_in_one_round
         if said:
             break
     assert len(said) == 3
-    assert all(f"agent {i}: constraints consensus" in text and "tie-break" in text for i, text in enumerate(said))
+    assert all(
+        f"agent {i}: constraints consensus" in text and "tie-break" in text
+        for i, text in enumerate(said)
+    )
 
 
 @pytest.mark.parametrize("size", [1e-8, 1e-5, 1.0, 1e3])
@@ -140,7 +207,10 @@ def test_rows_of_any_size_are_met(size):
     x = cp.Variable(2)
     rows = [[x[0] <= -size], [x[1] <= 10.0 * size], [x[0] <= 1e6, 1e-6 * x[1] <= 1.0]]
     objective = cp.sum_squares(x - size)
-    team = {i: ConstraintsConsensus(CommonCost(i, x, objective, own), 1) for i, own in enumerate(rows)}
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, objective, own), 1)
+        for i, own in enumerate(rows)
+    }
     run_in_step(team, complete(3))
     for agent in team.values():
         np.testing.assert_allclose(agent.x, [-size, size], rtol=1e-6)
@@ -150,8 +220,13 @@ def test_rows_of_any_size_are_met(size):
 def test_rows_of_any_size_that_exclude_each_other_are_infeasible(size):
     x = cp.Variable(2)
     rows = [[x[0] <= -size, x[1] <= 1.0], [x[0] >= size]]
-    team = {i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 1) for i, own in enumerate(rows)}
-    with pytest.raises(SolverError, match=re.escape(f"violated by {2.0 * size:.4g}, at best")):
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, cp.sum_squares(x), own), 1)
+        for i, own in enumerate(rows)
+    }
+    with pytest.raises(
+        SolverError, match=re.escape(f"violated by {2.0 * size:.4g}, at best")
+    ):
         run_in_step(team, complete(2))
 
 
@@ -168,7 +243,14 @@ def test_a_linear_program_whose_rows_have_any_units_is_solved_or_refused():
         for part in parts:
             over = part.polyhedron
             r = 10.0 ** chance.uniform(-6, 6, len(over.b))
-            scaled.append(CommonCost(part.agent, x, (c * s) @ x, [(r[:, None] * over.A * s) @ x <= r * over.b]))
+            scaled.append(
+                CommonCost(
+                    part.agent,
+                    x,
+                    (c * s) @ x,
+                    [(r[:, None] * over.A * s) @ x <= r * over.b],
+                )
+            )
         team = {i: ConstraintsConsensus(part, 1) for i, part in enumerate(scaled)}
         try:
             run_in_step(team, graph)
@@ -178,5 +260,7 @@ def test_a_linear_program_whose_rows_have_any_units_is_solved_or_refused():
             continue
         solved += 1
         for agent in team.values():
-            assert c @ (s * agent.x) == pytest.approx(optimum(parts), rel=1e-6, abs=1e-6)
+            assert c @ (s * agent.x) == pytest.approx(
+                optimum(parts), rel=1e-6, abs=1e-6
+            )
     assert solved >= 6

@@ -20,20 +20,37 @@ def coupled(count, seed, kind):
         want, G = draw.uniform(1, 2, x.size), draw.uniform(0.5, 1.5, (2, x.size))
         objective = {"linear": -want @ x, "quadratic": cp.sum_squares(x - want)}[kind]
         coupling = G @ x if i % 2 or kind == "linear" else [G[0] @ x, cp.sum_squares(x)]
-        parts.append(ConstraintCoupled(i, x, objective, coupling, [x >= 0, x <= 2], share=draw.uniform(0.4, 0.8, 2)))
+        parts.append(
+            ConstraintCoupled(
+                i,
+                x,
+                objective,
+                coupling,
+                [x >= 0, x <= 2],
+                share=draw.uniform(0.4, 0.8, 2),
+            )
+        )
     return parts
 
 
 def centralised(parts):
     excess = sum(part.coupling - part.share for part in parts) <= 0
     local = [c for part in parts for c in part.local.constraints]
-    problem = cp.Problem(cp.Minimize(sum(part.local.objective for part in parts)), [excess, *local])
+    problem = cp.Problem(
+        cp.Minimize(sum(part.local.objective for part in parts)), [excess, *local]
+    )
     problem.solve(solver=cp.CLARABEL)
-    return problem.value, [np.atleast_1d(part.x.value).copy() for part in parts], excess.dual_value
+    return (
+        problem.value,
+        [np.atleast_1d(part.x.value).copy() for part in parts],
+        excess.dual_value,
+    )
 
 
 def agents(parts, graph, step, rounds):
-    return team(graph, lambda i, weights: DualSubgradient(parts[i], weights, step, rounds))
+    return team(
+        graph, lambda i, weights: DualSubgradient(parts[i], weights, step, rounds)
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -53,7 +70,9 @@ def scalars():
     parts = []
     for i in range(5):
         x = cp.Variable()
-        parts.append(ConstraintCoupled(i, x, cp.square(x - i - 1), x, share=np.array([1.0])))
+        parts.append(
+            ConstraintCoupled(i, x, cp.square(x - i - 1), x, share=np.array([1.0]))
+        )
     return parts
 
 
@@ -82,10 +101,17 @@ def test_the_average_finds_it_where_x_jumps_between_corners():
 
 def test_the_iterates_are_the_same_whatever_is_lost():
     parts = coupled(4, 3, "quadratic")
-    run = lambda loss: simulate(agents(parts, ring(4), 0.3, 40), ring(4), loss=loss, record=("x", "prices"))  # noqa: E731
+
+    def run(loss):
+        return simulate(
+            agents(parts, ring(4), 0.3, 40), ring(4), loss=loss, record=("x", "prices")
+        )
+
     kept, lossy = run(0.0), run(0.4)
     assert np.array_equal(kept.of("prices"), lossy.of("prices"))
-    assert all(np.array_equal(kept.values[i]["x"], lossy.values[i]["x"]) for i in range(4))
+    assert all(
+        np.array_equal(kept.values[i]["x"], lossy.values[i]["x"]) for i in range(4)
+    )
 
 
 def test_agents_without_a_message_have_no_average_yet():
@@ -96,5 +122,7 @@ def test_agents_without_a_message_have_no_average_yet():
 def test_prices_of_another_number_of_constraints_name_both_agents():
     agent = DualSubgradient(coupled(2, 0, "quadratic")[0], {0: 0.5, 1: 0.5}, 0.1)
     agent.message()
-    with pytest.raises(ConfigError, match=r"agent 0: message of agent 1: found shape \(3,\)"):
+    with pytest.raises(
+        ConfigError, match=r"agent 0: message of agent 1: found shape \(3,\)"
+    ):
         agent.step({1: [0.5, np.zeros(3)]})

@@ -10,14 +10,22 @@ from teams import run_team
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.allocation import Allocation
 from crazychoir.optimization.algorithms.convexified import Convexified
-from crazychoir.optimization.algorithms.mixed_integer_decomposition import PrimalDecompositionMILP
+from crazychoir.optimization.algorithms.mixed_integer_decomposition import (
+    PrimalDecompositionMILP,
+)
 from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
 from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 from crazychoir.optimization.problems.problems import ConstraintCoupled
 from crazychoir.optimization.rounds.mixing import team
 from crazychoir.optimization.rounds.step_size import Diminishing
 from crazychoir.solve.simulate import simulate
-from crazychoir.team.graph import GraphSequence, complete, erdos_renyi_connected, metropolis, ring
+from crazychoir.team.graph import (
+    GraphSequence,
+    complete,
+    erdos_renyi_connected,
+    metropolis,
+    ring,
+)
 
 PENALTY = 100.0
 STEP = Diminishing(0.3, 0.6)
@@ -31,9 +39,15 @@ def convex_problems(agents, seed):
         x, Q, G = cp.Variable(2), chance.normal(size=(2, 2)), chance.normal(size=(2, 2))
         f = cp.quad_form(x, Q @ Q.T + np.eye(2)) + 3 * chance.normal(size=2) @ x
         g = cp.hstack([G[0] @ x, cp.sum_squares(x - 0.3) + G[1] @ x])
-        problems.append(ConstraintCoupled(i, x, f, g, [x >= -2, x <= 2], share=np.array([-0.2, 0.6])))
+        problems.append(
+            ConstraintCoupled(
+                i, x, f, g, [x >= -2, x <= 2], share=np.array([-0.2, 0.6])
+            )
+        )
         cost, use, sets = cost + f, use + g, [*sets, x >= -2, x <= 2]
-    whole = cp.Problem(cp.Minimize(cost), [use <= agents * np.array([-0.2, 0.6]), *sets])
+    whole = cp.Problem(
+        cp.Minimize(cost), [use <= agents * np.array([-0.2, 0.6]), *sets]
+    )
     return problems, whole.solve(solver=cp.CLARABEL)
 
 
@@ -47,9 +61,13 @@ def test_convex_problems_reach_the_central_optimum_with_feasible_points(graph):
 
     def agent(i, weights):
         local = Allocation(problems[i], 20.0)
-        return PrimalDecomposition(i, weights, local, problems[i].share, Diminishing(0.3, 0.7), 120)
+        return PrimalDecomposition(
+            i, weights, local, problems[i].share, Diminishing(0.3, 0.7), 120
+        )
 
-    history = simulate(team(graph, agent), graph, record=("x", "y", "cost", "violation"))
+    history = simulate(
+        team(graph, agent), graph, record=("x", "y", "cost", "violation")
+    )
     assert history.of("y").sum(axis=0) == pytest.approx(np.tile([-1.0, 3.0], (121, 1)))
     assert history.of("violation")[:, -1].max() < 1e-6
     costs = history.of("cost").sum(axis=0)
@@ -61,7 +79,9 @@ def test_convex_problems_reach_the_central_optimum_with_feasible_points(graph):
 
 def convexified_team(blocks, graph, rounds, step=STEP):
     def agent(i, weights):
-        return PrimalDecomposition(i, weights, Convexified(blocks[i], PENALTY), blocks[i].share, step, rounds)
+        return PrimalDecomposition(
+            i, weights, Convexified(blocks[i], PENALTY), blocks[i].share, step, rounds
+        )
 
     return team(graph, agent)
 
@@ -69,7 +89,13 @@ def convexified_team(blocks, graph, rounds, step=STEP):
 def test_the_iterates_are_the_same_whatever_is_lost():
     graph, blocks = ring(4), random_blocks(4, seed=3)
     kept = [
-        simulate(convexified_team(blocks, graph, 15), graph, loss=loss, record=("y", "mu", "x")) for loss in (0.0, 0.4)
+        simulate(
+            convexified_team(blocks, graph, 15),
+            graph,
+            loss=loss,
+            record=("y", "mu", "x"),
+        )
+        for loss in (0.0, 0.4)
     ]
     assert kept[1].lost > 20
     for name in ("y", "mu", "x"):
@@ -78,9 +104,12 @@ def test_the_iterates_are_the_same_whatever_is_lost():
 
 def test_agents_may_have_different_numbers_of_variables():
     blocks = [
-        MixedIntegerBlock(i, -np.ones(n), [np.ones(n)], [1.0], bounds=(0, 1)) for i, n in enumerate((1, 2, 3))
+        MixedIntegerBlock(i, -np.ones(n), [np.ones(n)], [1.0], bounds=(0, 1))
+        for i, n in enumerate((1, 2, 3))
     ]
-    history = simulate(convexified_team(blocks, complete(3), 5), complete(3), record=("x", "y"))
+    history = simulate(
+        convexified_team(blocks, complete(3), 5), complete(3), record=("x", "y")
+    )
     assert [history.values[i]["x"].shape for i in range(3)] == [(6, 1), (6, 2), (6, 3)]
 
 
@@ -108,7 +137,8 @@ def solve(blocks, graph, **options):
     weights, span = metropolis(graph), graph.diameter()
     settings = {"step": STEP, "penalty": PENALTY, "rounds": 60} | options
     agents = {
-        i: PrimalDecompositionMILP(block, weights[i], len(blocks), span, **settings) for i, block in enumerate(blocks)
+        i: PrimalDecompositionMILP(block, weights[i], len(blocks), span, **settings)
+        for i, block in enumerate(blocks)
     }
     run_team(agents, graph)
     return [agent.result for agent in agents.values()]
@@ -122,10 +152,15 @@ def check(blocks, results):
         assert (result.x <= block.bounds[1] + 1e-9).all()
         assert (result.x[block.integer] == np.round(result.x[block.integer])).all()
         assert (result.cost, result.rounds) == (results[0].cost, results[0].rounds)
-    left = sum(block.share - block.A @ result.x for block, result in zip(blocks, results, strict=True))
+    left = sum(
+        block.share - block.A @ result.x
+        for block, result in zip(blocks, results, strict=True)
+    )
     assert (left >= -1e-5).all()
     assert results[0].left == pytest.approx(left, abs=1e-9)
-    assert results[0].cost == pytest.approx(sum(b.c @ r.x for b, r in zip(blocks, results, strict=True)))
+    assert results[0].cost == pytest.approx(
+        sum(b.c @ r.x for b, r in zip(blocks, results, strict=True))
+    )
 
 
 def reference(reference_data):
@@ -146,11 +181,17 @@ def reference(reference_data):
 
 
 @pytest.mark.parametrize("rounds", [60, 180])
-def test_on_the_reference_problem_the_gap_is_smaller_in_fewer_rounds_in_all(reference_data, rounds):
+def test_on_the_reference_problem_the_gap_is_smaller_in_fewer_rounds_in_all(
+    reference_data, rounds
+):
     data, blocks = reference(reference_data)
     results = solve(blocks, ring(3), rounds=rounds, penalty=data["M"])
     check(blocks, results)
-    gap = 100.0 * (results[0].cost - data["opt_centralized"]) / abs(data["opt_centralized"])
+    gap = (
+        100.0
+        * (results[0].cost - data["opt_centralized"])
+        / abs(data["opt_centralized"])
+    )
     assert results[0].rounds <= data["iterations"]
     assert 0.0 <= gap < data["gap_pct"]
     assert results[0].lower_bound <= data["opt_centralized"] + 1e-9
@@ -164,19 +205,27 @@ def test_random_problems_are_feasible_and_near_the_central_optimum(seed):
     check(blocks, results)
     optimum = central(blocks)
     assert optimum * (1 + 1e-6) <= results[0].cost <= 0.95 * optimum
-    assert central(blocks, relaxed=True) - 1e-6 <= results[0].lower_bound <= optimum + 1e-6
+    assert (
+        central(blocks, relaxed=True) - 1e-6 <= results[0].lower_bound <= optimum + 1e-6
+    )
 
 
 def test_the_solution_is_the_same_whatever_is_lost():
     blocks, graph, found = random_blocks(4, seed=5), ring(4), []
     for loss in (0.0, 0.4):
         agents = {
-            i: PrimalDecompositionMILP(block, metropolis(graph)[i], 4, 2, STEP, rounds=15, penalty=PENALTY)
+            i: PrimalDecompositionMILP(
+                block, metropolis(graph)[i], 4, 2, STEP, rounds=15, penalty=PENALTY
+            )
             for i, block in enumerate(blocks)
         }
         history = simulate(agents, graph, loss=loss, record=())
-        found.append([(r.x.tolist(), r.cost, r.left.tolist(), r.lower_bound, r.rounds)
-                      for r in (agent.result for agent in agents.values())])  # fmt: skip
+        found.append(
+            [
+                (r.x.tolist(), r.cost, r.left.tolist(), r.lower_bound, r.rounds)
+                for r in (agent.result for agent in agents.values())
+            ]
+        )
     assert history.lost > 20
     assert found[0] == found[1]
 
@@ -186,7 +235,9 @@ def test_on_a_dense_random_graph_of_20_the_solution_is_feasible_and_near_the_bou
     graph, blocks = erdos_renyi_connected(20, 0.5, seed=1), random_blocks(20, seed=1)
     results = solve(blocks, graph, rounds=6, options=3)
     check(blocks, results)
-    assert results[0].lower_bound == pytest.approx(central(blocks, relaxed=True), rel=0.01)
+    assert results[0].lower_bound == pytest.approx(
+        central(blocks, relaxed=True), rel=0.01
+    )
     assert results[0].cost <= 0.99 * results[0].lower_bound
 
 
@@ -199,11 +250,21 @@ def too_high(blocks, by):
 
 def test_a_bound_is_said_as_it_is_found_and_refused_by_all_where_it_contradicts_the_cost():
     """Here the bound is the cost: 0.1 more is no rounding, 1e-8 more is, and is not hidden either."""
-    blocks = [MixedIntegerBlock(i, [-1.0 - i], [[1.0]], [0.5], bounds=(0, 1), integer=[0]) for i in range(2)]
-    assert solve(blocks, ring(2), rounds=5)[0].lower_bound == pytest.approx(-2.0, abs=1e-9)
+    blocks = [
+        MixedIntegerBlock(i, [-1.0 - i], [[1.0]], [0.5], bounds=(0, 1), integer=[0])
+        for i in range(2)
+    ]
+    assert solve(blocks, ring(2), rounds=5)[0].lower_bound == pytest.approx(
+        -2.0, abs=1e-9
+    )
     results = solve(too_high(blocks, 1e-8), ring(2), rounds=5)
-    assert [result.lower_bound - result.cost for result in results] == pytest.approx([1e-8] * 2, abs=1e-9)
-    with pytest.raises(SolverError, match=r"agent 0: primal .* bound -1\.8.* above cost - pi'left = -2:"):
+    assert [result.lower_bound - result.cost for result in results] == pytest.approx(
+        [1e-8] * 2, abs=1e-9
+    )
+    with pytest.raises(
+        SolverError,
+        match=r"agent 0: primal .* bound -1\.8.* above cost - pi'left = -2:",
+    ):
         solve(too_high(blocks, 0.1), ring(2), rounds=5)
 
 
@@ -214,9 +275,12 @@ def test_what_is_proven_is_the_least_of_the_set(seed):
     corner, proven = block.least(cost)
     D, d = block.rows
     exact = milp(
-        cost, constraints=LinearConstraint(D, ub=d), bounds=Bounds(*block.bounds), integrality=block.integer,
+        cost,
+        constraints=LinearConstraint(D, ub=d),
+        bounds=Bounds(*block.bounds),
+        integrality=block.integer,
         options={"mip_rel_gap": 0.0},
-    )  # fmt: skip
+    )
     assert proven <= cost @ corner + 1e-9
     assert proven == pytest.approx(exact.fun, abs=2e-6)
 
@@ -224,7 +288,14 @@ def test_what_is_proven_is_the_least_of_the_set(seed):
 def knapsack(limit):
     """Two agents that may each take 0 or 2 of one resource, and must take what is there: as equality by two rows."""
     return [
-        MixedIntegerBlock(i, [-1.0], [[2.0], [-2.0]], [limit / 2, -limit / 2], bounds=(0, 1), integer=[0])
+        MixedIntegerBlock(
+            i,
+            [-1.0],
+            [[2.0], [-2.0]],
+            [limit / 2, -limit / 2],
+            bounds=(0, 1),
+            integer=[0],
+        )
         for i in range(2)
     ]
 
@@ -236,29 +307,44 @@ def test_a_resource_that_is_exceeded_by_every_rounding_is_repaired_by_who_can():
 
 
 def test_what_no_solution_can_keep_is_named_at_all_agents():
-    with pytest.raises(SolverError, match=r"agent 0: primal decomposition: .*infeasible, .*: resource 0 exceeded by 1"):
+    with pytest.raises(
+        SolverError,
+        match=r"agent 0: primal decomposition: .*infeasible, .*: resource 0 exceeded by 1",
+    ):
         solve(knapsack(3.0), ring(2), rounds=5)
 
 
 def test_bad_input_is_refused_with_agent_and_value():
     block = knapsack(2.0)[0]
-    with pytest.raises(ConfigError, match="agent 0: primal decomposition: rounds: found 0; allowed: at least 1"):
+    with pytest.raises(
+        ConfigError,
+        match="agent 0: primal decomposition: rounds: found 0; allowed: at least 1",
+    ):
         PrimalDecompositionMILP(block, {0: 1.0}, 1, 0, 1.0, rounds=0)
     with pytest.raises(ConfigError, match="step size: a: found -1"):
         PrimalDecomposition(0, {0: 1.0}, Convexified(block, 10.0), block.share, -1.0)
     problem = convex_problems(1, seed=0)[0][0]
-    with pytest.raises(ConfigError, match=r"agent 0: local: found ConstraintC.* Allocation\(problem, penalty\)"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 0: local: found ConstraintC.* Allocation\(problem, penalty\)",
+    ):
         PrimalDecomposition(0, {0: 1.0}, problem, problem.share, 1.0)
     other = MixedIntegerBlock(1, [1.0], [[1.0]], [1.0], bounds=(0, 1))
-    with pytest.raises(ConfigError, match="share of agent 1: found 1 resources; allowed: 2"):
+    with pytest.raises(
+        ConfigError, match="share of agent 1: found 1 resources; allowed: 2"
+    ):
         solve([block, other], ring(2))
 
 
 def test_a_local_problem_without_a_minimum_is_named():
     x = cp.Variable(2)
-    free = ConstraintCoupled(3, x, x[0], cp.hstack([x[1]]), [x[1] >= 0], share=np.zeros(1))
+    free = ConstraintCoupled(
+        3, x, x[0], cp.hstack([x[1]]), [x[1] >= 0], share=np.zeros(1)
+    )
     with pytest.raises(SolverError, match=r"agent 3: local problem: .* unbounded"):
         Allocation(free, 10.0).allocate(np.zeros(1))
-    empty = ConstraintCoupled(3, x, x[0], cp.hstack([x[1]]), [x >= 1, x <= 0], share=np.zeros(1))
+    empty = ConstraintCoupled(
+        3, x, x[0], cp.hstack([x[1]]), [x >= 1, x <= 0], share=np.zeros(1)
+    )
     with pytest.raises(SolverError, match=r"agent 3: local problem: .* infeasible"):
         Allocation(empty, 10.0).allocate(np.zeros(1))

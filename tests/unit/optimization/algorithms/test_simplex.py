@@ -7,7 +7,10 @@ from scipy.optimize import linprog
 from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.algorithms.simplex import DistributedSimplex, DualDistributedSimplex
+from crazychoir.optimization.algorithms.simplex import (
+    DistributedSimplex,
+    DualDistributedSimplex,
+)
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import GraphSequence, complete, erdos_renyi_connected, ring
 
@@ -20,9 +23,21 @@ def draw(seed):
     agents, m = int(chance.integers(2, 7)), int(chance.integers(1, 6))
     sizes = chance.integers(0, 4, agents)
     n = int(sizes.sum())
-    A = chance.integers(-1, 2, (m, n)).astype(float) if seed % 2 else chance.normal(size=(m, n))
-    b = A @ (chance.random(n) * (chance.random(n) < 0.5)) if seed % 5 else chance.normal(size=m)
-    c = chance.integers(-1, 3, n).astype(float) if seed % 2 else chance.normal(size=n) + 0.5
+    A = (
+        chance.integers(-1, 2, (m, n)).astype(float)
+        if seed % 2
+        else chance.normal(size=(m, n))
+    )
+    b = (
+        A @ (chance.random(n) * (chance.random(n) < 0.5))
+        if seed % 5
+        else chance.normal(size=m)
+    )
+    c = (
+        chance.integers(-1, 3, n).astype(float)
+        if seed % 2
+        else chance.normal(size=n) + 0.5
+    )
     return c, A, b, np.split(np.arange(n), np.cumsum(sizes)[:-1])
 
 
@@ -48,7 +63,10 @@ def outcome_of(agents, graph):
 def test_the_split_program_is_solved_as_the_whole_one(seed):
     c, A, b, parts = draw(seed)
     graph, diameter = links(len(parts), seed)
-    agents = {i: DistributedSimplex(i, c[part], A[:, part], b, diameter) for i, part in enumerate(parts)}
+    agents = {
+        i: DistributedSimplex(i, c[part], A[:, part], b, diameter)
+        for i, part in enumerate(parts)
+    }
     central = linprog(c, A_eq=A, b_eq=b)
     assert outcome_of(agents, graph) == STATUS[central.status]
     if central.status:
@@ -70,7 +88,10 @@ def test_split_constraints_are_solved_by_the_dual(seed):
     b, transposed, c, parts = draw(seed)
     A = transposed.T
     graph, diameter = links(len(parts), seed)
-    agents = {i: DualDistributedSimplex(i, c, A[part], b[part], diameter) for i, part in enumerate(parts)}
+    agents = {
+        i: DualDistributedSimplex(i, c, A[part], b[part], diameter)
+        for i, part in enumerate(parts)
+    }
     central = linprog(-c, A_ub=A, b_ub=b, bounds=(None, None))
     assert outcome_of(agents, graph) == STATUS[central.status]
     if central.status:
@@ -84,20 +105,32 @@ def test_split_constraints_are_solved_by_the_dual(seed):
         assert A[parts[owner][row]] @ x == pytest.approx(b[parts[owner][row]], abs=1e-7)
 
 
-def test_the_reference_program_in_no_more_rounds_than_the_search_and_its_end(reference_data):
+def test_the_reference_program_in_no_more_rounds_than_the_search_and_its_end(
+    reference_data,
+):
     data = json.loads((reference_data("disropt") / "simplex_ring_N5.json").read_text())
     c, A, b = (np.array(data[key]) for key in ("c", "A", "b"))
     graph, per = ring(5), data["cols_per_agent"]
-    agents = {i: DistributedSimplex(i, c[per * i :][:per], A[:, per * i :][:, :per], b, 2) for i in graph.ids}
+    agents = {
+        i: DistributedSimplex(i, c[per * i :][:per], A[:, per * i :][:, :per], b, 2)
+        for i in graph.ids
+    }
     rounds = run_team(agents, graph)
     assert rounds <= data["iterations"]
-    assert [agent.result.cost for agent in agents.values()] == pytest.approx([data["J_opt"]] * 5, abs=1e-12)
-    assert np.concatenate([agent.result.x for agent in agents.values()]) == pytest.approx(data["x_opt"], abs=1e-12)
+    assert [agent.result.cost for agent in agents.values()] == pytest.approx(
+        [data["J_opt"]] * 5, abs=1e-12
+    )
+    assert np.concatenate(
+        [agent.result.x for agent in agents.values()]
+    ) == pytest.approx(data["x_opt"], abs=1e-12)
 
 
 def test_rows_that_others_imply_keep_an_artificial_column_and_true_prices():
     A = np.array([[1.0, 1.0], [2.0, 2.0]])
-    agents = {i: DistributedSimplex(i, [3.0 - i], A[:, i : i + 1], [4.0, 8.0], 1) for i in range(2)}
+    agents = {
+        i: DistributedSimplex(i, [3.0 - i], A[:, i : i + 1], [4.0, 8.0], 1)
+        for i in range(2)
+    }
     run_team(agents, ring(2))
     assert [agent.result.x.tolist() for agent in agents.values()] == [[0.0], [4.0]]
     assert any(owner == -1 for owner, _ in agents[0].result.ids)
@@ -111,32 +144,66 @@ def fail(agents, graph, match):
 
 def test_what_cannot_be_met_is_named_with_its_row():
     A = np.array([[1.0, 1.0], [1.0, 1.0]])
-    agents = {i: DistributedSimplex(i, [1.0], A[:, i : i + 1], [1.0, 3.0], 1) for i in range(2)}
-    fail(agents, ring(2), r"agent 0: distributed simplex: .*infeasible: row 1 \(2 left\)")
+    agents = {
+        i: DistributedSimplex(i, [1.0], A[:, i : i + 1], [1.0, 3.0], 1)
+        for i in range(2)
+    }
+    fail(
+        agents, ring(2), r"agent 0: distributed simplex: .*infeasible: row 1 \(2 left\)"
+    )
 
 
 def test_what_may_fall_for_ever_is_named_with_its_column():
-    agents = {i: DistributedSimplex(i, [-float(i)], [[1.0 - 2.0 * i]], [0.0], 1) for i in range(2)}
+    agents = {
+        i: DistributedSimplex(i, [-float(i)], [[1.0 - 2.0 * i]], [0.0], 1)
+        for i in range(2)
+    }
     fail(agents, ring(2), "unbounded: column 0 of agent 1 may grow for ever")
 
 
 def test_contradicting_constraints_and_free_variables_are_named():
-    agents = {i: DualDistributedSimplex(i, [1.0], [[1.0 - 2.0 * i]], [-1.0], 1) for i in range(2)}
+    agents = {
+        i: DualDistributedSimplex(i, [1.0], [[1.0 - 2.0 * i]], [-1.0], 1)
+        for i in range(2)
+    }
     fail(agents, ring(2), "infeasible: constraint 0 of agent 1 contradicts others")
-    agents = {i: DualDistributedSimplex(i, [1.0, 0.5], [[1.0, 0.0]], [1.0], 1) for i in range(2)}
+    agents = {
+        i: DualDistributedSimplex(i, [1.0, 0.5], [[1.0, 0.0]], [1.0], 1)
+        for i in range(2)
+    }
     fail(agents, ring(2), r"unbounded: variable 1 \(0.5 left\) without a limit")
 
 
 @pytest.mark.parametrize(
     ("c", "A", "b", "match"),
     [
-        ([1.0], [[1.0], [float("nan")]], [1.0, 1.0], r"agent 4: distributed simplex: A\[1, 0\]: found nan"),
-        ([1.0, float("inf")], [[1.0, 1.0]], [1.0], r"c\[1\]: found inf; allowed: a finite number"),
+        (
+            [1.0],
+            [[1.0], [float("nan")]],
+            [1.0, 1.0],
+            r"agent 4: distributed simplex: A\[1, 0\]: found nan",
+        ),
+        (
+            [1.0, float("inf")],
+            [[1.0, 1.0]],
+            [1.0],
+            r"c\[1\]: found inf; allowed: a finite number",
+        ),
         ([1.0], [[1.0, 2.0]], [1.0], r"A: found shape \(1, 2\); allowed: \(1, 1\)"),
         ([[1.0]], [[1.0]], [1.0], r"c: found shape \(1, 1\)"),
         (["one"], [[1.0]], [1.0], r"c: found list; allowed: an array of numbers"),
-        ([1.0], [[1e200]], [1e200], r"A\[0, 0\]: found 1e\+200; allowed: 0, or a size from 1e-60 to 1e\+60"),
-        ([1.0], [[1.0]], [1e-320], r"b\[0\]: found 9.99989e-321; allowed: 0, or a size from"),
+        (
+            [1.0],
+            [[1e200]],
+            [1e200],
+            r"A\[0, 0\]: found 1e\+200; allowed: 0, or a size from 1e-60 to 1e\+60",
+        ),
+        (
+            [1.0],
+            [[1.0]],
+            [1e-320],
+            r"b\[0\]: found 9.99989e-321; allowed: 0, or a size from",
+        ),
     ],
 )
 def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, match):
@@ -146,21 +213,36 @@ def test_data_that_do_not_fit_are_refused_with_agent_row_and_value(c, A, b, matc
 
 @pytest.mark.parametrize("c", [[], [1.0, 2.0], [-1.0, 2.0], [0.0, 0.0]])
 def test_a_linear_program_without_rows_is_refused(c):
-    with pytest.raises(ConfigError, match="agent 4: distributed simplex: b: found no rows; allowed: one row or more"):
+    with pytest.raises(
+        ConfigError,
+        match="agent 4: distributed simplex: b: found no rows; allowed: one row or more",
+    ):
         DistributedSimplex(4, c, np.zeros((0, len(c))), [], 1)
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
 def test_a_linear_program_without_variables_is_refused(rows):
-    with pytest.raises(ConfigError, match="agent 4: dual distributed simplex: c: found no variables; allowed: one"):
+    with pytest.raises(
+        ConfigError,
+        match="agent 4: dual distributed simplex: c: found no variables; allowed: one",
+    ):
         DualDistributedSimplex(4, [], np.zeros((rows, 0)), np.ones(rows), 1)
 
 
 def test_an_agent_without_constraints_or_columns_takes_part():
     own = {0: ([[1.0]], [2.0]), 1: (np.zeros((0, 1)), [])}
-    run_team(team := {i: DualDistributedSimplex(i, [1.0], *own[i], 1) for i in own}, complete(2))
+    run_team(
+        team := {i: DualDistributedSimplex(i, [1.0], *own[i], 1) for i in own},
+        complete(2),
+    )
     assert [agent.result.x.tolist() for agent in team.values()] == [[2.0], [2.0]]
-    run_team(team := {i: DistributedSimplex(i, [1.0] * (1 - i), [[1.0] * (1 - i)], [2.0], 1) for i in own}, complete(2))
+    run_team(
+        team := {
+            i: DistributedSimplex(i, [1.0] * (1 - i), [[1.0] * (1 - i)], [2.0], 1)
+            for i in own
+        },
+        complete(2),
+    )
     assert [agent.result.cost for agent in team.values()] == [2.0, 2.0]
 
 
@@ -173,9 +255,15 @@ def test_a_diameter_that_is_no_count_is_refused(kind, diameter):
 
 @pytest.mark.parametrize(
     "change",
-    [lambda m: "x", lambda m: m[:3], lambda m: [1, *m[1:]], lambda m: [*m[:3], np.array([np.nan]), *m[4:]],
-     lambda m: [*m[:5], np.array([4]), m[6]], lambda m: [*m[:2], m[2][:1], *m[3:]]],
-)  # fmt: skip
+    [
+        lambda m: "x",
+        lambda m: m[:3],
+        lambda m: [1, *m[1:]],
+        lambda m: [*m[:3], np.array([np.nan]), *m[4:]],
+        lambda m: [*m[:5], np.array([4]), m[6]],
+        lambda m: [*m[:2], m[2][:1], *m[3:]],
+    ],
+)
 def test_what_is_no_basis_names_the_neighbour(change):
     agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0], 1) for i in range(2)}
     for _ in range(2):
@@ -184,13 +272,19 @@ def test_what_is_no_basis_names_the_neighbour(change):
             break
         for i, agent in agents.items():
             agent.step({1 - i: sent[1 - i]})
-    with pytest.raises(ConfigError, match=r"agent 0: message of agent 1 = no basis: .*; flags, a ray, and 1 columns"):
+    with pytest.raises(
+        ConfigError,
+        match=r"agent 0: message of agent 1 = no basis: .*; flags, a ray, and 1 columns",
+    ):
         agents[0].step({1: change(sent[1])})
 
 
 def test_another_right_hand_side_at_a_neighbour_is_refused():
     agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + i], 1) for i in range(2)}
-    with pytest.raises(ConfigError, match=r"b of agent 1: found \[2.0\]; allowed: \[1.0\], the same at all agents"):
+    with pytest.raises(
+        ConfigError,
+        match=r"b of agent 1: found \[2.0\]; allowed: \[1.0\], the same at all agents",
+    ):
         run_team(agents, ring(2))
 
 
@@ -201,10 +295,14 @@ def test_the_bases_are_the_same_whatever_is_lost(dual):
     d = graph.diameter()
     for loss in (0.0, 0.4):
         agents = {
-            i: DualDistributedSimplex(i, b, A[:, p].T, c[p], d) if dual else DistributedSimplex(i, c[p], A[:, p], b, d)
+            i: DualDistributedSimplex(i, b, A[:, p].T, c[p], d)
+            if dual
+            else DistributedSimplex(i, c[p], A[:, p], b, d)
             for i, p in enumerate(parts)
         }
-        histories.append(simulate(agents, graph, loss=loss, record=("x",) if dual else ("x", "cost")))
+        histories.append(
+            simulate(agents, graph, loss=loss, record=("x",) if dual else ("x", "cost"))
+        )
         assert agents[0].result.rounds == histories[-1].rounds
     assert histories[1].lost > 10
     for i in graph.ids:
@@ -213,7 +311,9 @@ def test_the_bases_are_the_same_whatever_is_lost(dual):
 
 
 def test_what_fails_at_one_agent_ends_all_of_them():
-    agents = {i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + (i == 2)], 2) for i in range(4)}
+    agents = {
+        i: DistributedSimplex(i, [1.0], [[1.0]], [1.0 + (i == 2)], 2) for i in range(4)
+    }
     with pytest.raises(ConfigError, match="b of agent 2: found"):
         simulate(agents, ring(4), record=())
 
@@ -230,13 +330,19 @@ def solve(agents):
 
 def primal_team(c, A, b, parts):
     diameter = len(parts) // 2
-    return {i: DistributedSimplex(i, c[part], A[:, part], b, diameter) for i, part in enumerate(parts)}
+    return {
+        i: DistributedSimplex(i, c[part], A[:, part], b, diameter)
+        for i, part in enumerate(parts)
+    }
 
 
 def dual_team(c, A, b, parts):
     """max b'y s.t. A'y <= c, the dual of min c'x s.t. A x = b, x >= 0."""
     diameter = len(parts) // 2
-    return {i: DualDistributedSimplex(i, b, A[:, part].T, c[part], diameter) for i, part in enumerate(parts)}
+    return {
+        i: DualDistributedSimplex(i, b, A[:, part].T, c[part], diameter)
+        for i, part in enumerate(parts)
+    }
 
 
 def require_agreement_with_the_program_in_units_near_1(seed):
@@ -260,33 +366,53 @@ def require_agreement_with_the_program_in_units_near_1(seed):
     size = np.abs(program.c) @ x + abs(program.value)
     assert abs(results[0].cost - program.value) <= 1e-7 * size
     y = duals[0].x * program.r
-    assert (program.A.T @ y - program.c <= 1e-8 * (np.abs(program.c) + np.abs(program.A.T) @ np.abs(y))).all()
-    assert abs(duals[0].cost - program.value) <= 1e-7 * (size + np.abs(y) @ np.abs(program.b))
+    assert (
+        program.A.T @ y - program.c
+        <= 1e-8 * (np.abs(program.c) + np.abs(program.A.T) @ np.abs(y))
+    ).all()
+    assert abs(duals[0].cost - program.value) <= 1e-7 * (
+        size + np.abs(y) @ np.abs(program.b)
+    )
     prices = results[0].prices * program.r
-    assert (program.c - prices @ program.A >= -1e-8 * (np.abs(program.c) + np.abs(prices) @ np.abs(program.A))).all()
+    assert (
+        program.c - prices @ program.A
+        >= -1e-8 * (np.abs(program.c) + np.abs(prices) @ np.abs(program.A))
+    ).all()
     assert all(r.ids == results[0].ids and r.cost == results[0].cost for r in results)
     assert all(np.array_equal(r.prices, results[0].prices) for r in results)
-    assert all(np.array_equal(r.x, duals[0].x) and r.active == duals[0].active for r in duals)
+    assert all(
+        np.array_equal(r.x, duals[0].x) and r.active == duals[0].active for r in duals
+    )
 
 
 SCALED = [range(k, k + 40) for k in range(0, 2000, 40)]
 
 
 @pytest.mark.parametrize(
-    "seeds", [*SCALED[:3], *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in SCALED[3:])],
+    "seeds",
+    [
+        *SCALED[:3],
+        *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in SCALED[3:]),
+    ],
     ids=lambda seeds: f"{seeds[0]}-",
-)  # fmt: skip
+)
 def test_rows_and_columns_in_any_units_change_nothing(seeds):
     for seed in seeds:
         require_agreement_with_the_program_in_units_near_1(seed)
 
 
-@pytest.mark.parametrize("seeds", [range(k, k + 24) for k in range(0, 48, 24)], ids=lambda seeds: f"{seeds[0]}-")
+@pytest.mark.parametrize(
+    "seeds",
+    [range(k, k + 24) for k in range(0, 48, 24)],
+    ids=lambda seeds: f"{seeds[0]}-",
+)
 def test_units_that_are_powers_of_two_give_the_same_basis(seeds):
     for seed in seeds:
         program = draw_scaled(seed, base=2.0)
         status, results = solve(primal_team(*program.scaled, program.parts))
-        same_status, plain = solve(primal_team(program.c, program.A, program.b, program.parts))
+        same_status, plain = solve(
+            primal_team(program.c, program.A, program.b, program.parts)
+        )
         assert status == same_status == program.status
         for one, other in zip(results, plain, strict=True):
             assert one.ids == other.ids
@@ -298,14 +424,20 @@ TWO_UNITS = np.array([[1e6, 1e6, 0.0, 0.0], [1e-4, 0.0, 1e-4, 0.0]])
 
 
 def one_column_each(c, A, b):
-    return primal_team(np.array(c), A, np.array(b), [np.array([k]) for k in range(len(c))])
+    return primal_team(
+        np.array(c), A, np.array(b), [np.array([k]) for k in range(len(c))]
+    )
 
 
 def test_a_small_right_hand_side_beside_a_large_one_is_met():
-    status, results = solve(one_column_each([1.0, 3.0, 1.0, 2.0], TWO_UNITS, [1e6, 5e-5]))
+    status, results = solve(
+        one_column_each([1.0, 3.0, 1.0, 2.0], TWO_UNITS, [1e6, 5e-5])
+    )
     assert status == "optimal"
     assert [result.cost for result in results] == pytest.approx([2.0] * 4)
-    assert np.concatenate([result.x for result in results]) == pytest.approx([0.5, 0.5, 0.0, 0.0])
+    assert np.concatenate([result.x for result in results]) == pytest.approx(
+        [0.5, 0.5, 0.0, 0.0]
+    )
 
 
 def test_a_small_row_that_cannot_be_met_is_infeasible():
@@ -318,19 +450,32 @@ def test_a_small_row_that_cannot_be_met_is_infeasible():
 
 def test_the_dual_calls_no_unbounded_program_optimal():
     A = np.array([[1e6, 0.0], [-1e6, 0.0]])
-    agents = {i: DualDistributedSimplex(i, [1e6, 1e-4], A[i : i + 1], [1e6], 1) for i in range(2)}
+    agents = {
+        i: DualDistributedSimplex(i, [1e6, 1e-4], A[i : i + 1], [1e6], 1)
+        for i in range(2)
+    }
     fail(agents, ring(2), r"unbounded: variable 1 \(0.0001 left\) without a limit")
 
 
-@pytest.mark.parametrize("b", [[2.0, 2.0], [2.0, 2.5]], ids=["feasible", "infeasible, or far away"])
+@pytest.mark.parametrize(
+    "b", [[2.0, 2.0], [2.0, 2.5]], ids=["feasible", "infeasible, or far away"]
+)
 def test_rows_that_differ_in_their_last_digits_alone_are_refused_by_all_agents(b):
     A = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-36]])
-    agents = {i: DistributedSimplex(i, [1.0 + i], A[:, i : i + 1], b, 1) for i in range(2)}
-    fail(agents, ring(2), r"row [01] differs from a sum of other rows by 7e-12 .*double precision cannot tell")
+    agents = {
+        i: DistributedSimplex(i, [1.0 + i], A[:, i : i + 1], b, 1) for i in range(2)
+    }
+    fail(
+        agents,
+        ring(2),
+        r"row [01] differs from a sum of other rows by 7e-12 .*double precision cannot tell",
+    )
 
 
 def test_levels_that_are_smaller_than_their_rounding_errors_are_refused_by_all_agents():
     n = 12
     hilbert = 1.0 / (np.arange(n)[:, None] + np.arange(n) + 1.0)
-    agents = primal_team(np.ones(n), hilbert, hilbert @ np.ones(n), np.split(np.arange(n), 3))
+    agents = primal_team(
+        np.ones(n), hilbert, hilbert @ np.ones(n), np.split(np.arange(n), 3)
+    )
     fail(agents, ring(3), "double precision cannot tell")

@@ -16,7 +16,13 @@ def table(ids, label=1, last=True):
 def team(costs, diameter, tables):
     """A robot a row of `costs`; task k of any table is column k. tables: by robot, those that it is told of."""
     return {
-        i: TaskAssignment(i, lambda task, row=row: row[task.id], range(len(costs)), diameter, tables.get(i))
+        i: TaskAssignment(
+            i,
+            lambda task, row=row: row[task.id],
+            range(len(costs)),
+            diameter,
+            tables.get(i),
+        )
         for i, row in enumerate(costs)
     }
 
@@ -27,7 +33,11 @@ def draw(seed):
     robots, tasks = chance.integers(1, 8), chance.integers(1, 8)
     if seed % 4 == 0:
         tasks = robots
-    costs = chance.integers(0, 4, (robots, tasks)).astype(float) if seed % 3 else chance.random((robots, tasks))
+    costs = (
+        chance.integers(0, 4, (robots, tasks)).astype(float)
+        if seed % 3
+        else chance.random((robots, tasks))
+    )
     costs[chance.random(costs.shape) < (0.0, 0.5, 0.7)[seed % 3]] = np.inf
     return costs
 
@@ -51,7 +61,8 @@ SEEDS = [range(k, k + 20) for k in range(0, 200, 20)]
 
 
 @pytest.mark.parametrize(
-    "seeds", [*SEEDS[:3], *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in SEEDS[3:])],
+    "seeds",
+    [*SEEDS[:3], *(pytest.param(seeds, marks=pytest.mark.slow) for seeds in SEEDS[3:])],
     ids=lambda seeds: f"{seeds[0]}-",
 )
 def test_the_assignment_is_the_central_one(seeds):
@@ -63,13 +74,17 @@ def test_the_assignment_is_the_central_one(seeds):
         agents = team(costs, diameter, {seed % robots: table(range(tasks))})
         run_team(agents, graph)
         outcomes = [agent.outcome for agent in agents.values()]
-        pairs = {i: outcome.task.id for i, outcome in enumerate(outcomes) if outcome.task}
+        pairs = {
+            i: outcome.task.id for i, outcome in enumerate(outcomes) if outcome.task
+        }
         most, least = served_at_best(costs)
         assert len(pairs) == len(set(pairs.values())) == most
         assert sum(costs[i, k] for i, k in pairs.items()) == pytest.approx(least)
         for outcome in outcomes:
             assert outcome.cost == pytest.approx(least)
-            assert outcome.unserved == tuple(k for k in range(tasks) if k not in pairs.values())
+            assert outcome.unserved == tuple(
+                k for k in range(tasks) if k not in pairs.values()
+            )
             assert bool(outcome.infeasible) == (most < min(robots, tasks))
         infeasible += most < min(robots, tasks)
     assert infeasible > 1
@@ -83,7 +98,9 @@ def test_competing_tasks_are_named_with_the_robots_that_may_do_them():
     why = r"task\(s\) 2, 3 may be done by 1 robot\(s\) only: 0"
     for agent in agents.values():
         assert len(agent.outcome.unserved) == 1
-        with pytest.raises(SolverError, match=rf"task assignment: table 1.* infeasible: {why}"):
+        with pytest.raises(
+            SolverError, match=rf"task assignment: table 1.* infeasible: {why}"
+        ):
             _ = agent.solution
 
 
@@ -92,7 +109,10 @@ def test_competing_tasks_are_named_with_the_robots_that_may_do_them():
     [
         ([[1.0, np.inf], [1.0, np.inf]], "task(s) 1 may be done by no robot"),
         ([[1.0, 2.0, 3.0], [np.inf] * 3], "robot(s) 1 may do no task"),
-        ([[np.inf, np.inf, 1.0], [np.inf, np.inf, 1.0]], "robot(s) 0, 1 may do 1 task(s) only: 2"),
+        (
+            [[np.inf, np.inf, 1.0], [np.inf, np.inf, 1.0]],
+            "robot(s) 0, 1 may do 1 task(s) only: 2",
+        ),
     ],
 )
 def test_who_stays_without_is_named(costs, why):
@@ -106,7 +126,11 @@ def test_new_tables_reach_all_and_start_anew():
     chance = np.random.default_rng(5)
     costs, graph = chance.random((6, 30)), erdos_renyi_connected(6, 0.3, seed=3)
     agents = team(costs, graph.diameter(), {0: table(range(6), 1, last=False)})
-    generations = {3: (4, 2, range(6, 12)), 40: (2, 3, range(8, 14)), 80: (5, 4, range(20, 26))}
+    generations = {
+        3: (4, 2, range(6, 12)),
+        40: (2, 3, range(8, 14)),
+        80: (5, 4, range(20, 26)),
+    }
     agreed = {}
     for k in range(200):
         if k in generations:
@@ -132,16 +156,26 @@ def test_an_old_table_is_nothing_new_and_a_second_one_with_a_label_is_refused():
     robot = TaskAssignment(0, lambda task: 1.0, [0], 0, table([1, 2], label=5))
     robot.post(table([7], label=4))
     assert robot.label == 5
-    with pytest.raises(ConfigError, match=r"robot 0: task assignment: table 5: found \[7\]; allowed: tasks \[1, 2\]"):
+    with pytest.raises(
+        ConfigError,
+        match=r"robot 0: task assignment: table 5: found \[7\]; allowed: tasks \[1, 2\]",
+    ):
         robot.post(table([7], label=5))
 
 
 def test_bad_tables_and_costs_are_refused():
-    with pytest.raises(ConfigError, match="robot 3: task assignment: cost of task 8: found nan"):
+    with pytest.raises(
+        ConfigError, match="robot 3: task assignment: cost of task 8: found nan"
+    ):
         TaskAssignment(3, lambda task: float("nan"), [3], 0, table([8]))
-    with pytest.raises(ConfigError, match=r"robot 3: task table: found ids \[8, 8\]; allowed: each id once"):
+    with pytest.raises(
+        ConfigError,
+        match=r"robot 3: task table: found ids \[8, 8\]; allowed: each id once",
+    ):
         TaskAssignment(3, lambda task: 1.0, [3], 0, table([8, 8]))
-    with pytest.raises(ConfigError, match="robot 3: task assignment: found robot 3; allowed: 0 to 2"):
+    with pytest.raises(
+        ConfigError, match="robot 3: task assignment: found robot 3; allowed: 0 to 2"
+    ):
         TaskAssignment(3, lambda task: 1.0, [0, 1, 2], 0)
     with pytest.raises(SolverError, match="not agreed upon yet"):
         _ = TaskAssignment(0, lambda task: 1.0, [0], 0).solution
@@ -150,7 +184,10 @@ def test_bad_tables_and_costs_are_refused():
 def test_nothing_to_do_is_agreed_upon_too():
     agents = team(np.ones((3, 1)), 1, {1: table([])})
     run_team(agents, ring(3))
-    assert all(agent.solution.task is None and agent.solution.cost == 0.0 for agent in agents.values())
+    assert all(
+        agent.solution.task is None and agent.solution.cost == 0.0
+        for agent in agents.values()
+    )
 
 
 def test_the_assignment_is_the_same_whatever_is_lost():
@@ -158,6 +195,11 @@ def test_the_assignment_is_the_same_whatever_is_lost():
     for loss in (0.0, 0.4):
         agents = team(costs, 2, {3: table(range(5))})
         history = simulate(agents, graph, loss=loss, record=())
-        outcomes.append([(a.outcome.task.id, a.outcome.cost, a.outcome.rounds) for a in agents.values()])
+        outcomes.append(
+            [
+                (a.outcome.task.id, a.outcome.cost, a.outcome.rounds)
+                for a in agents.values()
+            ]
+        )
     assert history.lost > 10
     assert outcomes[0] == outcomes[1]

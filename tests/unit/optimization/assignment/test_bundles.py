@@ -3,7 +3,12 @@ import pytest
 from teams import run_team
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.assignment.bundles import CBBA, NOBODY, SequentialAuction, Table
+from crazychoir.optimization.assignment.bundles import (
+    CBBA,
+    NOBODY,
+    SequentialAuction,
+    Table,
+)
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import complete, erdos_renyi_connected, path, ring
 
@@ -31,11 +36,21 @@ class Tour(Discount):
 
     def scores(self, path):
         now = self._length(path)
-        detours = [self._length(self.insert(path, j)) - now for j in range(len(self.places))]
-        return np.array([-np.inf if j in path else 10.0 - detour for j, detour in enumerate(detours)])
+        detours = [
+            self._length(self.insert(path, j)) - now for j in range(len(self.places))
+        ]
+        return np.array(
+            [
+                -np.inf if j in path else 10.0 - detour
+                for j, detour in enumerate(detours)
+            ]
+        )
 
     def insert(self, path, task):
-        return min(((*path[:n], task, *path[n:]) for n in range(len(path) + 1)), key=self._length)
+        return min(
+            ((*path[:n], task, *path[n:]) for n in range(len(path) + 1)),
+            key=self._length,
+        )
 
     def _length(self, path):
         way = np.vstack([self.home, *(self.places[j] for j in path), self.home])
@@ -46,8 +61,14 @@ def greedy(bidders, tasks):
     """Winners and paths of the sequential greedy algorithm with all bids in one place."""
     paths, winners = [bidder.start for bidder in bidders], [NOBODY] * tasks
     while True:
-        scores = np.array([bidder.scores(path) for bidder, path in zip(bidders, paths, strict=True)])
-        scores = np.where(np.array(winners) == NOBODY, scores, -np.inf) if tasks else np.array([[-np.inf]])
+        scores = np.array(
+            [bidder.scores(path) for bidder, path in zip(bidders, paths, strict=True)]
+        )
+        scores = (
+            np.where(np.array(winners) == NOBODY, scores, -np.inf)
+            if tasks
+            else np.array([[-np.inf]])
+        )
         i, j = np.unravel_index(np.argmax(scores), scores.shape)
         if scores[i, j] == -np.inf:
             return tuple(winners), paths
@@ -55,13 +76,19 @@ def greedy(bidders, tasks):
 
 
 def links(robots, seed):
-    return [ring, path, complete, lambda n: erdos_renyi_connected(n, 0.5, seed)][seed % 4](robots)
+    return [ring, path, complete, lambda n: erdos_renyi_connected(n, 0.5, seed)][
+        seed % 4
+    ](robots)
 
 
 def discounts(seed):
     chance = np.random.default_rng(seed)
     robots, tasks = chance.integers(1, 8), chance.integers(0, 12)
-    values = np.where(chance.random((robots, tasks)) < 0.8, chance.random((robots, tasks)) + 0.1, -np.inf)
+    values = np.where(
+        chance.random((robots, tasks)) < 0.8,
+        chance.random((robots, tasks)) + 0.1,
+        -np.inf,
+    )
     return [Discount(row) for row in values], int(tasks)
 
 
@@ -73,11 +100,17 @@ def tours(seed):
 
 
 def cbba(bidders, tasks, diameter, **options):
-    return {i: CBBA(i, bidder, range(len(bidders)), tasks, diameter, **options) for i, bidder in enumerate(bidders)}
+    return {
+        i: CBBA(i, bidder, range(len(bidders)), tasks, diameter, **options)
+        for i, bidder in enumerate(bidders)
+    }
 
 
 def auction(bidders, tasks, diameter):
-    return {i: SequentialAuction(i, bidder, tasks, diameter) for i, bidder in enumerate(bidders)}
+    return {
+        i: SequentialAuction(i, bidder, tasks, diameter)
+        for i, bidder in enumerate(bidders)
+    }
 
 
 def check(agents, tasks):
@@ -85,7 +118,11 @@ def check(agents, tasks):
     results = [agent.result for agent in agents.values()]
     assert len({(result.winners, result.rounds) for result in results}) == 1
     for i, result in enumerate(results):
-        assert sorted(result.path) == sorted(result.tasks) == [j for j in range(tasks) if result.winners[j] == i]
+        assert (
+            sorted(result.path)
+            == sorted(result.tasks)
+            == [j for j in range(tasks) if result.winners[j] == i]
+        )
     return results
 
 
@@ -145,19 +182,37 @@ ME, K, M, N = 0, 1, 2, 3  # receiver, sender, others
 # Table I of Choi, Brunet & How 2009: sender's winner, receiver's winner, who is fresher at the sender, whether the
 # sender's bid is higher, and what the receiver does.
 RULES = [
-    (K, ME, "", True, "update"), (K, ME, "", False, "leave"), (K, K, "", False, "update"),
-    (K, M, "M", False, "update"), (K, M, "", True, "update"), (K, M, "", False, "leave"),
+    (K, ME, "", True, "update"),
+    (K, ME, "", False, "leave"),
+    (K, K, "", False, "update"),
+    (K, M, "M", False, "update"),
+    (K, M, "", True, "update"),
+    (K, M, "", False, "leave"),
     (K, NOBODY, "", True, "update"),
-    (ME, ME, "", False, "leave"), (ME, K, "", False, "reset"), (ME, M, "M", False, "reset"),
+    (ME, ME, "", False, "leave"),
+    (ME, K, "", False, "reset"),
+    (ME, M, "M", False, "reset"),
     (ME, M, "", False, "leave"),
     (ME, NOBODY, "", True, "leave"),
-    (M, ME, "M", True, "update"), (M, ME, "M", False, "leave"), (M, ME, "", True, "leave"),
-    (M, K, "M", False, "update"), (M, K, "", True, "reset"), (M, M, "M", False, "update"), (M, M, "", True, "leave"),
-    (M, N, "MN", False, "update"), (M, N, "M", True, "update"), (M, N, "N", False, "reset"), (M, N, "", True, "leave"),
-    (M, NOBODY, "M", True, "update"), (M, NOBODY, "", True, "leave"),
-    (NOBODY, ME, "MN", False, "leave"), (NOBODY, K, "", False, "update"), (NOBODY, M, "M", False, "update"),
-    (NOBODY, M, "", False, "leave"), (NOBODY, NOBODY, "MN", False, "leave"),
-]  # fmt: skip
+    (M, ME, "M", True, "update"),
+    (M, ME, "M", False, "leave"),
+    (M, ME, "", True, "leave"),
+    (M, K, "M", False, "update"),
+    (M, K, "", True, "reset"),
+    (M, M, "M", False, "update"),
+    (M, M, "", True, "leave"),
+    (M, N, "MN", False, "update"),
+    (M, N, "M", True, "update"),
+    (M, N, "N", False, "reset"),
+    (M, N, "", True, "leave"),
+    (M, NOBODY, "M", True, "update"),
+    (M, NOBODY, "", True, "leave"),
+    (NOBODY, ME, "MN", False, "leave"),
+    (NOBODY, K, "", False, "update"),
+    (NOBODY, M, "M", False, "update"),
+    (NOBODY, M, "", False, "leave"),
+    (NOBODY, NOBODY, "MN", False, "leave"),
+]
 
 
 @pytest.mark.parametrize(("theirs", "mine", "fresher", "higher", "action"), RULES)
@@ -169,14 +224,24 @@ def test_each_rule_of_the_paper_s_table(theirs, mine, fresher, higher, action):
     stamps = {ME: 0, K: 6, M: 6 if "M" in fresher else 4, N: 6 if "N" in fresher else 4}
     bid = -np.inf if theirs == NOBODY else 3.0 if higher else 1.0
     table.hear(K, [bid], [theirs], stamps)
-    after = {"update": (bid, theirs), "reset": (-np.inf, NOBODY), "leave": (-np.inf if mine == NOBODY else 2.0, mine)}
+    after = {
+        "update": (bid, theirs),
+        "reset": (-np.inf, NOBODY),
+        "leave": (-np.inf if mine == NOBODY else 2.0, mine),
+    }
     assert (table.bid[0], table.winner[0]) == after[action]
 
 
 def test_bad_scores_are_refused_with_robot_and_task():
-    with pytest.raises(ConfigError, match="robot 4: score of task 1: found nan; allowed: a number, or -inf"):
+    with pytest.raises(
+        ConfigError,
+        match="robot 4: score of task 1: found nan; allowed: a number, or -inf",
+    ):
         CBBA(4, Discount([1.0, float("nan")]), [4], 2, 0)
-    with pytest.raises(ConfigError, match=r"robot 4: scores: found shape \(2,\); allowed: \(3,\), one a task"):
+    with pytest.raises(
+        ConfigError,
+        match=r"robot 4: scores: found shape \(2,\); allowed: \(3,\), one a task",
+    ):
         SequentialAuction(4, Discount([1.0, 2.0]), 3, 0)
     with pytest.raises(ConfigError, match=r"robot 4: CBBA: found robots \[0, 1\]"):
         CBBA(4, Discount([1.0]), [0, 1], 1, 0)

@@ -2,7 +2,11 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.equilibration import scaled_inverse, scaling_exponents, without_rounding
+from crazychoir.optimization.problems.equilibration import (
+    scaled_inverse,
+    scaling_exponents,
+    without_rounding,
+)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -13,7 +17,9 @@ def test_the_inverse_is_as_exact_in_any_units(seed):
     r = 10.0 ** chance.uniform(-9, 9, m)
     s = 10.0 ** chance.uniform(-9, 9, m)
     inverse = scaled_inverse(r[:, None] * B * s)
-    np.testing.assert_allclose(s[:, None] * inverse * r, np.linalg.inv(B), rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(
+        s[:, None] * inverse * r, np.linalg.inv(B), rtol=1e-9, atol=1e-11
+    )
 
 
 def test_units_that_are_powers_of_two_change_no_bit():
@@ -31,7 +37,9 @@ def test_units_that_are_powers_of_two_change_no_bit():
 def test_zeros_of_a_triangular_matrix_stay_exact_zeros():
     chance = np.random.default_rng(2)
     B = np.triu(chance.normal(size=(7, 7))) + 2.0 * np.eye(7)
-    inverse = scaled_inverse(10.0 ** chance.uniform(-6, 6, 7)[:, None] * B * 10.0 ** chance.uniform(-6, 6, 7))
+    inverse = scaled_inverse(
+        10.0 ** chance.uniform(-6, 6, 7)[:, None] * B * 10.0 ** chance.uniform(-6, 6, 7)
+    )
     assert (np.tril(inverse, -1) == 0.0).all()
 
 
@@ -40,10 +48,14 @@ def test_scaling_brings_all_entries_near_1():
     B = 2.0 ** (chance.integers(-30, 30, 5)[:, None] + chance.integers(-30, 30, 8))
     r, s = scaling_exponents(B)
     assert np.abs(np.log2(np.ldexp(B, r[:, None] + s))).max() <= 2.0
-    assert not np.concatenate(scaling_exponents(np.array([[1.0, 0.0], [0.5, 3.0]]))).any()
+    assert not np.concatenate(
+        scaling_exponents(np.array([[1.0, 0.0], [0.5, 3.0]]))
+    ).any()
 
 
-@pytest.mark.parametrize("B", [np.zeros((2, 2)), np.ones((2, 2)), np.array([[1e6, 3e6], [1e-6, 3e-6]])])
+@pytest.mark.parametrize(
+    "B", [np.zeros((2, 2)), np.ones((2, 2)), np.array([[1e6, 3e6], [1e-6, 3e-6]])]
+)
 def test_dependent_columns_are_refused(B):
     with pytest.raises(SolverError, match="a singular basis"):
         scaled_inverse(B)
@@ -51,4 +63,8 @@ def test_dependent_columns_are_refused(B):
 
 def test_a_sum_that_rounding_explains_is_zero_whatever_the_others_are():
     value = np.array([1e-17, 1e-17, -1e-3])
-    assert without_rounding(value, np.array([1.0, 1e-17, 1.0])).tolist() == [0.0, 1e-17, -1e-3]
+    assert without_rounding(value, np.array([1.0, 1e-17, 1.0])).tolist() == [
+        0.0,
+        1e-17,
+        -1e-3,
+    ]

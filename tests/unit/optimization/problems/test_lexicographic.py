@@ -49,7 +49,9 @@ def test_equal_columns_of_two_owners_are_told_apart_by_their_ids():
     start = Columns.artificial(1)
     for parts in ([start, one, other], [start, other, one]):
         basis = optimal_basis(union(parts), start, np.array([2.0]))
-        assert basis.columns.ids.tolist() == [[7, 0]]  # the delta of the lower id is the greater
+        assert basis.columns.ids.tolist() == [
+            [7, 0]
+        ]  # the delta of the lower id is the greater
         assert basis.level == pytest.approx([2.0])
 
 
@@ -87,37 +89,61 @@ def exact_optimum(c, A, b):
             rows[k] = [value / rows[k][k] for value in rows[k]]
             for i in range(m):
                 if i != k:
-                    rows[i] = [value - rows[i][k] * other for value, other in zip(rows[i], rows[k], strict=True)]
+                    rows[i] = [
+                        value - rows[i][k] * other
+                        for value, other in zip(rows[i], rows[k], strict=True)
+                    ]
         else:
             x = [row[-1] for row in rows]
             if min(x) >= 0:
-                cost = sum(int(c[j]) * value for j, value in zip(chosen, x, strict=True))
+                cost = sum(
+                    int(c[j]) * value for j, value in zip(chosen, x, strict=True)
+                )
                 least = cost if least is None else min(least, cost)
     return least
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_tiny_and_huge_right_hand_sides_of_one_program_count_as_rational_numbers_say(seed):
+def test_tiny_and_huge_right_hand_sides_of_one_program_count_as_rational_numbers_say(
+    seed,
+):
     """Each entry of b has its own power of ten, to 10^-6 or 10^6; HiGHS, with absolute tolerances, misses some."""
     chance = np.random.default_rng(seed)
     m, n = int(chance.integers(1, 4)), int(chance.integers(3, 8))
-    A = np.hstack([chance.integers(-2, 3, (m, n)), np.eye(m, dtype=int) * chance.choice([-1, 1], m)])
+    A = np.hstack(
+        [
+            chance.integers(-2, 3, (m, n)),
+            np.eye(m, dtype=int) * chance.choice([-1, 1], m),
+        ]
+    )
     c = chance.integers(0, 4, n + m)
-    right = [Fraction(int(chance.integers(0, 4))) * Fraction(10) ** int(chance.integers(-6, 7)) for _ in range(m)]
+    right = [
+        Fraction(int(chance.integers(0, 4)))
+        * Fraction(10) ** int(chance.integers(-6, 7))
+        for _ in range(m)
+    ]
     exact = exact_optimum(c, A, right)
     b = np.array([float(value) for value in right])
-    basis = optimal_basis(columns_of(c.astype(float), A.astype(float)), Columns.artificial(m), b)
+    basis = optimal_basis(
+        columns_of(c.astype(float), A.astype(float)), Columns.artificial(m), b
+    )
     artificial = basis.columns.ids[:, 0] < 0
     if exact is None:
         assert (basis.level[artificial] > 1e-9 * basis.terms[artificial]).any()
     else:
         assert (basis.level[artificial] == 0.0).all()
         assert (basis.level >= 0.0).all()
-        assert basis.columns.cost[1] @ basis.level == pytest.approx(float(exact), rel=1e-12)
+        assert basis.columns.cost[1] @ basis.level == pytest.approx(
+            float(exact), rel=1e-12
+        )
 
 
 def test_a_first_cost_comes_before_c():
     dear = Columns.own(0, np.array([0.0]), np.array([[1.0]]), np.array([1.0]))
     cheap = Columns.own(1, np.array([5.0]), np.array([[1.0]]))
-    basis = optimal_basis(union([Columns.artificial(1), dear, cheap]), Columns.artificial(1), np.array([1.0]))
+    basis = optimal_basis(
+        union([Columns.artificial(1), dear, cheap]),
+        Columns.artificial(1),
+        np.array([1.0]),
+    )
     assert basis.columns.ids.tolist() == [[1, 0]]

@@ -16,15 +16,24 @@ def test_it_finds_what_scipy_finds_for_many_costs():
 
 
 def test_integers_are_integers():
-    program = LinearProgram(np.array([-2.0, -1.0]), ROWS, bounds=BOUNDS, integer=np.array([True, False]))
+    program = LinearProgram(
+        np.array([-2.0, -1.0]), ROWS, bounds=BOUNDS, integer=np.array([True, False])
+    )
     x = program.solve(np.zeros(2))
-    best = milp([-2.0, -1.0], integrality=[1, 0], bounds=(0, 10), constraints=(ROWS[0], -np.inf, ROWS[1]))
+    best = milp(
+        [-2.0, -1.0],
+        integrality=[1, 0],
+        bounds=(0, 10),
+        constraints=(ROWS[0], -np.inf, ROWS[1]),
+    )
     np.testing.assert_allclose(x, best.x, atol=1e-9)
     assert x[0] == 1.0
 
 
 def test_equalities_hold():
-    x = LinearProgram(np.array([1.0, 2.0]), ROWS, (np.ones((1, 2)), np.ones(1)), BOUNDS).solve(np.zeros(2))
+    x = LinearProgram(
+        np.array([1.0, 2.0]), ROWS, (np.ones((1, 2)), np.ones(1)), BOUNDS
+    ).solve(np.zeros(2))
     np.testing.assert_allclose(x, [1.0, 0.0], atol=1e-12)
 
 
@@ -32,14 +41,27 @@ def test_equalities_hold():
     ("rows", "c", "word"),
     [
         (ROWS, [-1.0, np.nan], "not finite"),
-        ((np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([0.0, -1.0])), [0.0, 0.0], "infeasible"),
-        ((np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([0.0, -1.0])), [1.0, 1.0], "infeasible"),
+        (
+            (np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([0.0, -1.0])),
+            [0.0, 0.0],
+            "infeasible",
+        ),
+        (
+            (np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([0.0, -1.0])),
+            [1.0, 1.0],
+            "infeasible",
+        ),
         (ROWS, [1.0, 1.0], "unbounded"),
     ],
 )
 def test_why_there_is_no_solution(rows, c, word):
     assert LinearProgram(np.zeros(2), rows).solve(np.array(c)) == word
-    assert LinearProgram(np.zeros(2), rows, integer=np.array([True, True])).solve(np.array(c)) == word
+    assert (
+        LinearProgram(np.zeros(2), rows, integer=np.array([True, True])).solve(
+            np.array(c)
+        )
+        == word
+    )
 
 
 def test_a_search_ends_after_so_many_nodes():
@@ -51,5 +73,7 @@ def test_a_search_ends_after_so_many_nodes():
     bounds = np.zeros(n), np.r_[np.ones(30), np.full(8, 1e4)]
     integer = np.r_[np.ones(30, bool), np.zeros(8, bool)]
     nothing = np.zeros((0, n)), np.zeros(0)
-    program = LinearProgram(cost, nothing, (E, np.floor(A.sum(1) / 2)), bounds, integer, most_nodes=3)
+    program = LinearProgram(
+        cost, nothing, (E, np.floor(A.sum(1) / 2)), bounds, integer, most_nodes=3
+    )
     assert program.solve(np.zeros(n)) == "too many nodes"

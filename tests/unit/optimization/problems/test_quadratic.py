@@ -2,13 +2,22 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from crazychoir.optimization.problems.quadratic import AffineHull, MovingProgram, Polyhedron, QuadraticProgram
+from crazychoir.optimization.problems.quadratic import (
+    AffineHull,
+    MovingProgram,
+    Polyhedron,
+    QuadraticProgram,
+)
 
 NONE = np.zeros((0, 2)), np.zeros(0)
 
 
 def box(n, low, high):
-    return Polyhedron.of(np.vstack([np.eye(n), -np.eye(n)]), np.r_[np.full(n, high), np.full(n, -low)], *none(n))
+    return Polyhedron.of(
+        np.vstack([np.eye(n), -np.eye(n)]),
+        np.r_[np.full(n, high), np.full(n, -low)],
+        *none(n),
+    )
 
 
 def none(n):
@@ -21,12 +30,18 @@ def programs(count, seed, degenerate=False):
     for _ in range(count):
         n, m = int(draw.integers(1, 12)), int(draw.integers(1, 30))
         equal = int(draw.integers(0, n))
-        L, A, E, x = (draw.normal(size=shape) for shape in ((n, n), (m, n), (equal, n), n))
+        L, A, E, x = (
+            draw.normal(size=shape) for shape in ((n, n), (m, n), (equal, n), n)
+        )
         if degenerate:
             A, x = np.round(A), np.round(x)
         slack = draw.integers(0, 2, m) * float(not degenerate)
         over = Polyhedron.of(A, A @ x + slack, E, E @ x)
-        yield QuadraticProgram(L @ L.T + 0.1 * np.eye(n), draw.normal(size=n) * 10.0 ** draw.integers(-1, 3), over)
+        yield QuadraticProgram(
+            L @ L.T + 0.1 * np.eye(n),
+            draw.normal(size=n) * 10.0 ** draw.integers(-1, 3),
+            over,
+        )
 
 
 def require_optimal(program, x, p):
@@ -52,7 +67,12 @@ def test_what_it_finds_is_optimal_also_from_the_last_solution(degenerate):
 def test_a_warm_start_does_not_change_the_solution():
     draw = np.random.default_rng(0)
     L, A = draw.normal(size=(5, 5)), draw.normal(size=(12, 5))
-    make = lambda: QuadraticProgram(L @ L.T + np.eye(5), np.zeros(5), Polyhedron.of(A, np.ones(12), *none(5)))  # noqa: E731
+
+    def make():
+        return QuadraticProgram(
+            L @ L.T + np.eye(5), np.zeros(5), Polyhedron.of(A, np.ones(12), *none(5))
+        )
+
     warm = make()
     for p in draw.normal(size=(50, 5)) * 10:
         np.testing.assert_allclose(warm.solve(p), make().solve(p), atol=1e-11)
@@ -67,13 +87,22 @@ def test_without_inequalities_it_is_a_closed_form():
 
 
 def test_dependent_equalities_count_once():
-    over = Polyhedron.of(*NONE, np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([1.0, 2.0]))
-    np.testing.assert_allclose(QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.zeros(2)), 0.5)
+    over = Polyhedron.of(
+        *NONE, np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([1.0, 2.0])
+    )
+    np.testing.assert_allclose(
+        QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.zeros(2)), 0.5
+    )
 
 
 @pytest.mark.parametrize("p", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_is_refused(p):
-    assert QuadraticProgram(np.eye(2), np.zeros(2), box(2, -1.0, 1.0)).solve(np.array([0.0, p])) == "not finite"
+    assert (
+        QuadraticProgram(np.eye(2), np.zeros(2), box(2, -1.0, 1.0)).solve(
+            np.array([0.0, p])
+        )
+        == "not finite"
+    )
 
 
 def test_an_empty_polyhedron_is_infeasible_and_the_next_question_is_answered_alike():
@@ -88,7 +117,10 @@ def test_rows_of_small_integers_are_met_or_exclude_each_other():
     for seed in range(1000):
         draw = np.random.default_rng(seed)
         n, m = int(draw.integers(1, 4)), int(draw.integers(2, 7))
-        A, b = draw.integers(-1, 2, (m, n)).astype(float), draw.integers(-1, 2, m).astype(float)
+        A, b = (
+            draw.integers(-1, 2, (m, n)).astype(float),
+            draw.integers(-1, 2, m).astype(float),
+        )
         L = draw.normal(size=(n, n))
         P = 2.0 * np.eye(n) if seed % 2 else L @ L.T + 0.1 * np.eye(n)
         over = Polyhedron.of(A, b, np.zeros((0, n)), np.zeros(0))
@@ -99,7 +131,10 @@ def test_rows_of_small_integers_are_met_or_exclude_each_other():
             assert (over.A @ x <= over.b + 1e-9).all(), seed
         else:
             assert x == "infeasible"
-            assert seed % 5 or linprog(np.zeros(n), A_ub=A, b_ub=b, bounds=(None, None)).status == 2, seed
+            assert (
+                seed % 5
+                or linprog(np.zeros(n), A_ub=A, b_ub=b, bounds=(None, None)).status == 2
+            ), seed
     assert min(said.values()) > 200
 
 
@@ -107,7 +142,10 @@ def test_a_row_of_zeros_is_left_out_if_it_always_holds():
     A = np.array([[0.0, 0.0], [1.0, 0.0]])
     assert len(Polyhedron.of(A, np.array([0.0, 1.0]), *NONE).b) == 1
     never = Polyhedron.of(A, -np.ones(2), *NONE)
-    assert QuadraticProgram(np.eye(2), np.zeros(2), never).solve(np.zeros(2)) == "infeasible"
+    assert (
+        QuadraticProgram(np.eye(2), np.zeros(2), never).solve(np.zeros(2))
+        == "infeasible"
+    )
 
 
 def test_a_hessian_that_is_flat_somewhere_is_refused():
@@ -123,7 +161,11 @@ def test_a_hessian_that_is_flat_where_the_equalities_forbid_to_go_is_not():
 
 def test_a_program_whose_bounds_move_is_the_one_with_those_bounds():
     draw, n, m = np.random.default_rng(4), 6, 9
-    L, A, E = draw.normal(size=(n, n)), draw.normal(size=(m, n)), draw.normal(size=(2, n))
+    L, A, E = (
+        draw.normal(size=(n, n)),
+        draw.normal(size=(m, n)),
+        draw.normal(size=(2, n)),
+    )
     A /= np.linalg.norm(A, axis=1)[:, None]
     P, q = L @ L.T + np.eye(n), draw.normal(size=n)
     moving = MovingProgram(P, q, Polyhedron(A, np.zeros(m), E, np.zeros(2)))
@@ -132,7 +174,9 @@ def test_a_program_whose_bounds_move_is_the_one_with_those_bounds():
         b, e = A @ x + draw.uniform(0.0, 0.5, m), E @ x
         moving.move(b, e)
         found = moving.solve(p)
-        np.testing.assert_allclose(found, QuadraticProgram(P, q, Polyhedron(A, b, E, e)).solve(p), atol=1e-10)
+        np.testing.assert_allclose(
+            found, QuadraticProgram(P, q, Polyhedron(A, b, E, e)).solve(p), atol=1e-10
+        )
         np.testing.assert_allclose(E @ found, e, atol=1e-10)
 
 
@@ -140,7 +184,10 @@ CONFLICTS = {
     "two values": ([[1.0, 0.0], [1.0, 0.0]], [1.0, 2.0]),
     "zero is one": ([[0.0, 0.0]], [1.0]),
     "rows of other lengths": ([[1e6, 0.0], [1e-6, 0.0]], [1e6, 2e-6]),
-    "small ones beside large ones": ([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]], [1e9, 1e-5, -1e-5]),
+    "small ones beside large ones": (
+        [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]],
+        [1e9, 1e-5, -1e-5],
+    ),
     "tiny ones": ([[1.0, 0.0], [1.0, 0.0]], [1e-9, 2e-9]),
     "a sum": ([[1.0, 1.0], [1.0, -1.0], [1.0, 0.0]], [2.0, 0.0, 1.5]),
     "more than entries": ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], [1.0, 1.0, 2.1]),
@@ -159,8 +206,14 @@ def test_equalities_that_exclude_each_other_are_infeasible(name, beside):
 
 
 AGREEING = {
-    "the rounding of their terms": ([[1.0, 1.0], [3.0, 3.0]], [1.0, 3.0 * (1.0 + 1e-12)]),
-    "the rounding of their entries": ([[1.0, 1.0], [1.0, 1.0 + 1e-12]], [1.0, 1.0 + 1e-12]),
+    "the rounding of their terms": (
+        [[1.0, 1.0], [3.0, 3.0]],
+        [1.0, 3.0 * (1.0 + 1e-12)],
+    ),
+    "the rounding of their entries": (
+        [[1.0, 1.0], [1.0, 1.0 + 1e-12]],
+        [1.0, 1.0 + 1e-12],
+    ),
     "the rounding of a sum": ([[1.0, 0.0], [1.0, 0.0]], [0.0, 0.1 + 0.2 - 0.3]),
     "a zero row": ([[1.0, 0.0], [0.0, 0.0]], [1.0, 0.0]),
     "a rounded zero row": ([[1.0, 0.0], [0.0, 0.0]], [1.0, 5e-17]),
@@ -171,11 +224,15 @@ AGREEING = {
 @pytest.mark.parametrize("name", AGREEING)
 def test_equalities_that_differ_by_rounding_have_a_solution(name):
     E, e = (np.array(part) for part in AGREEING[name])
-    x = QuadraticProgram(np.eye(2), np.zeros(2), Polyhedron.of(*NONE, E, e)).solve(np.zeros(2))
+    x = QuadraticProgram(np.eye(2), np.zeros(2), Polyhedron.of(*NONE, E, e)).solve(
+        np.zeros(2)
+    )
     np.testing.assert_allclose(E @ x, e, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("row", [[1.0, np.pi], [1e-6, np.pi * 1e-6], [-3.0, -3.0 * np.pi]])
+@pytest.mark.parametrize(
+    "row", [[1.0, np.pi], [1e-6, np.pi * 1e-6], [-3.0, -3.0 * np.pi]]
+)
 def test_an_inequality_that_the_equalities_decide_is_met_or_not(row):
     """Its multiplier is of no use: what is left of it where x may go is zero, but for rounding."""
     E, e, row = np.array([[1.0, np.pi]]), np.array([1.0]), np.array([row])
@@ -185,8 +242,13 @@ def test_an_inequality_that_the_equalities_decide_is_met_or_not(row):
         x = QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.array([0.3, -5.0]))
         assert isinstance(x, str) != is_met
         if is_met:
-            np.testing.assert_allclose(x, QuadraticProgram(np.eye(2), np.zeros(2), Polyhedron.of(*NONE, E, e)).solve(
-                np.array([0.3, -5.0])), atol=1e-12)  # fmt: skip
+            np.testing.assert_allclose(
+                x,
+                QuadraticProgram(
+                    np.eye(2), np.zeros(2), Polyhedron.of(*NONE, E, e)
+                ).solve(np.array([0.3, -5.0])),
+                atol=1e-12,
+            )
 
 
 def test_a_point_that_the_equalities_fix_meets_the_inequalities_or_not():
@@ -205,7 +267,10 @@ def test_a_point_that_the_equalities_fix_meets_the_inequalities_or_not():
 def test_inequalities_are_judged_by_their_own_size(large, gap):
     A = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     apart = Polyhedron.of(A, np.array([large, -gap, -gap]), *NONE)
-    assert QuadraticProgram(np.eye(2), np.zeros(2), apart).solve(np.zeros(2)) == "infeasible"
+    assert (
+        QuadraticProgram(np.eye(2), np.zeros(2), apart).solve(np.zeros(2))
+        == "infeasible"
+    )
     together = Polyhedron.of(A, np.array([large, -gap, 2.0 * gap]), *NONE)
     x = QuadraticProgram(np.eye(2), np.zeros(2), together).solve(np.zeros(2))
     np.testing.assert_allclose(x, [0.0, -gap], atol=1e-12)
@@ -213,15 +278,28 @@ def test_inequalities_are_judged_by_their_own_size(large, gap):
 
 @pytest.mark.parametrize("size", [1e-300, 1e-200, 1e200, 1e300])
 def test_rows_of_any_length_count(size):
-    over = Polyhedron.of(np.array([[0.0, size]]), np.array([-size]), np.array([[size, 0.0]]), np.array([size]))
-    np.testing.assert_allclose(QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.zeros(2)), [1.0, -1.0])
+    over = Polyhedron.of(
+        np.array([[0.0, size]]),
+        np.array([-size]),
+        np.array([[size, 0.0]]),
+        np.array([size]),
+    )
+    np.testing.assert_allclose(
+        QuadraticProgram(np.eye(2), np.zeros(2), over).solve(np.zeros(2)), [1.0, -1.0]
+    )
 
 
 def test_right_hand_sides_that_move_may_exclude_each_other_and_agree_again():
     E = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
     A = np.array([[0.0, 1.0], [1.0, 0.0]])
-    moving = MovingProgram(np.eye(2), np.zeros(2), Polyhedron(A, np.full(2, 9.0), E, np.zeros(3)))
-    agree, differ, never = np.array([1.0, 1.0, 0.0]), np.array([1.0, 2.0, 0.0]), np.array([1.0, 1.0, 1.0])
+    moving = MovingProgram(
+        np.eye(2), np.zeros(2), Polyhedron(A, np.full(2, 9.0), E, np.zeros(3))
+    )
+    agree, differ, never = (
+        np.array([1.0, 1.0, 0.0]),
+        np.array([1.0, 2.0, 0.0]),
+        np.array([1.0, 1.0, 1.0]),
+    )
     for _ in range(2):
         moving.move(np.array([-3.0, 9.0]), agree)
         np.testing.assert_allclose(moving.solve(np.zeros(2)), [1.0, -3.0], atol=1e-12)
@@ -239,9 +317,13 @@ def test_the_affine_hull_gives_a_point_all_directions_and_the_shares_of_dependen
         e = E @ draw.normal(size=n)
         hull = AffineHull(E)
         assert hull.null.shape[1] == n - np.linalg.matrix_rank(E)
-        np.testing.assert_allclose(hull.null.T @ hull.null, np.eye(hull.null.shape[1]), atol=1e-12)
+        np.testing.assert_allclose(
+            hull.null.T @ hull.null, np.eye(hull.null.shape[1]), atol=1e-12
+        )
         np.testing.assert_allclose(E @ hull.null, 0.0, atol=1e-12)
         np.testing.assert_allclose(E @ hull.point(e), e, atol=1e-12)
-        np.testing.assert_allclose(hull.shares @ E[hull.basis], E[hull.others], atol=1e-12)
+        np.testing.assert_allclose(
+            hull.shares @ E[hull.basis], E[hull.others], atol=1e-12
+        )
         assert not hull.gaps(hull.point(e), e).any()
         assert hull.verdict(hull.point(e), e) == ""

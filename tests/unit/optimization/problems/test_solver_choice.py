@@ -34,7 +34,9 @@ class Model:
         """Return them with the scales."""
         equal, upper = self.scales
         found = [(equal[:, None] * self.E) @ x == equal * self.e] if len(self.e) else []
-        return found + ([(upper[:, None] * self.A) @ x <= upper * self.b] if len(self.b) else [])
+        return found + (
+            [(upper[:, None] * self.A) @ x <= upper * self.b] if len(self.b) else []
+        )
 
     def cost(self, x):
         """Return cvxpy's expression."""
@@ -48,7 +50,11 @@ def drawn(seed):
     is_integer = draw.random() < 0.5
 
     def numbers(*shape):
-        return draw.integers(-2, 3, shape).astype(float) if is_integer else draw.normal(size=shape)
+        return (
+            draw.integers(-2, 3, shape).astype(float)
+            if is_integer
+            else draw.normal(size=shape)
+        )
 
     x = numbers(n)
     E = numbers(int(draw.integers(0, n + 3)), n)
@@ -61,7 +67,9 @@ def drawn(seed):
     if len(e) and draw.random() < 0.4:
         e[draw.integers(len(e))] += draw.choice([-1, 1]) * 10.0 ** draw.uniform(-2, 2)
     A = numbers(int(draw.integers(0, 9)) if seed % 2 else 0, n)
-    b = A @ x + (draw.integers(-1, 3, len(A)) if is_integer else draw.normal(size=len(A)) + 0.7)
+    b = A @ x + (
+        draw.integers(-1, 3, len(A)) if is_integer else draw.normal(size=len(A)) + 0.7
+    )
     for r in range(len(A)):
         kind = draw.random()
         if kind < 0.3 and len(e):
@@ -69,20 +77,42 @@ def drawn(seed):
             A[r], b[r] = share @ E, share @ e + draw.choice([-1.0, 0.5, 1.0, 3.0])
         elif kind < 0.5 and r:
             sign = draw.choice([-1.0, 1.0])
-            A[r], b[r] = sign * A[r - 1], sign * b[r - 1] + draw.choice([-1.0, 0.0, 0.0, 2.0])
+            A[r], b[r] = (
+                sign * A[r - 1],
+                sign * b[r - 1] + draw.choice([-1.0, 0.0, 0.0, 2.0]),
+            )
     if draw.random() < 0.5:
         E = E * (1.0 + ROUNDING * draw.normal(size=E.shape))
         e = e * (1.0 + ROUNDING * draw.normal(size=e.shape))
-    scales = tuple(10.0 ** draw.integers(-6, 7, len(rows)) * (draw.random() < 0.5) for rows in (e, b))
+    scales = tuple(
+        10.0 ** draw.integers(-6, 7, len(rows)) * (draw.random() < 0.5)
+        for rows in (e, b)
+    )
     root = draw.normal(size=(n, n))
     P = root @ root.T + 0.1 * np.eye(n) if draw.random() < 0.5 else np.eye(n)
-    return Model(P, draw.normal(size=n), E, e, A, b, tuple(np.where(s > 0.0, s, 1.0) for s in scales))
+    return Model(
+        P,
+        draw.normal(size=n),
+        E,
+        e,
+        A,
+        b,
+        tuple(np.where(s > 0.0, s, 1.0) for s in scales),
+    )
 
 
 def reference(model):
     """Return cvxpy's x, or "infeasible": of rows that are not scaled, and by HiGHS where Clarabel is not sure."""
     x = cp.Variable(len(model.q))
-    ones = Model(model.P, model.q, model.E, model.e, model.A, model.b, (np.ones(len(model.e)), np.ones(len(model.b))))
+    ones = Model(
+        model.P,
+        model.q,
+        model.E,
+        model.e,
+        model.A,
+        model.b,
+        (np.ones(len(model.e)), np.ones(len(model.b))),
+    )
     problem = cp.Problem(cp.Minimize(ones.cost(x)), ones.constraints(x))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -91,7 +121,11 @@ def reference(model):
         except cp.SolverError:
             problem = cp.Problem(cp.Minimize(0), ones.constraints(x))
             problem.solve(solver=cp.HIGHS)
-    return x.value if problem.status == cp.OPTIMAL else problem.status.removesuffix("_inaccurate")
+    return (
+        x.value
+        if problem.status == cp.OPTIMAL
+        else problem.status.removesuffix("_inaccurate")
+    )
 
 
 def require_same(seed):
@@ -107,11 +141,16 @@ def require_same(seed):
     for answer in answers:
         if isinstance(expected, str):
             assert expected == "infeasible", seed
-            with pytest.raises(SolverError, match=r"(?s)status infeasible: constraints\[\d\] .*, row \d+: violated by"):
+            with pytest.raises(
+                SolverError,
+                match=r"(?s)status infeasible: constraints\[\d\] .*, row \d+: violated by",
+            ):
                 answer()
         else:
             allowed = 1e-4 * (1.0 + np.abs(expected).max())
-            np.testing.assert_allclose(answer(), expected, atol=allowed, err_msg=f"{seed}")
+            np.testing.assert_allclose(
+                answer(), expected, atol=allowed, err_msg=f"{seed}"
+            )
     return isinstance(expected, str)
 
 
@@ -181,6 +220,10 @@ def test_rows_that_are_nearly_dependent_are_met_far_away(kind, k):
 @pytest.mark.parametrize("d", [1e-10, 1e-11, 1e-12, 1e-13])
 def test_where_rounding_decides_the_error_says_so(d):
     v = cp.Variable(2)
-    problem = CostCoupled(0, v, cp.sum_squares(v), [v[0] + v[1] == 1, v[0] + (1.0 + d) * v[1] == 2])
-    with pytest.raises(SolverError, match=r"infeasible: constraints\[.*rounding decides"):
+    problem = CostCoupled(
+        0, v, cp.sum_squares(v), [v[0] + v[1] == 1, v[0] + (1.0 + d) * v[1] == 2]
+    )
+    with pytest.raises(
+        SolverError, match=r"infeasible: constraints\[.*rounding decides"
+    ):
         problem.argmin()

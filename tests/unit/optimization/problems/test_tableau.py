@@ -15,7 +15,11 @@ def tableau_of(c, A, b):
 
 @pytest.mark.parametrize("unit", [1.0, 1e-9, 1e9])
 def test_it_walks_to_the_optimum_in_any_unit_of_a_row(unit):
-    tableau, basic = tableau_of(np.array([-1.0, -1.0]), np.array([[unit, 0.0], [1.0, 1.0]]), np.array([unit, 3.0]))
+    tableau, basic = tableau_of(
+        np.array([-1.0, -1.0]),
+        np.array([[unit, 0.0], [1.0, 1.0]]),
+        np.array([unit, 3.0]),
+    )
     pivots, end = walk(tableau, basic, 0, 50)
     assert (pivots, end) == (2, OPTIMAL)
     assert sorted(basic.tolist()) == [2, 3]

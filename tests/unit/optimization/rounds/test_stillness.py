@@ -11,13 +11,18 @@ def ends(graph, diameter, changes):
     for k in range(60):
         told = {i: agent.message() for i, agent in agents.items()}
         for i, agent in agents.items():
-            agent.step((i, k) in changes, {j: told[j] for j in graph.at(k).in_neighbors(i)})
+            agent.step(
+                (i, k) in changes, {j: told[j] for j in graph.at(k).in_neighbors(i)}
+            )
             if agent.reached:
                 found.setdefault(i, k)
     return found
 
 
-@pytest.mark.parametrize("graph", [named("ring", 5), named("path", 6), named("star", 4), ring(6, directed=True)])
+@pytest.mark.parametrize(
+    "graph",
+    [named("ring", 5), named("path", 6), named("star", 4), ring(6, directed=True)],
+)
 @pytest.mark.parametrize("last", [0, 7, 19])
 def test_all_end_together_2_d_plus_1_rounds_after_the_last_change(graph, last):
     changer = np.random.default_rng(last).choice(graph.ids, last)
@@ -32,4 +37,6 @@ def test_all_end_together_where_the_graph_changes():
 
 
 def test_too_small_a_diameter_ends_agents_apart():
-    assert len(set(ends(named("path", 12), 1, {(11, k) for k in range(9)}).values())) > 1
+    assert (
+        len(set(ends(named("path", 12), 1, {(11, k) for k in range(9)}).values())) > 1
+    )

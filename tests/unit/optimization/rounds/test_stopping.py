@@ -1,17 +1,41 @@
 """All agents stop in one round, or each when it knows."""
 
-
 import numpy as np
 import pytest
 from in_step import run_in_step
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.algorithms.asynchronous_consensus import AsynchronousConsensus
-from crazychoir.optimization.rounds.stopping import AsynchronousLogicAnd, Flags, LogicAnd, Settled, Stoppable, Until
+from crazychoir.optimization.algorithms.asynchronous_consensus import (
+    AsynchronousConsensus,
+)
+from crazychoir.optimization.rounds.stopping import (
+    AsynchronousLogicAnd,
+    Flags,
+    LogicAnd,
+    Settled,
+    Stoppable,
+    Until,
+)
 from crazychoir.solve.simulate import simulate
-from crazychoir.team.graph import GraphSequence, complete, erdos_renyi_connected, metropolis, path, ring, star
+from crazychoir.team.graph import (
+    GraphSequence,
+    complete,
+    erdos_renyi_connected,
+    metropolis,
+    path,
+    ring,
+    star,
+)
 
-GRAPHS = [path(5), ring(6), ring(6, directed=True), star(5), complete(4), path(1), ring(80)]
+GRAPHS = [
+    path(5),
+    ring(6),
+    ring(6, directed=True),
+    star(5),
+    complete(4),
+    path(1),
+    ring(80),
+]
 
 
 @pytest.mark.parametrize("graph", GRAPHS)
@@ -37,7 +61,9 @@ def test_flags_that_come_and_go_count_only_if_all_were_up_in_one_round():
         sent = {i: flag.message() for i, flag in flags.items()}
         for i, flag in flags.items():
             flag.step(ups[k][i], {j: sent[j] for j in graph.in_neighbors(i)})
-        assert {flag.agreed for flag in flags.values()} == {k >= d and all(ups[k - d].values())}
+        assert {flag.agreed for flag in flags.values()} == {
+            k >= d and all(ups[k - d].values())
+        }
     assert sum(all(up.values()) for up in ups) > 20
 
 
@@ -51,7 +77,9 @@ def test_on_a_sequence_of_graphs_it_needs_the_rounds_of_a_flood():
 @pytest.mark.parametrize("loss", [0.0, 0.6])
 def test_asynchronous_agents_all_learn_it_and_none_too_early(loss):
     graph = path(6)
-    agents = {i: AsynchronousLogicAnd(graph.neighbors(i), 5, flag=i != 3) for i in graph.ids}
+    agents = {
+        i: AsynchronousLogicAnd(graph.neighbors(i), 5, flag=i != 3) for i in graph.ids
+    }
     seen = []
 
     def watch(agents):
@@ -119,7 +147,9 @@ class Endless:
         self.k += 1
 
 
-@pytest.mark.parametrize("graph", [path(5), ring(6, directed=True), complete(3), path(1)])
+@pytest.mark.parametrize(
+    "graph", [path(5), ring(6, directed=True), complete(3), path(1)]
+)
 def test_who_stops_stops_all_in_one_round(graph):
     agents = {i: Stoppable(Endless(), graph.diameter()) for i in graph.ids}
     run_in_step(agents, graph, 7)
@@ -127,7 +157,9 @@ def test_who_stops_stops_all_in_one_round(graph):
     run_in_step(agents, graph, 1)
     agents[graph.ids[-1]].stop()
     assert run_in_step(agents, graph) + 1 == max(graph.diameter(), 1)
-    assert {agent.algorithm.k for agent in agents.values()} == {7 + max(graph.diameter(), 1)}
+    assert {agent.algorithm.k for agent in agents.values()} == {
+        7 + max(graph.diameter(), 1)
+    }
 
 
 def test_who_stops_between_its_message_and_its_step_stops_all_in_one_round_too():
@@ -164,7 +196,10 @@ def test_a_flag_of_an_asynchronous_agent_that_was_up_once_counts():
 
     graph = path(4)
     agents = {
-        i: Until(Awake(), lambda agent, i=i: agent.k == 10 + 5 * i, 3, graph.neighbors(i)) for i in graph.ids
+        i: Until(
+            Awake(), lambda agent, i=i: agent.k == 10 + 5 * i, 3, graph.neighbors(i)
+        )
+        for i in graph.ids
     }
     simulate(agents, graph, loss=0.3, record=(), rounds=500)
     assert all(agent.done and 25 <= agent.k < 120 for agent in agents.values())
@@ -176,7 +211,12 @@ def test_who_hears_nothing_has_not_settled(loss):
     weights = metropolis(graph)
     for seed in range(4):
         agents = {
-            i: Until(AsynchronousConsensus(i, float(i), weights[i]), Settled(1e-6), 3, graph.in_neighbors(i))
+            i: Until(
+                AsynchronousConsensus(i, float(i), weights[i]),
+                Settled(1e-6),
+                3,
+                graph.in_neighbors(i),
+            )
             for i in graph.ids
         }
         history = simulate(agents, graph, loss=loss, seed=seed, rounds=5000)

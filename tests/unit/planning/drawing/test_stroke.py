@@ -52,7 +52,9 @@ def test_bad_strokes_are_refused(rows, complaint):
 
 def test_a_stroke_is_split_where_it_turns_back_and_not_in_a_bend():
     s = np.linspace(0.0, 1.0, 200)
-    there_and_back = np.concatenate([np.column_stack([s, 0 * s]), np.column_stack([1 - s, 0.1 * s])])
+    there_and_back = np.concatenate(
+        [np.column_stack([s, 0 * s]), np.column_stack([1 - s, 0.1 * s])]
+    )
     parts = split(np.arange(400.0), there_and_back, 0.05)
     assert len(parts) == 2
     np.testing.assert_allclose(parts[0][1][-1], (1, 0), atol=0.01)

@@ -8,7 +8,13 @@ import pytest
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing import svg_document, svg_reader
 from crazychoir.planning.drawing.stroke import csv_of, parse_strokes
-from crazychoir.planning.drawing.svg import MOST_POINTS, parse_picture, parse_svg, read_svg, svg_of
+from crazychoir.planning.drawing.svg import (
+    MOST_POINTS,
+    parse_picture,
+    parse_svg,
+    read_svg,
+    svg_of,
+)
 
 
 def strokes(d, scale=1.0):
@@ -41,14 +47,23 @@ def test_straight_lines_are_read_as_they_are(d, places):
 def test_curves_go_where_they_should():
     (cubic,) = strokes("M0 0C0 1 1 1 1 0S2 -1 2 0")
     assert cubic[12] * (1, -1) == pytest.approx([0.5, 0.75])
-    assert cubic[36] * (1, -1) == pytest.approx([1.5, -0.75]), "its first handle is the last one, mirrored"
+    assert cubic[36] * (1, -1) == pytest.approx([1.5, -0.75]), (
+        "its first handle is the last one, mirrored"
+    )
     (quadratic,) = strokes("M0 0q1 2 2 0t2 0")
     assert quadratic[12] * (1, -1) == pytest.approx([1.0, 1.0])
     assert quadratic[36] * (1, -1) == pytest.approx([3.0, -1.0])
     assert quadratic[-1] * (1, -1) == pytest.approx([4.0, 0.0])
 
 
-@pytest.mark.parametrize(("large", "sweep", "middle"), [(0, 1, (1, 0)), (0, 0, (0, 1)), (1, 1, (1.707, -0.707)), ])
+@pytest.mark.parametrize(
+    ("large", "sweep", "middle"),
+    [
+        (0, 1, (1, 0)),
+        (0, 0, (0, 1)),
+        (1, 1, (1.707, -0.707)),
+    ],
+)
 def test_an_arc_is_one_of_its_circle(large, sweep, middle):
     (arc,) = strokes(f"M0 0A1 1 0 {large} {sweep} 1 1")
     picture = arc * (1, -1)
@@ -70,7 +85,9 @@ def test_other_shapes_are_read_and_y_points_up_and_units_are_millimetres():
     <svg><g><polyline points="0,0 1000,0 1000,500"/></g><line x1="1" y1="2" x2="3"/><polygon points="0 0 1 0 1 1"/>
     <circle r="3"/></svg>"""
     first, second, third, fourth = parse_svg(text, "a.svg")
-    assert np.linalg.norm(fourth, axis=1) == pytest.approx(np.full(len(fourth), 0.003)), "the circle"
+    assert np.linalg.norm(fourth, axis=1) == pytest.approx(
+        np.full(len(fourth), 0.003)
+    ), "the circle"
     assert first.tolist() == [[0, 0], [1.0, 0], [1.0, -0.5]]
     assert second.tolist() == [[0.001, -0.002], [0.003, 0.0]]
     assert len(third) == 4
@@ -78,9 +95,18 @@ def test_other_shapes_are_read_and_y_points_up_and_units_are_millimetres():
 
 @pytest.mark.parametrize(
     ("d", "words"),
-    [("L1 1", "M first"), ("M1", "breaks off"), ("M1 1L", "breaks off"), ("M1 1X2", "'X'"), ("1 1", "after 'nothing'"),
-     ("M0 0L1 1Z3", "3 after 'Z'"), ("", "no line"), ("M1 1", "no line"), ("M0 0 nan 1", "'n'")],
-)  # fmt: skip
+    [
+        ("L1 1", "M first"),
+        ("M1", "breaks off"),
+        ("M1 1L", "breaks off"),
+        ("M1 1X2", "'X'"),
+        ("1 1", "after 'nothing'"),
+        ("M0 0L1 1Z3", "3 after 'Z'"),
+        ("", "no line"),
+        ("M1 1", "no line"),
+        ("M0 0 nan 1", "'n'"),
+    ],
+)
 def test_what_is_no_path_is_refused_with_the_place_and_what_is_allowed(d, words):
     with pytest.raises(ConfigError, match=words) as raised:
         strokes(d)
@@ -93,7 +119,10 @@ def test_a_picture_of_too_many_places_is_refused():
 
 
 def test_strokes_are_read_as_they_were_written(tmp_path):
-    drawn = [np.array([[0.0, 0.1, 0.2], [0.5, -1.3, 0.7]]), np.array([[1.0, 2.0, -0.25], [2.0, 2.0, 0.25]])]
+    drawn = [
+        np.array([[0.0, 0.1, 0.2], [0.5, -1.3, 0.7]]),
+        np.array([[1.0, 2.0, -0.25], [2.0, 2.0, 0.25]]),
+    ]
     path = tmp_path / "a.svg"
     path.write_text(svg_of(drawn))
     for stroke, read in zip(drawn, read_svg(path), strict=True):
@@ -109,18 +138,25 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("<![a[", "found"), (f'<path d="&#{"9" * 5000};"/>', "no SVG"), ('<path d="M0 0L1e999 0"/>', "1e999"),
-     ('<path d="M0 0L1.7e308 0l1.7e308 0"/>', "not finite"), ('<path d="M0 0A1e200 1e200 0 0 1 5 5"/>', "too far off"),
-     ('<path d="M0 0A1e100 1e100 0 0 1 5 5"/>', "too far off"),
-     ('<path d="M0 0A1e-200 1e-200 0 0 1 1e-200 0"/>', "too far off")],
-)  # fmt: skip
+    [
+        ("<![a[", "found"),
+        (f'<path d="&#{"9" * 5000};"/>', "no SVG"),
+        ('<path d="M0 0L1e999 0"/>', "1e999"),
+        ('<path d="M0 0L1.7e308 0l1.7e308 0"/>', "not finite"),
+        ('<path d="M0 0A1e200 1e200 0 0 1 5 5"/>', "too far off"),
+        ('<path d="M0 0A1e100 1e100 0 0 1 5 5"/>', "too far off"),
+        ('<path d="M0 0A1e-200 1e-200 0 0 1 1e-200 0"/>', "too far off"),
+    ],
+)
 def test_what_cannot_be_reckoned_with_is_refused_by_name(text, words):
     with pytest.raises(ConfigError, match=words) as raised:
         parse_svg(text, "a.svg")
     assert "a.svg" in str(raised.value)
 
 
-NAMESPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+NAMESPACES = (
+    'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+)
 ONE = '<path d="M0 0L1 0"/>'
 
 
@@ -158,7 +194,15 @@ def test_arcs_without_separators_are_the_arcs_that_they_mean(minified, plain):
         assert stroke == pytest.approx(other)
 
 
-@pytest.mark.parametrize("d", ["M0 0a1 1 0 2 0 1 1", "M0 0a1 1 0 +1 0 1 1", "M0 0a1 1 0 .1 0 1 1", "M0 0a1 1 0 1-1 1"])
+@pytest.mark.parametrize(
+    "d",
+    [
+        "M0 0a1 1 0 2 0 1 1",
+        "M0 0a1 1 0 +1 0 1 1",
+        "M0 0a1 1 0 .1 0 1 1",
+        "M0 0a1 1 0 1-1 1",
+    ],
+)
 def test_a_flag_is_zero_or_one(d):
     with pytest.raises(ConfigError, match="where an arc has a flag, 0 or 1"):
         strokes(d)
@@ -176,57 +220,101 @@ def test_a_flag_is_zero_or_one(d):
         ('<path transform="skewY(45)" d="M1 0L2 0"/>', [[1, 1], [2, 2]]),
         ('<path transform="matrix(0 1 -1 0 5 6)" d="M0 0L1 0"/>', [[5, 6], [5, 7]]),
         ('<path transform="none" d="M0 0L1 0"/>', [[0, 0], [1, 0]]),
-        ('<g transform="translate(10 20)"><a transform="scale(2)"><path d="M1 1h1"/></a></g>', [[12, 22], [14, 22]]),
-        ('<defs><path id="p" d="M0 0L1 0"/></defs><use href="#p" x="5" transform="scale(2)"/>', [[10, 0], [12, 0]]),
-        ('<defs><path id="p" d="M0 0L1 0"/></defs><use xlink:href="#p" y="5"/>', [[0, 5], [1, 5]]),
-        ('<symbol id="s"><path d="M0 0L1 0"/></symbol><use href="#s" x="2" width="9" height="9"/>', [[2, 0], [3, 0]]),
-        ('<symbol id="s" viewBox="0 0 10 10"><path d="M0 0L1 0"/></symbol><use href="#s" width="20" height="20"/>',
-         [[0, 0], [2, 0]]),
-        ('<svg x="10" y="10" width="100" height="50" viewBox="0 0 10 10"><path d="M0 0L10 10"/></svg>',
-         [[35, 10], [85, 60]]),
-        ('<svg width="100" height="50" viewBox="5 0 10 10" preserveAspectRatio="xMinYMax"><path d="M5 0h1"/></svg>',
-         [[0, 0], [5, 0]]),
-        ('<svg width="100" height="50" viewBox="0 0 10 10" preserveAspectRatio="none"><path d="M1 1L2 2"/></svg>',
-         [[10, 5], [20, 10]]),
-        ('<switch><foreignObject requiredExtensions="x"/><g><path d="M0 0h1"/></g><g><path d="M0 0h2"/></g></switch>',
-         [[0, 0], [1, 0]]),
+        (
+            '<g transform="translate(10 20)"><a transform="scale(2)"><path d="M1 1h1"/></a></g>',
+            [[12, 22], [14, 22]],
+        ),
+        (
+            '<defs><path id="p" d="M0 0L1 0"/></defs><use href="#p" x="5" transform="scale(2)"/>',
+            [[10, 0], [12, 0]],
+        ),
+        (
+            '<defs><path id="p" d="M0 0L1 0"/></defs><use xlink:href="#p" y="5"/>',
+            [[0, 5], [1, 5]],
+        ),
+        (
+            '<symbol id="s"><path d="M0 0L1 0"/></symbol><use href="#s" x="2" width="9" height="9"/>',
+            [[2, 0], [3, 0]],
+        ),
+        (
+            '<symbol id="s" viewBox="0 0 10 10"><path d="M0 0L1 0"/></symbol><use href="#s" width="20" height="20"/>',
+            [[0, 0], [2, 0]],
+        ),
+        (
+            '<svg x="10" y="10" width="100" height="50" viewBox="0 0 10 10"><path d="M0 0L10 10"/></svg>',
+            [[35, 10], [85, 60]],
+        ),
+        (
+            '<svg width="100" height="50" viewBox="5 0 10 10" preserveAspectRatio="xMinYMax"><path d="M5 0h1"/></svg>',
+            [[0, 0], [5, 0]],
+        ),
+        (
+            '<svg width="100" height="50" viewBox="0 0 10 10" preserveAspectRatio="none"><path d="M1 1L2 2"/></svg>',
+            [[10, 5], [20, 10]],
+        ),
+        (
+            '<switch><foreignObject requiredExtensions="x"/><g><path d="M0 0h1"/></g><g><path d="M0 0h2"/></g></switch>',  # noqa: E501
+            [[0, 0], [1, 0]],
+        ),
     ],
-)  # fmt: skip
+)
 def test_places_are_where_transforms_views_and_uses_put_them(body, ends):
     assert seen(body) == [ends]
 
 
 def test_a_transform_of_the_whole_picture_counts_and_its_view_box_does_not():
     assert seen(ONE, 'transform="translate(5 6)"') == [[[5, 6], [6, 6]]]
-    assert seen(ONE, 'width="100" height="100" viewBox="0 0 10 10"') == [[[0, 0], [1, 0]]]
+    assert seen(ONE, 'width="100" height="100" viewBox="0 0 10 10"') == [
+        [[0, 0], [1, 0]]
+    ]
 
 
 @pytest.mark.parametrize(
     ("body", "corners"),
     [
-        ('<rect x="1" y="2" width="4" height="3"/>', [[1, 2], [5, 2], [5, 5], [1, 5], [1, 2]]),
-        ('<rect width="1in" height="2px"/>', [[0, 0], [96, 0], [96, 2], [0, 2], [0, 0]]),
-        ('<rect width="50%" height="100%"/>', [[0, 0], [100, 0], [100, 100], [0, 100], [0, 0]]),
+        (
+            '<rect x="1" y="2" width="4" height="3"/>',
+            [[1, 2], [5, 2], [5, 5], [1, 5], [1, 2]],
+        ),
+        (
+            '<rect width="1in" height="2px"/>',
+            [[0, 0], [96, 0], [96, 2], [0, 2], [0, 0]],
+        ),
+        (
+            '<rect width="50%" height="100%"/>',
+            [[0, 0], [100, 0], [100, 100], [0, 100], [0, 0]],
+        ),
         ('<polyline points="0,0 1,1 2 0"/>', [[0, 0], [1, 1], [2, 0]]),
-        ('<polygon points="0-1 1-1.5.5.5"/>', [[0, -1], [1, -1.5], [0.5, 0.5], [0, -1]]),
+        (
+            '<polygon points="0-1 1-1.5.5.5"/>',
+            [[0, -1], [1, -1.5], [0.5, 0.5], [0, -1]],
+        ),
         ('<line x1="1" y1="2" x2="3"/>', [[1, 2], [3, 0]]),
     ],
 )
 def test_straight_shapes_are_flown_along_their_outlines(body, corners):
     (outline,) = seen(body, 'viewBox="0 0 200 100"')
-    assert [place for k, place in enumerate(outline) if not k or place != outline[k - 1]] == corners
+    assert [
+        place for k, place in enumerate(outline) if not k or place != outline[k - 1]
+    ] == corners
 
 
 def test_round_shapes_are_flown_along_their_outlines():
     (circle,) = seen('<circle cx="1" cy="2" r="3"/>')
-    assert np.linalg.norm(np.array(circle) - (1, 2), axis=1) == pytest.approx(np.full(len(circle), 3.0), abs=1e-5)
+    assert np.linalg.norm(np.array(circle) - (1, 2), axis=1) == pytest.approx(
+        np.full(len(circle), 3.0), abs=1e-5
+    )
     (ellipse,) = seen('<ellipse cx="1" cy="2" rx="3" ry="0.5"/>')
     unit = (np.array(ellipse) - (1, 2)) / (3, 0.5)
     assert np.linalg.norm(unit, axis=1) == pytest.approx(np.ones(len(unit)), abs=1e-5)
     (rounded,) = seen('<rect width="10" height="6" rx="1"/>')
     away = np.maximum(np.abs(np.array(rounded) - (5, 3)) - (4, 2), 0.0)
-    assert np.linalg.norm(away, axis=1) == pytest.approx(np.ones(len(rounded)), abs=1e-5), "1 from the inner rectangle"
-    assert seen('<rect width="10" height="6" rx="9" ry="-1"/>') == seen('<rect width="10" height="6" rx="5" ry="3"/>')
+    assert np.linalg.norm(away, axis=1) == pytest.approx(
+        np.ones(len(rounded)), abs=1e-5
+    ), "1 from the inner rectangle"
+    assert seen('<rect width="10" height="6" rx="9" ry="-1"/>') == seen(
+        '<rect width="10" height="6" rx="5" ry="3"/>'
+    )
 
 
 LONG = '<path d="M0 0L9 9"/>'
@@ -235,21 +323,45 @@ LONG = '<path d="M0 0L9 9"/>'
 @pytest.mark.parametrize(
     "hidden",
     [
-        *(f'<{name} id="n">{LONG}</{name}>' for name in ("defs", "clipPath", "symbol", "marker", "pattern", "mask")),
-        f'<g display="none">{LONG}</g>', f'<g style="display: none">{LONG}</g>', f'<g class="h">{LONG}</g>',
-        f'<g visibility="hidden">{LONG}</g>', f'<g opacity="0">{LONG}</g>', f'<g fill="none">{LONG}</g>',
-        f'<g transform="scale(0)">{LONG}</g>', f'<g style="DISPLAY: None">{LONG}</g>',
-        f'<g fill="#0000">{LONG}</g>', f'<g fill="rgba(0, 0, 0, 0.0)">{LONG}</g>',
-        f'<g fill="rgb(0 0 0 / 0%)">{LONG}</g>', f'<g style="fill:none;stroke:red;stroke-width:0">{LONG}</g>',
-        '<path class="h v" d="M0 0L9 9"/>', '<rect id="hide" width="9" height="9"/>', '<use href="#nothing"/>',
-        '<path d=""/>', '<path d="M3 3"/>', '<path d="M3 3Z"/>', '<path d="M3 3L3 3"/>',
-        '<path stroke="red" d="M3 3h0"/>', "<path/>", '<rect width="0" height="4"/>', '<circle r="0"/>',
-        '<ellipse rx="0" ry="3"/>', '<polyline points=""/>', '<polygon points=""/>', '<rect width="-1" height="4"/>',
-        '<text> </text>', '<text display="none">Hi</text>', '<g visibility="hidden"><text>Hi</text></g>',
-        '<pth d="M0 0L9 9"/>', '<other:path xmlns:other="urn:x" d="M0 0L9 9"/>',
+        *(
+            f'<{name} id="n">{LONG}</{name}>'
+            for name in ("defs", "clipPath", "symbol", "marker", "pattern", "mask")
+        ),
+        f'<g display="none">{LONG}</g>',
+        f'<g style="display: none">{LONG}</g>',
+        f'<g class="h">{LONG}</g>',
+        f'<g visibility="hidden">{LONG}</g>',
+        f'<g opacity="0">{LONG}</g>',
+        f'<g fill="none">{LONG}</g>',
+        f'<g transform="scale(0)">{LONG}</g>',
+        f'<g style="DISPLAY: None">{LONG}</g>',
+        f'<g fill="#0000">{LONG}</g>',
+        f'<g fill="rgba(0, 0, 0, 0.0)">{LONG}</g>',
+        f'<g fill="rgb(0 0 0 / 0%)">{LONG}</g>',
+        f'<g style="fill:none;stroke:red;stroke-width:0">{LONG}</g>',
+        '<path class="h v" d="M0 0L9 9"/>',
+        '<rect id="hide" width="9" height="9"/>',
+        '<use href="#nothing"/>',
+        '<path d=""/>',
+        '<path d="M3 3"/>',
+        '<path d="M3 3Z"/>',
+        '<path d="M3 3L3 3"/>',
+        '<path stroke="red" d="M3 3h0"/>',
+        "<path/>",
+        '<rect width="0" height="4"/>',
+        '<circle r="0"/>',
+        '<ellipse rx="0" ry="3"/>',
+        '<polyline points=""/>',
+        '<polygon points=""/>',
+        '<rect width="-1" height="4"/>',
+        "<text> </text>",
+        '<text display="none">Hi</text>',
+        '<g visibility="hidden"><text>Hi</text></g>',
+        '<pth d="M0 0L9 9"/>',
+        '<other:path xmlns:other="urn:x" d="M0 0L9 9"/>',
         '<clipPath id="c"><rect width="5" height="5"/></clipPath><g clip-path="url(#c)"><path d="M6 6h9"/></g>',
     ],
-)  # fmt: skip
+)
 def test_what_is_not_seen_is_not_flown(hidden):
     style = "<style>/* g{} */ .h { display : none } #hide,b{visibility:hidden}</style>"
     assert seen(style + hidden + ONE) == [[[0, 0], [1, 0]]]
@@ -260,20 +372,25 @@ def test_what_is_not_seen_is_not_flown(hidden):
 @pytest.mark.parametrize(
     "shown",
     [
-        f'<g visibility="hidden"><g visibility="visible">{ONE}</g></g>', f'<g style="visibility:inherit">{ONE}</g>',
+        f'<g visibility="hidden"><g visibility="visible">{ONE}</g></g>',
+        f'<g style="visibility:inherit">{ONE}</g>',
         f'<g fill="none"><g stroke="#000">{ONE}</g></g>',
-        f'<g fill="rgb(0, 0, 0)">{ONE}</g>', f'<g fill="rgba(0,0,0,.5)">{ONE}</g>', f'<g fill="#ff0000">{ONE}</g>',
-        f'<style media="print">path{{display:none}}</style>{ONE}', f'<g fill="url(#Grad)">{ONE}</g>',
+        f'<g fill="rgb(0, 0, 0)">{ONE}</g>',
+        f'<g fill="rgba(0,0,0,.5)">{ONE}</g>',
+        f'<g fill="#ff0000">{ONE}</g>',
+        f'<style media="print">path{{display:none}}</style>{ONE}',
+        f'<g fill="url(#Grad)">{ONE}</g>',
         f'<g fill="none" style="fill: red">{ONE}</g>',
         '<style>path{display:none}.s{display:inline}</style><path class="s" d="M0 0L1 0"/>',
         '<style>.s{display:none}path.s{display:inline}</style><path class="s" d="M0 0L1 0"/>',
         '<style>path{display:inline!important}</style><path style="display:none" d="M0 0L1 0"/>',
-        f'<style>path:hover{{display:none}}@font-face{{src:url(a)}}g path{{font-size:2px}}</style>{ONE}',
+        f"<style>path:hover{{display:none}}@font-face{{src:url(a)}}g path{{font-size:2px}}</style>{ONE}",
         f'<clipPath id="c"><rect width="24" height="24"/></clipPath><g clip-path="url(#c)">{ONE}</g>',
         f'<clipPath id="c"><circle r="24"/></clipPath><g style="clip-path:url(\'#c\')">{ONE}</g>',
-        f'<g clip-path="url(#nothing)" mask="none">{ONE}</g>', f'<title>Hi</title><desc>{LONG}</desc>{ONE}',
+        f'<g clip-path="url(#nothing)" mask="none">{ONE}</g>',
+        f"<title>Hi</title><desc>{LONG}</desc>{ONE}",
     ],
-)  # fmt: skip
+)
 def test_what_is_seen_is_flown(shown):
     assert seen(shown) == [[[0, 0], [1, 0]]]
 
@@ -285,9 +402,18 @@ def test_what_is_seen_is_flown(shown):
         ('<g><text id="t"><tspan>Hi</tspan></text></g>', '<text id="t"> in line 1'),
         ('<image id="i" href="a.png"/>', '<image id="i">'),
         ('<foreignObject id="f"/>', '<foreignObject id="f">'),
-        ('<path id="p" d="M0 0L1"/>', '<path id="p"> in line 1 with path data that breaks off'),
-        ('<path id="p" transform="rotat(3)" d="M0 0L1 1"/>', '<path id="p">.*rotat.*rotate'),
-        ('<path id="p" transform="scale(1 2 3)" d="M0 0L1 1"/>', '<path id="p">.*scale'),
+        (
+            '<path id="p" d="M0 0L1"/>',
+            '<path id="p"> in line 1 with path data that breaks off',
+        ),
+        (
+            '<path id="p" transform="rotat(3)" d="M0 0L1 1"/>',
+            '<path id="p">.*rotat.*rotate',
+        ),
+        (
+            '<path id="p" transform="scale(1 2 3)" d="M0 0L1 1"/>',
+            '<path id="p">.*scale',
+        ),
         ('<path id="p" transform="scale(1" d="M0 0L1 1"/>', '<path id="p">.*scale'),
         ('<rect id="r" width="10em" height="3"/>', '<rect id="r">.*width=.10em.'),
         ('<rect id="r" width="50%" height="3"/>', '<rect id="r">.*viewBox'),
@@ -295,40 +421,73 @@ def test_what_is_seen_is_flown(shown):
         ('<polyline id="q" points="0 0 L1 1"/>', '<polyline id="q">.*list of numbers'),
         ('<use id="u" href="b.svg#x"/>', '<use id="u">.*another file'),
         (f'<g id="g"><use id="u" href="#g"/>{ONE}</g>', '<use id="u">.*uses itself'),
-        ('<path id="p" style="transform:rotate(3deg)" d="M0 0L1 1"/>', '<path id="p">.*style transform'),
+        (
+            '<path id="p" style="transform:rotate(3deg)" d="M0 0L1 1"/>',
+            '<path id="p">.*style transform',
+        ),
         ('<style id="s">g path{display:none}</style>' + ONE, '<style id="s">.*g path'),
-        ('<style id="s">@media print{path{display:none}}</style>' + ONE, '<style id="s">.*@media'),
-        ('<mask id="m"/><path id="p" mask="url(#m)" d="M0 0L1 1"/>', '<path id="p">.*mask'),
-        ('<clipPath id="c"><rect width="5" height="5"/></clipPath><g clip-path="url(#c)"><path id="p" d="M1 1h9"/></g>',
-         '<path id="p">.*<clipPath id="c">.*cuts off'),
-        ('<clipPath id="c"><path d="M0 0L9 0 1 1 0 9z"/></clipPath><path id="p" clip-path="url(#c)" d="M0 0L1 1"/>',
-         '<path id="p">.*<clipPath id="c">.*not convex'),
-        ('<path id="p" style="clip-path:circle(3px)" d="M0 0L1 1"/>', '<path id="p">.*clip-path'),
-        ('<svg id="v" width="5" height="5"><path id="p" d="M1 1h9"/></svg>', '<path id="p">.*<svg id="v">.*cuts off'),
-        ('<path id="p" transform="rotate(9)" transform-origin="center" d="M0 0h1"/>', '<path id="p">.*transform-ori'),
+        (
+            '<style id="s">@media print{path{display:none}}</style>' + ONE,
+            '<style id="s">.*@media',
+        ),
+        (
+            '<mask id="m"/><path id="p" mask="url(#m)" d="M0 0L1 1"/>',
+            '<path id="p">.*mask',
+        ),
+        (
+            '<clipPath id="c"><rect width="5" height="5"/></clipPath><g clip-path="url(#c)"><path id="p" d="M1 1h9"/></g>',  # noqa: E501
+            '<path id="p">.*<clipPath id="c">.*cuts off',
+        ),
+        (
+            '<clipPath id="c"><path d="M0 0L9 0 1 1 0 9z"/></clipPath><path id="p" clip-path="url(#c)" d="M0 0L1 1"/>',
+            '<path id="p">.*<clipPath id="c">.*not convex',
+        ),
+        (
+            '<path id="p" style="clip-path:circle(3px)" d="M0 0L1 1"/>',
+            '<path id="p">.*clip-path',
+        ),
+        (
+            '<svg id="v" width="5" height="5"><path id="p" d="M1 1h9"/></svg>',
+            '<path id="p">.*<svg id="v">.*cuts off',
+        ),
+        (
+            '<path id="p" transform="rotate(9)" transform-origin="center" d="M0 0h1"/>',
+            '<path id="p">.*transform-ori',
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_seen_and_cannot_be_flown_is_refused_by_its_name(body, words):
     assert re.search(words, refused(body + LONG))
 
 
 def test_left_out_elements_are_named():
     body = '<path id="e" d=""/><g id="h" display="none"/><path id="m" marker-end="url(#a)" d="M0 0h1"/><b id="b"/>'
-    picture = parse_picture(document(body + '<path id="far" d="M99 0h1"/>', 'viewBox="0 0 9 9"'), "a.svg")
+    picture = parse_picture(
+        document(body + '<path id="far" d="M99 0h1"/>', 'viewBox="0 0 9 9"'), "a.svg"
+    )
     assert picture.words == [
-        '<path id="e"> in line 1: left out: it has no size', '<g id="h"> in line 1: left out: display: none',
+        '<path id="e"> in line 1: left out: it has no size',
+        '<g id="h"> in line 1: left out: display: none',
         '<path id="m"> in line 1: flown without its markers',
         '<b id="b"> in line 1: left out: no element that is drawn',
         '<path id="far"> in line 1: flown, though it is beside the page',
-    ]  # fmt: skip
+    ]
     many = parse_picture(document('<path d=""/>' * 100 + ONE), "a.svg")
     assert many.words[-1] == "and 95 more"
 
 
 def test_a_page_in_other_millimetres_than_those_flown_is_remarked():
-    inkscape = parse_picture(document(ONE, 'width="210mm" height="297mm" viewBox="0 0 793.7 1122.5"'), "a.svg")
+    inkscape = parse_picture(
+        document(ONE, 'width="210mm" height="297mm" viewBox="0 0 793.7 1122.5"'),
+        "a.svg",
+    )
     assert inkscape.words == ["on the page a unit is 0.2646 mm; flown it is 1 mm"]
-    assert parse_picture(document(ONE, 'width="21cm" height="297mm" viewBox="0 0 210 297"'), "a.svg").words == []
+    assert (
+        parse_picture(
+            document(ONE, 'width="21cm" height="297mm" viewBox="0 0 210 297"'), "a.svg"
+        ).words
+        == []
+    )
 
 
 DOCTYPE = '<!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/Graphics/SVG/1.1/DTD/svg11.dtd"'
@@ -343,8 +502,12 @@ ILLUSTRATOR = '<svg xmlns="&ns;"><path d="M0 0L1 0"/></svg>'
         b"\xef\xbb\xbf" + document(ONE).encode(),
         b"\r\n" + document("\r\n<path\r\nd='M0 0\r\nL1 0'/>\r\n").encode(),
         f'<?xml version="1.0" encoding="UTF-16"?>{document(ONE)}'.encode("utf-16"),
-        f'<?xml version="1.0" encoding="ISO-8859-1"?>{document(ONE)}<!-- ü -->'.encode("latin-1"),
-        f'<?xml version="1.0" encoding="windows-1252"?>{document(ONE)}<!-- € -->'.encode("cp1252"),
+        f'<?xml version="1.0" encoding="ISO-8859-1"?>{document(ONE)}<!-- ü -->'.encode(
+            "latin-1"
+        ),
+        f'<?xml version="1.0" encoding="windows-1252"?>{document(ONE)}<!-- € -->'.encode(
+            "cp1252"
+        ),
         b'<s:svg xmlns:s="http://www.w3.org/2000/svg"><s:path d="M0 0L1 0"/></s:svg>',
     ],
 )
@@ -361,18 +524,36 @@ BOMB = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 10))
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (f'<!DOCTYPE svg [<!ENTITY e0 "ha">{BOMB}]>{document("<title>&e9;</title>" + ONE)}', "entity 'e1'"),
-        (f'<!DOCTYPE svg [<!ENTITY e "{"a" * 201}">]>{document(ONE)}', "entity 'e'.*at most 200"),
-        (f'<!DOCTYPE svg [<!ENTITY e SYSTEM "file:///etc/passwd">]>{document("<g>&e;</g>" + ONE)}', "entity 'e'"),
-        (f'<!DOCTYPE svg [<!ENTITY % e SYSTEM "http://localhost/x">%e;]>{document(ONE)}', "entity 'e'"),
+        (
+            f'<!DOCTYPE svg [<!ENTITY e0 "ha">{BOMB}]>{document("<title>&e9;</title>" + ONE)}',
+            "entity 'e1'",
+        ),
+        (
+            f'<!DOCTYPE svg [<!ENTITY e "{"a" * 201}">]>{document(ONE)}',
+            "entity 'e'.*at most 200",
+        ),
+        (
+            f'<!DOCTYPE svg [<!ENTITY e SYSTEM "file:///etc/passwd">]>{document("<g>&e;</g>" + ONE)}',
+            "entity 'e'",
+        ),
+        (
+            f'<!DOCTYPE svg [<!ENTITY % e SYSTEM "http://localhost/x">%e;]>{document(ONE)}',
+            "entity 'e'",
+        ),
         (gzip.compress(document(ONE).encode()), "svgz.*gunzip"),
-        (b"", "no SVG"), (b"%PDF-1.4", "no SVG"), (b"<html><svg/></html>", "<html>"),
-        (document(ONE)[:-3], "no SVG.*line 1"), ("<svg><path d='M0 0L1 1' d='M0 0'/></svg>", "duplicate attribute"),
-        (f'<?xml version="1.0" encoding="klingon"?>{document(ONE)}'.encode(), "klingon|unknown encoding"),
+        (b"", "no SVG"),
+        (b"%PDF-1.4", "no SVG"),
+        (b"<html><svg/></html>", "<html>"),
+        (document(ONE)[:-3], "no SVG.*line 1"),
+        ("<svg><path d='M0 0L1 1' d='M0 0'/></svg>", "duplicate attribute"),
+        (
+            f'<?xml version="1.0" encoding="klingon"?>{document(ONE)}'.encode(),
+            "klingon|unknown encoding",
+        ),
         (document("<g>" * 5000 + ONE + "</g>" * 5000), "101 deep.*Ungroup"),
         (f'<?xml-stylesheet href="a.css"?>{document(ONE)}', "another file.*a.css"),
     ],
-)  # fmt: skip
+)
 def test_hostile_and_damaged_files_are_refused_at_once(tmp_path, data, words):
     path = tmp_path / "a.svg"
     path.write_bytes(data if isinstance(data, bytes) else data.encode())
@@ -382,7 +563,9 @@ def test_hostile_and_damaged_files_are_refused_at_once(tmp_path, data, words):
 
 
 def test_a_line_without_length_is_a_dot_where_its_ends_are_round():
-    assert seen('<g stroke-linecap="round" stroke="red"><path d="M3 4h0M5 5Z"/></g>') == [[[3, 4]] * 2, [[5, 5]] * 2]
+    assert seen(
+        '<g stroke-linecap="round" stroke="red"><path d="M3 4h0M5 5Z"/></g>'
+    ) == [[[3, 4]] * 2, [[5, 5]] * 2]
     assert seen('<path stroke-linecap="round" d="M3 4h0"/>' + ONE) == [[[0, 0], [1, 0]]]
 
 
@@ -390,30 +573,46 @@ def test_files_of_very_many_elements_or_copies_are_refused(monkeypatch):
     monkeypatch.setattr(svg_document, "MOST_ELEMENTS", 2000)
     monkeypatch.setattr(svg_reader, "MOST_VISITS", 1000)
     assert "more than 2000 elements" in refused("<g/>" * 2001)
-    copies = "".join(f'<g id="u{k}">' + f'<use href="#u{k - 1}"/>' * 50 + "</g>" for k in range(1, 9))
-    assert "as one of more than 1000 elements" in refused(f'<defs><g id="u0"/>{copies}</defs><use href="#u8"/>')
+    copies = "".join(
+        f'<g id="u{k}">' + f'<use href="#u{k - 1}"/>' * 50 + "</g>" for k in range(1, 9)
+    )
+    assert "as one of more than 1000 elements" in refused(
+        f'<defs><g id="u0"/>{copies}</defs><use href="#u8"/>'
+    )
 
 
 def test_large_curves_are_flown_as_closely_as_small_ones():
     (circle,) = parse_svg(document('<circle r="20"/>'), "a.svg", 1.0)
     middles = 0.5 * (circle[1:] + circle[:-1])
     assert np.linalg.norm(middles, axis=1).min() > 20.0 - 0.002
-    (moved,) = parse_svg(document('<g transform="scale(20)"><circle r="1"/></g>'), "a.svg", 1.0)
+    (moved,) = parse_svg(
+        document('<g transform="scale(20)"><circle r="1"/></g>'), "a.svg", 1.0
+    )
     assert moved == pytest.approx(circle)
 
 
 @pytest.mark.parametrize(
     "body",
     [
-        f'<polyline points="{"9" * 100_000}x"/>', f'<polyline points="{"9 " * 100_000}x"/>',
-        f'<rect width="{"9" * 100_000}x"/>', f'<path d="M{"1" * 100_000}x"/>', f'<path d="M0 0{"1e" * 50_000}"/>',
-        f'<g transform="{"scale(" * 30_000}"/>', f'<g transform="{"a" * 100_000}"/>',
-        f'<style>{"a" * 100_000}</style>', f'<style>{"a{" * 50_000}</style>', f'<style>{"/*" * 50_000}</style>',
-        f'<style>{"@charset " * 20_000}</style>', f'<style>{".a" * 50_000}:{{display:none}}</style>',
-        f'<g style="{"/*" * 50_000}"/>', f'<g style="{"fill:" * 30_000}"/>', f'<g fill="rgba({"," * 100_000}"/>',
-        f'<text id="{"a" * 100_000}">Hi</text>', f'<use href="{"a" * 100_000}"/>',
+        f'<polyline points="{"9" * 100_000}x"/>',
+        f'<polyline points="{"9 " * 100_000}x"/>',
+        f'<rect width="{"9" * 100_000}x"/>',
+        f'<path d="M{"1" * 100_000}x"/>',
+        f'<path d="M0 0{"1e" * 50_000}"/>',
+        f'<g transform="{"scale(" * 30_000}"/>',
+        f'<g transform="{"a" * 100_000}"/>',
+        f"<style>{'a' * 100_000}</style>",
+        f"<style>{'a{' * 50_000}</style>",
+        f"<style>{'/*' * 50_000}</style>",
+        f"<style>{'@charset ' * 20_000}</style>",
+        f"<style>{'.a' * 50_000}:{{display:none}}</style>",
+        f'<g style="{"/*" * 50_000}"/>',
+        f'<g style="{"fill:" * 30_000}"/>',
+        f'<g fill="rgba({"," * 100_000}"/>',
+        f'<text id="{"a" * 100_000}">Hi</text>',
+        f'<use href="{"a" * 100_000}"/>',
     ],
-)  # fmt: skip
+)
 def test_long_texts_cost_no_more_than_their_length_and_errors_stay_short(body):
     begin = time.process_time()
     with pytest.raises(ConfigError) as raised:

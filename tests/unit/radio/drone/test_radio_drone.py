@@ -41,7 +41,9 @@ from crazychoir.safety.identity.takeoff_check import Track
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose, Vel
 
 READY = checks.CAN_FLY | checks.AUTO_ARM
-STOP, LINE, LAND = (XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land"))
+STOP, LINE, LAND = (
+    XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land")
+)
 
 
 class Kept:
@@ -52,7 +54,9 @@ class Kept:
         self.silence, self.latency, self.answered, self.rssi = 0.0, 0.01, 1.0, math.nan
 
     def _keep(self, packet) -> None:
-        self.sent.append((packet.port, packet.channel, packet.data[0] if packet.data else -1))
+        self.sent.append(
+            (packet.port, packet.channel, packet.data[0] if packet.data else -1)
+        )
 
     def send(self, packet) -> None:
         self._keep(packet)
@@ -73,7 +77,9 @@ def head(form: str) -> tuple[int, int, int]:
     return one.port, one.channel, one.head[0]
 
 
-def made(clock, kind: str = "xyz", rate: float = 50.0, pose: str = "mocap", **radio) -> tuple[RadioDrone, Kept]:
+def made(
+    clock, kind: str = "xyz", rate: float = 50.0, pose: str = "mocap", **radio
+) -> tuple[RadioDrone, Kept]:
     row = {"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850", "pose": pose}
     tables = {"control": {"sender": kind}, "radio": {"log_rate": 50.0} | radio}
     config = SwarmConfig.of({"name": "a", "drones": [row]} | tables)
@@ -88,7 +94,10 @@ def made(clock, kind: str = "xyz", rate: float = 50.0, pose: str = "mocap", **ra
 def tell(drone: RadioDrone, supervisor: int, at: int | None = None) -> None:
     """Its log has come, of `at` ms by its own clock, None: of now."""
     at = 1000 + round(1000 * drone.clock.now()) if at is None else at
-    values = dict.fromkeys(OWN, 0.0) | {"pm.vbat": 4.0, "supervisor.info": float(supervisor)}
+    values = dict.fromkeys(OWN, 0.0) | {
+        "pm.vbat": 4.0,
+        "supervisor.info": float(supervisor),
+    }
     drone._take_own(values | {OWN[6]: 3 << 30}, at)
 
 
@@ -108,7 +117,9 @@ async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
         drone.send(STOP)
         await clock.sleep(0.01)
     said = [head("stop"), head("planner_stop"), head("notify_setpoint_stop")]
-    assert kept.sent == said * round(1.0 / STOPS), "who was there before us may have sent set-points"
+    assert kept.sent == said * round(1.0 / STOPS), (
+        "who was there before us may have sent set-points"
+    )
 
 
 @virtual
@@ -119,7 +130,11 @@ async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
     assert kept.sent == []
     drone.send(LINE)
     drone.send(STOP)
-    assert kept.sent == [head("go_to"), head("notify_setpoint_stop"), head("planner_stop")]
+    assert kept.sent == [
+        head("go_to"),
+        head("notify_setpoint_stop"),
+        head("planner_stop"),
+    ]
 
 
 class Planner(Kept):
@@ -131,7 +146,13 @@ class Planner(Kept):
 
     def __init__(self, drone: RadioDrone) -> None:
         super().__init__()
-        self.drone, self.lands, self.words, self.ends, self.turned = drone, 0, 0, -math.inf, 0.0
+        self.drone, self.lands, self.words, self.ends, self.turned = (
+            drone,
+            0,
+            0,
+            -math.inf,
+            0.0,
+        )
         self.fell = False
 
     def send(self, packet) -> None:
@@ -141,9 +162,16 @@ class Planner(Kept):
             self.words += 1
             if self.words > 2:
                 landing = now < self.ends
-                self.lands, self.ends = self.lands + (not landing), self.ends if landing else now + LAND.flat[4]
-                self.drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, landing])))
-        self.fell = self.fell or (self.sent[-1] == head("notify_setpoint_stop") and not self.lands)
+                self.lands, self.ends = (
+                    self.lands + (not landing),
+                    self.ends if landing else now + LAND.flat[4],
+                )
+                self.drone._heard(
+                    Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, landing]))
+                )
+        self.fell = self.fell or (
+            self.sent[-1] == head("notify_setpoint_stop") and not self.lands
+        )
 
     def look(self) -> None:
         """Its motors turn until it has landed, and count as turning for 2 s more."""
@@ -168,15 +196,25 @@ async def _lands(clock, kind) -> None:
         planner.look()
         drone._go_on_landing()
         await clock.sleep(0.05)
-    assert (planner.words, planner.lands, drone.flying, drone.refused_plans) == (3, 1, False, 0)
+    assert (planner.words, planner.lands, drone.flying, drone.refused_plans) == (
+        3,
+        1,
+        False,
+        0,
+    )
     assert not planner.fell, "its planner was given control before it landed"
-    assert planner.sent.index(head("notify_setpoint_stop")) == planner.sent.index(head("land")) + 3, "at the answer"
+    assert (
+        planner.sent.index(head("notify_setpoint_stop"))
+        == planner.sent.index(head("land")) + 3
+    ), "at the answer"
     assert planner.sent.count(head("notify_setpoint_stop")) > 10, "one word may be lost"
     assert head("planner_stop") in planner.sent[-2:]
 
 
 @virtual
-async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_it_to_have_landed(clock) -> None:
+async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_it_to_have_landed(
+    clock,
+) -> None:
     drone, kept = made(clock, "frpy")
 
     async def idle(seconds: float) -> int:
@@ -187,7 +225,9 @@ async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_i
             drone.send(FRPY(np.zeros(4)))
             drone._go_on_landing()
             await clock.sleep(0.1)
-        return kept.sent.count(head("stop")) + sum(port == 3 for port, _, _ in kept.sent)
+        return kept.sent.count(head("stop")) + sum(
+            port == 3 for port, _, _ in kept.sent
+        )
 
     tell(drone, READY | checks.FLYING)
     drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
@@ -223,7 +263,9 @@ async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) ->
 
 
 @virtual
-async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_and_on(clock) -> None:
+async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_and_on(
+    clock,
+) -> None:
     for said, at in ((checks.LOCKED, None), (READY, 40)):
         drone, kept = made(clock)
         tell(drone, READY | checks.FLYING, 5000)
@@ -281,11 +323,15 @@ async def test_a_cut_is_for_good_and_nothing_leaves_after_it(clock) -> None:
 
 
 @virtual
-async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(clock) -> None:
+async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(
+    clock,
+) -> None:
     drone, _ = made(clock)
     said = []
     reader = drone.bus.port(5).address
-    drone.bus.subscribe(BODY, BODIES, reader, Call(clock, lambda body, age: said.append(body.flying)))
+    drone.bus.subscribe(
+        BODY, BODIES, reader, Call(clock, lambda body, age: said.append(body.flying))
+    )
     drone.report()
     await clock.sleep(0.5)
     assert said == []
@@ -303,7 +349,11 @@ async def test_one_that_was_started_again_is_prepared_again(clock) -> None:
         tell(drone, READY, at)
     assert (drone.why, drone.release, drone._prepared) == ("", "2025.12", True)
     tell(drone, READY, 40)
-    assert (drone.why, drone.release, drone._prepared) == ("it has been started again", "", False)
+    assert (drone.why, drone.release, drone._prepared) == (
+        "it has been started again",
+        "",
+        False,
+    )
 
 
 @virtual
@@ -341,11 +391,15 @@ async def test_one_that_has_spoken_is_being_prepared(clock) -> None:
     assert drone.problems() == ["is being connected, no word of itself so far"]
     await clock.sleep(0.1)
     tell(drone, READY)
-    assert drone.problems() == ["is being prepared"], "its parameters take up to 2 s each"
+    assert drone.problems() == ["is being prepared"], (
+        "its parameters take up to 2 s each"
+    )
 
 
 @virtual
-async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(clock) -> None:
+async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(
+    clock,
+) -> None:
     drone, _ = made(clock)
     await clock.sleep(0.1)
     tell(drone, READY)
@@ -355,7 +409,9 @@ async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(
     assert drone.problems()[0] == f"{locked} (`crazychoir virtual fault 0 reboot=1`)"
     said: list[Body] = []
     drone.bus.port(1)
-    drone.bus.subscribe(BODY, BODIES, 1, Call(clock, lambda body, age: said.append(body), "body"))
+    drone.bus.subscribe(
+        BODY, BODIES, 1, Call(clock, lambda body, age: said.append(body), "body")
+    )
     drone.report()
     await clock.sleep(0.1)
     assert said[-1].harm == drone.problems()[0]
@@ -382,7 +438,9 @@ async def test_a_plan_that_is_refused_is_counted(clock) -> None:
 
 
 @virtual
-async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(clock) -> None:
+async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(
+    clock,
+) -> None:
     for kind, pose, radio, fed in (
         ("xyz", "mocap", {"watchdog": True}, 6),
         ("xyz", "onboard", {}, 0),
@@ -396,12 +454,19 @@ async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(cl
         for _ in range(30):
             drone._feed_watchdog()
             await clock.sleep(0.05)
-        assert kept.sent.count(head("emergency_stop_watchdog")) == fed, (kind, pose, radio)
+        assert kept.sent.count(head("emergency_stop_watchdog")) == fed, (
+            kind,
+            pose,
+            radio,
+        )
 
 
 @virtual
 async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
-    raw = {"name": "a", "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    raw = {
+        "name": "a",
+        "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
+    }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
     drone.connection, drone._well["supervisor.info"] = kept, READY | checks.FLYING
@@ -415,7 +480,10 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
 
 @virtual
 async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
-    raw = {"name": "a", "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    raw = {
+        "name": "a",
+        "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
+    }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     owner.drones[7]._well["supervisor.info"] = READY | checks.FLYING
     running = asyncio.ensure_future(owner.run())
@@ -433,7 +501,9 @@ def seen(drone: RadioDrone, q=(0.0, 0.0, 0.0, 1.0)) -> None:
 
 
 @virtual
-async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_as_it_does(clock) -> None:
+async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_as_it_does(
+    clock,
+) -> None:
     drone, kept = made(clock)
 
     async def said_for(seconds: float, supervisor: int) -> list[tuple[int, int, int]]:
@@ -442,28 +512,43 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
             tell(drone, supervisor)
             seen(drone)
             await clock.sleep(0.05)
-        return [(port, channel, -1 if channel == 0 else first) for port, channel, first in kept.sent if port == 6]
+        return [
+            (port, channel, -1 if channel == 0 else first)
+            for port, channel, first in kept.sent
+            if port == 6
+        ]
 
-    pose, place = head("external_pose"), (FORMS["external_position"].port, FORMS["external_position"].channel, -1)
+    pose, place = (
+        head("external_pose"),
+        (FORMS["external_position"].port, FORMS["external_position"].channel, -1),
+    )
     assert set(await said_for(1.0, READY)) == {pose}
     drone.send(LINE)
     told = await said_for(4.0, READY | checks.FLYING)
     assert set(told) == {place}
     assert 38 <= len(told) <= 42, "as often as [radio] says"
-    assert set((await said_for(6.0, READY | checks.FLYING))[-10:]) == {pose}, "it has been watched for long enough"
+    assert set((await said_for(6.0, READY | checks.FLYING))[-10:]) == {pose}, (
+        "it has been watched for long enough"
+    )
     await said_for(0.5, READY)
     drone.send(LINE)
-    assert set(await said_for(1.0, READY | checks.FLYING)) == {place}, "so is its next ascent"
+    assert set(await said_for(1.0, READY | checks.FLYING)) == {place}, (
+        "so is its next ascent"
+    )
 
 
 @virtual
-async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_off(clock) -> None:
+async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_off(
+    clock,
+) -> None:
     drone, kept = made(clock)
     drone._prepared = drone._placed = True
     for k in range(60):
         tell(drone, READY | checks.FLYING * (k > 20))
         swing = 0.05 * max(k - 22, 0) / 2.0
-        drone._take_off.sights.tracks[0].add(clock.now(), complex(0.0, swing), 0.0)  # its own tilt stays
+        drone._take_off.sights.tracks[0].add(
+            clock.now(), complex(0.0, swing), 0.0
+        )  # its own tilt stays
         if k == 20:
             drone.send(LINE)
         await clock.sleep(0.05)
@@ -494,7 +579,9 @@ async def test_what_was_overtaken_changes_nothing(clock) -> None:
 
 
 @pytest.mark.parametrize("exchanged", [False, True])
-def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(exchanged) -> None:
+def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(
+    exchanged,
+) -> None:
     @virtual
     async def check(clock) -> None:
         drone, _ = made(clock)
@@ -511,7 +598,13 @@ def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(exchanged)
             roll = 0.5 * tilted(0, t)
             if k == 50:
                 drone.send(LINE)
-            held.append((np.array([math.sin(roll), 0.0, 0.0, math.cos(roll)]), k > 55, round(1000 * t) + 3000))
+            held.append(
+                (
+                    np.array([math.sin(roll), 0.0, 0.0, math.cos(roll)]),
+                    k > 55,
+                    round(1000 * t) + 3000,
+                )
+            )
             if not 60 <= k < 105:
                 for q, flies, at in held:
                     drone._take_off.note(drone._uptime.taken(t, at), q, flies, 0.01)
@@ -560,10 +653,19 @@ class Asked(Slow):
     """A connection to a drone, on the ground unless it says otherwise, which says its release."""
 
     def __init__(
-        self, drone: RadioDrone, release: str = "2025.12", version: int = 12, supervisor: int = READY
-    ) -> None:  # fmt: skip
+        self,
+        drone: RadioDrone,
+        release: str = "2025.12",
+        version: int = 12,
+        supervisor: int = READY,
+    ) -> None:
         super().__init__()
-        self.drone, self.release, self.version, self.supervisor = drone, release, version, supervisor
+        self.drone, self.release, self.version, self.supervisor = (
+            drone,
+            release,
+            version,
+            supervisor,
+        )
 
     async def log(self, name, variables, period, data, seconds) -> None:
         self.begun += 1
@@ -590,7 +692,9 @@ async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None
 async def test_one_whose_protocol_is_too_old_is_refused(clock) -> None:
     drone, _ = made(clock, "vel")
     drone.connection, old = None, Asked(drone, version=8)
-    with pytest.raises(ConfigError, match=r"drone 0: protocol .* found version 8; allowed: 9 or newer") as e:
+    with pytest.raises(
+        ConfigError, match=r"drone 0: protocol .* found version 8; allowed: 9 or newer"
+    ) as e:
         await drone._connect(old, clock.now())
     assert drone.connection is None
     drone._failed(e.value, clock.now())
@@ -601,13 +705,20 @@ async def test_one_whose_protocol_is_too_old_is_refused(clock) -> None:
 async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None:
     for kind, link in (("vel", {"version": 8}), ("fpqr", {"release": "2025.09"})):
         drone, _ = made(clock, kind)
-        drone.connection, old = None, Asked(drone, supervisor=READY | checks.FLYING, **link)
+        drone.connection, old = (
+            None,
+            Asked(drone, supervisor=READY | checks.FLYING, **link),
+        )
         await drone._connect(old, clock.now())
         assert drone.connection is old
         assert "2025.09" in drone.problem or "version 8" in drone.problem
         await clock.sleep(ORPHANED + 0.1)
         tell(drone, READY | checks.FLYING)
-        drone.send(Vel(np.array([0.1, 0.0, 0.0, 0.0])) if kind == "vel" else FPQR(np.array([0.3, 0.0, 0.0, 0.0])))
+        drone.send(
+            Vel(np.array([0.1, 0.0, 0.0, 0.0]))
+            if kind == "vel"
+            else FPQR(np.array([0.3, 0.0, 0.0, 0.0]))
+        )
         assert old.sent == []
         assert drone.orphan
         drone.send(LAND)
@@ -621,7 +732,9 @@ async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None
 
 
 @virtual
-async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_being_opened(clock) -> None:
+async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_being_opened(
+    clock,
+) -> None:
     drone, _ = made(clock)
     drone.connection, opening = None, Slow()
     drone._opening = opening
@@ -640,7 +753,9 @@ async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_bei
 
 
 @virtual
-async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_all_else(clock) -> None:
+async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_all_else(
+    clock,
+) -> None:
     drone, _ = made(clock, watchdog=True)
     drone._prepared = drone._placed = True
     tell(drone, READY | checks.FLYING)
@@ -669,7 +784,10 @@ async def test_a_link_that_is_late_in_flight_is_said_now_and_then(clock) -> None
     kept.latency, said = 0.4, []
     drone._say = lambda topic, text: said.append(text)
     looking = asyncio.ensure_future(drone._look_after(kept))
-    for supervisor, texts in ((READY, set()), (READY | checks.FLYING, {"its link takes 0.40 s there and back"})):
+    for supervisor, texts in (
+        (READY, set()),
+        (READY | checks.FLYING, {"its link takes 0.40 s there and back"}),
+    ):
         tell(drone, supervisor)
         await clock.sleep(0.5)
         assert {text.split(",")[0] for text in said} == texts
@@ -691,7 +809,9 @@ async def test_what_fails_beside_ends_the_link(clock) -> None:
 
 
 @virtual
-async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_the_next(clock) -> None:
+async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_the_next(
+    clock,
+) -> None:
     drone, _ = made(clock)
     drone.connection, before = None, []
 
@@ -715,7 +835,9 @@ async def test_a_line_that_begins_far_away_gets_the_time_for_it(clock) -> None:
     drone, _ = made(clock, "xyz")
     tell(drone, READY)
     durations, planned = [], drone.handler.planned
-    drone.handler.planned = lambda command: durations.append(float(command.flat[4])) or planned(command)
+    drone.handler.planned = lambda command: (
+        durations.append(float(command.flat[4])) or planned(command)
+    )
     for x in (0.3, 3.0):
         drone.send(XYZ("line", np.array([x, 0.0, 0.0, 0.0, 0.2])))
     assert durations[0] == 0.2, "it follows late"
@@ -741,7 +863,9 @@ def up(z: float) -> Pose:
 
 
 @virtual
-async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it_to_be_down(clock) -> None:
+async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it_to_be_down(
+    clock,
+) -> None:
     drone, kept = made(clock)
     drone._prepared = drone._placed = True
     kept.failure = kept.dongle_failure = ""
@@ -788,7 +912,11 @@ async def test_one_wrong_pose_does_not_end_the_watch_of_a_take_off(clock) -> Non
 @virtual
 async def test_homes_count_again_once_it_was_switched_off(clock) -> None:
     drone, _ = made(clock)
-    for at, flying, flown in ((1000, checks.FLYING, True), (1100, 0, True), (40, 0, False)):
+    for at, flying, flown in (
+        (1000, checks.FLYING, True),
+        (1100, 0, True),
+        (40, 0, False),
+    ):
         tell(drone, READY | flying, at)
         drone.report()
         assert drone._has_flown is flown
@@ -796,7 +924,10 @@ async def test_homes_count_again_once_it_was_switched_off(clock) -> None:
 
 @virtual
 async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
-    raw = {"name": "a", "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}]}
+    raw = {
+        "name": "a",
+        "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
+    }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
     drone.connection, drone._well["supervisor.info"] = kept, READY | checks.FLYING
@@ -818,7 +949,11 @@ class Arms(Kept):
 
     async def ask(self, packet, answers, seconds, again) -> Packet:
         self._keep(packet)
-        answer = Packet(packet.port, packet.channel, bytes([0x80 | packet.data[0], self.lets, packet.data[1]]))
+        answer = Packet(
+            packet.port,
+            packet.channel,
+            bytes([0x80 | packet.data[0], self.lets, packet.data[1]]),
+        )
         assert answers(answer)
         return answer
 
@@ -827,7 +962,9 @@ class Arms(Kept):
 async def test_motors_that_wait_for_it_are_armed_or_it_is_said_why_not(clock) -> None:
     drone, _ = made(clock)
     assert await drone.arm() == "ready: its firmware waits for no arming"
-    drone._platform = replace(drone._platform, firmware=replace(drone._platform.firmware, needs_arming=True))
+    drone._platform = replace(
+        drone._platform, firmware=replace(drone._platform.firmware, needs_arming=True)
+    )
     drone.connection = arms = Arms(True)
     assert await drone.arm() == "armed"
     assert arms.sent == [head("arm")]

@@ -15,17 +15,25 @@ from crazychoir.runtime.clock import WallClock
 @pytest.mark.parametrize("on", [True, False])
 async def test_a_log_that_the_drone_does_not_begin_fails_at_once(on) -> None:
     clock, blocks = WallClock(asyncio.get_running_loop()), []
-    connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
-    connection._writer = SimpleNamespace(put=lambda packet: None, end=lambda: None, join=lambda seconds: None)
+    connection = Connection(
+        clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))
+    )
+    connection._writer = SimpleNamespace(
+        put=lambda packet: None, end=lambda: None, join=lambda seconds: None
+    )
 
     def added(block) -> None:
         block.cf = SimpleNamespace(link=None)
         blocks.append(block)
 
     connection.cf.log.add_config = added
-    logging = asyncio.ensure_future(connection.log("own", ["pm.vbat"], 0.1, lambda values, at: None, 30.0))
+    logging = asyncio.ensure_future(
+        connection.log("own", ["pm.vbat"], 0.1, lambda values, at: None, 30.0)
+    )
     await asyncio.sleep(0)
-    blocks[0].started_cb.call(blocks[0] if on else connection.cf.log, on)  # as cflib does
+    blocks[0].started_cb.call(
+        blocks[0] if on else connection.cf.log, on
+    )  # as cflib does
     if on:
         await logging
     else:
@@ -37,7 +45,9 @@ async def test_a_log_that_the_drone_does_not_begin_fails_at_once(on) -> None:
 
 async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
     clock = WallClock(asyncio.get_running_loop())
-    connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
+    connection = Connection(
+        clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))
+    )
     connection._heard_ns, connection.cf.platform._protocolVersion = 1, 12
     assert connection.cf.log.toc is None, "as cflib has it at first"
     assert connection.stage == "its table of log variables is not complete"
@@ -49,9 +59,15 @@ async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
 
 async def test_where_nobody_serves_virtual_drones_it_is_said_who_does() -> None:
     clock = WallClock(asyncio.get_running_loop())
-    connection = Connection(clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere")))
-    connection._failed("Traceback\nConnectionRefusedError: [Errno 111] Connection refused")
-    with pytest.raises(LinkFailed, match="no virtual drone is there: start `crazychoir virtual`"):
+    connection = Connection(
+        clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))
+    )
+    connection._failed(
+        "Traceback\nConnectionRefusedError: [Errno 111] Connection refused"
+    )
+    with pytest.raises(
+        LinkFailed, match="no virtual drone is there: start `crazychoir virtual`"
+    ):
         await connection._opened
     await connection.close()
     clock.close()

@@ -25,7 +25,9 @@ async def test_what_goes_down_rides_on_what_goes_up(clock):
         dongle.down(0, lambda k=k: came.append((clock.now(), "down", k)))
     await clock.sleep(1.0)
     assert dongle.exchanges == 10
-    assert [(way, k) for _, way, k in came] == [(way, k) for k in range(10) for way in ("down", "up")]
+    assert [(way, k) for _, way, k in came] == [
+        (way, k) for k in range(10) for way in ("down", "up")
+    ]
     assert came[-1][0] == pytest.approx(10 / CAPACITY)
 
 
@@ -72,17 +74,28 @@ def _speak(clock, dongle, seconds):
         said = (MOTION, lambda i: dongle.down(i, list))
         for row, (rate, flow) in enumerate([(PINGS + PLANS + OTHERS, ask), told, said]):
             for k in range(round(rate * seconds)):
-                clock.call_at(clock.now_ns() + round((k + 0.37 * i + 0.29 * row) / rate * SECOND), flow, i)
+                clock.call_at(
+                    clock.now_ns() + round((k + 0.37 * i + 0.29 * row) / rate * SECOND),
+                    flow,
+                    i,
+                )
     return lambda: sorted(trips)[round(0.95 * len(trips)) - 1]
 
 
 @virtual
-async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_not(clock):
-    at_home = [f'[[drones]]\nid = {i}\nhome = [0, {i - 3}, 0]\nuri = "udp://127.0.0.1:{19850 + i}"\n' for i in range(7)]
+async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_not(
+    clock,
+):
+    at_home = [
+        f'[[drones]]\nid = {i}\nhome = [0, {i - 3}, 0]\nuri = "udp://127.0.0.1:{19850 + i}"\n'
+        for i in range(7)
+    ]
     latencies = {n: _speak(clock, Dongle(clock, range(n)), 20.0) for n in (5, 7)}
     await clock.sleep(25.0)
     for n, latency in latencies.items():
-        config = SwarmConfig.loads('name = "x"\n[control]\nsender = "xyz"\n' + "".join(at_home[:n]), "x.toml")
+        config = SwarmConfig.loads(
+            'name = "x"\n[control]\nsender = "xyz"\n' + "".join(at_home[:n]), "x.toml"
+        )
         if n == 5:
             assert rates(config) == {0: 0.0}
             assert link_problems(latency(), 1.0) == []
@@ -95,7 +108,9 @@ async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_
 def test_a_late_computer_takes_no_time_of_the_radio():
     """Each time that it waits for an exchange it comes 30 ms late: what was due by then follows at once."""
     now, due, late = [0], [], 30 * MS
-    clock = SimpleNamespace(now_ns=lambda: now[0], call_at=lambda ns, call, **_: due.append((ns, call)))
+    clock = SimpleNamespace(
+        now_ns=lambda: now[0], call_at=lambda ns, call, **_: due.append((ns, call))
+    )
     dongle = Dongle(clock, (0, 1), 1000.0)
     for _ in range(DOWN):
         dongle.down(0, lambda: None)
@@ -135,7 +150,9 @@ async def test_four_drones_share_250_packets_a_second_both_ways(clock):
 
 
 def test_a_drone_alone_has_more():
-    assert Dongle(None, (3,)).capacity == ALONE > Dongle(None, (3, 4)).capacity == CAPACITY
+    assert (
+        Dongle(None, (3,)).capacity == ALONE > Dongle(None, (3, 4)).capacity == CAPACITY
+    )
 
 
 @virtual

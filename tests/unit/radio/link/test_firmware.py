@@ -26,7 +26,9 @@ ERROR = Packet(PARAM, WRITE, struct.pack("<HB", 7, 2))
         (FLOAT, Packet(PARAM, WRITE + 1, FLOAT.data), False),
     ],
 )
-def test_an_answer_to_a_write_is_the_value_that_was_asked_or_an_error(asked, packet, answers) -> None:
+def test_an_answer_to_a_write_is_the_value_that_was_asked_or_an_error(
+    asked, packet, answers
+) -> None:
     assert _taken_or_not(asked, packet) is answers
 
 
@@ -36,7 +38,9 @@ class Takes:
     uri = "udp://127.0.0.1:19850"
 
     def __init__(self, ctype: str, pytype: str) -> None:
-        element = SimpleNamespace(ident=7, ctype=ctype, pytype=pytype, access=0, RO_ACCESS=1)
+        element = SimpleNamespace(
+            ident=7, ctype=ctype, pytype=pytype, access=0, RO_ACCESS=1
+        )
         toc = SimpleNamespace(get_element_by_complete_name=lambda name: element)
         self.cf = SimpleNamespace(param=SimpleNamespace(toc=toc))
         self.said: list[bytes] = []
@@ -49,13 +53,27 @@ class Takes:
 @pytest.mark.parametrize(
     ("ctype", "pytype", "good", "bad", "allowed"),
     [
-        ("uint8_t", "<B", (0, 255), (700, -1, "much", None, [1], float("nan"), float("inf")), "0 to 255"),
+        (
+            "uint8_t",
+            "<B",
+            (0, 255),
+            (700, -1, "much", None, [1], float("nan"), float("inf")),
+            "0 to 255",
+        ),
         ("uint32_t", "<L", (4_294_967_295,), (1 << 32,), "0 to 4294967295"),
         ("int16_t", "<h", (-32768, 32767), (32768,), "-32768 to 32767"),
-        ("float", "<f", (3.4e38, -1), (1e39, float("inf"), float("nan"), "much", None), "finite numbers, -3.4028e+38"),
+        (
+            "float",
+            "<f",
+            (3.4e38, -1),
+            (1e39, float("inf"), float("nan"), "much", None),
+            "finite numbers, -3.4028e+38",
+        ),
     ],
-)  # fmt: skip
-async def test_a_parameter_out_of_the_range_of_its_type_is_refused_with_that(ctype, pytype, good, bad, allowed) -> None:
+)
+async def test_a_parameter_out_of_the_range_of_its_type_is_refused_with_that(
+    ctype, pytype, good, bad, allowed
+) -> None:
     link = Takes(ctype, pytype)
     for value in good:
         await Firmware(link).set("ring.effect", value)
@@ -63,6 +81,8 @@ async def test_a_parameter_out_of_the_range_of_its_type_is_refused_with_that(cty
     for value in bad:
         with pytest.raises(LinkFailed) as refused:
             await Firmware(link).set("ring.effect", value)
-        assert f"parameter ring.effect = {value!r}; allowed: {allowed}" in str(refused.value)
+        assert f"parameter ring.effect = {value!r}; allowed: {allowed}" in str(
+            refused.value
+        )
         assert str(refused.value).endswith(f"({ctype})")
     assert len(link.said) == len(good)

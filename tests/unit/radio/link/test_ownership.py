@@ -17,24 +17,37 @@ from crazychoir.errors import Refused
 from crazychoir.radio.link import ownership
 from crazychoir.radio.link.ownership import owned, require_free
 
-LAND_FIRST = "has it, and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
+LAND_FIRST = (
+    "has it, and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
+)
 
 
 @pytest.fixture(autouse=True)
 def own_place(tmp_path, monkeypatch):
     """Locks of these tests alone."""
-    monkeypatch.setattr("crazychoir.radio.link.ownership.PREFIX", f"crazychoir-{tmp_path}-")
+    monkeypatch.setattr(
+        "crazychoir.radio.link.ownership.PREFIX", f"crazychoir-{tmp_path}-"
+    )
 
 
 def swarm(scheme: str = "udp") -> SwarmConfig:
     """Four drones at two dongles."""
-    uri = {"udp": "udp://127.0.0.1:{port}", "radio": "radio://{dongle}/80/2M/E7E7E7E70{i}"}[scheme]
+    uri = {
+        "udp": "udp://127.0.0.1:{port}",
+        "radio": "radio://{dongle}/80/2M/E7E7E7E70{i}",
+    }[scheme]
     drones = [
-        {"id": i, "home": [i, 0, 0], "uri": uri.format(port=19850 + i, dongle=i // 2, i=i)}
+        {
+            "id": i,
+            "home": [i, 0, 0],
+            "uri": uri.format(port=19850 + i, dongle=i // 2, i=i),
+        }
         | ({"dongle": i // 2} if scheme == "udp" else {})
         for i in range(4)
     ]
-    return SwarmConfig.of({"name": "lab", "drones": drones, "mission": "pickup_delivery"})
+    return SwarmConfig.of(
+        {"name": "lab", "drones": drones, "mission": "pickup_delivery"}
+    )
 
 
 @pytest.mark.parametrize("scheme", ["udp", "radio"])
@@ -43,7 +56,10 @@ def test_a_second_owner_is_told_who_has_it_and_to_land_first(scheme) -> None:
     expected = f"dongle 1: refused: process {os.getpid()} (swarm lab) {LAND_FIRST}"
     with owned(config, 1):
         require_free(config, [0])
-        for again in (lambda: owned(config, 1).__enter__(), lambda: require_free(config, [0, 1])):
+        for again in (
+            lambda: owned(config, 1).__enter__(),
+            lambda: require_free(config, [0, 1]),
+        ):
             with pytest.raises(Refused) as refused:
                 again()
             assert str(refused.value) == expected
@@ -64,8 +80,9 @@ def test_a_run_is_refused_before_any_process_is_started(tmp_path, monkeypatch) -
     with owned(config, 1):
         said = CliRunner().invoke(app, ["run", str(file), "--json"])
     assert (said.exit_code, json.loads(said.stdout)["error"]) == (
-        2, f"dongle 1: refused: process {os.getpid()} (swarm lab) {LAND_FIRST}",
-    )  # fmt: skip
+        2,
+        f"dongle 1: refused: process {os.getpid()} (swarm lab) {LAND_FIRST}",
+    )
 
 
 OWNS = """if True:
@@ -93,12 +110,21 @@ ENVIRONMENTS = (
 @contextlib.contextmanager
 def owner(config, folder, uid=0, **environment):
     """A process of a user that wants dongle 1; what it says first, and it."""
-    words = [*(as_user(uid) if uid else ()), sys.executable, "-c", OWNS, ownership.PREFIX, config.dumps()]
+    words = [
+        *(as_user(uid) if uid else ()),
+        sys.executable,
+        "-c",
+        OWNS,
+        ownership.PREFIX,
+        config.dumps(),
+    ]
     environment = homeless(PYTHONPATH=os.pathsep.join(sys.path)) | {
         name: value.format(folder=folder) for name, value in environment.items()
     }
     pipe = subprocess.PIPE
-    with subprocess.Popen(words, env=environment, stdin=pipe, stdout=pipe, text=True) as process:
+    with subprocess.Popen(
+        words, env=environment, stdin=pipe, stdout=pipe, text=True
+    ) as process:
         yield process.stdout.readline().strip(), process
         process.kill()
 
@@ -112,20 +138,29 @@ def test_the_lock_is_the_same_in_every_environment_and_for_every_user(tmp_path) 
             with owner(config, tmp_path, **environment) as (refused, _):
                 assert refused == mine
         with owner(config, tmp_path, 12345) as (refused, _):
-            assert refused.startswith(f"dongle 1: refused: process {process.pid} (swarm lab) of user root (0) has it")
+            assert refused.startswith(
+                f"dongle 1: refused: process {process.pid} (swarm lab) of user root (0) has it"
+            )
             assert "that user, or root, must land them first" in refused
     with owner(config, tmp_path, 12345) as (said, process):
         assert said == "owns", "it was given up with its process"
-        with pytest.raises(Refused, match=rf"process {process.pid} \(swarm lab\) of user 12345 has it"):
+        with pytest.raises(
+            Refused, match=rf"process {process.pid} \(swarm lab\) of user 12345 has it"
+        ):
             require_free(config, [1])
 
 
-def test_a_process_that_is_stopped_still_has_its_dongle_and_one_that_is_killed_has_not(tmp_path) -> None:
+def test_a_process_that_is_stopped_still_has_its_dongle_and_one_that_is_killed_has_not(
+    tmp_path,
+) -> None:
     config = swarm()
     with owner(config, tmp_path) as (said, process):
         assert said == "owns"
         process.send_signal(signal.SIGSTOP)
-        with pytest.raises(Refused, match=f"process {process.pid}.* has it, and may fly drones: land them first"):
+        with pytest.raises(
+            Refused,
+            match=f"process {process.pid}.* has it, and may fly drones: land them first",
+        ):
             require_free(config, [1])
         process.kill()
         process.wait()
@@ -135,7 +170,9 @@ def test_a_process_that_is_stopped_still_has_its_dongle_and_one_that_is_killed_h
 def test_a_name_of_any_length_is_locked() -> None:
     host = ".".join(["a" * 60] * 4)
     assert len(ownership._address(f"udp://{host}:19850")) <= 108
-    assert ownership._address(f"udp://{host}:19850") != ownership._address(f"udp://{host}:19851")
+    assert ownership._address(f"udp://{host}:19850") != ownership._address(
+        f"udp://{host}:19851"
+    )
 
 
 def test_what_cannot_be_locked_is_refused_and_never_flown_without(monkeypatch) -> None:

@@ -15,21 +15,37 @@ def log_table() -> contents.Contents:
 
 
 def param_table() -> contents.Contents:
-    return {"stabilizer": {"estimator": ParamTocElement(3, b"\x18stabilizer\0estimator\0")}}
+    return {
+        "stabilizer": {"estimator": ParamTocElement(3, b"\x18stabilizer\0estimator\0")}
+    }
 
 
 def test_what_one_process_was_told_another_reads(tmp_path) -> None:
     for crc, table in ((0xABCD, log_table()), (0x12, param_table())):
         TableOfContents(tmp_path).insert(crc, table)
         found = TableOfContents(tmp_path).fetch(crc)
-        ((group, ((name, mine),)),) = [(g, tuple(items.items())) for g, items in table.items()]
+        ((group, ((name, mine),)),) = [
+            (g, tuple(items.items())) for g, items in table.items()
+        ]
         element = found[group][name]
         assert type(element) is type(mine)
-        assert [getattr(element, f) for f in contents.FIELDS] == [getattr(mine, f) for f in contents.FIELDS]
+        assert [getattr(element, f) for f in contents.FIELDS] == [
+            getattr(mine, f) for f in contents.FIELDS
+        ]
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"kind": "log"}', '{"kind": "os.system", "elements": []}', "[]", "null",
-                                  '{"kind": "log", "elements": [[1, 2]]}'])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        '{"kind": "log"}',
+        '{"kind": "os.system", "elements": []}',
+        "[]",
+        "null",
+        '{"kind": "log", "elements": [[1, 2]]}',
+    ],
+)
 def test_a_broken_file_is_asked_for_again(tmp_path, text, caplog) -> None:
     (tmp_path / "0000ABCD.json").write_text(text)
     assert TableOfContents(tmp_path).fetch(0xABCD) is None
@@ -59,7 +75,9 @@ def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
     assert found == [None]
 
 
-def test_who_asks_again_does_not_wait_for_itself_and_a_link_that_is_closed_keeps_nobody(tmp_path) -> None:
+def test_who_asks_again_does_not_wait_for_itself_and_a_link_that_is_closed_keeps_nobody(
+    tmp_path,
+) -> None:
     table, found = TableOfContents(tmp_path), []
     assert table.fetch(7) is None
     assert table.fetch(7) is None
@@ -70,7 +88,9 @@ def test_who_asks_again_does_not_wait_for_itself_and_a_link_that_is_closed_keeps
     assert found == [None], "it asks its own drone now"
 
 
-def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(tmp_path, caplog) -> None:
+def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(
+    tmp_path, caplog
+) -> None:
     (tmp_path / "file").write_text("")
     table = TableOfContents(tmp_path / "file" / "below")
     told = log_table()
@@ -88,16 +108,24 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_is_damaged_and_still_json_is_asked_for_again(tmp_path, caplog) -> None:
+def test_a_file_that_is_damaged_and_still_json_is_asked_for_again(
+    tmp_path, caplog
+) -> None:
     table = TableOfContents(tmp_path)
     table.insert(7, log_table())
     (file,) = tmp_path.iterdir()
-    for damaged in (file.read_text().replace("vbat", "vbaz"), "[" * 100_000, '{"kind": "log", "elements": []}'):
+    for damaged in (
+        file.read_text().replace("vbat", "vbaz"),
+        "[" * 100_000,
+        '{"kind": "log", "elements": []}',
+    ):
         file.write_text(damaged)
         caplog.clear()
         reader = TableOfContents(tmp_path)
         assert [reader.fetch(7), reader.fetch(7)] == [None, None]
-        assert caplog.text.count("asked of the drone again") == 1, "once, though links look again and again"
+        assert caplog.text.count("asked of the drone again") == 1, (
+            "once, though links look again and again"
+        )
 
 
 def test_bytes_that_are_no_text_are_asked_for_again(tmp_path) -> None:
@@ -106,7 +134,9 @@ def test_bytes_that_are_no_text_are_asked_for_again(tmp_path) -> None:
         assert TableOfContents(tmp_path).fetch(7) is None
 
 
-def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(monkeypatch, caplog) -> None:
+def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(
+    monkeypatch, caplog
+) -> None:
     def no_home():
         raise RuntimeError("Could not determine home directory.")
 
@@ -119,7 +149,12 @@ def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(monk
         assert table.fetch(crc) is None
         table.insert(crc, told := log_table())
         assert table.fetch(crc) is told
-    assert caplog.text.count("cache: tables of contents: no home folder: they are not kept") == 1
+    assert (
+        caplog.text.count(
+            "cache: tables of contents: no home folder: they are not kept"
+        )
+        == 1
+    )
 
 
 def test_a_full_disk_is_told_once(tmp_path, monkeypatch, caplog) -> None:

@@ -106,7 +106,9 @@ def test_what_is_forgotten_is_not_sent() -> None:
     assert slow.sent == [1, 2, 10]
 
 
-def test_a_link_without_room_gets_what_is_newest_and_most_urgent_when_it_has_some() -> None:
+def test_a_link_without_room_gets_what_is_newest_and_most_urgent_when_it_has_some() -> (
+    None
+):
     sent: list[int] = []
     room, looked = threading.Event(), threading.Event()
 

@@ -5,7 +5,12 @@ import os
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.protocol.addresses import dongles, require_writable, with_channels, write_channels
+from crazychoir.radio.protocol.addresses import (
+    dongles,
+    require_writable,
+    with_channels,
+    write_channels,
+)
 
 TOML = """\
 # radio://0/80/2M: not this one, nor uri = "radio://0/80/2M/E7E7E7E701"
@@ -41,7 +46,10 @@ JSON = '{"name": "lab # x", "drones" : [{"id":0,"uri" :\n "radio://1/80/2M/E7E7E
 
 def test_the_dongles_are_those_of_the_file_in_its_order():
     assert list(dongles(TOML, "lab.toml")) == ["0", "ABCDEF0123"]
-    assert dongles(JSON, "lab.json") == {"1": ["radio://1/80/2M/E7E7E7E701"], "0": ["radio://0/2"]}
+    assert dongles(JSON, "lab.json") == {
+        "1": ["radio://1/80/2M/E7E7E7E701"],
+        "0": ["radio://0/2"],
+    }
 
 
 def test_each_uri_gets_the_channel_of_its_dongle_and_all_else_stays():
@@ -59,12 +67,21 @@ def test_json_is_changed_as_well():
 
 def test_bytes_that_are_no_text_of_ours_stay(tmp_path):
     file = tmp_path / "lab.toml"
-    before = ("\ufeff" + TOML.replace("lab", "Labor für Flüge")).replace("\n", "\r\n").encode()
+    before = (
+        ("\ufeff" + TOML.replace("lab", "Labor für Flüge"))
+        .replace("\n", "\r\n")
+        .encode()
+    )
     file.write_bytes(before)
     os.chmod(file, 0o640)
     write_channels(file, {"0": 81, "ABCDEF0123": 8})
     after = file.read_bytes()
-    assert after.replace(b"//0/81/", b"//0/80/", 1).replace(b"//0/81/", b"//0/90/").replace(b"23/8", b"23/7") == before
+    assert (
+        after.replace(b"//0/81/", b"//0/80/", 1)
+        .replace(b"//0/81/", b"//0/90/")
+        .replace(b"23/8", b"23/7")
+        == before
+    )
     assert after != before
     assert file.stat().st_mode & 0o777 == 0o640
     assert [path.name for path in tmp_path.iterdir()] == ["lab.toml"]
@@ -102,7 +119,9 @@ def test_a_file_without_channels_to_change_is_refused(text, says):
     ],
 )
 def test_what_cannot_be_changed_alone_is_not_changed(text):
-    with pytest.raises(ConfigError, match="Write the channels yourself: 6 for dongle 0"):
+    with pytest.raises(
+        ConfigError, match="Write the channels yourself: 6 for dongle 0"
+    ):
         with_channels(text, {"0": 6}, "lab.toml")
 
 
@@ -115,7 +134,9 @@ def test_a_file_that_cannot_be_written_stays(tmp_path, monkeypatch):
     file = tmp_path / "lab.toml"
     file.write_text(TOML)
     require_writable(file)
-    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)  # root may all
+    monkeypatch.setattr(
+        "os.access", lambda path, mode: path != tmp_path
+    )  # root may all
     with pytest.raises(ConfigError, match="Permission denied"):
         require_writable(file)
 

@@ -11,18 +11,46 @@ from crazychoir.radio.protocol.compressed import compressed, quaternion
 from crazychoir.radio.protocol.crtp import FORMS, MOST, Packet, parse
 
 LENGTHS = {
-    "rpyt": 14, "stop": 1, "altitude_hold": 17, "full_state": 29, "velocity_world": 17, "z_distance": 17, "hover": 17,
-    "position": 17, "manual": 16, "notify_setpoint_stop": 5, "group_mask": 2, "planner_stop": 2,
-    "define_trajectory": 9, "take_off": 15, "land": 15, "take_off_with_velocity": 16, "land_with_velocity": 16,
-    "spiral": 24, "go_to": 24, "start_trajectory": 10, "external_position": 12, "emergency_stop": 1,
-    "emergency_stop_watchdog": 1, "external_pose": 29, "arm": 2, "recover": 1, "supervisor_stop": 1,
-    "supervisor_watchdog": 1, "supervisor_info": 1, "platform_arm": 2, "platform_recover": 1,
-}  # fmt: skip
+    "rpyt": 14,
+    "stop": 1,
+    "altitude_hold": 17,
+    "full_state": 29,
+    "velocity_world": 17,
+    "z_distance": 17,
+    "hover": 17,
+    "position": 17,
+    "manual": 16,
+    "notify_setpoint_stop": 5,
+    "group_mask": 2,
+    "planner_stop": 2,
+    "define_trajectory": 9,
+    "take_off": 15,
+    "land": 15,
+    "take_off_with_velocity": 16,
+    "land_with_velocity": 16,
+    "spiral": 24,
+    "go_to": 24,
+    "start_trajectory": 10,
+    "external_position": 12,
+    "emergency_stop": 1,
+    "emergency_stop_watchdog": 1,
+    "external_pose": 29,
+    "arm": 2,
+    "recover": 1,
+    "supervisor_stop": 1,
+    "supervisor_watchdog": 1,
+    "supervisor_info": 1,
+    "platform_arm": 2,
+    "platform_recover": 1,
+}
 """Bytes behind the header, by the firmware's documentation."""
 
 
 def _values(form):
-    return [{"f": 0.5, "B": 3, "H": 7, "h": -9, "I": 11, "?": True}[field[-1]] for field in form.fields.split()]
+    return [
+        {"f": 0.5, "B": 3, "H": 7, "h": -9, "I": 11, "?": True}[field[-1]]
+        for field in form.fields.split()
+    ]
 
 
 @pytest.mark.parametrize("name", LENGTHS)
@@ -37,7 +65,9 @@ def test_a_form_writes_what_it_reads(name):
 def test_another_length_is_an_error_that_says_both(name):
     form = FORMS[name]
     packet = form.packet(*_values(form))
-    with pytest.raises(CodecError, match=f"{name}: {LENGTHS[name] + 1} bytes; allowed: {LENGTHS[name]}"):
+    with pytest.raises(
+        CodecError, match=f"{name}: {LENGTHS[name] + 1} bytes; allowed: {LENGTHS[name]}"
+    ):
         form.values(packet._replace(data=packet.data + b"\0"))
 
 
@@ -69,11 +99,16 @@ def test_a_quaternion_of_32_bits_is_the_same_rotation():
 def test_cflib_packs_the_same_bits():
     for q in np.random.default_rng(2).normal(size=(50, 4)):
         q /= np.linalg.norm(q)
-        ours, theirs = quaternion(compressed(q)), np.array(decompress_quaternion(compressed(q)))
+        ours, theirs = (
+            quaternion(compressed(q)),
+            np.array(decompress_quaternion(compressed(q))),
+        )
         assert np.allclose(ours, theirs, atol=1e-6)
         assert np.allclose(quaternion(compress_quaternion(q)), ours, atol=3e-3)
 
 
 def test_forms_are_told_apart_by_their_first_bytes():
-    assert len({(form.port, form.channel, form.head) for form in FORMS.values()}) == len(FORMS)
+    assert len(
+        {(form.port, form.channel, form.head) for form in FORMS.values()}
+    ) == len(FORMS)
     assert struct.calcsize("<fffH") == FORMS["rpyt"].layout.size

@@ -17,14 +17,19 @@ def test_each_sender_says_what_it_needs(kind: str) -> None:
         if version >= LEAST[kind]:
             check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
         else:
-            with pytest.raises(ConfigError, match=f"{LEAST[kind]} or newer, for {HANDLERS[kind].form}"):
+            with pytest.raises(
+                ConfigError, match=f"{LEAST[kind]} or newer, for {HANDLERS[kind].form}"
+            ):
                 check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
 
 
 @pytest.mark.parametrize("kind", HANDLERS)
 def test_who_must_be_armed_needs_the_port_for_it_and_no_sender_helps(kind: str) -> None:
     check_protocol(12, kind, CRAZYFLIE_21_BRUSHLESS, "drone 3")
-    with pytest.raises(ConfigError, match=rf"12 or newer, for arm \(sender {kind} on .*\)\. Write newer firmware\.$"):
+    with pytest.raises(
+        ConfigError,
+        match=rf"12 or newer, for arm \(sender {kind} on .*\)\. Write newer firmware\.$",
+    ):
         check_protocol(11, kind, CRAZYFLIE_21_BRUSHLESS, "drone 3")
 
 

@@ -68,7 +68,9 @@ def test_all_echoes_come_back_and_are_timed(quick):
     assert (found.sent, found.lost, found.error) == (30, 0, "")
     assert 0.0 < found.percentile(50) <= found.percentile(95) <= found.percentile(99)
     assert sum(found.round_trip) < passed
-    assert all(len(data) == 10 and data[0] == ECHO for data in peer.seen), "cflib unpacks echoes of nine bytes alone"
+    assert all(len(data) == 10 and data[0] == ECHO for data in peer.seen), (
+        "cflib unpacks echoes of nine bytes alone"
+    )
 
 
 @pytest.mark.real_time
@@ -84,12 +86,20 @@ def test_who_falls_silent_ends_at_the_deadline(quick):
         (found,) = ping([peer.uri], time.perf_counter, count=100, deadline=0.3)
     assert len(found.round_trip) == 3
     assert found.sent < 30
-    assert found.error == f"{100 - found.sent} more echoes were to be sent at the deadline"
+    assert (
+        found.error == f"{100 - found.sent} more echoes were to be sent at the deadline"
+    )
 
 
 @pytest.mark.real_time
-def test_of_several_the_silent_and_the_absent_are_named_and_the_others_are_measured(quick):
-    with Peer() as peer, Peer(last=0) as silent, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+def test_of_several_the_silent_and_the_absent_are_named_and_the_others_are_measured(
+    quick,
+):
+    with (
+        Peer() as peer,
+        Peer(last=0) as silent,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free,
+    ):
         free.bind(("127.0.0.1", 0))
         absent = f"udp://127.0.0.1:{free.getsockname()[1]}"
         free.close()
@@ -109,12 +119,16 @@ def test_an_address_that_does_not_resolve_is_an_error_of_that_drone(quick):
 
 
 def test_a_radio_without_a_dongle_says_what_to_do(quick, monkeypatch):
-    monkeypatch.setattr("cflib.drivers.crazyradio._find_devices", lambda serial=None: [])
+    monkeypatch.setattr(
+        "cflib.drivers.crazyradio._find_devices", lambda serial=None: []
+    )
     (found,) = ping(["radio://0/80/2M"], time.perf_counter)
     assert found.error.startswith("Cannot find a Crazyradio Dongle. Plug")
 
 
-@pytest.mark.parametrize("uri", ["usb://0", "udp://127.0.0.1", "radio://0", "127.0.0.1:19850"])
+@pytest.mark.parametrize(
+    "uri", ["usb://0", "udp://127.0.0.1", "radio://0", "127.0.0.1:19850"]
+)
 def test_other_addresses_are_refused(uri):
     with pytest.raises(ConfigError, match="udp://HOST:PORT"):
         require_uri(uri)

@@ -11,7 +11,10 @@ LOST = np.nan
 def sample(acknowledged, retries=0, round_trip=0.001, rssi=-50.0):
     came = np.array(acknowledged, bool)
     n = len(came)
-    full = [np.broadcast_to(np.asarray(value, float), n) for value in (retries, round_trip, rssi)]
+    full = [
+        np.broadcast_to(np.asarray(value, float), n)
+        for value in (retries, round_trip, rssi)
+    ]
     return Sample(came, full[0].astype(int), full[1], np.where(came, full[2], np.nan))
 
 
@@ -42,13 +45,21 @@ def test_each_pass_visits_every_channel_in_another_order():
 
 
 def test_the_order_is_that_of_the_seed():
-    assert list(Survey(range(20), seed=3).visits()) == list(Survey(range(20), seed=3).visits())
-    assert list(Survey(range(20), seed=3).visits()) != list(Survey(range(20), seed=4).visits())
+    assert list(Survey(range(20), seed=3).visits()) == list(
+        Survey(range(20), seed=3).visits()
+    )
+    assert list(Survey(range(20), seed=3).visits()) != list(
+        Survey(range(20), seed=4).visits()
+    )
 
 
 def test_a_visit_measures_without_and_with_retries_and_is_watched():
     probe, seen = Scripted({4: [1.0], 8: [0.5]}), []
-    survey(Survey((4, 8), passes=1, packets=20), probe, lambda found, visit: seen.append(visit.channel))
+    survey(
+        Survey((4, 8), passes=1, packets=20),
+        probe,
+        lambda found, visit: seen.append(visit.channel),
+    )
     assert [call[1:] for call in probe.calls] == [(20, 0), (20, RETRIES)] * 2
     assert seen == [channel for channel, _, _ in probe.calls[::2]]
 
@@ -69,7 +80,9 @@ def test_what_is_measured_is_counted():
     found = Survey((4,), passes=2)
     single = sample([True, False, True, True], rssi=[-50.0, LOST, -52.0, LOST])
     took = [0.001, 0.002, 0.003, 0.009]
-    retried = sample([True, True, True, False], [0, 0, 2, 3], took, [-54.0, LOST, LOST, LOST])
+    retried = sample(
+        [True, True, True, False], [0, 0, 2, 3], took, [-54.0, LOST, LOST, LOST]
+    )
     found.take(4, single, retried)
     found.take(4, sample([True] * 4, rssi=LOST), sample([False] * 4, 3, 0.009))
     (row,) = found.measured()
@@ -83,4 +96,9 @@ def test_a_channel_without_any_answer_is_known_as_that():
     found = Survey((4, 6), passes=1)
     found.take(4, sample([False] * 4), sample([False] * 4, 3))
     (row,) = found.measured()
-    assert (row.passes, row.retries, row.round_trip, row.rssi) == ((0.0,), (0, 0, 0, 0, 4), None, None)
+    assert (row.passes, row.retries, row.round_trip, row.rssi) == (
+        (0.0,),
+        (0, 0, 0, 0, 4),
+        None,
+        None,
+    )

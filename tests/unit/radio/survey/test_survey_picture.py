@@ -10,7 +10,9 @@ ROWS = [
 ]
 
 
-def test_a_survey_is_drawn_with_channels_that_nobody_answers_on_and_the_truth_of_a_model(tmp_path):
+def test_a_survey_is_drawn_with_channels_that_nobody_answers_on_and_the_truth_of_a_model(
+    tmp_path,
+):
     files = [tmp_path / name for name in ("real.png", "simulated.png")]
     draw_survey(ROWS, (20,), files[0])
     draw_survey(ROWS, (20,), files[1], {10: 0.7, 12: 0.0, 20: 0.96})

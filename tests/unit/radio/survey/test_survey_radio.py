@@ -22,7 +22,13 @@ class Dongle:
 
     def __init__(self, home=80, fails=None, deaf=None):
         self.drone, self.fails, self.deaf = home, fails or {}, deaf
-        self.safelink, self.counted, self.closed, self.channel, self.arc = True, False, False, 2, 3
+        self.safelink, self.counted, self.closed, self.channel, self.arc = (
+            True,
+            False,
+            False,
+            2,
+            3,
+        )
         self.attempts, self.hops, self.sent = itertools.count(1), 0, []
         self._ctx = self
 
@@ -35,7 +41,9 @@ class Dongle:
     def dispose(self, device):
         self.closed = True
 
-    def ctrl_transfer(self, kind, request, wValue, wIndex, timeout, data_or_wLength):  # pyusb's names
+    def ctrl_transfer(
+        self, kind, request, wValue, wIndex, timeout, data_or_wLength
+    ):  # pyusb's names
         if request == SET_RADIO_CHANNEL:
             self.channel = wValue
         if request == SET_RADIO_ARC:
@@ -46,9 +54,16 @@ class Dongle:
         self.sent.append((self.channel, data))
         for attempt in range(self.arc + 1):
             every = self.fails.get(self.channel)
-            if self.channel == self.drone and not (every and next(self.attempts) % every == 0):
+            if self.channel == self.drone and not (
+                every and next(self.attempts) % every == 0
+            ):
                 heard = self._hears(data)
-                self.answer = bytes([attempt << 4 | 0b11, *([0xF3, 0x01, 48] if len(data) == 1 else data)])
+                self.answer = bytes(
+                    [
+                        attempt << 4 | 0b11,
+                        *([0xF3, 0x01, 48] if len(data) == 1 else data),
+                    ]
+                )
                 if not heard:
                     self.answer = b"\0"
                 return
@@ -60,7 +75,9 @@ class Dongle:
             self.safelink = False
         elif data[:3] == (0xFF, 0x03, 0x01):
             if self.safelink and self.counted:
-                return True  # acknowledged, and thrown away as one that was there before
+                return (
+                    True  # acknowledged, and thrown away as one that was there before
+                )
             self.counted, self.drone, self.hops = True, data[3], self.hops + 1
             return self.hops != self.deaf
         return True
@@ -85,7 +102,9 @@ def test_a_survey_on_a_dongle(clock):
     assert good.passes == (1.0, 1.0, 1.0)
     assert good.retries == (120, 0, 0, 0, 0)
     assert bad.passes == (0.75, 0.75, 0.75)
-    assert bad.retries[0] == pytest.approx(80, abs=2)  # each third packet meets the fourth attempt
+    assert bad.retries[0] == pytest.approx(
+        80, abs=2
+    )  # each third packet meets the fourth attempt
     assert bad.retries[1] == pytest.approx(40, abs=2)
     assert bad.retries[2:] == (0, 0, 0)
     assert good.round_trip == pytest.approx((0.001, 0.001))
@@ -98,7 +117,11 @@ def test_packets_without_retries_are_sent_once(clock):
     dongle = Dongle(fails={10: 2})
     with CrazyradioProbe(Crazyradio(device=dongle), 80, clock) as probe:
         sample = probe.measure(10, 20, 0)
-        assert (dongle.arc, sample.acknowledged.sum(), sample.retries.max()) == (0, 10, 0)
+        assert (dongle.arc, sample.acknowledged.sum(), sample.retries.max()) == (
+            0,
+            10,
+            0,
+        )
         assert np.isnan(sample.rssi[~sample.acknowledged]).all()
         assert probe.measure(10, 20, 3).acknowledged.all()
         assert dongle.arc == 3
@@ -111,11 +134,15 @@ def test_a_drone_whose_answer_to_the_hop_is_lost_is_found_where_it_went(clock):
     assert dongle.drone == 80
 
 
-def test_a_channel_where_nothing_passes_is_measured_as_that_and_the_drone_is_lost_there(clock):
+def test_a_channel_where_nothing_passes_is_measured_as_that_and_the_drone_is_lost_there(
+    clock,
+):
     dongle = Dongle(fails={10: 1})
     probe = CrazyradioProbe(Crazyradio(device=dongle), 80, clock).__enter__()
     assert not probe.measure(10, 20, 3).acknowledged.any()
-    with pytest.raises(Refused, match="no answer on channel 10, where it was, nor on 20"):
+    with pytest.raises(
+        Refused, match="no answer on channel 10, where it was, nor on 20"
+    ):
         probe.measure(20, 20, 3)
     assert len(dongle.sent) < 2000
 
@@ -142,14 +169,22 @@ def pulled_out(*arguments, **named):
 
 @pytest.mark.parametrize(
     ("answer", "dbm"),
-    [((0xF3, 0x01, 48), -48.0), ((0xFF, 0x01, 71), -71.0), ((0xF3,), None), ((0x53, 0x01, 48), None), ((), None)],
+    [
+        ((0xF3, 0x01, 48), -48.0),
+        ((0xFF, 0x01, 71), -71.0),
+        ((0xF3,), None),
+        ((0x53, 0x01, 48), None),
+        ((), None),
+    ],
 )
 def test_only_an_answer_that_says_nothing_else_has_the_rssi(answer, dbm):
     assert rssi(answer) == dbm or (dbm is None and np.isnan(rssi(answer)))
 
 
 def test_without_a_dongle_it_says_what_to_do(monkeypatch, clock):
-    monkeypatch.setattr("cflib.drivers.crazyradio._find_devices", lambda serial=None: [])
+    monkeypatch.setattr(
+        "cflib.drivers.crazyradio._find_devices", lambda serial=None: []
+    )
     with pytest.raises(Refused, match=r"Cannot find a Crazyradio Dongle\. Plug"):
         open_probe("radio://0/80/2M", clock)
     with pytest.raises(Refused, match="serial"):

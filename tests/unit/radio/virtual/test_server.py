@@ -72,7 +72,11 @@ class Open:
         try:
             self.door.send(data)
             async with asyncio.timeout(0.2):
-                while (answer := await asyncio.get_running_loop().sock_recv(self.door, 65_000))[:1] == CONSOLE:
+                while (
+                    answer := await asyncio.get_running_loop().sock_recv(
+                        self.door, 65_000
+                    )
+                )[:1] == CONSOLE:
                     pass
                 return answer
         except TimeoutError:
@@ -81,11 +85,17 @@ class Open:
             return "refused"
 
     async def asked(self, question):
-        return json.loads(await self.said(json.dumps(question).encode(), port=self.port - 1))
+        return json.loads(
+            await self.said(json.dumps(question).encode(), port=self.port - 1)
+        )
 
     def take_off(self, drone=0):
         self.run(0.5)
-        list(self.server.ports[drone].drone.take(FORMS["take_off"].packet(0, 0.6, 0.0, True, 1.0)))
+        list(
+            self.server.ports[drone].drone.take(
+                FORMS["take_off"].packet(0, 0.6, 0.0, True, 1.0)
+            )
+        )
         self.run(2.0)
 
     def height(self, drone=0):
@@ -132,7 +142,9 @@ async def test_switched_off_it_is_not_there_and_falls():
         hall.run(1.5)
         assert hall.height() == 0.0
         assert await hall.said(ECHO) == "refused"
-        assert (await hall.asked({"ask": "state"}))["drones"]["0"]["supervisor"] == "off"
+        assert (await hall.asked({"ask": "state"}))["drones"]["0"][
+            "supervisor"
+        ] == "off"
         await hall.asked({"faults": {"0": {"off": 0}}})
         hall.run(1e-3 * BOOT + 0.1)
         assert await hall.said(ECHO) == ECHO
@@ -153,7 +165,9 @@ async def test_what_breaks_a_drone_in_flight():
     async with Open(4) as hall:
         for drone in range(4):
             hall.take_off(drone)
-        await hall.asked({"faults": {"0": {"tumble": 1}, "1": {"motor": 2}, "2": {"voltage": 3.3}}})
+        await hall.asked(
+            {"faults": {"0": {"tumble": 1}, "1": {"motor": 2}, "2": {"voltage": 3.3}}}
+        )
         hall.run(7.0)
         state = (await hall.asked({"ask": "state"}))["drones"]
         assert state["0"]["supervisor"] == "crashed"
@@ -193,14 +207,18 @@ def _in_the_air(hall):
 async def _fly_on(hall, caplog):
     """Drone 1 of three is named, and has started anew; the others hover. The truth about it."""
     state = (await hall.asked({"ask": "state"}))["drones"]
-    assert [record.getMessage()[:23] for record in caplog.records] == ["virtual drone 1: reset:"]
+    assert [record.getMessage()[:23] for record in caplog.records] == [
+        "virtual drone 1: reset:"
+    ]
     assert [state[i]["starts"] for i in "012"] == [1, 2, 1]
     assert [state[i]["p"][2] for i in "02"] == pytest.approx([0.6, 0.6], abs=0.1)
     assert await hall.said(ECHO, drone=1) == ECHO
     return state["1"]
 
 
-async def test_a_body_that_is_nowhere_stands_at_home_again_and_the_others_fly_on(caplog):
+async def test_a_body_that_is_nowhere_stands_at_home_again_and_the_others_fly_on(
+    caplog,
+):
     async with Open(3) as hall:
         home = hall.server.world.states[1].copy()
         _in_the_air(hall)
@@ -218,7 +236,9 @@ async def test_a_body_that_is_nowhere_stands_at_home_again_and_the_others_fly_on
         assert hall.height(1) > 0.5
 
 
-async def test_a_firmware_that_reckons_with_no_numbers_is_reset_and_the_others_fly_on(caplog):
+async def test_a_firmware_that_reckons_with_no_numbers_is_reset_and_the_others_fly_on(
+    caplog,
+):
     async with Open(3) as hall:
         _in_the_air(hall)
         hall.server.world.onboard[1].record["roll_pid"]["integral"] = np.nan
@@ -233,11 +253,15 @@ async def test_what_a_drone_cannot_bear_restarts_it_alone(monkeypatch, caplog):
         monkeypatch.setattr(drone.logs, "due", lambda now: 1 / 0)
         hall.run(0.01)
         monkeypatch.undo()
-        assert "virtual drone 1: what it says by itself: ZeroDivisionError" in caplog.text
+        assert (
+            "virtual drone 1: what it says by itself: ZeroDivisionError" in caplog.text
+        )
         hall.run(1e-3 * BOOT)
         monkeypatch.setattr(drone.parameters, "take", lambda packet: [][0])
         assert list(drone.take(Packet(2, 1, b"\0\0"))) == []
-        assert "virtual drone 1: a packet of port 2, channel 1: IndexError" in caplog.text
+        assert (
+            "virtual drone 1: a packet of port 2, channel 1: IndexError" in caplog.text
+        )
         hall.run(0.5)
         assert drone.starts == 3
         assert hall.height(0) == pytest.approx(0.6, abs=0.1)
@@ -249,20 +273,31 @@ async def test_the_cameras_show_the_truth_as_long_as_somebody_asks():
         hall.run(0.02)
         frame = parse(hall.door.recv(65_000))
         assert list(frame.bodies) == ["cf0", "cf1", "cf2"]
-        assert np.allclose(frame.bodies["cf1"], hall.server.world.states[1, [0, 1, 2, 6, 7, 8, 9]])
+        assert np.allclose(
+            frame.bodies["cf1"], hall.server.world.states[1, [0, 1, 2, 6, 7, 8, 9]]
+        )
         after = parse(hall.door.recv(65_000))
-        assert (after.number, after.time) == (frame.number + 1, pytest.approx(frame.time + 0.01))
+        assert (after.number, after.time) == (
+            frame.number + 1,
+            pytest.approx(frame.time + 0.01),
+        )
 
 
 async def test_what_goes_wrong_with_the_cameras():
     async with Open(3, decks=()) as hall:
-        await hall.asked({"faults": {"0": {"pose_lost": 1}, "1": {"offset": [0.1, 0.0, -0.2]}}})
+        await hall.asked(
+            {"faults": {"0": {"pose_lost": 1}, "1": {"offset": [0.1, 0.0, -0.2]}}}
+        )
         await hall.said(ASK, port=hall.port - 1)
         hall.run(0.01)
         bodies = parse(hall.door.recv(65_000)).bodies
         assert set(bodies) == {"cf1", "cf2"}
-        assert np.allclose(bodies["cf1"][:3] - hall.server.world.states[1, :3], (0.1, 0.0, -0.2))
-        await hall.asked({"faults": {"0": {"pose_lost": 0}, "1": {"offset": [0, 0, 0], "swap": 2}}})
+        assert np.allclose(
+            bodies["cf1"][:3] - hall.server.world.states[1, :3], (0.1, 0.0, -0.2)
+        )
+        await hall.asked(
+            {"faults": {"0": {"pose_lost": 0}, "1": {"offset": [0, 0, 0], "swap": 2}}}
+        )
         await hall.said(ASK, port=hall.port - 1)
         hall.run(0.01)
         bodies = parse(hall.door.recv(65_000)).bodies
@@ -275,10 +310,14 @@ async def test_what_goes_wrong_with_the_cameras():
 async def test_a_deck_tells_where_it_is_and_without_one_nothing_does():
     async with Open(2) as hall:
         hall.run(0.5)
-        assert hall.server.drones[1].onboard.estimate.p[0] == pytest.approx(0.6, abs=0.01)
+        assert hall.server.drones[1].onboard.estimate.p[0] == pytest.approx(
+            0.6, abs=0.01
+        )
     async with Open(2, decks=()) as hall:
         hall.run(0.5)
-        assert hall.server.drones[1].onboard.estimate.p[0] == pytest.approx(0.0, abs=0.05)
+        assert hall.server.drones[1].onboard.estimate.p[0] == pytest.approx(
+            0.0, abs=0.05
+        )
 
 
 @pytest.mark.parametrize(
@@ -325,27 +364,46 @@ def test_each_fault_that_can_be_set_is_one_of_a_drone():
 def test_the_charge_of_a_voltage():
     battery = on_a_grid(1, 19850, ()).world(0).platforms[0].battery
     assert charge_of(4.2, battery) == pytest.approx(1.0)
-    assert charge_of(3.87, battery) == pytest.approx(0.3, abs=1e-3)  # the firmware's table: 30 %
+    assert charge_of(3.87, battery) == pytest.approx(
+        0.3, abs=1e-3
+    )  # the firmware's table: 30 %
     assert charge_of(3.0, battery) > 0.0
 
 
 SWARM = {
     "name": "six",
     "drones": [
-        {"id": 4, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19860", "dongle": 1, "pose": "onboard",
-         "platform": "cf21bl"},
-        {"id": 2, "home": [1, 0, 0], "uri": "udp://localhost:19870", "dongle": 0, "body": "marker", "yaw": 1.0},
+        {
+            "id": 4,
+            "home": [0, 0, 0],
+            "uri": "udp://127.0.0.1:19860",
+            "dongle": 1,
+            "pose": "onboard",
+            "platform": "cf21bl",
+        },
+        {
+            "id": 2,
+            "home": [1, 0, 0],
+            "uri": "udp://localhost:19870",
+            "dongle": 0,
+            "body": "marker",
+            "yaw": 1.0,
+        },
         {"id": 3, "home": [2, 0, 0], "uri": "udp://127.0.0.1:19871", "dongle": 0},
         {"id": 0, "home": [3, 0, 0]},
     ],
     "radio": {"capacity": 200.0, "log_rate": 50.0},
-}  # fmt: skip
+}
 
 
 def test_the_drones_of_a_swarm_stand_at_home_at_their_ports():
     hall = of_swarm(SwarmConfig.of(SWARM, "x"), None)
     seats = {seat.id: seat for seat in hall.seats}
-    assert {i: seat.at[1] for i, seat in seats.items()} == {4: 19860, 2: 19870, 3: 19871}
+    assert {i: seat.at[1] for i, seat in seats.items()} == {
+        4: 19860,
+        2: 19870,
+        3: 19871,
+    }
     assert (seats[2].body, seats[3].body) == ("marker", "cf3")
     assert (seats[4].decks != (), seats[3].decks) == (True, ())
     assert (seats[4].device, seats[3].device) == ("C21B", "CF21")
@@ -378,7 +436,9 @@ def test_decks_by_name():
 
 
 async def _called(*words):
-    return await asyncio.to_thread(CliRunner().invoke, app, ["virtual", *map(str, words)])
+    return await asyncio.to_thread(
+        CliRunner().invoke, app, ["virtual", *map(str, words)]
+    )
 
 
 async def test_the_command_line_lists_sets_and_refuses_faults(tmp_path):
@@ -395,7 +455,10 @@ async def test_the_command_line_lists_sets_and_refuses_faults(tmp_path):
         (tmp_path / "swarm.json").write_text(config.dumps())
         done = await _called("faults", "--swarm", tmp_path / "swarm.json", "--json")
         assert json.loads(done.stdout)["drones"]["0"]["loss"] == 0.25
-        for words, says in ((("fault", "0", "loss=2"), "0 to 1"), (("fault", "0", "loss"), "loss=0.3")):
+        for words, says in (
+            (("fault", "0", "loss=2"), "0 to 1"),
+            (("fault", "0", "loss"), "loss=0.3"),
+        ):
             done = await _called(*words, *port, "--json")
             assert done.exit_code == 2
             assert says in json.loads(done.stdout)["error"]
@@ -422,10 +485,15 @@ def test_a_taken_port_is_said_with_what_to_do_about_it(tmp_path):
         door.bind(("127.0.0.1", 0))
         port = door.getsockname()[1]
         rows = [{"id": 0, "home": [0, 0, 0], "uri": f"udp://127.0.0.1:{port}"}]
-        (tmp_path / "swarm.json").write_text(SwarmConfig.of({"name": "a", "drones": rows}).dumps())
+        (tmp_path / "swarm.json").write_text(
+            SwarmConfig.of({"name": "a", "drones": rows}).dumps()
+        )
         for words, says in (
             (("--port", port), "Choose another --port."),
-            (("--swarm", tmp_path / "swarm.json"), "another `crazychoir virtual`, or another program, has it"),
+            (
+                ("--swarm", tmp_path / "swarm.json"),
+                "another `crazychoir virtual`, or another program, has it",
+            ),
         ):
             done = CliRunner().invoke(app, ["virtual", *map(str, words), "--json"])
             assert done.exit_code == 2
@@ -448,35 +516,59 @@ class Datagrams:
 
 
 @pytest.mark.parametrize("n", [1, 60, 126, 127, 200])
-async def test_questions_about_many_drones_are_answered_in_parts_that_fit_into_datagrams(n):
+async def test_questions_about_many_drones_are_answered_in_parts_that_fit_into_datagrams(
+    n,
+):
     async with Open(n, decks=()) as hall:
         sent = Datagrams(hall.server.cameras)
         where = {"port": hall.port - 1, "deadline": 20.0}
         state = await asyncio.to_thread(ask, {"ask": "state"}, **where)
         faults = await asyncio.to_thread(ask, {"ask": "faults"}, **where)
         assert list(state) == ["time", "drones"]
-        assert list(state["drones"]) == list(faults["drones"]) == [str(i) for i in range(n)]
-        assert all(state["drones"][str(i)]["at"] == list(seat.at) for i, seat in enumerate(hall.server.seats))
+        assert (
+            list(state["drones"])
+            == list(faults["drones"])
+            == [str(i) for i in range(n)]
+        )
+        assert all(
+            state["drones"][str(i)]["at"] == list(seat.at)
+            for i, seat in enumerate(hall.server.seats)
+        )
         assert max(sent.sizes) <= LARGEST
         names = ",".join(map(str, range(n)))
-        await asyncio.to_thread(ask, {"faults": {names: {"loss": 0.25, "offset": [0.1, 0.0, 0.0]}}}, **where)
+        await asyncio.to_thread(
+            ask, {"faults": {names: {"loss": 0.25, "offset": [0.1, 0.0, 0.0]}}}, **where
+        )
         assert {fault.loss for fault in hall.server.faults.values()} == {0.25}
         with pytest.raises(Refused, match="all, 0"):
-            await asyncio.to_thread(ask, {"faults": {f"{names},777": {"loss": 0.5}}}, **where)
-        assert {fault.loss for fault in hall.server.faults.values()} == {0.25}, "all of them, or none"
+            await asyncio.to_thread(
+                ask, {"faults": {f"{names},777": {"loss": 0.5}}}, **where
+            )
+        assert {fault.loss for fault in hall.server.faults.values()} == {0.25}, (
+            "all of them, or none"
+        )
 
 
 async def test_a_question_or_an_answer_that_no_datagram_holds_is_refused_and_said():
     async with Open() as hall:
         where = {"port": hall.port - 1, "deadline": 20.0}
         with pytest.raises(Refused, match=r"a question of \d+ bytes"):
-            await asyncio.to_thread(ask, {"faults": {"0": {"x" * 70_000: 1.0}}}, **where)
-        long = (await asyncio.gather(asyncio.to_thread(ask, {"ask": "?" * 60_000}, **where), return_exceptions=True))[0]
+            await asyncio.to_thread(
+                ask, {"faults": {"0": {"x" * 70_000: 1.0}}}, **where
+            )
+        long = (
+            await asyncio.gather(
+                asyncio.to_thread(ask, {"ask": "?" * 60_000}, **where),
+                return_exceptions=True,
+            )
+        )[0]
         assert isinstance(long, Refused)
         assert 'allowed: {"ask": "state"}' in str(long)
         assert len(str(long)) < 5000
         hall.server.cameras._answer = lambda question: "?" * 70_000
-        (large,) = await asyncio.gather(asyncio.to_thread(ask, {"ask": "state"}, **where), return_exceptions=True)
+        (large,) = await asyncio.gather(
+            asyncio.to_thread(ask, {"ask": "state"}, **where), return_exceptions=True
+        )
         assert "the answer has 70002 bytes" in str(large)
 
 
@@ -507,7 +599,10 @@ def stand_in():
 def test_an_answer_that_comes_twice_is_not_taken_for_the_next_part(stand_in):
     def answers(question):
         after = question.get("after", -1)
-        part = {"drones": {after + 1: {"x": after + 1}}, **({"after": after} if after >= 0 else {})}
+        part = {
+            "drones": {after + 1: {"x": after + 1}},
+            **({"after": after} if after >= 0 else {}),
+        }
         packed = json.dumps(part | ({"more": True} if after < 4 else {})).encode()
         return [packed, packed]
 
@@ -517,25 +612,53 @@ def test_an_answer_that_comes_twice_is_not_taken_for_the_next_part(stand_in):
 
 def test_what_answers_no_json_is_refused(stand_in):
     with pytest.raises(Refused, match="says no JSON"):
-        ask({"ask": "state"}, port=stand_in(lambda question: [b"\x0c"], 1), deadline=20.0)
+        ask(
+            {"ask": "state"},
+            port=stand_in(lambda question: [b"\x0c"], 1),
+            deadline=20.0,
+        )
 
 
 def test_more_drones_than_the_cameras_see_are_refused():
     drones = [
-        {"id": i, "home": [i % 30, i // 30, 0], "uri": f"udp://127.0.0.1:{20_000 + i}", "dongle": i % 16}
+        {
+            "id": i,
+            "home": [i % 30, i // 30, 0],
+            "uri": f"udp://127.0.0.1:{20_000 + i}",
+            "dongle": i % 16,
+        }
         for i in range(451)
     ]
     fence = {"min": [-1.0, -1.0, 0.0], "max": [40.0, 40.0, 2.0]}
-    config = SwarmConfig.of({"name": "lab", "fence": fence, "graph": "path", "drones": drones})
+    config = SwarmConfig.of(
+        {"name": "lab", "fence": fence, "graph": "path", "drones": drones}
+    )
     with pytest.raises(ConfigError, match="451 drones"):
         of_swarm(config, None)
 
 
 def test_a_body_of_a_drone_that_cameras_see_is_not_hidden_by_one_that_they_do_not_see():
     drones = [
-        {"id": 0, "home": [0.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19850", "body": "cf1"},
-        {"id": 1, "home": [1.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19851", "pose": "onboard"},
-        {"id": 2, "home": [2.0, 0.0, 0.0], "uri": "udp://127.0.0.1:19852", "pose": "onboard"},
+        {
+            "id": 0,
+            "home": [0.0, 0.0, 0.0],
+            "uri": "udp://127.0.0.1:19850",
+            "body": "cf1",
+        },
+        {
+            "id": 1,
+            "home": [1.0, 0.0, 0.0],
+            "uri": "udp://127.0.0.1:19851",
+            "pose": "onboard",
+        },
+        {
+            "id": 2,
+            "home": [2.0, 0.0, 0.0],
+            "uri": "udp://127.0.0.1:19852",
+            "pose": "onboard",
+        },
     ]
-    config = SwarmConfig.of({"name": "lab", "radio": {"log_rate": 25.0}, "drones": drones})
+    config = SwarmConfig.of(
+        {"name": "lab", "radio": {"log_rate": 25.0}, "drones": drones}
+    )
     assert [seat.body for seat in of_swarm(config, ()).seats] == ["cf1", "", "cf2"]

@@ -103,7 +103,9 @@ def test_the_parameter_that_stops():
 
 
 @pytest.mark.parametrize("name", ["emergency_stop_watchdog", "supervisor_watchdog"])
-def test_the_watchdog_bites_a_second_after_it_was_fed_last_and_never_before_it_was_fed_once(name):
+def test_the_watchdog_bites_a_second_after_it_was_fed_last_and_never_before_it_was_fed_once(
+    name,
+):
     hangar = Hangar().hovering()
     hangar.run(1.5)
     assert hangar.supervisor == "flying"

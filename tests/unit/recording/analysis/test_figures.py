@@ -18,7 +18,9 @@ BEGAN = 1.7e9
 
 def odometry(t, p):
     """Values of truth or state: level, at rest in the body's frame but for 1 m/s along y."""
-    rest = [[*place, 0, 0, np.sqrt(0.5), np.sqrt(0.5), 0, 1.0, 0, 0, 0, 0] for place in p]
+    rest = [
+        [*place, 0, 0, np.sqrt(0.5), np.sqrt(0.5), 0, 1.0, 0, 0, 0, 0] for place in p
+    ]
     return Values(t + BEGAN, t + BEGAN, np.array(rest))
 
 
@@ -44,23 +46,39 @@ def test_figures(tmp_path):
     assert figures["min_separation_m"] == pytest.approx(1.0)
     own, other = figures["drones"][0], figures["drones"][1]
     assert (own.pop("source"), other["source"]) == ("truth", "truth")
-    assert own == pytest.approx({
-        "flown_m": 1.0, "highest_m": 1.0, "fastest_m_s": 1.0, "compared_s": 5.0, "tracking_rmse_m": 0.03,
-        "tracking_max_m": 0.03, "estimation_rmse_m": 0.004,
-    }, abs=1e-6)  # fmt: skip
-    assert (other["compared_s"], other["tracking_rmse_m"], other["tracking_max_m"]) == (0.0, None, None)
+    assert own == pytest.approx(
+        {
+            "flown_m": 1.0,
+            "highest_m": 1.0,
+            "fastest_m_s": 1.0,
+            "compared_s": 5.0,
+            "tracking_rmse_m": 0.03,
+            "tracking_max_m": 0.03,
+            "estimation_rmse_m": 0.004,
+        },
+        abs=1e-6,
+    )
+    assert (other["compared_s"], other["tracking_rmse_m"], other["tracking_max_m"]) == (
+        0.0,
+        None,
+        None,
+    )
 
 
 def test_velocities_are_those_of_the_world(tmp_path):
     track = flight_of(recording(tmp_path)).tracks[0]
-    assert track.v[0] == pytest.approx([-1.0, 0.0, 0.0]), "the body's y, a quarter turn to the left"
+    assert track.v[0] == pytest.approx([-1.0, 0.0, 0.0]), (
+        "the body's y, a quarter turn to the left"
+    )
 
 
 def test_what_is_late_or_doubled_is_put_in_order(tmp_path):
     found = recording(tmp_path)
     truth = found.topics[0, "truth"]
     order = np.r_[1, 0, 0, 2:201]
-    found.topics[0, "truth"] = Values(truth.came, truth.born[order], truth.numbers[order])
+    found.topics[0, "truth"] = Values(
+        truth.came, truth.born[order], truth.numbers[order]
+    )
     track = flight_of(found).tracks[0]
     assert len(track.t) == 201
     assert track.p[:, 0] == pytest.approx(track.t / 10.0, abs=1e-6)
@@ -70,7 +88,9 @@ def test_a_gap_is_no_line(tmp_path):
     found = recording(tmp_path)
     truth = found.topics[1, "truth"]
     seen = (truth.born - BEGAN < 3.0) | (truth.born - BEGAN > 4.0)
-    found.topics[1, "truth"] = Values(truth.came[seen], truth.born[seen], truth.numbers[seen])
+    found.topics[1, "truth"] = Values(
+        truth.came[seen], truth.born[seen], truth.numbers[seen]
+    )
     flight = flight_of(found)
     unknown = np.isnan(flight.separation)
     assert 0.9 < unknown.sum() / 20.0 < 1.1
@@ -87,10 +107,16 @@ def test_where_there_is_no_truth_a_drone_is_where_it_took_itself_to_be(tmp_path)
     del found.topics[0, "truth"], found.topics[3, "truth"], found.topics[3, "state"]
     found.about["unseen"] = "2,12"
     figures = flight_of(found).figures()
-    assert {i: own["source"] for i, own in figures["drones"].items()} == {0: "state", 1: "truth", 2: "state"}
+    assert {i: own["source"] for i, own in figures["drones"].items()} == {
+        0: "state",
+        1: "truth",
+        2: "state",
+    }
     errors = {i: own["estimation_rmse_m"] for i, own in figures["drones"].items()}
     assert errors == {0: None, 1: pytest.approx(0.004), 2: None}
-    assert figures["drones"][0]["tracking_rmse_m"] == pytest.approx(np.hypot(0.03, 0.004)), "of its state"
+    assert figures["drones"][0]["tracking_rmse_m"] == pytest.approx(
+        np.hypot(0.03, 0.004)
+    ), "of its state"
     assert figures["min_separation_m"] == pytest.approx(0.996)
 
 
@@ -129,7 +155,9 @@ def drawn(found, name):
     figure = Figure(layout="constrained")
     FigureCanvasAgg(figure)
     of_flight(flight_of(found))[0][name][1](figure)
-    return figure.axes[0], [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    return figure.axes[0], [
+        text.get_text() for legend in figure.legends for text in legend.get_texts()
+    ]
 
 
 def data(line):
@@ -143,7 +171,11 @@ COMPARED = T <= 5.0
 
 def test_paths_from_above(tmp_path):
     axes, legend = drawn(recording(tmp_path), "top")
-    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("$x$ [m]", "$y$ [m]", 1.0)
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == (
+        "$x$ [m]",
+        "$y$ [m]",
+        1.0,
+    )
     flown, wanted, start, other, _, _ = axes.lines
     for line, y in ((flown, 0.0), (other, 1.0)):
         np.testing.assert_allclose(data(line), [T / 10.0, np.full(201, y)], atol=1e-6)
@@ -157,9 +189,17 @@ def test_paths_from_above(tmp_path):
 
 def test_paths_in_space(tmp_path):
     axes, legend = drawn(recording(tmp_path), "space")
-    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()) == ("$x$ [m]", "$y$ [m]", "$z$ [m]")
-    flown, wanted, _, other, _, _ = (np.asarray(line.get_data_3d(), float) for line in axes.lines)
-    np.testing.assert_allclose(flown, [T / 10.0, np.zeros(201), np.ones(201)], atol=1e-6)
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()) == (
+        "$x$ [m]",
+        "$y$ [m]",
+        "$z$ [m]",
+    )
+    flown, wanted, _, other, _, _ = (
+        np.asarray(line.get_data_3d(), float) for line in axes.lines
+    )
+    np.testing.assert_allclose(
+        flown, [T / 10.0, np.zeros(201), np.ones(201)], atol=1e-6
+    )
     np.testing.assert_allclose(other, [T / 10.0, np.ones(201), np.ones(201)], atol=1e-6)
     np.testing.assert_allclose(wanted[2][COMPARED], 1.03)
     assert legend == ["drone 0", "drone 1", "reference", "start"]
@@ -167,7 +207,10 @@ def test_paths_in_space(tmp_path):
 
 def test_errors_are_drawn_in_cm(tmp_path):
     axes, legend = drawn(recording(tmp_path), "tracking")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$t$ [s]", "distance from reference [cm]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "$t$ [s]",
+        "distance from reference [cm]",
+    )
     (own, other) = (data(line) for line in axes.lines)
     np.testing.assert_allclose(own[0], T, atol=1e-6)
     np.testing.assert_allclose(own[1][COMPARED], 3.0, atol=1e-4)
@@ -178,7 +221,11 @@ def test_errors_are_drawn_in_cm(tmp_path):
 
 def test_heights(tmp_path):
     axes, legend = drawn(recording(tmp_path), "heights")
-    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_xlim()[0]) == ("$t$ [s]", "$z$ [m]", 0.0)
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_xlim()[0]) == (
+        "$t$ [s]",
+        "$z$ [m]",
+        0.0,
+    )
     flown, wanted, other, _ = (data(line) for line in axes.lines)
     for t, z in (flown, other):
         np.testing.assert_allclose(t, T, atol=1e-6)
@@ -189,9 +236,14 @@ def test_heights(tmp_path):
 
 def test_distances_are_drawn_with_the_one_at_which_drones_may_touch(tmp_path):
     found = recording(tmp_path)
-    found.topics[1, "truth"] = odometry(T, np.column_stack([T / 10.0, 1.0 - 0.08 * T, np.ones(201)]))
+    found.topics[1, "truth"] = odometry(
+        T, np.column_stack([T / 10.0, 1.0 - 0.08 * T, np.ones(201)])
+    )
     axes, legend = drawn(found, "separation")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$t$ [s]", "least distance of two [m]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "$t$ [s]",
+        "least distance of two [m]",
+    )
     least, touching = (data(line) for line in axes.lines)
     np.testing.assert_allclose(least[1], 1.0 - 0.08 * least[0], atol=1e-6)
     assert touching[1].tolist() == [TOUCHING, TOUCHING]
@@ -206,7 +258,9 @@ def test_who_is_drawn_by_its_own_state_is_marked(tmp_path):
     many = recording(tmp_path, n=8)
     assert drawn(many, "tracking")[0].figure.axes[1].get_ylabel() == "drone"
     del many.topics[1, "truth"]
-    assert drawn(many, "tracking")[0].figure.axes[1].get_ylabel() == "drone (some: state)"
+    assert (
+        drawn(many, "tracking")[0].figure.axes[1].get_ylabel() == "drone (some: state)"
+    )
     many.about["unseen"] = "0,1,2,3,4,5,6,7"
     assert drawn(many, "tracking")[0].figure.axes[1].get_ylabel() == "drone (state)"
 

@@ -24,11 +24,15 @@ from crazychoir.types import Status
 
 BEGAN = 5.0
 SAID = [  # s, phase, task, sent
-    (0.0, "on ground", "planning: columns", 0), (1.0, "taking off", "flying: 0/2 stops", 100),
-    (2.0, "mission", "flying: 0/2 stops", 150), (3.0, "hovering", "flying: 0/2 stops", 200),
-    (4.0, "mission", "flying: 1/2 stops", 250), (5.0, "mission", "flying: 2/2 stops", 300),
-    (6.0, "landing", "landing: 2 stops", 350), (7.0, "on ground", "done: 2 stops", 400),
-]  # fmt: skip
+    (0.0, "on ground", "planning: columns", 0),
+    (1.0, "taking off", "flying: 0/2 stops", 100),
+    (2.0, "mission", "flying: 0/2 stops", 150),
+    (3.0, "hovering", "flying: 0/2 stops", 200),
+    (4.0, "mission", "flying: 1/2 stops", 250),
+    (5.0, "mission", "flying: 2/2 stops", 300),
+    (6.0, "landing", "landing: 2 stops", 350),
+    (7.0, "on ground", "done: 2 stops", 400),
+]
 RESULT = {
     "served": [{"task": 3, "kind": "pickup"}, {"task": 3, "kind": "delivery"}],
     "history": [[1, None, None], [4, 9.5, None], [8, 7.25, 8.0]],
@@ -36,7 +40,10 @@ RESULT = {
 
 
 def statuses(drone, said=SAID):
-    return [(BEGAN + t, drone, Status(phase, task, sent=sent, lost=sent // 5)) for t, phase, task, sent in said]
+    return [
+        (BEGAN + t, drone, Status(phase, task, sent=sent, lost=sent // 5))
+        for t, phase, task, sent in said
+    ]
 
 
 def rounds(values):
@@ -58,11 +65,19 @@ def law():
 def recorded(tmp_path):
     def record(*messages):
         (tmp_path / "a.mcap").unlink(missing_ok=True)
-        file, series = RecordingFile(tmp_path / "a.mcap", {"version": "1"}, "{}", False), {}
+        file, series = (
+            RecordingFile(tmp_path / "a.mcap", {"version": "1"}, "{}", False),
+            {},
+        )
         topics = {Status: "status", Exchanged: "round", dict: "result"}
-        for came, drone, value in sorted((m for part in messages for m in part), key=lambda m: m[0]):
+        for came, drone, value in sorted(
+            (m for part in messages for m in part), key=lambda m: m[0]
+        ):
             ns = round(came * 1e9)
-            one = series.setdefault((drone, type(value)), Series(drone, topics[type(value)], MESSAGES[type(value)]))
+            one = series.setdefault(
+                (drone, type(value)),
+                Series(drone, topics[type(value)], MESSAGES[type(value)]),
+            )
             file.write([Entry(one, ns, ns, packer(one.message, drone)(value, ns))])
         file.close()
         return tmp_path / "a.mcap"
@@ -83,15 +98,21 @@ def flight():
 def test_phases_are_joined_and_stops_are_named_by_the_result(recorded):
     work = work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN)
     assert work.spans[1:4] == (
-        Span(2, 1.0, 2.0, "taking off", "flying: 0/2 stops"), Span(2, 2.0, 3.0, "mission", "flying: 0/2 stops"),
+        Span(2, 1.0, 2.0, "taking off", "flying: 0/2 stops"),
+        Span(2, 2.0, 3.0, "mission", "flying: 0/2 stops"),
         Span(2, 3.0, 4.0, "hovering", "flying: 0/2 stops"),
-    )  # fmt: skip
+    )
     assert work.stops == (Stop(2, 4.0, "+3"), Stop(2, 5.0, "−3"))
     assert (work.drones, work.flown) == ([2], True)
 
 
 @pytest.mark.parametrize(
-    ("result", "labels"), [({}, ["(1)", "(2)"]), ({"done": [[7, 1], [0, 2]]}, ["7", "0"]), (RESULT, ["+3", "-3"])]
+    ("result", "labels"),
+    [
+        ({}, ["(1)", "(2)"]),
+        ({"done": [[7, 1], [0, 2]]}, ["7", "0"]),
+        (RESULT, ["+3", "-3"]),
+    ],
 )
 def test_stops_of_any_mission(recorded, result, labels):
     work = work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, result)]), BEGAN)
@@ -101,16 +122,29 @@ def test_stops_of_any_mission(recorded, result, labels):
 @pytest.mark.parametrize(
     "result",
     [
-        {"done": True}, {"done": 3}, {"served": [1, 2]}, {"served": 7}, {"served": [{"kind": "pickup"}]},
-        {"history": [[1.0, 2.0]], "objective": 3.0}, {"history": "none"}, {"history": []},
+        {"done": True},
+        {"done": 3},
+        {"served": [1, 2]},
+        {"served": 7},
+        {"served": [{"kind": "pickup"}]},
+        {"history": [[1.0, 2.0]], "objective": 3.0},
+        {"history": "none"},
+        {"history": []},
         {"history": [[1.0, 2.0, 3.0]], "objective": 0.5},
     ],
     ids=str,
-)  # fmt: skip
-def test_drones_with_results_of_their_own_kind_stand_beside_those_of_ours(recorded, tmp_path, result):
-    path = recorded(statuses(2), statuses(4), [(BEGAN + 8.0, 2, RESULT), (BEGAN + 8.5, 4, result)])
+)
+def test_drones_with_results_of_their_own_kind_stand_beside_those_of_ours(
+    recorded, tmp_path, result
+):
+    path = recorded(
+        statuses(2), statuses(4), [(BEGAN + 8.0, 2, RESULT), (BEGAN + 8.5, 4, result)]
+    )
     work, talk = work_of(path, BEGAN), talk_of(path, BEGAN)
-    assert [stop.label for stop in work.stops if stop.drone == 2] == ["+3", "\N{MINUS SIGN}3"]
+    assert [stop.label for stop in work.stops if stop.drone == 2] == [
+        "+3",
+        "\N{MINUS SIGN}3",
+    ]
     assert [stop.label for stop in work.stops if stop.drone == 4] == ["(1)", "(2)"]
     assert 2 in talk.history
     work.write(tmp_path / "tasks.csv")
@@ -118,28 +152,58 @@ def test_drones_with_results_of_their_own_kind_stand_beside_those_of_ours(record
 
 
 def test_stops_of_each_drone_are_its_own_and_counts_may_jump(recorded, tmp_path):
-    other = [(0.0, "mission", 'at "A": 0 done, task 7', 0), (2.0, "mission", "2 done, task 9", 0),
-             (3.0, "on ground", "done", 0)]  # fmt: skip
-    path = recorded(statuses(2), statuses(4, other), [(BEGAN + 8.0, 4, {"done": [[7, 1], [9, 2]]})])
+    other = [
+        (0.0, "mission", 'at "A": 0 done, task 7', 0),
+        (2.0, "mission", "2 done, task 9", 0),
+        (3.0, "on ground", "done", 0),
+    ]
+    path = recorded(
+        statuses(2), statuses(4, other), [(BEGAN + 8.0, 4, {"done": [[7, 1], [9, 2]]})]
+    )
     work = work_of(path, BEGAN)
     assert work.drones == [2, 4]
-    assert work.stops == (Stop(2, 4.0, "(1)"), Stop(2, 5.0, "(2)"), Stop(4, 2.0, "7"), Stop(4, 2.0, "9"))
+    assert work.stops == (
+        Stop(2, 4.0, "(1)"),
+        Stop(2, 5.0, "(2)"),
+        Stop(4, 2.0, "7"),
+        Stop(4, 2.0, "9"),
+    )
     assert work.spans[-2:] == (
-        Span(4, 2.0, 3.0, "mission", "2 done, task 9"), Span(4, 3.0, 3.0, "on ground", "done"),
-    )  # fmt: skip
+        Span(4, 2.0, 3.0, "mission", "2 done, task 9"),
+        Span(4, 3.0, 3.0, "on ground", "done"),
+    )
     work.write(tmp_path / "tasks.csv")
     with (tmp_path / "tasks.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["task"] for row in rows if row["drone"] == "4"] == ['at "A": 0 done, task 7', "2 done, task 9", "done"]
+    assert [row["task"] for row in rows if row["drone"] == "4"] == [
+        'at "A": 0 done, task 7',
+        "2 done, task 9",
+        "done",
+    ]
     assert [row["stops"] for row in rows if row["drone"] == "4"] == ["", "7 9", ""]
-    assert [row["stops"] for row in rows if row["drone"] == "2"] == ["", "", "", "", "(1)", "(2)", "", ""]
+    assert [row["stops"] for row in rows if row["drone"] == "2"] == [
+        "",
+        "",
+        "",
+        "",
+        "(1)",
+        "(2)",
+        "",
+        "",
+    ]
 
 
 def test_the_table_of_tasks(recorded, tmp_path):
-    work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN).write(tmp_path / "tasks.csv")
+    work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN).write(
+        tmp_path / "tasks.csv"
+    )
     with (tmp_path / "tasks.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert (rows[4]["begin_s"], rows[4]["phase"], rows[4]["stops"]) == ("4.000", "mission", "+3")
+    assert (rows[4]["begin_s"], rows[4]["phase"], rows[4]["stops"]) == (
+        "4.000",
+        "mission",
+        "+3",
+    )
     assert rows[5]["stops"] == "-3"
 
 
@@ -157,27 +221,50 @@ def test_who_is_heard_later_or_no_more_says_no_messages_meanwhile(recorded):
     talk = talk_of(recorded(statuses(2), statuses(4, SAID[4:6])), BEGAN)
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
     sent = dict(zip(talk.t.round(1).tolist(), talk.rates[:, 0].tolist(), strict=True))
-    assert (sent[0.5], sent[4.0], sent[4.5], sent[5.0], sent[5.5]) == pytest.approx((100, 50, 100, 100, 50))
+    assert (sent[0.5], sent[4.0], sent[4.5], sent[5.0], sent[5.5]) == pytest.approx(
+        (100, 50, 100, 100, 50)
+    )
     talk = talk_of(recorded(statuses(2, SAID[5:]), statuses(4, SAID[:4])), BEGAN)
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
 
 
 def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
     """30 messages, 20 of another 50, and 10 more: none less than none."""
-    said = [(0.0, "mission", "", 0), (1.0, "mission", "", 30), (2.0, "mission", "", 20), (3.0, "mission", "", 30)]
+    said = [
+        (0.0, "mission", "", 0),
+        (1.0, "mission", "", 30),
+        (2.0, "mission", "", 20),
+        (3.0, "mission", "", 30),
+    ]
     talk = talk_of(recorded(statuses(2, said)), BEGAN)
     assert talk.rates[:, 0] == pytest.approx([30, 30, 20, 20, 10, 10])
     assert talk.rates[:, 1] == pytest.approx([6, 6, 4, 4, 2, 2])
 
 
 def test_what_has_no_content_is_no_message_of_a_round(recorded):
-    said = [(0, REPEAT, encode(1.0)), (1, AHEAD, encode(3.0)), (2, WANT, b""), (3, FIN, b"")]
-    path = recorded([(BEGAN, i, Exchanged(9, 4, kind, "mean", payload)) for i, kind, payload in said])
+    said = [
+        (0, REPEAT, encode(1.0)),
+        (1, AHEAD, encode(3.0)),
+        (2, WANT, b""),
+        (3, FIN, b""),
+    ]
+    path = recorded(
+        [
+            (BEGAN, i, Exchanged(9, 4, kind, "mean", payload))
+            for i, kind, payload in said
+        ]
+    )
     (channel,) = talk_of(path, BEGAN).channels
-    assert (channel.rounds.tolist(), channel.different.tolist(), channel.spread.tolist()) == ([4], [2], [1.0])
+    assert (
+        channel.rounds.tolist(),
+        channel.different.tolist(),
+        channel.spread.tolist(),
+    ) == ([4], [2], [1.0])
 
 
-def test_channels_come_in_order_of_their_first_message_and_rounds_by_number(recorded, tmp_path):
+def test_channels_come_in_order_of_their_first_message_and_rounds_by_number(
+    recorded, tmp_path
+):
     said = [("b", 1, 5.0), ("b", 0, 4.0), ("a", 0, "word"), ("a", 1, 2.0)]
     messages = [
         (BEGAN + k + 0.1 * i, i, Exchanged(9, number, 0, name, encode(value)))
@@ -185,11 +272,17 @@ def test_channels_come_in_order_of_their_first_message_and_rounds_by_number(reco
         for i in (0, 1)
     ]
     talk = talk_of(recorded(messages), BEGAN)
-    assert [(channel.name, channel.rounds.tolist()) for channel in talk.channels] == [("b", [0, 1]), ("a", [0, 1])]
+    assert [(channel.name, channel.rounds.tolist()) for channel in talk.channels] == [
+        ("b", [0, 1]),
+        ("a", [0, 1]),
+    ]
     assert talk.channels[0].spread.tolist() == [0.0, 0.0]
     assert talk.channels[1].spread is None, "not all are numbers"
     talk.write_rounds(tmp_path / "rounds.csv")
-    assert (tmp_path / "rounds.csv").read_text().splitlines()[1:3] == ['"b",0,1,0', '"b",1,1,0']
+    assert (tmp_path / "rounds.csv").read_text().splitlines()[1:3] == [
+        '"b",0,1,0',
+        '"b",1,1,0',
+    ]
 
 
 def test_rounds_of_numbers_and_of_anything(recorded, tmp_path):
@@ -201,21 +294,31 @@ def test_rounds_of_numbers_and_of_anything(recorded, tmp_path):
     (channel,) = talk.channels
     assert (channel.different.tolist(), channel.spread) == ([2, 1], None)
     talk.write_rounds(tmp_path / "rounds.csv")
-    assert (tmp_path / "rounds.csv").read_text().splitlines()[1:] == ['"mean",0,2,nan', '"mean",1,1,nan']
+    assert (tmp_path / "rounds.csv").read_text().splitlines()[1:] == [
+        '"mean",0,2,nan',
+        '"mean",1,1,nan',
+    ]
 
 
 def test_how_routes_were_planned(recorded, tmp_path):
     talk = talk_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN)
-    np.testing.assert_array_equal(talk.history[2], [[1, np.nan, np.nan], [4, 9.5, np.nan], [8, 7.25, 8.0]])
+    np.testing.assert_array_equal(
+        talk.history[2], [[1, np.nan, np.nan], [4, 9.5, np.nan], [8, 7.25, 8.0]]
+    )
     talk.write_history(tmp_path / "convergence.csv")
-    assert (tmp_path / "convergence.csv").read_text().splitlines()[2] == "2,4,9.500000,nan"
+    assert (tmp_path / "convergence.csv").read_text().splitlines()[
+        2
+    ] == "2,4,9.500000,nan"
 
 
 @pytest.mark.parametrize(
     ("more", "names"),
     [
         (lambda: [(BEGAN + 8.0, 2, RESULT)], ["tasks", "messages", "convergence"]),
-        (lambda: rounds({2: [1.0, 2.0], 4: [3.0, 2.0]}), ["tasks", "messages", "convergence"]),
+        (
+            lambda: rounds({2: [1.0, 2.0], 4: [3.0, 2.0]}),
+            ["tasks", "messages", "convergence"],
+        ),
         (law, ["tasks", "messages", "convergence"]),
         (list, ["tasks", "messages"]),
     ],
@@ -249,7 +352,10 @@ def drawn(picture):
 
 def data(axes):
     """What its lines show."""
-    return [(np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)) for line in axes.lines]
+    return [
+        (np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float))
+        for line in axes.lines
+    ]
 
 
 def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
@@ -258,18 +364,29 @@ def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
     axes = drawn(of_team(flight(), work, SILENCE)[0]["tasks"])
     assert len(axes.patches) == len(work.spans)
     for bar, span in zip(axes.patches, work.spans, strict=True):
-        assert (bar.get_x(), bar.get_width()) == pytest.approx((span.begin, span.end - span.begin))
-        assert bar.get_y() + 0.5 * bar.get_height() == pytest.approx({2: 0.0, 4: -1.0}[span.drone])
+        assert (bar.get_x(), bar.get_width()) == pytest.approx(
+            (span.begin, span.end - span.begin)
+        )
+        assert bar.get_y() + 0.5 * bar.get_height() == pytest.approx(
+            {2: 0.0, 4: -1.0}[span.drone]
+        )
         assert to_hex(bar.get_facecolor()) == PHASES[span.phase].lower()
     assert [x.tolist() for x, _ in data(axes)] == [[4.0, 4.0], [5.0, 5.0]]
-    assert [(text.get_text(), text.get_position()[0]) for text in axes.texts] == [("+3", 4.0), ("−3", 5.0)]
+    assert [(text.get_text(), text.get_position()[0]) for text in axes.texts] == [
+        ("+3", 4.0),
+        ("−3", 5.0),
+    ]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["2", "4"]
     assert axes.get_xlim() == (0.0, 7.0)
 
 
 def test_names_of_stops_do_not_cover_each_other():
     stops = (Stop(2, 50.0, "abc"), Stop(2, 50.5, "d"), Stop(2, 60.0, "e"))
-    axes = drawn(of_team(flight(), Work((Span(2, 0.0, 100.0, "mission", ""),), stops), SILENCE)[0]["tasks"])
+    axes = drawn(
+        of_team(flight(), Work((Span(2, 0.0, 100.0, "mission", ""),), stops), SILENCE)[
+            0
+        ]["tasks"]
+    )
     assert [text.get_va() for text in axes.texts] == ["bottom", "top", "bottom"]
 
 
@@ -279,7 +396,11 @@ def test_the_picture_of_messages_shows_their_rates(recorded):
     for (t, rate), expected in zip(data(axes), talk.rates.T, strict=True):
         np.testing.assert_array_equal(t, talk.t)
         np.testing.assert_array_equal(rate, expected)
-    assert [line.get_label() for line in axes.lines] == ["sent", "lost (simulated)", "resent"]
+    assert [line.get_label() for line in axes.lines] == [
+        "sent",
+        "lost (simulated)",
+        "resent",
+    ]
 
 
 def test_routes_go_before_laws_and_these_before_rounds(recorded):
@@ -287,14 +408,24 @@ def test_routes_go_before_laws_and_these_before_rounds(recorded):
     labels = []
     for parts in ((result, law(), said), (law(), said), (said,)):
         path = recorded(statuses(2), *parts)
-        axes = drawn(of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))[0]["convergence"])
+        axes = drawn(
+            of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))[0][
+                "convergence"
+            ]
+        )
         labels.append(axes.get_ylabel())
-    assert labels == ["length of all routes [m]", "distance from end [m]", "distance from the mean"]
+    assert labels == [
+        "length of all routes [m]",
+        "distance from end [m]",
+        "distance from the mean",
+    ]
 
 
 def test_what_was_known_of_routes_in_each_round(recorded):
     path = recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)])
-    (k, relaxed), (_, best) = data(drawn(of_team(flight(), Work((), ()), talk_of(path, BEGAN))[0]["convergence"]))
+    (k, relaxed), (_, best) = data(
+        drawn(of_team(flight(), Work((), ()), talk_of(path, BEGAN))[0]["convergence"])
+    )
     np.testing.assert_array_equal(k, [1, 4, 8, 9])
     np.testing.assert_array_equal(relaxed, [np.nan, 9.5, 7.25, 7.25])
     np.testing.assert_array_equal(best, [np.nan, np.nan, 8.0, 8.0])
@@ -308,25 +439,39 @@ def test_a_law_is_shown_by_the_distance_from_where_it_ended(recorded):
     during = (own.t >= 1.0) & (own.t <= 6.5)
     end = own.p[(own.t >= 5.5) & (own.t <= 6.5)].mean(axis=0)
     np.testing.assert_allclose(t, own.t[during] - 1.0)
-    np.testing.assert_allclose(far, np.maximum(np.linalg.norm(own.p[during] - end, axis=1), LEAST))
+    np.testing.assert_allclose(
+        far, np.maximum(np.linalg.norm(own.p[during] - end, axis=1), LEAST)
+    )
     assert (axes.get_yscale(), axes.get_xlim()) == ("log", (0.0, 5.5))
 
 
 def test_a_law_counts_from_its_first_step_to_its_last():
     said = [(1.0, 2.0, LAW), (2.0, 3.0, "held"), (3.0, 5.0, LAW)]
     spans = [Span(4, begin, end, "mission", task) for begin, end, task in said]
-    assert law_times(Work((*spans, Span(5, 0.0, 9.0, "mission", "x")), ())) == {4: (1.0, 5.0)}
+    assert law_times(Work((*spans, Span(5, 0.0, 9.0, "mission", "x")), ())) == {
+        4: (1.0, 5.0)
+    }
 
 
 def test_rounds_are_shown_by_their_spread_or_by_how_many_differ(recorded):
     of_numbers = rounds({2: [1.0, 2.0], 4: [3.0, 2.0]})
     talk = talk_of(recorded(of_numbers), BEGAN)
-    ((k, spread),) = data(drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"]))
+    ((k, spread),) = data(
+        drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"])
+    )
     assert (k.tolist(), spread.tolist()) == ([0, 1], [1.0, LEAST])
     of_words = rounds({2: ["a", "b"], 4: ["c", "b"]})
-    axes = drawn(of_team(flight(), Work((), ()), talk_of(recorded(of_words), BEGAN))[0]["convergence"])
+    axes = drawn(
+        of_team(flight(), Work((), ()), talk_of(recorded(of_words), BEGAN))[0][
+            "convergence"
+        ]
+    )
     ((k, different),) = data(axes)
-    assert (k.tolist(), different.tolist(), axes.get_ylim()) == ([0, 1], [2, 1], (0.0, 2.5))
+    assert (k.tolist(), different.tolist(), axes.get_ylim()) == (
+        [0, 1],
+        [2, 1],
+        (0.0, 2.5),
+    )
 
 
 NOWHERE = Flight((), np.zeros(0), np.zeros(0))
@@ -352,10 +497,19 @@ def test_of_a_team_that_nobody_saw_there_is_what_it_said(recorded):
 
 def test_what_was_minimised_has_its_unit(recorded, tmp_path):
     for objective, unit, label in (
-        (["total"], "m", "length of all routes [m]"), (["makespan", "total"], "s", "time until all are back [s]"),
-    ):  # fmt: skip
-        talk = talk_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT | {"objective": objective})]), BEGAN)
-        assert drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"]).get_ylabel() == label
+        (["total"], "m", "length of all routes [m]"),
+        (["makespan", "total"], "s", "time until all are back [s]"),
+    ):
+        talk = talk_of(
+            recorded(
+                statuses(2), [(BEGAN + 8.0, 2, RESULT | {"objective": objective})]
+            ),
+            BEGAN,
+        )
+        assert (
+            drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"]).get_ylabel()
+            == label
+        )
         talk.write_history(tmp_path / "convergence.csv")
         header = (tmp_path / "convergence.csv").read_text().splitlines()[0]
         assert header == f"drone,round,relaxed_{unit},cost_{unit}"

@@ -5,7 +5,16 @@ import struct
 import pytest
 from ros2_decoders import decoded
 
-from crazychoir.recording.mcap.cdr import HEAD, RULE, Layout, Leaf, definitions_of, leaves, schema, unpacked
+from crazychoir.recording.mcap.cdr import (
+    HEAD,
+    RULE,
+    Layout,
+    Leaf,
+    definitions_of,
+    leaves,
+    schema,
+    unpacked,
+)
 
 INNER = {"a/Inner": "uint8 n\nfloat64 x", "a/Stamp": "int32 sec\nuint32 nanosec"}
 
@@ -25,37 +34,95 @@ def flat(fields, path=""):
     """The fields of messages within a message by their paths."""
     found = {}
     for name, value in fields.items():
-        found |= flat(value, f"{path}{name}.") if isinstance(value, dict) else {path + name: value}
+        found |= (
+            flat(value, f"{path}{name}.")
+            if isinstance(value, dict)
+            else {path + name: value}
+        )
     return found
 
 
 def test_a_number_lies_at_a_multiple_of_its_size_counted_after_the_head():
-    layout = Layout([Leaf("n", "uint8"), Leaf("x", "float64"), Leaf("m", "uint8"), Leaf("k", "int32")], {})
+    layout = Layout(
+        [
+            Leaf("n", "uint8"),
+            Leaf("x", "float64"),
+            Leaf("m", "uint8"),
+            Leaf("k", "int32"),
+        ],
+        {},
+    )
     message = layout.pack((7, 1.5, 9, -2))
-    assert message == HEAD + b"\7" + bytes(7) + struct.pack("<d", 1.5) + b"\t\0\0\0\xfe\xff\xff\xff"
+    assert (
+        message
+        == HEAD
+        + b"\7"
+        + bytes(7)
+        + struct.pack("<d", 1.5)
+        + b"\t\0\0\0\xfe\xff\xff\xff"
+    )
     assert layout.numbers(message) == (7, 1.5, 9, -2)
 
 
 TRAPS = [
     ("uint8 n\nfloat64 x", (3, 1.25), {"n": 3, "x": 1.25}),
-    ("bool b\nint64 k\nuint8 n\nuint64 m\nfloat32 f", (True, -(1 << 62), 255, 1 << 63, 0.5),
-     {"b": True, "k": -(1 << 62), "n": 255, "m": 1 << 63, "f": 0.5}),
+    (
+        "bool b\nint64 k\nuint8 n\nuint64 m\nfloat32 f",
+        (True, -(1 << 62), 255, 1 << 63, 0.5),
+        {"b": True, "k": -(1 << 62), "n": 255, "m": 1 << 63, "f": 0.5},
+    ),
     ("string s\nfloat64 x", ("ab", 2.5), {"s": "ab", "x": 2.5}),
-    ("string s\nstring t\nuint8 n\nfloat64 x", ("", "größe", 1, 2.5), {"s": "", "t": "größe", "n": 1, "x": 2.5}),
+    (
+        "string s\nstring t\nuint8 n\nfloat64 x",
+        ("", "größe", 1, 2.5),
+        {"s": "", "t": "größe", "n": 1, "x": 2.5},
+    ),
     ("float64[] xs\nuint8 n", ([], 4), {"xs": [], "n": 4}),
-    ("uint8 n\nfloat64[] xs\nuint8 m", (1, [1.5, 2.5], 4), {"n": 1, "xs": [1.5, 2.5], "m": 4}),
+    (
+        "uint8 n\nfloat64[] xs\nuint8 m",
+        (1, [1.5, 2.5], 4),
+        {"n": 1, "xs": [1.5, 2.5], "m": 4},
+    ),
     ("int64[] a\nint64[] b\nstring s", ([], [], "end"), {"a": [], "b": [], "s": "end"}),
-    ("int64[] a\nint64[] b\nstring s", ([1], [], "end"), {"a": [1], "b": [], "s": "end"}),
-    ("string s\nint64[] a\nfloat64 x", ("abc", [-1, 2], 0.5), {"s": "abc", "a": [-1, 2], "x": 0.5}),
+    (
+        "int64[] a\nint64[] b\nstring s",
+        ([1], [], "end"),
+        {"a": [1], "b": [], "s": "end"},
+    ),
+    (
+        "string s\nint64[] a\nfloat64 x",
+        ("abc", [-1, 2], 0.5),
+        {"s": "abc", "a": [-1, 2], "x": 0.5},
+    ),
     ("uint8[3] raw\nfloat64 x", (1, 2, 3, 0.5), {"raw": [1, 2, 3], "x": 0.5}),
-    ("string s\nfloat64[2] xs\nuint8[3] raw", ("a", (1.0, 2.0), (1, 2, 3)), {"s": "a", "xs": [1, 2], "raw": [1, 2, 3]}),
-    ("string[] names\nfloat64 x", (["a", "", "bcd"], 0.5), {"names": ["a", "", "bcd"], "x": 0.5}),
-    ("a/Inner one\na/Inner two", (1, 2.0, 3, 4.0), {"one": {"n": 1, "x": 2.0}, "two": {"n": 3, "x": 4.0}}),
-    ("string s\na/Inner one", ("abcd", 1, 2.0), {"s": "abcd", "one": {"n": 1, "x": 2.0}}),
-]  # fmt: skip
+    (
+        "string s\nfloat64[2] xs\nuint8[3] raw",
+        ("a", (1.0, 2.0), (1, 2, 3)),
+        {"s": "a", "xs": [1, 2], "raw": [1, 2, 3]},
+    ),
+    (
+        "string[] names\nfloat64 x",
+        (["a", "", "bcd"], 0.5),
+        {"names": ["a", "", "bcd"], "x": 0.5},
+    ),
+    (
+        "a/Inner one\na/Inner two",
+        (1, 2.0, 3, 4.0),
+        {"one": {"n": 1, "x": 2.0}, "two": {"n": 3, "x": 4.0}},
+    ),
+    (
+        "string s\na/Inner one",
+        ("abcd", 1, 2.0),
+        {"s": "abcd", "one": {"n": 1, "x": 2.0}},
+    ),
+]
 
 
-@pytest.mark.parametrize(("text", "values", "found"), TRAPS, ids=[text.replace("\n", "; ") for text, *_ in TRAPS])
+@pytest.mark.parametrize(
+    ("text", "values", "found"),
+    TRAPS,
+    ids=[text.replace("\n", "; ") for text, *_ in TRAPS],
+)
 def test_others_read_what_was_written(text, values, found):
     assert packed(text, values) == found
 
@@ -66,8 +133,12 @@ def test_a_header_within_a_message_and_texts_that_are_always_the_same():
     constants = {"header.frame_id": "world", "child": "drone12", "zero": None}
     assert packed(text, (1, 2, 3, 4.5, "end"), constants, **more) == {
         "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "world"},
-        "child": "drone12", "zero": [0.0, 0.0, 0.0], "n": 3, "x": 4.5, "last": "end",
-    }  # fmt: skip
+        "child": "drone12",
+        "zero": [0.0, 0.0, 0.0],
+        "n": 3,
+        "x": 4.5,
+        "last": "end",
+    }
 
 
 @pytest.mark.parametrize("length", range(9))
@@ -75,7 +146,11 @@ def test_what_follows_a_text_of_any_length_is_aligned(length):
     text = "x" * length
     constants = {"s": text}
     for given, values in ((None, (text, 1, 2.5)), (constants, (1, 2.5))):
-        assert packed("string s\nuint8 n\nfloat64 x", values, given) == {"s": text, "n": 1, "x": 2.5}
+        assert packed("string s\nuint8 n\nfloat64 x", values, given) == {
+            "s": text,
+            "n": 1,
+            "x": 2.5,
+        }
 
 
 def test_what_is_no_text_does_not_fail():
@@ -89,9 +164,19 @@ def test_what_a_field_cannot_hold_is_an_error(values):
 
 
 def test_a_schema_names_every_message_once_and_drops_no_comment():
-    text = schema("a/Outer", {**INNER, "a/Outer": "a/Inner p  # m\na/Inner q\na/Stamp t", "a/Other": "bool b"})
+    text = schema(
+        "a/Outer",
+        {
+            **INNER,
+            "a/Outer": "a/Inner p  # m\na/Inner q\na/Stamp t",
+            "a/Other": "bool b",
+        },
+    )
     assert text.split(f"{RULE}\n")[0] == "a/Inner p  # m\na/Inner q\na/Stamp t\n"
-    assert [part.splitlines()[0] for part in text.split(f"{RULE}\n")[1:]] == ["MSG: a/Inner", "MSG: a/Stamp"]
+    assert [part.splitlines()[0] for part in text.split(f"{RULE}\n")[1:]] == [
+        "MSG: a/Inner",
+        "MSG: a/Stamp",
+    ]
 
 
 def test_a_message_that_is_cut_off_is_an_error():

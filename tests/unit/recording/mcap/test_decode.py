@@ -31,22 +31,50 @@ from crazychoir.types import (
 
 Q = np.array([0.1, -0.3, 0.5, 0.8]) / np.linalg.norm([0.1, -0.3, 0.5, 0.8])
 SAID = [
-    Pose(np.arange(7.0)), State(np.array([1, 2, 3, 0.4, 0.5, 0.6, *Q, 7, 8, 9])), Acceleration(np.arange(3.0), 0.5),
-    FullState(np.arange(14.0)), Goto(np.arange(3.0), 0.5, 2.0), FPQR(np.arange(4.0)), FRPY(np.arange(4.0)),
-    Vel(np.arange(4.0)), Velocity(np.arange(3.0), 0.5), Acc(np.arange(3.0)), Drive(np.arange(2.0)),
-    XYZ("go_to", np.arange(5.0)), LinkStatus("up", 0.1, 0.2, 0.9, -40.0, 3.9, 3, True, ["a", "b"], "r", 1, 2, "x"),
-    Body("crashed", True), Status("mission", "at 1/2 stops", 3, 4.5, 4.2, 1, 2, 3, 4, [1], [2, 3], "p", "h", "note"),
+    Pose(np.arange(7.0)),
+    State(np.array([1, 2, 3, 0.4, 0.5, 0.6, *Q, 7, 8, 9])),
+    Acceleration(np.arange(3.0), 0.5),
+    FullState(np.arange(14.0)),
+    Goto(np.arange(3.0), 0.5, 2.0),
+    FPQR(np.arange(4.0)),
+    FRPY(np.arange(4.0)),
+    Vel(np.arange(4.0)),
+    Velocity(np.arange(3.0), 0.5),
+    Acc(np.arange(3.0)),
+    Drive(np.arange(2.0)),
+    XYZ("go_to", np.arange(5.0)),
+    LinkStatus("up", 0.1, 0.2, 0.9, -40.0, 3.9, 3, True, ["a", "b"], "r", 1, 2, "x"),
+    Body("crashed", True),
+    Status(
+        "mission",
+        "at 1/2 stops",
+        3,
+        4.5,
+        4.2,
+        1,
+        2,
+        3,
+        4,
+        [1],
+        [2, 3],
+        "p",
+        "h",
+        "note",
+    ),
     Status("mission", hosts=["b"], offsets=[1000.5], offset_errors=[0.001]),
-    "a line", {"success": True, "place": [1.0, 2.0]},
+    "a line",
+    {"success": True, "place": [1.0, 2.0]},
     Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
-]  # fmt: skip
+]
 
 
 def recorded(path, values):
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     for k, value in enumerate(values):
         message = MESSAGES[type(value)]
-        entries.append(Entry(Series(12, f"topic{k}", message), k, k, packer(message, 12)(value, k)))
+        entries.append(
+            Entry(Series(12, f"topic{k}", message), k, k, packer(message, 12)(value, k))
+        )
     file.write(entries)
     file.close()
     return path
@@ -65,13 +93,18 @@ def test_what_was_said_comes_back(tmp_path):
 def rounded(value):
     if isinstance(value, State):
         return value.flat.round(12).tolist()
-    return plain(msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value)
+    return plain(
+        msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value
+    )
 
 
 def test_another_version_is_refused(tmp_path, monkeypatch):
     path = recorded(tmp_path / "a.mcap", SAID[:1])
     monkeypatch.setattr("crazychoir.recording.mcap.decode.BY_TYPE", {})
-    with pytest.raises(ConfigError, match=r"another geometry_msgs/msg/PoseStamped for /drone12/topic0.*version"):
+    with pytest.raises(
+        ConfigError,
+        match=r"another geometry_msgs/msg/PoseStamped for /drone12/topic0.*version",
+    ):
         Values(path).of(next(iter(told(path))))
 
 
@@ -79,7 +112,9 @@ def test_other_fields_under_the_same_name_are_refused(tmp_path, monkeypatch):
     path = recorded(tmp_path / "a.mcap", SAID[:2])
     monkeypatch.setitem(BY_TYPE, MESSAGES[Pose].type, MESSAGES[State])
     values, (pose, state) = Values(path), told(path)
-    with pytest.raises(ConfigError, match="another geometry_msgs/msg/PoseStamped for /drone12/topic0"):
+    with pytest.raises(
+        ConfigError, match="another geometry_msgs/msg/PoseStamped for /drone12/topic0"
+    ):
         values.of(pose)
     assert rounded(values.of(state)) == rounded(SAID[1]), "what is as it was is read"
 
@@ -96,7 +131,11 @@ def test_each_drone_has_values_of_its_own(tmp_path):
     file, message = RecordingFile(path, {"version": "1"}, "{}", False), MESSAGES[State]
     for drone in (3, 12345, 3):
         series = Series(drone, "state", message)
-        file.write([Entry(series, 1, 1, packer(message, drone)(State.at((drone, 2, 1)), 1))])
+        file.write(
+            [Entry(series, 1, 1, packer(message, drone)(State.at((drone, 2, 1)), 1))]
+        )
     file.close()
     values = Values(path)
-    assert [values.of(message).p.tolist() for message in told(path)] == [[drone, 2, 1] for drone in (3, 12345, 3)]
+    assert [values.of(message).p.tolist() for message in told(path)] == [
+        [drone, 2, 1] for drone in (3, 12345, 3)
+    ]

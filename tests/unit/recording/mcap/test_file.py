@@ -40,21 +40,31 @@ def test_a_file_says_what_was_flown(tmp_path):
     file.close()
     assert file.written == 5
     recording = read(path, ("truth",))
-    assert (recording.about, recording.swarm, recording.complete) == (ABOUT, '{"name": "probe"}', True)
+    assert (recording.about, recording.swarm, recording.complete) == (
+        ABOUT,
+        '{"name": "probe"}',
+        True,
+    )
     assert (recording.drones, recording.seconds) == ([0, 1], (5e-9, 4.000000005))
     assert recording.of(0, "truth").numbers[:, 0].tolist() == [0, 1, 2]
     assert recording.of(0, "truth").came.tolist() == [5e-9, 1.000000005, 2.000000005]
     assert recording.of(1, "truth").born.tolist() == [3.0, 4.0]
     assert len(recording.of(2, "truth")) == 0
     assert by_mcap_ros2(path) == by_rosbags(path)
-    assert [name for name, *_ in by_rosbags(path)] == 3 * ["/drone0/truth"] + 2 * ["/drone1/truth"]
+    assert [name for name, *_ in by_rosbags(path)] == 3 * ["/drone0/truth"] + 2 * [
+        "/drone1/truth"
+    ]
 
 
 @pytest.mark.parametrize(
     ("lost", "said", "outcome"),
     [
         (0, None, {"lost": "0", "missed": "0", "ended": UNKNOWN}),
-        (7, {"ended": "Ctrl-C", "digest": "ab"}, {"lost": "7", "missed": "0", "ended": "Ctrl-C", "digest": "ab"}),
+        (
+            7,
+            {"ended": "Ctrl-C", "digest": "ab"},
+            {"lost": "7", "missed": "0", "ended": "Ctrl-C", "digest": "ab"},
+        ),
     ],
 )
 def test_it_always_says_what_it_lacks_and_how_it_ended(tmp_path, lost, said, outcome):
@@ -64,7 +74,11 @@ def test_it_always_says_what_it_lacks_and_how_it_ended(tmp_path, lost, said, out
     file.lost += lost
     file.close(said)
     recording = header(path)
-    assert (recording.outcome, recording.lost, recording.complete) == (outcome, lost, True)
+    assert (recording.outcome, recording.lost, recording.complete) == (
+        outcome,
+        lost,
+        True,
+    )
 
 
 def test_what_comes_after_the_end_is_lost(tmp_path):
@@ -78,7 +92,9 @@ def test_what_comes_after_the_end_is_lost(tmp_path):
 def test_a_file_is_never_written_over(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_text("old")
-    with pytest.raises(ConfigError, match=r"a\.mcap: there is one already; a new file.*remove"):
+    with pytest.raises(
+        ConfigError, match=r"a\.mcap: there is one already; a new file.*remove"
+    ):
         opened(path)
     assert path.read_text() == "old"
 
@@ -97,7 +113,11 @@ def test_a_place_that_cannot_be_is_refused(tmp_path):
 
 
 def test_a_full_disk_is_said_before_the_flight(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "write", lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left")))
+    monkeypatch.setattr(
+        os,
+        "write",
+        lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left")),
+    )
     with pytest.raises(ConfigError, match="No space left"):
         opened(tmp_path / "a.mcap")
     assert list(tmp_path.iterdir()) == []
@@ -108,7 +128,9 @@ def test_without_a_message_there_is_no_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_fills_ends_the_recording_and_keeps_what_is_there(tmp_path, monkeypatch):
+def test_a_disk_that_fills_ends_the_recording_and_keeps_what_is_there(
+    tmp_path, monkeypatch
+):
     path = tmp_path / "a.mcap"
     file, series = opened(path), truth()
     file.write(entries(series, 0, 10))
@@ -138,11 +160,16 @@ def test_on_the_disk_once_a_second_in_real_time_alone(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr(os, "fdatasync", synced.append)
     for durable, times in ((True, 4), (False, 0)):
-        file, series = opened(tmp_path / f"{durable}.mcap", durable), Series(0, "pose", MESSAGES[Pose])
+        file, series = (
+            opened(tmp_path / f"{durable}.mcap", durable),
+            Series(0, "pose", MESSAGES[Pose]),
+        )
         pack = packer(series.message, 0)
         for tenth in range(10, 35):  # s / 10
             ns = tenth * SECOND // 10
-            file.write([Entry(series, ns, ns, pack(Pose(State.at((0, 0, 0)).flat[:7]), ns))])
+            file.write(
+                [Entry(series, ns, ns, pack(Pose(State.at((0, 0, 0)).flat[:7]), ns))]
+            )
         assert len(synced) == times, "at the beginning, and at 1, 2 and 3 s"
         file.close()
         synced.clear()

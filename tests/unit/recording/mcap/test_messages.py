@@ -28,7 +28,7 @@ from crazychoir.types import (
     State,
     Status,
     Vel,
-)  # fmt: skip
+)
 
 BORN = 12_345_678_901
 HEADER = {"stamp": {"sec": 12, "nanosec": 345_678_901}, "frame_id": "world"}
@@ -54,12 +54,17 @@ def posed(p, q):
 
 def test_what_is_observed_asked_and_commanded_is_in_the_table():
     assert {usual(BY_NAME[name]) for name in OBSERVABLE} <= set(MESSAGES)
-    assert {*get_args(Reference), *get_args(Command), Pose, State, Status} <= set(MESSAGES)
+    assert {*get_args(Reference), *get_args(Command), Pose, State, Status} <= set(
+        MESSAGES
+    )
 
 
 def test_pose():
     pose = Pose(numbers(7), 0.5)
-    assert sent(pose) == {"header": HEADER, "pose": posed(pose.p.tolist(), pose.q.tolist())}
+    assert sent(pose) == {
+        "header": HEADER,
+        "pose": posed(pose.p.tolist(), pose.q.tolist()),
+    }
 
 
 def test_state_with_velocities_in_the_body_as_odometry_has_them():
@@ -68,16 +73,19 @@ def test_state_with_velocities_in_the_body_as_odometry_has_them():
     found = sent(state)
     linear = found["twist"]["twist"].pop("linear")
     assert found == {
-        "header": HEADER, "child_frame_id": "drone3",
+        "header": HEADER,
+        "child_frame_id": "drone3",
         "pose": {"pose": posed(state.p.tolist(), q.tolist()), "covariance": [0.0] * 36},
         "twist": {"twist": {"angular": xyz(state.w)}, "covariance": [0.0] * 36},
-    }  # fmt: skip
+    }
     x, y, z, w = q
-    r = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    r = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
     assert list(linear.values()) == pytest.approx(r.T @ [4, 5, 6], abs=1e-14)
 
 
@@ -86,22 +94,40 @@ def test_references():
     assert sent(a) == {"header": HEADER, "a": xyz(a.a), "yaw": 0.25}
     full = FullState(numbers(14))
     parts = {name: xyz(full.flat[3 * k : 3 * k + 3]) for k, name in enumerate("pvaj")}
-    assert sent(full) == {"header": HEADER, **parts, "yaw": full.flat[12], "yaw_rate": full.flat[13]}
+    assert sent(full) == {
+        "header": HEADER,
+        **parts,
+        "yaw": full.flat[12],
+        "yaw_rate": full.flat[13],
+    }
     goto = Goto(numbers(3), 1.0, 2.5)
-    assert sent(goto) == {"header": HEADER, "p": xyz(goto.p), "yaw": 1.0, "duration": 2.5}
+    assert sent(goto) == {
+        "header": HEADER,
+        "p": xyz(goto.p),
+        "yaw": 1.0,
+        "duration": 2.5,
+    }
     assert sent(Goto([1, 2, 3]))["p"] == xyz((1, 2, 3))
 
 
 def test_command():
     command = FPQR(numbers(4))
-    assert sent(command) == {"header": HEADER, "thrust": command.flat[0], "rates": xyz(command.flat[1:])}
+    assert sent(command) == {
+        "header": HEADER,
+        "thrust": command.flat[0],
+        "rates": xyz(command.flat[1:]),
+    }
 
 
 def test_commands_to_more_on_board():
     flat = numbers(4)
     named = dict(zip(("thrust", "roll", "pitch", "yaw_rate"), flat, strict=True))
     assert sent(FRPY(flat)) == {"header": HEADER, **named}
-    assert sent(Vel(flat)) == {"header": HEADER, "v": xyz(flat[:3]), "yaw_rate": flat[3]}
+    assert sent(Vel(flat)) == {
+        "header": HEADER,
+        "v": xyz(flat[:3]),
+        "yaw_rate": flat[3],
+    }
     flat = numbers(5)
     place = {"p": xyz(flat[:3]), "yaw": flat[3], "duration": flat[4]}
     for verb in ("land", "go_to", ""):
@@ -110,8 +136,25 @@ def test_commands_to_more_on_board():
 
 @pytest.mark.parametrize("suspect", [[], [5], [5, 6]])
 def test_status(suspect):
-    status = Status("hovering", "größe", 1 << 40, 2.5, 2.25, 1, 2, 3, 4, suspect, [7], "p0", "host", "note")
-    status = msgspec.structs.replace(status, hosts=["b", "größe"], offsets=[1e3, -0.25], offset_errors=[1e-4, 2e-3])
+    status = Status(
+        "hovering",
+        "größe",
+        1 << 40,
+        2.5,
+        2.25,
+        1,
+        2,
+        3,
+        4,
+        suspect,
+        [7],
+        "p0",
+        "host",
+        "note",
+    )
+    status = msgspec.structs.replace(
+        status, hosts=["b", "größe"], offsets=[1e3, -0.25], offset_errors=[1e-4, 2e-3]
+    )
     found = sent(status)
     assert found.pop("header") == HEADER
     assert list(found) == list(Status.__struct_fields__)
@@ -121,7 +164,12 @@ def test_status(suspect):
 
 @pytest.mark.parametrize("harm", ["", "größe"])
 def test_body(harm):
-    assert sent(Body(harm, True)) == {"header": HEADER, "harm": harm, "flying": True, "cut": False}
+    assert sent(Body(harm, True)) == {
+        "header": HEADER,
+        "harm": harm,
+        "flying": True,
+        "cut": False,
+    }
 
 
 def test_log_line():
@@ -130,7 +178,12 @@ def test_log_line():
 
 
 def test_any_value_as_json():
-    value = {"place": np.arange(3.0), 1: (True, None), "far": math.inf, (1, 2): np.float64(0.5)}
+    value = {
+        "place": np.arange(3.0),
+        1: (True, None),
+        "far": math.inf,
+        (1, 2): np.float64(0.5),
+    }
     found = json.loads(sent({**value, "s": State.at((1, 2, 3))})["json"])
     assert found["place"] == [0.0, 1.0, 2.0]
     assert (found["1"], found["far"], found["(1, 2)"]) == ([True, None], None, 0.5)
@@ -138,8 +191,17 @@ def test_any_value_as_json():
 
 
 def test_message_of_a_round():
-    message = Exchanged(4, 7, 2 << KIND_BITS | REPEAT, "sum", encode({"x": np.arange(2.0)}))
-    expected = {"to": 4, "round": 7, "epoch": 2, "kind": "repeat", "channel": "sum", "json": '{"x": [0.0, 1.0]}'}
+    message = Exchanged(
+        4, 7, 2 << KIND_BITS | REPEAT, "sum", encode({"x": np.arange(2.0)})
+    )
+    expected = {
+        "to": 4,
+        "round": 7,
+        "epoch": 2,
+        "kind": "repeat",
+        "channel": "sum",
+        "json": '{"x": [0.0, 1.0]}',
+    }
     assert sent(message) == {"header": HEADER, **expected}
     assert sent(message._replace(payload=b"", flags=7))["json"] == ""
     assert sent(message._replace(flags=7))["kind"] == "gone"

@@ -24,7 +24,10 @@ CHUNKS, EACH = 5, 20
 def content(tmp_path_factory):
     """The bytes of a recording of CHUNKS chunks, with EACH states of drone 4, numbered in x."""
     path = tmp_path_factory.mktemp("recording") / "a.mcap"
-    file, series = RecordingFile(path, {"version": "1"}, "{}", False), Series(4, "state", MESSAGES[State])
+    file, series = (
+        RecordingFile(path, {"version": "1"}, "{}", False),
+        Series(4, "state", MESSAGES[State]),
+    )
     pack = packer(series.message, 4)
     for chunk in range(CHUNKS):
         numbers = range(chunk * EACH, (chunk + 1) * EACH)
@@ -60,7 +63,9 @@ def test_cut_off_anywhere_every_whole_chunk_is_there(tmp_path, content):
 
 def chunk(content, k):
     """Where the data of a chunk begins: at the magic number of zstd."""
-    return [at for at in range(len(content)) if content[at : at + 4] == b"\x28\xb5\x2f\xfd"][k]
+    return [
+        at for at in range(len(content)) if content[at : at + 4] == b"\x28\xb5\x2f\xfd"
+    ][k]
 
 
 def test_what_a_power_cut_leaves(tmp_path, content):
@@ -78,33 +83,50 @@ def test_a_spoilt_chunk_ends_it(tmp_path, content):
     for at in range(third, third + 200, 3):
         spoilt = bytearray(content)
         spoilt[at] ^= 0x10
-        assert found(tmp_path / "a.mcap", bytes(spoilt)) == (list(range(2 * EACH)), False)
+        assert found(tmp_path / "a.mcap", bytes(spoilt)) == (
+            list(range(2 * EACH)),
+            False,
+        )
 
 
 def test_a_header_says_whether_all_is_whole(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     whole = header(path)
-    assert (whole.complete, whole.fault, whole.chunks, whole.topics) == (True, "", CHUNKS, {})
+    assert (whole.complete, whole.fault, whole.chunks, whole.topics) == (
+        True,
+        "",
+        CHUNKS,
+        {},
+    )
     third = chunk(content, 2)
     spoilt = bytearray(content)
     spoilt[third + 20] ^= 0x10
     path.write_bytes(spoilt)
     begin = third - 49 - len("zstd")  # of the record
-    assert (header(path).complete, header(path).fault, header(path).chunks) == (False, f"spoilt at byte {begin}", 2)
+    assert (header(path).complete, header(path).fault, header(path).chunks) == (
+        False,
+        f"spoilt at byte {begin}",
+        2,
+    )
     path.write_bytes(content[:third])
     assert (header(path).fault, header(path).chunks) == (f"cut off at byte {begin}", 2)
     ended = content.replace(b"lost\x01\0\0\x000", b"lost\x01\0\0\0x")
     assert ended != content
     path.write_bytes(ended)
-    assert header(path).fault.startswith("spoilt at byte"), "how many it lacks cannot be read"
+    assert header(path).fault.startswith("spoilt at byte"), (
+        "how many it lacks cannot be read"
+    )
 
 
 def test_what_ended_before_its_first_chunk_has_no_header(tmp_path, content):
     path = tmp_path / "a.mcap"
     begin = chunk(content, 0) - 49 - len("zstd")
     path.write_bytes(content[:begin])
-    with pytest.raises(ConfigError, match=rf"no message: it was cut off at byte {begin}; allowed: a recording"):
+    with pytest.raises(
+        ConfigError,
+        match=rf"no message: it was cut off at byte {begin}; allowed: a recording",
+    ):
         header(path)
 
 
@@ -140,17 +162,24 @@ def test_the_recording_of_another_program(tmp_path):
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        channel = writer.register_channel("/chatter", "json", writer.register_schema("any", "jsonschema", b"{}"))
+        channel = writer.register_channel(
+            "/chatter", "json", writer.register_schema("any", "jsonschema", b"{}")
+        )
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(ConfigError, match="of another program; allowed: one of crazychoir"):
+    with pytest.raises(
+        ConfigError, match="of another program; allowed: one of crazychoir"
+    ):
         read(path, ("state",))
 
 
 def test_a_long_recording_takes_little_more_than_its_numbers(tmp_path):
     """A state has 13 numbers and two times, 120 bytes; twice as much while it is read."""
     path, series = tmp_path / "a.mcap", Series(4, "state", MESSAGES[State])
-    file, pack = RecordingFile(path, {"version": "1"}, "{}", False), packer(series.message, 4)
+    file, pack = (
+        RecordingFile(path, {"version": "1"}, "{}", False),
+        packer(series.message, 4),
+    )
     count, at_once = 20_000, 500
     for first in range(0, count, at_once):
         states = [(k, State.at((0.1 * k, 0, 0))) for k in range(first, first + at_once)]
@@ -162,7 +191,10 @@ def test_a_long_recording_takes_little_more_than_its_numbers(tmp_path):
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert (values.numbers.shape, values.numbers[-1, 0]) == ((count, 13), pytest.approx(0.1 * (count - 1)))
+    assert (values.numbers.shape, values.numbers[-1, 0]) == (
+        (count, 13),
+        pytest.approx(0.1 * (count - 1)),
+    )
     assert peak / count < 240.0
 
 
@@ -177,12 +209,17 @@ def test_a_recording_of_another_version_is_not_misread(tmp_path, monkeypatch, co
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     monkeypatch.setitem(MESSAGES, State, MESSAGES[dict])
-    with pytest.raises(ConfigError, match=r"another nav_msgs/msg/Odometry for state.*version"):
+    with pytest.raises(
+        ConfigError, match=r"another nav_msgs/msg/Odometry for state.*version"
+    ):
         read(path, ("state",))
 
 
 def test_no_file_and_a_folder(tmp_path):
-    for path, words in ((tmp_path / "none.mcap", "No such file"), (tmp_path, "Is a directory")):
+    for path, words in (
+        (tmp_path / "none.mcap", "No such file"),
+        (tmp_path, "Is a directory"),
+    ):
         with pytest.raises(ConfigError, match=words):
             read(path, ("state",))
 
@@ -198,12 +235,22 @@ def rewritten(path, content, metadata_last=False, **options):
         schemas, channels = {}, {}
         for schema, channel, message in reader.iter_messages():
             if schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
             if channel.id not in channels:
                 channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                    channel.topic,
+                    channel.message_encoding,
+                    schemas[schema.id],
+                    channel.metadata,
                 )
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+            writer.add_message(
+                channels[channel.id],
+                message.log_time,
+                message.data,
+                message.publish_time,
+            )
         if metadata_last:
             copy_about(writer, reader)
         writer.finish()
@@ -214,25 +261,37 @@ def copy_about(writer, reader):
     for one in reader.iter_metadata():
         writer.add_metadata(one.name, one.metadata)
     for one in reader.iter_attachments():
-        writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        writer.add_attachment(
+            one.create_time, one.log_time, one.name, one.media_type, one.data
+        )
 
 
 NO_SUMMARY = {
-    "index_types": IndexType.NONE, "repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
+    "index_types": IndexType.NONE,
+    "repeat_channels": False,
+    "repeat_schemas": False,
+    "use_statistics": False,
     "use_summary_offsets": False,
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(
     "options",
     [
-        {"use_chunking": False}, {"use_chunking": False, **NO_SUMMARY}, {"use_chunking": False, "metadata_last": True},
-        {"compression": CompressionType.NONE}, {"compression": CompressionType.LZ4}, {"enable_crcs": False},
-        NO_SUMMARY, {"metadata_last": True},
+        {"use_chunking": False},
+        {"use_chunking": False, **NO_SUMMARY},
+        {"use_chunking": False, "metadata_last": True},
+        {"compression": CompressionType.NONE},
+        {"compression": CompressionType.LZ4},
+        {"enable_crcs": False},
+        NO_SUMMARY,
+        {"metadata_last": True},
     ],
     ids=str,
-)  # fmt: skip
-def test_a_recording_that_another_program_has_rewritten_is_read_as_it_was(tmp_path, content, options):
+)
+def test_a_recording_that_another_program_has_rewritten_is_read_as_it_was(
+    tmp_path, content, options
+):
     path = rewritten(tmp_path / "a.mcap", content, **options)
     recording = read(path, ("state",))
     assert recording.of(4, "state").numbers[:, 0].tolist() == list(range(CHUNKS * EACH))
@@ -245,7 +304,9 @@ def test_a_recording_that_another_program_has_rewritten_is_read_as_it_was(tmp_pa
     ]
 
 
-def test_of_a_recording_without_chunks_that_is_cut_off_every_whole_message_is_there(tmp_path, content):
+def test_of_a_recording_without_chunks_that_is_cut_off_every_whole_message_is_there(
+    tmp_path, content
+):
     whole = rewritten(tmp_path / "whole.mcap", content, use_chunking=False).read_bytes()
     seen = []
     for end in range(len(whole) // 2, 0, -97):
@@ -260,7 +321,9 @@ def test_of_a_recording_without_chunks_that_is_cut_off_every_whole_message_is_th
     assert len(set(seen)) > 20, "message by message, not chunk by chunk"
 
 
-def test_a_recording_without_a_message_is_refused_whether_it_has_chunks_or_not(tmp_path):
+def test_a_recording_without_a_message_is_refused_whether_it_has_chunks_or_not(
+    tmp_path,
+):
     for chunking in (True, False):
         path = tmp_path / f"{chunking}.mcap"
         with path.open("wb") as file:
@@ -268,7 +331,9 @@ def test_a_recording_without_a_message_is_refused_whether_it_has_chunks_or_not(t
             writer.start()
             writer.add_metadata(ABOUT, {"version": "1"})
             schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
-            writer.register_channel("/drone4/state", "cdr", schema, {"drone": "4", "topic": "state"})
+            writer.register_channel(
+                "/drone4/state", "cdr", schema, {"drone": "4", "topic": "state"}
+            )
             writer.finish()
         with pytest.raises(ConfigError, match="no message"):
             header(path)
@@ -277,7 +342,9 @@ def test_a_recording_without_a_message_is_refused_whether_it_has_chunks_or_not(t
 def test_a_compression_that_is_not_known_is_named(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content.replace(b"\x04\x00\x00\x00zstd", b"\x04\x00\x00\x00brot"))
-    with pytest.raises(ConfigError, match="compressed by 'brot', where zstd, lz4 and nothing are read"):
+    with pytest.raises(
+        ConfigError, match="compressed by 'brot', where zstd, lz4 and nothing are read"
+    ):
         header(path)
 
 

@@ -15,7 +15,10 @@ NS = 12_345_000_000_678
 STAMP = {"sec": 12345, "nanosec": 678}
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TURNED = [0.0, 0.0, float(np.sqrt(0.5)), float(np.sqrt(0.5))]
-PLACES = {12: (State(np.array([1, 2, 3, 0, 0, 0, *TURNED, 0, 0, 0])), NS), 3: (State.at((4.0, 5.0, 6.0)), NS + 9)}
+PLACES = {
+    12: (State(np.array([1, 2, 3, 0, 0, 0, *TURNED, 0, 0, 0])), NS),
+    3: (State.at((4.0, 5.0, 6.0)), NS + 9),
+}
 
 
 def read(kind, data):
@@ -37,8 +40,12 @@ def test_a_path(n):
     places = np.arange(3.0 * n).reshape(n, 3)
     found = read("nav_msgs/msg/Path", rviz.path(list(places), NS))
     assert found["header"] == {"stamp": STAMP, "frame_id": "world"}
-    assert [list(one["pose"]["position"].values()) for one in found["poses"]] == places.tolist()
-    assert [list(one["pose"]["orientation"].values()) for one in found["poses"]] == n * [[0.0, 0.0, 0.0, 1.0]]
+    assert [
+        list(one["pose"]["position"].values()) for one in found["poses"]
+    ] == places.tolist()
+    assert [
+        list(one["pose"]["orientation"].values()) for one in found["poses"]
+    ] == n * [[0.0, 0.0, 0.0, 1.0]]
     assert [one["header"] for one in found["poses"]] == n * [found["header"]]
 
 
@@ -46,19 +53,33 @@ def test_transforms():
     found = read("tf2_msgs/msg/TFMessage", rviz.transforms(PLACES))["transforms"]
     assert [one["child_frame_id"] for one in found] == ["drone3", "drone12"]
     assert [one["header"] for one in found] == [
-        {"stamp": {**STAMP, "nanosec": 687}, "frame_id": "world"}, {"stamp": STAMP, "frame_id": "world"},
-    ]  # fmt: skip
+        {"stamp": {**STAMP, "nanosec": 687}, "frame_id": "world"},
+        {"stamp": STAMP, "frame_id": "world"},
+    ]
     assert list(found[1]["transform"]["translation"].values()) == [1.0, 2.0, 3.0]
     assert list(found[1]["transform"]["rotation"].values()) == TURNED
 
 
 def test_markers():
-    found = read("visualization_msgs/msg/MarkerArray", rviz.markers(PLACES, gone=[5]))["markers"]
-    assert [(one["ns"], one["id"], one["type"], one["action"], one["text"]) for one in found] == [
-        ("drones", 3, 2, 0, ""), ("names", 3, 9, 0, "3"), ("drones", 12, 2, 0, ""), ("names", 12, 9, 0, "12"),
-        ("drones", 5, 2, 2, ""), ("names", 5, 9, 2, ""),
-    ]  # fmt: skip
-    assert [one["header"]["stamp"]["nanosec"] for one in found[:4]] == [687, 687, 678, 678]
+    found = read("visualization_msgs/msg/MarkerArray", rviz.markers(PLACES, gone=[5]))[
+        "markers"
+    ]
+    assert [
+        (one["ns"], one["id"], one["type"], one["action"], one["text"]) for one in found
+    ] == [
+        ("drones", 3, 2, 0, ""),
+        ("names", 3, 9, 0, "3"),
+        ("drones", 12, 2, 0, ""),
+        ("names", 12, 9, 0, "12"),
+        ("drones", 5, 2, 2, ""),
+        ("names", 5, 9, 2, ""),
+    ]
+    assert [one["header"]["stamp"]["nanosec"] for one in found[:4]] == [
+        687,
+        687,
+        678,
+        678,
+    ]
     assert {one["header"]["frame_id"] for one in found} == {"world"}
     assert [list(one["scale"].values()) for one in found[:2]] == [3 * [0.1], 3 * [0.12]]
     assert [one["frame_locked"] for one in found[:4]] == 4 * [0]
@@ -73,20 +94,31 @@ def test_hashes_are_those_of_the_definitions(name):
     assert STORE.hash_rihs01(name.replace("/", "/msg/")) == f"RIHS01_{HASHES[name]}"
 
 
-POSES = Publisher(0, "aabb", "crazychoir", 7, "/drone3/pose", "geometry_msgs/PoseStamped")
+POSES = Publisher(
+    0, "aabb", "crazychoir", 7, "/drone3/pose", "geometry_msgs/PoseStamped"
+)
 
 
 def test_keys_and_tokens():
     kind = f"geometry_msgs::msg::dds_::PoseStamped_/RIHS01_{HASHES['geometry_msgs/PoseStamped']}"
     assert POSES.key == f"0/drone3/pose/{kind}"
-    assert POSES.token == f"@ros2_lv/0/aabb/0/7/MP/%/%/crazychoir/%drone3%pose/{kind}/::,10:,:,:,,"
-    assert node_token(5, "aabb", "crazychoir") == "@ros2_lv/5/aabb/0/0/NN/%/%/crazychoir"
+    assert (
+        POSES.token
+        == f"@ros2_lv/0/aabb/0/7/MP/%/%/crazychoir/%drone3%pose/{kind}/::,10:,:,:,,"
+    )
+    assert (
+        node_token(5, "aabb", "crazychoir") == "@ros2_lv/5/aabb/0/0/NN/%/%/crazychoir"
+    )
 
 
 def test_an_attachment():
-    xxhash = pytest.importorskip("xxhash", reason="keys of rmw_zenoh need the extra `ros2`")
+    xxhash = pytest.importorskip(
+        "xxhash", reason="keys of rmw_zenoh need the extra `ros2`"
+    )
     data = POSES.attachment(3, NS)
     assert len(data) == 33
     assert struct.unpack("<qqB", data[:17]) == (3, NS, 16)
     digest = xxhash.xxh3_128_digest(POSES.token.encode())
-    assert data[17:] == digest[:7:-1] + digest[7::-1], "the lower half first, each little-endian"
+    assert data[17:] == digest[:7:-1] + digest[7::-1], (
+        "the lower half first, each little-endian"
+    )

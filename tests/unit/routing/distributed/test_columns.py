@@ -28,13 +28,17 @@ def over_all_columns(table, y):
 
 @pytest.fixture
 def table():
-    return RouteTable(random_instance(1, 6, seed=11, route_length_limit=35.0).local(0).vehicle)
+    return RouteTable(
+        random_instance(1, 6, seed=11, route_length_limit=35.0).local(0).vehicle
+    )
 
 
 def test_column_generation_reaches_the_value_over_all_columns(table):
     program = ColumnProgram(table, np.full(6, PENALTY))
     for y in np.random.default_rng(5).uniform(-0.3, 1.2, size=(20, 6)):
-        assert program.solve(y).value == pytest.approx(over_all_columns(table, y), abs=1e-6)
+        assert program.solve(y).value == pytest.approx(
+            over_all_columns(table, y), abs=1e-6
+        )
 
 
 def test_a_warm_program_answers_as_a_fresh_one(table):
@@ -46,7 +50,12 @@ def test_a_warm_program_answers_as_a_fresh_one(table):
 
 def test_no_demand_costs_nothing(table):
     solution = ColumnProgram(table, np.full(6, PENALTY)).solve(np.zeros(6))
-    assert (solution.value, solution.mu.max(), solution.violation.max(), solution.active) == (0.0, 0.0, 0.0, [])
+    assert (
+        solution.value,
+        solution.mu.max(),
+        solution.violation.max(),
+        solution.active,
+    ) == (0.0, 0.0, 0.0, [])
 
 
 def test_full_demand_within_reach_uses_the_one_tour():
@@ -60,7 +69,9 @@ def test_what_a_robot_cannot_do_stays_unserved_at_the_penalty():
     raw = random_instance(2, 3, seed=1).to_json()
     raw["capability"] = [[True] * 3, [True, False, True]]
     raw["capacity"] = [9.0, 9.0]
-    program = ColumnProgram(RouteTable(Instance.parse(raw).local(1).vehicle), np.full(3, PENALTY))
+    program = ColumnProgram(
+        RouteTable(Instance.parse(raw).local(1).vehicle), np.full(3, PENALTY)
+    )
     solution = program.solve(np.array([0.0, 0.25, 0.0]))
     assert (solution.mu[1], solution.violation[1]) == (PENALTY, 0.25)
     assert solution.value == pytest.approx(0.25 * PENALTY)

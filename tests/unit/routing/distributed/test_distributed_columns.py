@@ -23,13 +23,23 @@ from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.bidirectional_pricing import Halves
 from crazychoir.routing.pricing.route_table import Column, RouteTable
 
-WINDOWS = {"pickup": [[0, 20]] * 4 + [None], "delivery": [[0, 40]] * 5, "home": [[0, 90]] * 3}
+WINDOWS = {
+    "pickup": [[0, 20]] * 4 + [None],
+    "delivery": [[0, 40]] * 5,
+    "home": [[0, 90]] * 3,
+}
 
 
 def members(instance, links, settings=None):
     n, span = instance.robots, diameter(links)
-    places = [Place(i, n, tuple(links[i]), span, {j: len(links[j]) for j in links[i]}) for i in range(n)]
-    return [Member(instance.local(i), place, settings or Settings()) for i, place in enumerate(places)]
+    places = [
+        Place(i, n, tuple(links[i]), span, {j: len(links[j]) for j in links[i]})
+        for i in range(n)
+    ]
+    return [
+        Member(instance.local(i), place, settings or Settings())
+        for i, place in enumerate(places)
+    ]
 
 
 def run_all(programs, links):
@@ -47,7 +57,9 @@ def run_all(programs, links):
             return [value for (value,) in results]
 
 
-@pytest.mark.parametrize(("fixed", "gap"), [(1000.0, 0.004), pytest.param(1e6, 4e-6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("fixed", "gap"), [(1000.0, 0.004), pytest.param(1e6, 4e-6, marks=pytest.mark.slow)]
+)
 def test_where_robots_are_dear_the_bound_counts_whole_ones(graph, fixed, gap):
     """Without that, parts of robots leave a gap of half of their cost, a sixth of the plan's."""
     plain = random_instance(6, 10, 0, route_length_limit=30.0).to_json()
@@ -69,8 +81,13 @@ def test_where_robots_are_dear_the_bound_counts_whole_ones(graph, fixed, gap):
 
 @pytest.mark.parametrize("shape", ["ring", "path", "star"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(graph, shape, seed):
-    instance, links = random_instance(6, 10, seed, capable=0.8, route_length_limit=27.0), graph(shape, 6)
+def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(
+    graph, shape, seed
+):
+    instance, links = (
+        random_instance(6, 10, seed, capable=0.8, route_length_limit=27.0),
+        graph(shape, 6),
+    )
     team = members(instance, links)
     gossips = [Gossip(member) for member in team]
     values = run_all([gossip.run() for gossip in gossips], links)
@@ -99,9 +116,16 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
     monkeypatch.setattr(introduction, "MOST_BYTES", most_bytes)
     raw = random_instance(3, 5, 6, capable=0.7, loads=(1, 1)).to_json()
     distance = np.random.default_rng(3).uniform(1, 9, size=(3, 13, 13)).tolist()
-    raw |= {"distance": distance, "speed": [1, 2, 3], "time_windows": WINDOWS, "initial_load": [1, 0, 2]}
+    raw |= {
+        "distance": distance,
+        "speed": [1, 2, 3],
+        "time_windows": WINDOWS,
+        "initial_load": [1, 0, 2],
+    }
     instance, links = Instance.parse(raw), graph("path", 3)
-    for known in run_all([introduce(member) for member in members(instance, links)], links):
+    for known in run_all(
+        [introduce(member) for member in members(instance, links)], links
+    ):
         for i in range(3):
             mine, told = instance.local(i).vehicle, known[i].vehicle
             for name, value in vars(replace(mine)).items():
@@ -109,7 +133,10 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
 
 
 def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only():
-    local, chosen = random_instance(2, 7, 3, route_length_limit=30.0).local(1), np.array([1, 4, 6])
+    local, chosen = (
+        random_instance(2, 7, 3, route_length_limit=30.0).local(1),
+        np.array([1, 4, 6]),
+    )
     part, whole = restricted(local, chosen).vehicle, local.vehicle.only(chosen)
     for name, value in vars(replace(whole)).items():
         np.testing.assert_array_equal(getattr(part, name), value, err_msg=name)
@@ -118,9 +145,17 @@ def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only(
 def remote(home, **more):
     """Two robots, one of them far away, that alone can serve the first two of six tasks."""
     random = np.random.default_rng(0)
-    raw = {"home": [[home, 0.0], [0.5, 0.5]], "pickup": random.random((6, 2)).tolist(), "load": [1] * 6}
+    raw = {
+        "home": [[home, 0.0], [0.5, 0.5]],
+        "pickup": random.random((6, 2)).tolist(),
+        "load": [1] * 6,
+    }
     raw |= {"delivery": random.random((6, 2)).tolist(), "capacity": [1, 2]}
-    return Instance.parse(raw | {"capability": [[True] * 2 + [False] * 4, [False] * 2 + [True] * 4]} | more)
+    return Instance.parse(
+        raw
+        | {"capability": [[True] * 2 + [False] * 4, [False] * 2 + [True] * 4]}
+        | more
+    )
 
 
 def test_a_robot_serves_its_tasks_from_however_far(graph):
@@ -133,26 +168,43 @@ def test_distances_of_a_matrix_may_be_any_times_those_between_the_points(graph):
     near = remote(1.0)
     points = np.vstack([near.home, near.tasks.pickup, near.tasks.delivery])
     distance = np.linalg.norm(points[:, None] - points[None], axis=2)
-    one, many = (remote(1.0, distance=(times * distance).tolist()) for times in (1.0, 1000.0))
+    one, many = (
+        remote(1.0, distance=(times * distance).tolist()) for times in (1.0, 1000.0)
+    )
     few, more = (solve_in_loop(instance, graph("path", 2)) for instance in (one, many))
     assert more.cost == pytest.approx(1000.0 * few.cost)
     assert more.lower_bound == pytest.approx(more.cost)
 
 
-def test_after_introductions_all_have_one_penalty_which_is_no_less_than_any_robot_for_a_task_alone(graph):
+def test_after_introductions_all_have_one_penalty_which_is_no_less_than_any_robot_for_a_task_alone(
+    graph,
+):
     flying = replace(remote(30.0).local(0), start=np.array([0.0, -70.0]))
     for local in (remote(30.0).local(0), flying):
         team = members(remote(30.0), graph("path", 2))
         team[0] = replace(team[0], local=local, reach=0.0)
         run_all([introduce(member) for member in team], graph("path", 2))
         np.testing.assert_array_equal(team[0].penalty, team[1].penalty)
-        assert all((member.penalty >= member.local.vehicle.shortest_trip).all() for member in team)
+        assert all(
+            (member.penalty >= member.local.vehicle.shortest_trip).all()
+            for member in team
+        )
 
 
 @pytest.mark.parametrize("objective", ["total", "makespan"])
-def test_nothing_is_saved_by_leaving_a_task_out_that_costs_more_than_any_plan(objective):
-    raw = random_instance(2, 6, 3).to_json() | {"objective": objective, "speed": [0.01, 2.0], "recharge": 6}
-    raw |= {"service_time": 3.0, "fixed_cost": 4.0, "time_windows": {"pickup": [[500, None]] * 6}}
+def test_nothing_is_saved_by_leaving_a_task_out_that_costs_more_than_any_plan(
+    objective,
+):
+    raw = random_instance(2, 6, 3).to_json() | {
+        "objective": objective,
+        "speed": [0.01, 2.0],
+        "recharge": 6,
+    }
+    raw |= {
+        "service_time": 3.0,
+        "fixed_cost": 4.0,
+        "time_windows": {"pickup": [[500, None]] * 6},
+    }
     instance = Instance.parse(raw)
     robots = {i: instance.local(i) for i in range(2)}
     everything = [v for j in range(6) for v in (j, 6 + j, 13)][:-1]
@@ -168,7 +220,9 @@ def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
     draws = [near.draw(routes, (5, 6), 2, [k]) for k in range(8)]
     for clusters in draws:
         assert sorted(i for c in clusters for i in c.robots) == list(range(12))
-        assert sorted(j for c in clusters for j in c.tasks) == list(range(20)), "open tasks too"
+        assert sorted(j for c in clusters for j in c.tasks) == list(range(20)), (
+            "open tasks too"
+        )
         for c in clusters:
             assert set(c.leaders) <= set(c.robots)
             assert len(c.leaders) == min(2, len(c.robots))
@@ -180,7 +234,12 @@ def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
 
 def test_robots_whose_routes_lie_along_each_other_are_near():
     points = [[0.0, 0.0], [0.0, 1.0], [9.0, 9.0], [9.0, 8.0]]
-    raw = {"home": [[0.5, 0.0], [0.0, 0.5], [9.0, 9.0]], "pickup": points, "delivery": points, "load": [1.0] * 4}
+    raw = {
+        "home": [[0.5, 0.0], [0.0, 0.5], [9.0, 9.0]],
+        "pickup": points,
+        "delivery": points,
+        "load": [1.0] * 4,
+    }
     instance = Instance.parse(raw | {"capacity": [4.0] * 3})
     near = Neighbors({i: instance.local(i) for i in range(3)})
     far = near.nearness({0: [0, 4], 1: [1, 5], 2: [2, 6]})
@@ -196,7 +255,10 @@ def test_a_cluster_gets_better_and_keeps_its_tasks():
     (cluster,) = near.draw(routes, (8, 40), 1, [0])
     new = reoptimize(robots, routes, cluster, np.full(8, 1e3), 500, 1)
     assert unserved(new, 8) == []
-    assert sum(flown(robots[i], new[i])[0] for i in robots) < sum(flown(robots[i], routes[i])[0] for i in robots) - 1.0
+    assert (
+        sum(flown(robots[i], new[i])[0] for i in robots)
+        < sum(flown(robots[i], routes[i])[0] for i in robots) - 1.0
+    )
     assert tasks_of([3, 11, 17, 0, 8], 8) == [0, 3]
 
 
@@ -205,8 +267,14 @@ def test_where_routes_are_not_listed_the_plan_is_good_and_has_no_bound(graph, se
     instance = random_instance(6, 10, seed, route_length_limit=30.0)
     proven = solve_in_loop(instance, graph("ring", 6))
     assert proven.lower_bound == pytest.approx(proven.cost, abs=1e-4)
-    searched = solve_in_loop(instance, graph("ring", 6), settings=Settings(most_listed=0, steps=40_000))
-    assert (searched.feasible, searched.lower_bound, searched.bound_exact) == (True, None, False)
+    searched = solve_in_loop(
+        instance, graph("ring", 6), settings=Settings(most_listed=0, steps=40_000)
+    )
+    assert (searched.feasible, searched.lower_bound, searched.bound_exact) == (
+        True,
+        None,
+        False,
+    )
     assert proven.cost - 1e-6 <= searched.cost <= 1.05 * proven.cost
 
 
@@ -214,7 +282,9 @@ def test_a_proof_that_would_be_too_long_is_left_out_unless_asked_for(graph):
     instance = random_instance(5, 9, 39, capable=0.8, route_length_limit=32.0)
     few = Settings(most_proven=0, still_passes=2, steps=4_000)
     found = solve_in_loop(instance, graph("ring", 5), settings=few)
-    proven = solve_in_loop(instance, graph("ring", 5), settings=replace(few, prove=True))
+    proven = solve_in_loop(
+        instance, graph("ring", 5), settings=replace(few, prove=True)
+    )
     assert found.bound_exact
     assert found.lower_bound <= proven.cost + 1e-6 <= found.cost + 2e-6
     assert proven.lower_bound == pytest.approx(proven.cost, abs=1e-4)
@@ -222,7 +292,10 @@ def test_a_proof_that_would_be_too_long_is_left_out_unless_asked_for(graph):
 
 FIELDS = {
     "refusals": {"penalty": [3.0, None, 30.0]},
-    "windows and service": {"time_windows": {"delivery": [[0, 30], None, [0, 40]]}, "service_time": 0.5},
+    "windows and service": {
+        "time_windows": {"delivery": [[0, 30], None, [0, 40]]},
+        "service_time": 0.5,
+    },
     "a fixed cost": {"fixed_cost": 5.0},
     "makespan": {"objective": "makespan"},
     "makespan, then total": {"objective": ["makespan", "total"]},
@@ -256,16 +329,31 @@ def test_no_bound_where_refusals_are_weighed_by_priority(graph):
 
 def test_infeasible_without_listed_routes_is_an_error_at_the_end(graph):
     points = [[1.0, 0.0], [9.0, 0.0]]
-    raw = {"pickup": points, "delivery": points, "load": [1.0, 1.0], "home": [[5.0, 0.0]], "capacity": [1.0]}
+    raw = {
+        "pickup": points,
+        "delivery": points,
+        "load": [1.0, 1.0],
+        "home": [[5.0, 0.0]],
+        "capacity": [1.0],
+    }
     instance = Instance.parse(raw | {"route_length_limit": 9.0})
-    with pytest.raises(SolverError, match=r"robot 0: clusters: .* no plan found that serves task"):
+    with pytest.raises(
+        SolverError, match=r"robot 0: clusters: .* no plan found that serves task"
+    ):
         solve_in_loop(instance, {0: []}, settings=Settings(most_listed=0, steps=100))
 
 
 def test_bytes_are_told_by_kind(graph):
     instance = random_instance(4, 6, 1, route_length_limit=30.0)
     kinds = solve_in_loop(instance, graph("ring", 4)).bytes_by_kind
-    assert set(kinds) >= {"start", "introductions", "bases", "prices", "plans", "columns"}
+    assert set(kinds) >= {
+        "start",
+        "introductions",
+        "bases",
+        "prices",
+        "plans",
+        "columns",
+    }
     assert all(size > 0 for size in kinds.values())
     claims = solve_in_loop(instance, graph("ring", 4), "resource").bytes_by_kind
     assert set(claims) == {"start", "prices", "claims", "plans"}
@@ -274,21 +362,31 @@ def test_bytes_are_told_by_kind(graph):
 @pytest.mark.parametrize("seed", [18, 33, 39, 45, 52])
 def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph, seed):
     robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
-    raw = random_instance(robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit).to_json()
+    raw = random_instance(
+        robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit
+    ).to_json()
     penalty = np.random.default_rng(seed).uniform(4.0, 14.0, size=tasks)
     instance = Instance.parse(raw | {"penalty": penalty.tolist()})
     tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
-    columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
+    columns = [
+        (i, table.column(c))
+        for i, table in enumerate(tables)
+        for c in range(1, len(table))
+    ]
     refusals = [(robots + j, Column(float(penalty[j]), (j,))) for j in range(tasks)]
     best = partition(columns + refusals, tasks, seed=0, nodes=10_000)
-    solution = solve_in_loop(instance, graph("ring", robots), settings=Settings(first_steps=1))
+    solution = solve_in_loop(
+        instance, graph("ring", robots), settings=Settings(first_steps=1)
+    )
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
     assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
 
 
 def test_tables_that_are_cut_are_given_up_and_no_relaxation_follows(graph):
     instance = random_instance(3, 9, 4)
-    solution = solve_in_loop(instance, graph("ring", 3), settings=Settings(most_labels=1000, steps=2000))
+    solution = solve_in_loop(
+        instance, graph("ring", 3), settings=Settings(most_labels=1000, steps=2000)
+    )
     assert solution.feasible
     assert solution.lower_bound is None
     assert not {"bases", "prices"} & set(solution.bytes_by_kind)
@@ -311,21 +409,35 @@ def test_disclosed_names_all_that_introductions_tell(graph):
     assert "route lengths or times" in solution.disclosed
 
 
-@pytest.mark.parametrize("seed", [*(pytest.param(s, marks=pytest.mark.slow) for s in range(3)), 3])
+@pytest.mark.parametrize(
+    "seed", [*(pytest.param(s, marks=pytest.mark.slow) for s in range(3)), 3]
+)
 def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, seed):
     """With most_listed = 0 every team is large. The bound by halves is that of the gossip: both are the relaxation."""
-    instance, links = random_instance(4, 7, seed, capable=0.8, route_length_limit=27.0), graph("ring", 4)
+    instance, links = (
+        random_instance(4, 7, seed, capable=0.8, route_length_limit=27.0),
+        graph("ring", 4),
+    )
     gossips = [Gossip(member) for member in members(instance, links)]
     relaxed = run_all([gossip.run() for gossip in gossips], links)[0]
     large = Settings(prove=True, most_listed=0)
-    found, best = solve_in_loop(instance, links, settings=large), solve_in_loop(instance, links)
+    found, best = (
+        solve_in_loop(instance, links, settings=large),
+        solve_in_loop(instance, links),
+    )
     assert found.bound_exact
     assert found.bound_relaxation is None
     assert found.lower_bound == pytest.approx(relaxed, rel=1e-4)
     assert found.lower_bound <= best.cost + 1e-9
-    for more in ({"route_length_limit": None}, {"time_windows": {"pickup": [[0, 30]] * 7}}):
+    for more in (
+        {"route_length_limit": None},
+        {"time_windows": {"pickup": [[0, 30]] * 7}},
+    ):
         other = Instance.parse(instance.to_json() | more)
-        found, best = solve_in_loop(other, links, settings=large), solve_in_loop(other, links)
+        found, best = (
+            solve_in_loop(other, links, settings=large),
+            solve_in_loop(other, links),
+        )
         assert not found.bound_exact
         assert found.bound_relaxation == "ng-route"
         assert 0.5 * best.cost < found.lower_bound <= best.cost + 1e-9
@@ -334,17 +446,26 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
 
 def test_a_large_team_proves_a_bound_with_a_robot_far_away(graph):
     instance = remote(20.0, route_length_limit=90.0)
-    found = solve_in_loop(instance, graph("path", 2), settings=Settings(prove=True, most_listed=0))
+    found = solve_in_loop(
+        instance, graph("path", 2), settings=Settings(prove=True, most_listed=0)
+    )
     assert found.bound_exact
     assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)
 
 
 @pytest.mark.parametrize("penalty", [1.0, 6.0, 12.0])
-def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_plan(graph, penalty):
-    instance = random_instance(4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7})
+def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_plan(
+    graph, penalty
+):
+    instance = random_instance(
+        4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7}
+    )
     links = graph("ring", 4)
     best = solve_in_loop(instance, links)
-    bounds = [LargeBound(member, [(0, Column(90.0, (0, 1)))]) for member in members(instance, links)]
+    bounds = [
+        LargeBound(member, [(0, Column(90.0, (0, 1)))])
+        for member in members(instance, links)
+    ]
     run_all([bound.run() for bound in bounds], links)
     assert {bound.value for bound in bounds} == {bounds[0].value}
     assert 0.9 * best.cost <= bounds[0].value <= best.cost + 1e-9
@@ -355,18 +476,29 @@ def test_where_pricing_is_cut_there_is_no_bound(graph):
         instance = random_instance(4, 7, 1, route_length_limit=limit)
         cut = Settings(prove=True, most_listed=0, most_labels=9)
         found = solve_in_loop(instance, graph("ring", 4), settings=cut)
-        assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (None, False, None)
+        assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (
+            None,
+            False,
+            None,
+        )
 
 
 def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
-    instance, links = random_instance(3, 7, 1, route_length_limit=27.0), graph("ring", 3)
+    instance, links = (
+        random_instance(3, 7, 1, route_length_limit=27.0),
+        graph("ring", 3),
+    )
     settings = Settings(prove=True, most_listed=0)
     whole = solve_in_loop(instance, links, settings=settings)
     priced, passes = LargeBound._priced, {i: 0 for i in range(3)}
 
     def cut(self, pi):
         passes[self._i] += 1
-        return [-np.inf, True, packed([])] if passes[self._i] > 2 and self._i == 1 else priced(self, pi)
+        return (
+            [-np.inf, True, packed([])]
+            if passes[self._i] > 2 and self._i == 1
+            else priced(self, pi)
+        )
 
     monkeypatch.setattr(LargeBound, "_priced", cut)
     part = solve_in_loop(instance, links, settings=settings)
@@ -382,41 +514,74 @@ def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monke
 
     raw = random_instance(3, 8, 1, route_length_limit=30.0).to_json()
     instance = Instance.parse(raw | {"capacity": [1, 1, 8], "load": [1] * 8})
-    assert [Few(instance.local(i).vehicle, 0).complete for i in range(3)] == [True, True, False]
+    assert [Few(instance.local(i).vehicle, 0).complete for i in range(3)] == [
+        True,
+        True,
+        False,
+    ]
     settings = Settings(prove=True, most_listed=0, steps=4_000)
     exact = solve_in_loop(instance, graph("ring", 3), settings=settings)
     monkeypatch.setattr(large_bound, "Halves", Few)
     found = solve_in_loop(instance, graph("ring", 3), settings=settings)
-    assert (exact.bound_exact, found.bound_exact, found.bound_relaxation) == (True, False, "ng-route")
+    assert (exact.bound_exact, found.bound_exact, found.bound_relaxation) == (
+        True,
+        False,
+        "ng-route",
+    )
     assert 0.8 * exact.lower_bound < found.lower_bound <= exact.lower_bound + 1e-4
 
 
 @pytest.mark.parametrize("limit", [60.0, None])
-def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_without_a_bound(graph, limit):
+def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_without_a_bound(
+    graph, limit
+):
     instance = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=limit)
     few = Settings(prove=True, starters=1, first_steps=30, steps=100)
     found = solve_in_loop(instance, graph("path", 2), settings=few)
-    assert (found.feasible, found.lower_bound, found.bound_relaxation) == (True, None, None)
+    assert (found.feasible, found.lower_bound, found.bound_relaxation) == (
+        True,
+        None,
+        None,
+    )
 
 
-def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(graph):
+def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(
+    graph,
+):
     raw = random_instance(6, 9, 8, capacities=(4, 4), route_length_limit=27.0).to_json()
-    raw |= {"home": [raw["home"][0]] * 4 + [raw["home"][1]] * 2, "capacity": [4.0] * 4 + [3.0] * 2}
+    raw |= {
+        "home": [raw["home"][0]] * 4 + [raw["home"][1]] * 2,
+        "capacity": [4.0] * 4 + [3.0] * 2,
+    }
     raw |= {"load": [2.0] * 5 + [1.0] * 4, "fixed_cost": 1.5}
     instance = Instance.parse(raw)
     team = members(instance, graph("ring", 6))
     run_all([introduce(member) for member in team], graph("ring", 6))
     assert [member.alike for member in team] == [{0: (0, 1, 2, 3), 4: (4, 5)}] * 6
-    assert [member.speaks for member in team] == [True, False, False, False, True, False]
+    assert [member.speaks for member in team] == [
+        True,
+        False,
+        False,
+        False,
+        True,
+        False,
+    ]
     gossips, everything = [Gossip(member) for member in team], Pool(9)
     run_all([gossip.run() for gossip in gossips], graph("ring", 6))
     for i in range(6):
         table = RouteTable(instance.local(i).vehicle)
         everything.add(i, [table.column(c) for c in range(1, len(table))])
     assert {gossip.bound.value for gossip in gossips} == {gossips[0].bound.value}
-    assert gossips[0].bound.value == pytest.approx(everything.relax(team[0].penalty).value)
-    assert min(gossips[0].bound.least.values()) < -1.0, "one more of a kind would help, so its number counts"
-    found, apart = (solve_in_loop(instance, graph("ring", 6), m) for m in ("columns", "resource-columns"))
+    assert gossips[0].bound.value == pytest.approx(
+        everything.relax(team[0].penalty).value
+    )
+    assert min(gossips[0].bound.least.values()) < -1.0, (
+        "one more of a kind would help, so its number counts"
+    )
+    found, apart = (
+        solve_in_loop(instance, graph("ring", 6), m)
+        for m in ("columns", "resource-columns")
+    )
     assert found.cost == pytest.approx(apart.cost)
     assert found.bound_exact
     assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)

@@ -39,15 +39,23 @@ def test_a_task_that_may_be_refused_is_worth_its_penalty_at_most():
 
 def test_what_is_beyond_capacity_limit_or_capability_is_no_bid():
     assert InsertionBids(line(route_length_limit=8.0).local(0)).scores(())[1] > 0.0
-    with_two = {"home": [[0.0, 0.0], [5.0, 0.0]], "capacity": [1.0, 1.0], "capability": [[True, False], [True, True]]}
-    assert InsertionBids(line(**with_two).local(0)).scores(()) == pytest.approx([WORTH - 4.0, -np.inf])
+    with_two = {
+        "home": [[0.0, 0.0], [5.0, 0.0]],
+        "capacity": [1.0, 1.0],
+        "capability": [[True, False], [True, True]],
+    }
+    assert InsertionBids(line(**with_two).local(0)).scores(()) == pytest.approx(
+        [WORTH - 4.0, -np.inf]
+    )
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", range(6))
 def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
     instance = random_instance(4, 7, seed, capable=0.8, route_length_limit=60.0)
-    solution = solve_in_loop(instance, graph(("ring", "path", "star")[seed % 3], 4), method)
+    solution = solve_in_loop(
+        instance, graph(("ring", "path", "star")[seed % 3], 4), method
+    )
     best = solve_in_loop(instance, graph("ring", 4), "resource-columns")
     assert solution.feasible
     assert check(instance, solution.plan) == []
@@ -68,6 +76,11 @@ def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
         "route_length_limit": 8.0,
         "capability": [[True, True], [True, False]],
     }
-    with pytest.raises(SolverError, match=rf"robot 0: {method}: .* nobody's route has room for task\(s\) 1"):
+    with pytest.raises(
+        SolverError,
+        match=rf"robot 0: {method}: .* nobody's route has room for task\(s\) 1",
+    ):
         solve_in_loop(Instance.parse(raw), graph("path", 2), method)
-    assert solve_in_loop(Instance.parse(raw), graph("path", 2), "resource-columns").feasible
+    assert solve_in_loop(
+        Instance.parse(raw), graph("path", 2), "resource-columns"
+    ).feasible

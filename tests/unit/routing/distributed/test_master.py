@@ -17,12 +17,18 @@ def columns():
     """All columns of three robots."""
     instance = random_instance(3, 4, seed=8, capable=0.7, route_length_limit=40.0)
     tables = [RouteTable(instance.local(i).vehicle) for i in range(3)]
-    return [(i, tables[i].column(c)) for i in range(3) for c in range(1, len(tables[i]))]
+    return [
+        (i, tables[i].column(c)) for i in range(3) for c in range(1, len(tables[i]))
+    ]
 
 
 def cheapest_exact_cover(columns):
     own = [[None] + [c for i, c in columns if i == robot] for robot in range(3)]
-    covers = (choice for choice in product(*own) if sorted(j for c in choice if c for j in c.tasks) == [0, 1, 2, 3])
+    covers = (
+        choice
+        for choice in product(*own)
+        if sorted(j for c in choice if c for j in c.tasks) == [0, 1, 2, 3]
+    )
     return min(sum(c.length for c in choice if c) for choice in covers)
 
 
@@ -40,7 +46,15 @@ def test_the_relaxation_is_below_and_its_prices_are_dual_feasible(columns):
     relaxed = pool.relax(np.full(4, 100.0))
     assert relaxed.value <= cheapest_exact_cover(columns) + 1e-6
     least = [
-        min(0.0, *(c.length - relaxed.prices[list(c.tasks)].sum() for i, c in columns if i == r)) for r in range(3)
+        min(
+            0.0,
+            *(
+                c.length - relaxed.prices[list(c.tasks)].sum()
+                for i, c in columns
+                if i == r
+            ),
+        )
+        for r in range(3)
     ]
     assert relaxed.prices.sum() + sum(least) == pytest.approx(relaxed.value)
 
@@ -50,12 +64,17 @@ def test_robots_that_are_the_same_share_a_row(columns):
     own, penalty = [c for i, c in columns if i == 1], np.full(4, 100.0)
     apart = [(i, c) for i in (1, 5, 6) for c in own]
     together = [(1, c) for c in own]
-    each, all_ = partition(apart, 4, 0, 1000), partition(together, 4, 0, 1000, alike={1: (1, 5, 6)})
+    each, all_ = (
+        partition(apart, 4, 0, 1000),
+        partition(together, 4, 0, 1000, alike={1: (1, 5, 6)}),
+    )
     assert all_.cost == pytest.approx(each.cost)
     assert all_.bound == pytest.approx(each.cost)
     assert set(all_.routes) <= {1, 5, 6}
     assert sorted(j for tasks in all_.routes.values() for j in tasks) == [0, 1, 2, 3]
-    assert partition(together, 4, 0, 1000, known=each.routes, alike={1: (1, 5, 6)}).cost == pytest.approx(each.cost)
+    assert partition(
+        together, 4, 0, 1000, known=each.routes, alike={1: (1, 5, 6)}
+    ).cost == pytest.approx(each.cost)
     one, many = Master(penalty, number={1: 3}), Master(penalty)
     one.add(1, own)
     for i in (1, 5, 6):
@@ -79,16 +98,27 @@ def test_missing_robots_cost_what_a_robot_does_at_most(columns):
             pool.add(robot, [column])
         assert 0.0 <= relaxed.reward <= f
         least = [
-            min(0.0, *(c.length - relaxed.prices[list(c.tasks)].sum() - relaxed.reward for i, c in columns if i == r))
+            min(
+                0.0,
+                *(
+                    c.length - relaxed.prices[list(c.tasks)].sum() - relaxed.reward
+                    for i, c in columns
+                    if i == r
+                ),
+            )
             for r in range(3)
         ]
-        assert relaxed.value == pytest.approx(3 * relaxed.reward + relaxed.prices.sum() + sum(least))
+        assert relaxed.value == pytest.approx(
+            3 * relaxed.reward + relaxed.prices.sum() + sum(least)
+        )
         assert pool.relax(penalty).value - 1e-9 <= relaxed.value
         assert all(column.tasks for _, column in relaxation.basis)
 
 
 @pytest.mark.parametrize("broken", [1, 2])
-def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(columns, broken, monkeypatch):
+def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(
+    columns, broken, monkeypatch
+):
     """Once more without the start that it was given, and without presolve; then it is an error."""
     best, runs, searched = partition(columns, 4, 0, 1000), [], master._searched
 
@@ -101,10 +131,14 @@ def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(column
 
     monkeypatch.setattr(master, "_searched", breaking)
     if broken == 1:
-        assert partition(columns, 4, 0, 1000, known=best.routes).cost == pytest.approx(best.cost)
+        assert partition(columns, 4, 0, 1000, known=best.routes).cost == pytest.approx(
+            best.cost
+        )
         assert [start is None for start in runs] == [False, True]
         return
-    with pytest.raises(SolverError, match=f"partitioning of {len(columns)} columns: .* kSolveError"):
+    with pytest.raises(
+        SolverError, match=f"partitioning of {len(columns)} columns: .* kSolveError"
+    ):
         partition(columns, 4, 0, 1000, known=best.routes)
 
 
@@ -116,10 +150,18 @@ REJECTED = """0:29:0135 0:29:0369 0:30:0459 0:29:046 0:28:13689 0:28:1458 0:28:1
 
 def test_columns_that_presolve_takes_for_feasible_are_proven_not_to_be():
     words = [word.split(":") for word in REJECTED.split()]
-    columns = [(int(i), Column(1000.0 + int(m), tuple(map(int, tasks)))) for i, m, tasks in words]
-    sets = [{j: set(c.tasks) for j, (i, c) in enumerate(columns) if i == robot} for robot in range(5)]
+    columns = [
+        (int(i), Column(1000.0 + int(m), tuple(map(int, tasks))))
+        for i, m, tasks in words
+    ]
+    sets = [
+        {j: set(c.tasks) for j, (i, c) in enumerate(columns) if i == robot}
+        for robot in range(5)
+    ]
     choices = product(*([set(), *own.values()] for own in sets))
-    assert not any(sum(map(len, sets)) == 10 and len(set().union(*sets)) == 10 for sets in choices)
+    assert not any(
+        sum(map(len, sets)) == 10 and len(set().union(*sets)) == 10 for sets in choices
+    )
     assert partition(columns, 10, seed=0, nodes=2) == Partition(np.inf, {}, np.inf)
 
 
@@ -140,7 +182,11 @@ def test_a_shorter_tour_of_the_same_set_replaces_the_longer():
     assert pool.add(1, [Column(5.0, (0, 2))]) == 0
     assert pool.add(1, [Column(4.5, (0, 2))]) == 1
     assert pool.add(0, [Column(9.0, (0, 2))]) == 1
-    assert pool.items() == [(0, Column(9.0, (0, 2))), (1, Column(4.5, (0, 2))), (1, Column(6.0, (1,)))]
+    assert pool.items() == [
+        (0, Column(9.0, (0, 2))),
+        (1, Column(4.5, (0, 2))),
+        (1, Column(6.0, (1,))),
+    ]
     assert not pool.has(1, Column(4.0, (0, 2)))
 
 

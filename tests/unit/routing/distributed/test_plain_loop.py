@@ -15,8 +15,18 @@ from crazychoir.routing.distributed.distributed_columns import DistributedColumn
 from crazychoir.routing.distributed.master import partition
 from crazychoir.routing.distributed.member import Settings
 from crazychoir.routing.distributed.packing import packed
-from crazychoir.routing.distributed.pickup_delivery import BY_CLAIMS, BY_PRICES, METHODS, PickupDelivery
-from crazychoir.routing.distributed.plain_loop import diameter, joined, solve_in_loop, team
+from crazychoir.routing.distributed.pickup_delivery import (
+    BY_CLAIMS,
+    BY_PRICES,
+    METHODS,
+    PickupDelivery,
+)
+from crazychoir.routing.distributed.plain_loop import (
+    diameter,
+    joined,
+    solve_in_loop,
+    team,
+)
 from crazychoir.routing.distributed.proof import Assignment
 from crazychoir.routing.instance.checker import check
 from crazychoir.routing.instance.generate import random_instance
@@ -51,7 +61,10 @@ def test_the_optimum_is_found_and_proven(reference_data, graph, name, shape):
 def test_own_instances_on_other_graphs(small, graph, name, shape):
     instance, optimum = small(name)
     solution = solve_in_loop(instance, graph(shape, instance.robots))
-    assert (solution.feasible, solution.cost) == (True, pytest.approx(optimum, abs=1e-6))
+    assert (solution.feasible, solution.cost) == (
+        True,
+        pytest.approx(optimum, abs=1e-6),
+    )
 
 
 def test_the_demo_flies_all_six_robots(repository, graph):
@@ -63,7 +76,9 @@ def test_the_demo_flies_all_six_robots(repository, graph):
 
 @pytest.mark.parametrize("method", ["resource", "resource-argmax"])
 @pytest.mark.parametrize("seed", range(6))
-def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(graph, method, seed):
+def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(
+    graph, method, seed
+):
     instance = random_instance(5, 7, seed, capable=0.7, route_length_limit=45.0)
     solution = solve_in_loop(instance, graph("ring", 5), method)
     best = solve_in_loop(instance, graph("ring", 5))
@@ -75,20 +90,34 @@ def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(graph,
 
 def three_robots_and_four_tasks(random):
     counts = {"home": 3, "pickup": 4, "delivery": 4}
-    return {key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in counts.items()} | {"load": [1.0] * 4}
+    return {
+        key: random.uniform(0.0, 5.0, (n, 2)).tolist() for key, n in counts.items()
+    } | {"load": [1.0] * 4}
 
 
-@pytest.mark.parametrize(("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 14)])
-def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(graph, method, seed):
+@pytest.mark.parametrize(
+    ("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 14)]
+)
+def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(
+    graph, method, seed
+):
     random, n = np.random.default_rng(seed), 11
     places = three_robots_and_four_tasks(random)
     short = random.uniform(0.0, 1.0, (3, n, n)) < 0.3
-    ways = np.where(short, random.uniform(0.1, 1.0, (3, n, n)), random.uniform(4.0, 9.0, (3, n, n)))
-    raw = places | {"capacity": [4.0] * 3, "route_length_limit": 9.0, "distance": ways.tolist()}
+    ways = np.where(
+        short, random.uniform(0.1, 1.0, (3, n, n)), random.uniform(4.0, 9.0, (3, n, n))
+    )
+    raw = places | {
+        "capacity": [4.0] * 3,
+        "route_length_limit": 9.0,
+        "distance": ways.tolist(),
+    }
     assert solve_in_loop(Instance.parse(raw), graph("path", 3), method).feasible
 
 
-@pytest.mark.parametrize(("method", "names_only"), [("resource", True), ("resource-argmax", False)])
+@pytest.mark.parametrize(
+    ("method", "names_only"), [("resource", True), ("resource-argmax", False)]
+)
 def test_claims_by_name_tell_no_share(small, graph, method, names_only):
     instance, _ = small("limited")
     bids = []
@@ -106,7 +135,12 @@ def test_claims_by_name_tell_no_share(small, graph, method, names_only):
 def test_messages_are_plain_values_and_the_codec_changes_nothing(small, graph, method):
     instance, _ = small("limited")
     plain = solve_in_loop(instance, graph("ring", 4), method)
-    coded = solve_in_loop(instance, graph("ring", 4), method, carry=lambda message: decode(encode(message)))
+    coded = solve_in_loop(
+        instance,
+        graph("ring", 4),
+        method,
+        carry=lambda message: decode(encode(message)),
+    )
     assert coded == plain
 
 
@@ -124,7 +158,9 @@ def test_the_order_of_the_agents_changes_nothing(small, graph, method):
     assert joined(instance, [agents[i].solution for i in order]) == plain
 
 
-def test_all_robots_know_the_same_digest_cost_and_bound_but_only_their_own_route(small, graph):
+def test_all_robots_know_the_same_digest_cost_and_bound_but_only_their_own_route(
+    small, graph
+):
     instance, _ = small("limited")
     agents = team(instance, graph("ring", 4))
     assert all(isinstance(agent, Round) and agent.heavy for agent in agents.values())
@@ -134,7 +170,9 @@ def test_all_robots_know_the_same_digest_cost_and_bound_but_only_their_own_route
         for i, agent in agents.items():
             agent.step({j: messages[j] for j in graph("ring", 4)[i]})
     solutions = [agent.solution for agent in agents.values()]
-    assert len({(s.plan_digest, s.cost, s.lower_bound, s.rounds) for s in solutions}) == 1
+    assert (
+        len({(s.plan_digest, s.cost, s.lower_bound, s.rounds) for s in solutions}) == 1
+    )
     for i, solution in enumerate(solutions):
         assert all(route.robot == i for route in solution.routes)
     assert {agent.progress.phase for agent in agents.values()} == {"done"}
@@ -150,8 +188,12 @@ def test_the_hash_seed_changes_nothing(repository):
         f"s = solve_in_loop(Instance.load(r'{file}'), dict(enumerate({ring_of_four})));"
         "print([s.plan_digest, s.cost, s.lower_bound, s.rounds])"
     )
-    other = os.environ | {"PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"}
-    said = subprocess.run([sys.executable, "-c", code], env=other, capture_output=True, check=True).stdout.decode()
+    other = os.environ | {
+        "PYTHONHASHSEED": "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
+    }
+    said = subprocess.run(
+        [sys.executable, "-c", code], env=other, capture_output=True, check=True
+    ).stdout.decode()
     here = solve_in_loop(Instance.load(file), dict(enumerate(ring_of_four)))
     assert said == f"{[here.plan_digest, here.cost, here.lower_bound, here.rounds]}\n"
 
@@ -170,11 +212,19 @@ WEAK = Settings(price_rounds=3, batch=2, first_gap=0.002, most_shared=20)
 
 @pytest.mark.parametrize("settings", [Settings(), WEAK], ids=["default", "weak"])
 @pytest.mark.parametrize("seed", [18, 33, 39, 45, 52])
-def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_finds(graph, seed, settings):
+def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_finds(
+    graph, seed, settings
+):
     robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
-    instance = random_instance(robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit)
+    instance = random_instance(
+        robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit
+    )
     tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
-    columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
+    columns = [
+        (i, table.column(c))
+        for i, table in enumerate(tables)
+        for c in range(1, len(table))
+    ]
     best = partition(columns, tasks, seed=0, nodes=10_000)
     solution = solve_in_loop(instance, graph("ring", robots), settings=settings)
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
@@ -183,37 +233,59 @@ def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_find
 
 def infeasible():
     """Each task fits alone, both together do not, and there is one robot for them."""
-    raw = {"pickup": [[1.0, 0.0], [9.0, 0.0]], "delivery": [[1.0, 0.0], [9.0, 0.0]], "load": [1.0, 1.0]}
-    homes = {"home": [[5.0, 0.0], [5.0, 1.0]], "capacity": [1.0, 1.0], "route_length_limit": 9.0}
+    raw = {
+        "pickup": [[1.0, 0.0], [9.0, 0.0]],
+        "delivery": [[1.0, 0.0], [9.0, 0.0]],
+        "load": [1.0, 1.0],
+    }
+    homes = {
+        "home": [[5.0, 0.0], [5.0, 1.0]],
+        "capacity": [1.0, 1.0],
+        "route_length_limit": 9.0,
+    }
     return Instance.parse(raw | homes | {"capability": [[True, True], [False, False]]})
 
 
-WEIGHED = [{"objective": "makespan"}, {"objective": ["makespan", "total"]},
-           {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]}]  # fmt: skip
+WEIGHED = [
+    {"objective": "makespan"},
+    {"objective": ["makespan", "total"]},
+    {"penalty": [5.0] * 4, "priority": [1, 2, 0, 0]},
+]
 """What prices of tasks do not add up to."""
 
 
 @pytest.mark.parametrize("method", BY_PRICES)
 @pytest.mark.parametrize("more", WEIGHED)
 def test_what_prices_do_not_add_up_to_is_refused_by_methods_of_prices(method, more):
-    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3}
-    with pytest.raises(ConfigError, match=rf"method {method}: found .* the methods columns, cbba, auction\."):
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {
+        "capacity": [2.0] * 3
+    }
+    with pytest.raises(
+        ConfigError,
+        match=rf"method {method}: found .* the methods columns, cbba, auction\.",
+    ):
         team(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, method)
     for able in set(METHODS) - set(BY_PRICES):
-        assert solve_in_loop(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, able).feasible
+        assert solve_in_loop(
+            Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, able
+        ).feasible
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_methods_that_cannot_refuse_a_task_say_so(method):
     """Nobody can lift the last task; the first of those that can refuse it does."""
-    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3}
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {
+        "capacity": [2.0] * 3
+    }
     raw |= {"load": [1.0, 1.0, 1.0, 1000.0], "penalty": [None, None, None, 5.0]}
     if method in BY_CLAIMS:
         said = rf"method {method}: found a finite penalty of task\(s\) 3, .* columns, resource-columns, cbba, auction\."
         with pytest.raises(ConfigError, match=said):
             team(Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method)
     else:
-        solution = solve_in_loop(Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method)
+        solution = solve_in_loop(
+            Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method
+        )
         assert solution.feasible
         assert sorted(j for route in solution.routes for j in route.tasks) == [0, 1, 2]
 
@@ -221,16 +293,26 @@ def test_methods_that_cannot_refuse_a_task_say_so(method):
 @pytest.mark.parametrize(
     ("method", "more"),
     [
-        *((method, {"penalty": [0.5] * 4}) for method in ("columns", "resource-columns")),
+        *(
+            (method, {"penalty": [0.5] * 4})
+            for method in ("columns", "resource-columns")
+        ),
         *(("columns", w) for w in WEIGHED),
     ],
 )
-def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(graph, method, more):
-    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {"capacity": [2.0] * 3, "route_length_limit": 25.0}
+def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimised(
+    graph, method, more
+):
+    raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {
+        "capacity": [2.0] * 3,
+        "route_length_limit": 25.0,
+    }
     instance = Instance.parse(raw | more)
     solution = solve_in_loop(instance, graph("path", 3), method)
     assert solution.feasible
-    assert (solution.lower_bound or 0.0) <= solve_in_loop(instance, graph("path", 3)).cost + 1e-6
+    assert (solution.lower_bound or 0.0) <= solve_in_loop(
+        instance, graph("path", 3)
+    ).cost + 1e-6
     assert solution.bound_exact == (solution.lower_bound is not None)
     assert solution.bound_exact == (more.keys() == {"penalty"})
 
@@ -245,21 +327,37 @@ def test_a_bound_above_the_cost_is_an_error_and_not_clipped(graph, monkeypatch, 
     for module in (gossip, column_recovery):
         monkeypatch.setattr(module, "improve", too_high)
     with pytest.raises(SolverError, match=r"bound .* above the cost .* of the plan"):
-        solve_in_loop(random_instance(5, 8, 1, route_length_limit=30.0), graph("ring", 5), method)
+        solve_in_loop(
+            random_instance(5, 8, 1, route_length_limit=30.0), graph("ring", 5), method
+        )
 
 
 def test_an_infeasible_instance_is_a_clear_error():
-    with pytest.raises(SolverError, match=r"^infeasible: no plan serves every task; each can be served alone"):
+    with pytest.raises(
+        SolverError,
+        match=r"^infeasible: no plan serves every task; each can be served alone",
+    ):
         solve_in_loop(infeasible(), {0: [1], 1: [0]})
     with pytest.raises(SolverError, match="use the method columns"):
         solve_in_loop(infeasible(), {0: [1], 1: [0]}, "resource")
 
 
 def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan(graph):
-    goods = {"pickup": [[x, 1] for x in range(6)], "delivery": [[x, 2] for x in range(6)], "load": [1] * 6}
-    raw = goods | {"home": [[x, 0] for x in range(4)], "capacity": [1] * 4, "route_length_limit": 6.8}
+    goods = {
+        "pickup": [[x, 1] for x in range(6)],
+        "delivery": [[x, 2] for x in range(6)],
+        "load": [1] * 6,
+    }
+    raw = goods | {
+        "home": [[x, 0] for x in range(4)],
+        "capacity": [1] * 4,
+        "route_length_limit": 6.8,
+    }
     settings = Settings(small=0, first_steps=50, steps=500)
-    agents, failed = team(Instance.parse(raw), graph("ring", 4), "columns", settings), {}
+    agents, failed = (
+        team(Instance.parse(raw), graph("ring", 4), "columns", settings),
+        {},
+    )
     while not failed:
         messages = {i: decode(encode(agent.message())) for i, agent in agents.items()}
         for i, agent in agents.items():
@@ -269,7 +367,9 @@ def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan
                 failed[i] = str(error)
         assert not any(agent.done for agent in agents.values())
     assert sorted(failed) == [0, 1, 2, 3]
-    assert all("infeasible: no plan serves every task" in text for text in failed.values())
+    assert all(
+        "infeasible: no plan serves every task" in text for text in failed.values()
+    )
 
 
 def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
@@ -277,28 +377,46 @@ def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
     cut = Settings(most_labels=600)  # 200 of them without limits
     for method in METHODS:
         solution = solve_in_loop(instance, graph("ring", 4), method, cut)
-        assert (solution.feasible, solution.lower_bound, solution.bound_exact) == (True, None, False)
+        assert (solution.feasible, solution.lower_bound, solution.bound_exact) == (
+            True,
+            None,
+            False,
+        )
 
 
 def test_one_searcher_is_enough_for_a_large_search(small, graph):
     instance, optimum = small("limited")
-    solution = solve_in_loop(instance, graph("ring", 4), settings=Settings(small=0, searchers=1))
+    solution = solve_in_loop(
+        instance, graph("ring", 4), settings=Settings(small=0, searchers=1)
+    )
     assert solution.cost == pytest.approx(optimum)
 
 
 def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
     instance, optimum = small("limited")
-    solution = solve_in_loop(instance, graph("ring", 4), settings=Settings(most_shared=1, price_rounds=3, batch=1))
+    solution = solve_in_loop(
+        instance,
+        graph("ring", 4),
+        settings=Settings(most_shared=1, price_rounds=3, batch=1),
+    )
     assert solution.cost == pytest.approx(optimum)
 
 
 def test_what_is_relayed_for_all_robots_together_fits_into_a_payload(small, graph):
-    robots, columns = 50, [Column(1.0, tuple(range(20)))] * (Settings().most_relayed // 50)
-    assert len(encode([[i, [packed(columns), False, False]] for i in range(robots)])) < MAX_PAYLOAD
+    robots, columns = (
+        50,
+        [Column(1.0, tuple(range(20)))] * (Settings().most_relayed // 50),
+    )
+    assert (
+        len(encode([[i, [packed(columns), False, False]] for i in range(robots)]))
+        < MAX_PAYLOAD
+    )
     instance, optimum = small("limited")
     whole = Settings(price_rounds=3, first_gap=10.0)
     plain = solve_in_loop(instance, graph("star", 4), settings=whole)
-    parted = solve_in_loop(instance, graph("star", 4), settings=replace(whole, most_relayed=4))
+    parted = solve_in_loop(
+        instance, graph("star", 4), settings=replace(whole, most_relayed=4)
+    )
     assert parted.cost == plain.cost == pytest.approx(optimum)
     assert parted.rounds > plain.rounds, "one column of each robot in a message"
 
@@ -309,10 +427,14 @@ def test_neighbours_with_other_tasks_or_options_are_noticed(small):
     for stranger in (
         PickupDelivery(other.local(1), [0], 4, 3, {0: 1}),
         PickupDelivery(instance.local(1), [0], 4, 3, {0: 1}, "resource"),
-        PickupDelivery(instance.local(1), [0], 4, 3, {0: 1}, settings=Settings(batch=3)),
+        PickupDelivery(
+            instance.local(1), [0], 4, 3, {0: 1}, settings=Settings(batch=3)
+        ),
     ):
         me = PickupDelivery(instance.local(0), [1], 4, 3, {1: 1})
-        with pytest.raises(ConfigError, match=r"robot 0: neighbour\(s\) 1: found another task list"):
+        with pytest.raises(
+            ConfigError, match=r"robot 0: neighbour\(s\) 1: found another task list"
+        ):
             me.step({1: stranger.message()})
 
 
@@ -333,12 +455,21 @@ def test_a_damaged_plan_is_noticed(small, graph):
     instance, _ = small("limited")
 
     def damage(message):
-        if isinstance(message, list) and len(message) == 5 and isinstance(message[4], str):
+        if (
+            isinstance(message, list)
+            and len(message) == 5
+            and isinstance(message[4], str)
+        ):
             return [*message[:2], [[9, [0]]], *message[3:]]
         return message
 
     with pytest.raises(SolverError, match="its hash differs"):
-        solve_in_loop(instance, graph("path", 4), carry=damage, settings=Settings(small=0, searchers=1))
+        solve_in_loop(
+            instance,
+            graph("path", 4),
+            carry=damage,
+            settings=Settings(small=0, searchers=1),
+        )
 
 
 @pytest.mark.parametrize(
@@ -358,25 +489,39 @@ def test_the_graph_must_be_of_the_robots_and_the_method_known(small, graph):
     instance, _ = small("limited")
     with pytest.raises(ConfigError, match="the robots 0 to 3"):
         solve_in_loop(instance, graph("ring", 5))
-    with pytest.raises(ConfigError, match="resource-columns, resource, resource-argmax"):
+    with pytest.raises(
+        ConfigError, match="resource-columns, resource, resource-argmax"
+    ):
         solve_in_loop(instance, graph("ring", 4), "magic")
 
 
 def test_diameters(graph):
-    assert [diameter(graph(shape, 6)) for shape in ("ring", "complete", "path", "star")] == [3, 1, 5, 2]
+    assert [
+        diameter(graph(shape, 6)) for shape in ("ring", "complete", "path", "star")
+    ] == [3, 1, 5, 2]
 
 
-@pytest.mark.parametrize(("plan", "what"), [({0: (0, 1), 1: (0,)}, "served twice"), ({0: (0,)}, "left out")])
-def test_robots_with_different_plans_notice_it_all_in_the_same_round(graph, monkeypatch, plan, what):
+@pytest.mark.parametrize(
+    ("plan", "what"), [({0: (0, 1), 1: (0,)}, "served twice"), ({0: (0,)}, "left out")]
+)
+def test_robots_with_different_plans_notice_it_all_in_the_same_round(
+    graph, monkeypatch, plan, what
+):
     """Each tells the route that it flies: whether these are one plan is seen of their tasks, not of a hash of them."""
-    points = {key: [[0.0, y], [1.0, y]] for key, y in (("home", 0.0), ("pickup", 1.0), ("delivery", 2.0))}
+    points = {
+        key: [[0.0, y], [1.0, y]]
+        for key, y in (("home", 0.0), ("pickup", 1.0), ("delivery", 2.0))
+    }
 
     def run(self):
         yield None
         return Assignment(plan, None)
 
     monkeypatch.setattr(DistributedColumns, "run", run)
-    agents = team(Instance.parse(points | {"load": [1.0] * 2, "capacity": [2.0] * 2}), graph("path", 2))
+    agents = team(
+        Instance.parse(points | {"load": [1.0] * 2, "capacity": [2.0] * 2}),
+        graph("path", 2),
+    )
     failed = []
     while not failed and not any(agent.done for agent in agents.values()):
         messages = {i: agent.message() for i, agent in agents.items()}

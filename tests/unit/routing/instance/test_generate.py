@@ -17,9 +17,18 @@ def test_a_seed_is_an_instance():
 @pytest.mark.parametrize("seed", range(5))
 def test_the_options_hold(seed):
     instance = random_instance(
-        5, 4, seed, (4.0, 3.0, 2.0), spacing=0.5, margin=0.2, heights=(0.5, 1.0), loads=(2, 2), capacities=(2, 4),
-        capable=0.3, route_length_limit=30.0,
-    )  # fmt: skip
+        5,
+        4,
+        seed,
+        (4.0, 3.0, 2.0),
+        spacing=0.5,
+        margin=0.2,
+        heights=(0.5, 1.0),
+        loads=(2, 2),
+        capacities=(2, 4),
+        capable=0.3,
+        route_length_limit=30.0,
+    )
     goods = np.vstack([instance.tasks.pickup, instance.tasks.delivery])
     assert (instance.home[:, 2] == 0).all()
     assert (goods[:, 2] >= 0.5).all()
@@ -27,7 +36,9 @@ def test_the_options_hold(seed):
     for points in (instance.home, goods):
         assert (points[:, :2] >= 0.2).all()
         assert (points[:, :2] <= [3.8, 2.8]).all()
-        gaps = np.linalg.norm(points[:, None, :2] - points[None, :, :2], axis=2) + np.eye(len(points))
+        gaps = np.linalg.norm(
+            points[:, None, :2] - points[None, :, :2], axis=2
+        ) + np.eye(len(points))
         assert gaps.min() >= 0.5
     assert set(instance.tasks.load) == {2.0}
     assert set(instance.capacity) <= {2.0, 3.0, 4.0}
@@ -37,10 +48,14 @@ def test_the_options_hold(seed):
 
 
 def test_goods_lie_in_heaps_and_fields_are_added():
-    instance = random_instance(3, 40, 2, clusters=2, fields={"open_tours": True, "fixed_cost": 2.0})
+    instance = random_instance(
+        3, 40, 2, clusters=2, fields={"open_tours": True, "fixed_cost": 2.0}
+    )
     goods = np.vstack([instance.tasks.pickup, instance.tasks.delivery])
     near = np.linalg.norm(goods[:, None] - goods[None, :], axis=2) < 3.0
-    assert len({tuple(row) for row in near.tolist()}) < 20  # of 80: most see the same goods near
+    assert (
+        len({tuple(row) for row in near.tolist()}) < 20
+    )  # of 80: most see the same goods near
     assert near.mean() > 0.45
     assert instance.open_tours
     assert instance.fixed_cost == 2.0
@@ -54,8 +69,15 @@ def test_a_room_that_is_too_small_is_refused():
 def test_the_demo_is_what_its_note_says(repository):
     path = repository / "agents" / "data" / "lab6.json"
     instance = Instance.load(path)
-    options = {"spacing": 0.5, "margin": 0.3, "capable": 0.45, "route_length_limit": 6.5}
-    assert instance.to_json() == random_instance(6, 10, 58, (3, 3, 2), **options).to_json()
+    options = {
+        "spacing": 0.5,
+        "margin": 0.3,
+        "capable": 0.45,
+        "route_length_limit": 6.5,
+    }
+    assert (
+        instance.to_json() == random_instance(6, 10, 58, (3, 3, 2), **options).to_json()
+    )
     assert "seed=58" in json.loads(path.read_text())["note"]
     assert (instance.robots, len(instance.tasks)) == (6, 10)
     assert not instance.capability.all(axis=1).any()

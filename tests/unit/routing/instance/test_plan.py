@@ -8,7 +8,12 @@ OTHER = Route.from_nodes(0, [2, 5], 3, 1.5)
 
 
 def test_nodes_become_stops():
-    assert ROUTE.stops == (Stop(1, "pickup"), Stop(0, "pickup"), Stop(0, "delivery"), Stop(1, "delivery"))
+    assert ROUTE.stops == (
+        Stop(1, "pickup"),
+        Stop(0, "pickup"),
+        Stop(0, "delivery"),
+        Stop(1, "delivery"),
+    )
     assert ROUTE.tasks == (0, 1)
 
 
@@ -29,13 +34,36 @@ def test_json_round_trip_and_digest():
 def test_any_change_changes_the_digest():
     plan = Plan((ROUTE, OTHER))
     swapped = replace(ROUTE, stops=(ROUTE.stops[1], ROUTE.stops[0], *ROUTE.stops[2:]))
-    others = [Plan((swapped, OTHER)), Plan((replace(ROUTE, length=7.2500001), OTHER)), Plan((ROUTE,))]
-    assert len({plan.digest, *(p.digest for p in others), Plan((replace(ROUTE, robot=1), OTHER)).digest}) == 5
+    others = [
+        Plan((swapped, OTHER)),
+        Plan((replace(ROUTE, length=7.2500001), OTHER)),
+        Plan((ROUTE,)),
+    ]
+    assert (
+        len(
+            {
+                plan.digest,
+                *(p.digest for p in others),
+                Plan((replace(ROUTE, robot=1), OTHER)).digest,
+            }
+        )
+        == 5
+    )
 
 
 def test_a_solution_is_one_json_object():
     plan = Plan((ROUTE, OTHER))
-    solution = Solution(8.75, True, None, False, "resource", ("task prices",), 9, plan.digest, plan.routes)
+    solution = Solution(
+        8.75,
+        True,
+        None,
+        False,
+        "resource",
+        ("task prices",),
+        9,
+        plan.digest,
+        plan.routes,
+    )
     raw = json.loads(json.dumps(solution.to_json()))
     assert raw["lower_bound"] is None
     assert raw["routes"][1]["stops"][0] == {"task": 1, "kind": "pickup"}

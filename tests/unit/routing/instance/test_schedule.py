@@ -8,8 +8,13 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route
 from crazychoir.routing.instance.schedule import outcome, times_matter, trips
 
-RAW = {"home": [[0.0, 0.0], [0.0, 8.0]], "pickup": [[1.0, 0.0], [2.0, 0.0]], "delivery": [[1.0, 1.0], [2.0, 1.0]],
-       "load": [1.0, 1.0], "capacity": [1.0, 1.0]}  # fmt: skip
+RAW = {
+    "home": [[0.0, 0.0], [0.0, 8.0]],
+    "pickup": [[1.0, 0.0], [2.0, 0.0]],
+    "delivery": [[1.0, 1.0], [2.0, 1.0]],
+    "load": [1.0, 1.0],
+    "capacity": [1.0, 1.0],
+}
 NODES = [0, 2, 5, 1, 3]
 """Task 0, a recharge, task 1."""
 
@@ -20,7 +25,9 @@ def route(instance, nodes, robot=0):
 
 
 def test_a_recharge_parts_a_route_into_trips():
-    instance = Instance.parse(RAW | {"recharge": 2, "end": [[0.0, 3.0], None], "speed": 0.5})
+    instance = Instance.parse(
+        RAW | {"recharge": 2, "end": [[0.0, 3.0], None], "speed": 0.5}
+    )
     one, two = trips(instance, route(instance, NODES))
     first, second = 1 + 1 + math.hypot(1, 2), math.hypot(2, 3) + 1 + math.hypot(2, 2)
     assert (one.number, two.number) == (1, 2)
@@ -28,7 +35,9 @@ def test_a_recharge_parts_a_route_into_trips():
     assert [stop.task for stop in one.stops + two.stops] == [0, 0, 1, 1]
     assert one.begins == pytest.approx((2.0, 4.0))
     assert one.end == pytest.approx(2 * first)
-    assert two.begins == pytest.approx((2 * first + 2 * math.hypot(2, 3), 2 * first + 2 * math.hypot(2, 3) + 2))
+    assert two.begins == pytest.approx(
+        (2 * first + 2 * math.hypot(2, 3), 2 * first + 2 * math.hypot(2, 3) + 2)
+    )
     assert two.end == pytest.approx(2 * (first + second))
     assert two.to_json()["stops"] == ["+1", "-1"]
 
@@ -65,9 +74,15 @@ def test_the_outcome_names_what_is_refused_and_what_is_wrong():
     assert found["refused"] == [{"task": 1, "penalty": 4.0, "priority": 3}]
     assert found["penalties"] == 4.0
     assert found["violations"] == []
-    assert found["total_m"] == found["makespan_s"] == pytest.approx(2 + math.hypot(1, 1))
+    assert (
+        found["total_m"] == found["makespan_s"] == pytest.approx(2 + math.hypot(1, 1))
+    )
     wrong = outcome(instance, [route(instance, [1, 3])])
     assert wrong["refused"] == []
     assert wrong["violations"] == ["task 0 is served 0 times, not once"]
     nothing = outcome(Instance.parse(RAW | {"penalty": [1.0, 4.0]}), [])
-    assert (nothing["trips"], nothing["makespan_s"], nothing["penalties"]) == ([], 0.0, 5.0)
+    assert (nothing["trips"], nothing["makespan_s"], nothing["penalties"]) == (
+        [],
+        0.0,
+        5.0,
+    )

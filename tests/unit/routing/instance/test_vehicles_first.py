@@ -30,9 +30,13 @@ def to_and_fro(unit, speed=1):
     count = len(SIDES)
     for number, side in enumerate(SIDES + SIDES):
         begin = (1 + 2 * number) * unit
-        partner = f"0 {number + count + 1}" if number < count else f"{number - count + 1} 0"
+        partner = (
+            f"0 {number + count + 1}" if number < count else f"{number - count + 1} 0"
+        )
         demand = 1 if number < count else -1
-        lines.append(f"{number + 1} {side * unit} 0 {demand} {begin} {begin} 0 {partner}")
+        lines.append(
+            f"{number + 1} {side * unit} 0 {demand} {begin} {begin} 0 {partner}"
+        )
     return "\n".join(lines)
 
 
@@ -44,18 +48,20 @@ def random_instance(seed, unit, objective=("vehicles", "total")):
     opens = draw.uniform(0, 4 * unit, size=tasks)
     width = draw.uniform(0.5, 6) * unit
     homes = draw.uniform(-0.1, 0.1, size=(3, 2)) * unit * (seed % 2)
-    return Instance.parse({
-        "home": homes.tolist(),
-        "pickup": places[:tasks].tolist(),
-        "delivery": places[tasks:].tolist(),
-        "load": [1.0] * tasks,
-        "capacity": [float(draw.integers(1, 3))] * 3,
-        "time_windows": {
-            "pickup": [[float(t), float(t + width)] for t in opens],
-            "delivery": [[0.0, float(t + 3 * unit + width)] for t in opens],
-        },
-        "objective": list(objective),
-    })  # fmt: skip
+    return Instance.parse(
+        {
+            "home": homes.tolist(),
+            "pickup": places[:tasks].tolist(),
+            "delivery": places[tasks:].tolist(),
+            "load": [1.0] * tasks,
+            "capacity": [float(draw.integers(1, 3))] * 3,
+            "time_windows": {
+                "pickup": [[float(t), float(t + width)] for t in opens],
+                "delivery": [[0.0, float(t + 3 * unit + width)] for t in opens],
+            },
+            "objective": list(objective),
+        }
+    )
 
 
 def least(instance):
@@ -65,7 +71,9 @@ def least(instance):
     found = []
     for share in product(range(3), repeat=tasks):
         sets = [[j for j in range(tasks) if share[j] == i] for i in range(3)]
-        columns = [table.find(own) for table, own in zip(tables, sets, strict=True) if own]
+        columns = [
+            table.find(own) for table, own in zip(tables, sets, strict=True) if own
+        ]
         if None not in columns:
             found.append((len(columns), sum(column.length for column in columns)))
     return min(found, default=None)
@@ -87,8 +95,10 @@ def test_one_vehicle_is_better_than_two_on_a_way_of_a_quarter(tmp_path, unit, se
 
 
 @pytest.mark.parametrize("unit", [1.0, 30_000.0])
-@pytest.mark.parametrize(("method", "settings"), [("columns", LISTED), ("columns", SEARCHED),
-                                                  ("resource-columns", PRICED)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [("columns", LISTED), ("columns", SEARCHED), ("resource-columns", PRICED)],
+)
 def test_small_plans_are_optimal(unit, method, settings):
     compared = 0
     for seed in range(6):
@@ -131,18 +141,38 @@ def test_the_weight_of_a_vehicle_is_more_than_twice_the_total_of_any_plan(unit):
         draw = np.random.default_rng(seed)
         tasks = int(draw.integers(1, 6))
         points = {"home": draw.uniform(-1, 1, (3, 2)) * unit}
-        points |= {key: draw.uniform(-1, 1, (tasks, 2)) * unit for key in ("pickup", "delivery")}
-        raw = {key: rows.tolist() for key, rows in points.items()} | {"load": [0.0] * tasks, "capacity": [1.0] * 3}
-        instance = Instance.parse(raw | {"objective": ["vehicles", "total"], "recharge": 9})
+        points |= {
+            key: draw.uniform(-1, 1, (tasks, 2)) * unit
+            for key in ("pickup", "delivery")
+        }
+        raw = {key: rows.tolist() for key, rows in points.items()} | {
+            "load": [0.0] * tasks,
+            "capacity": [1.0] * 3,
+        }
+        instance = Instance.parse(
+            raw | {"objective": ["vehicles", "total"], "recharge": 9}
+        )
         vehicle = instance.local(0).vehicle
-        stops = [node for j in draw.permutation(tasks) for node in (j, tasks + j, 2 * tasks + 1)][:-1]
+        stops = [
+            node
+            for j in draw.permutation(tasks)
+            for node in (j, tasks + j, 2 * tasks + 1)
+        ][:-1]
         assert 2 * vehicle.length(stops) <= instance.vehicle_weight == vehicle.fixed
 
 
 def test_the_fewest_columns_are_chosen_and_of_those_the_shortest():
     weight = 2.0**40
-    columns = [(0, (0, 1), 900.0), (1, (0, 1), 800.0), (0, (0,), 1e-3), (1, (1,), 1e-3), (1, (0,), 1e-3)]
-    priced = [(robot, Column(weight + length, tasks)) for robot, tasks, length in columns]
+    columns = [
+        (0, (0, 1), 900.0),
+        (1, (0, 1), 800.0),
+        (0, (0,), 1e-3),
+        (1, (1,), 1e-3),
+        (1, (0,), 1e-3),
+    ]
+    priced = [
+        (robot, Column(weight + length, tasks)) for robot, tasks, length in columns
+    ]
     found = fewest(priced, 2, 0, 1000, weight, 0)
     assert found.routes == {1: (0, 1)}
     assert found.cost - weight == pytest.approx(800.0)
@@ -156,20 +186,37 @@ def test_no_choice_of_columns_is_said_to_be_none():
 
 
 def test_the_search_ends_with_the_vehicle_whose_home_is_near():
-    raw = {"home": [[90.0, 0.0], [0.0, 0.0]], "pickup": [[1.0, 0.0]], "delivery": [[2.0, 0.0]], "load": [1.0],
-           "capacity": [1.0, 1.0], "objective": ["vehicles", "total"]}  # fmt: skip
+    raw = {
+        "home": [[90.0, 0.0], [0.0, 0.0]],
+        "pickup": [[1.0, 0.0]],
+        "delivery": [[2.0, 0.0]],
+        "load": [1.0],
+        "capacity": [1.0, 1.0],
+        "objective": ["vehicles", "total"],
+    }
     instance = Instance.parse(raw)
     team = [instance.local(i).vehicle for i in range(2)]
-    found = search(team, [[0, 1], []], np.array([math.inf]), 500, 0, objective=instance.objective)
+    found = search(
+        team, [[0, 1], []], np.array([math.inf]), 500, 0, objective=instance.objective
+    )
     assert found.routes == [[], [0, 1]]
 
 
 @pytest.mark.parametrize(
     ("beside", "said"),
-    [({"penalty": [1.0]}, "penalty: found the objective"), ({"fixed_cost": 1.0}, "fixed_cost: found 1 beside")],
+    [
+        ({"penalty": [1.0]}, "penalty: found the objective"),
+        ({"fixed_cost": 1.0}, "fixed_cost: found 1 beside"),
+    ],
 )
 def test_what_contradicts_the_count_of_vehicles_is_refused(beside, said):
-    raw = {"home": [[0, 0]], "pickup": [[1, 0]], "delivery": [[2, 0]], "load": [1], "capacity": [1]}
+    raw = {
+        "home": [[0, 0]],
+        "pickup": [[1, 0]],
+        "delivery": [[2, 0]],
+        "load": [1],
+        "capacity": [1],
+    }
     with pytest.raises(InstanceError, match=said):
         Instance.parse(raw | {"objective": ["vehicles", "total"]} | beside)
     assert Instance.parse(raw | beside).objective == ("total",)
@@ -179,23 +226,56 @@ def test_what_contradicts_the_count_of_vehicles_is_refused(beside, said):
     ("old", "new", "said"),
     [
         ("3 10 1", "3 2000001 1", "line 1: found capacity 2e[+]06"),
-        ("3 10 1", "3 10 1e-9", "line 1: found .*speed 1e-09; allowed: .* or 0, which means 1"),
-        ("2 1 0 1 3 3", "2 1 0 1 3 2e8", "line 4: found due time 200000000; allowed: a number from 0 to 1e[+]07"),
-        ("2 1 0 1 3 3", "2 1 0 1 3 2", "line 4: found due time 2; allowed: at least 3, the ready time"),
-        ("2 1 0 1 3 3", "2 1e6 0 1 3 3", "line 4: found x 1000000; allowed: a number from -100000 to 100000"),
-        ("2 1 0 1 3 3", "2.5 1 0 1 3 3", "line 4: found customer 2.5; allowed: a whole number"),
-        ("2 1 0 1 3 3", "2 1 0 1 0 0", "customer 2 and its delivery 6: found .* at its pickup at 1 s"),
+        (
+            "3 10 1",
+            "3 10 1e-9",
+            "line 1: found .*speed 1e-09; allowed: .* or 0, which means 1",
+        ),
+        (
+            "2 1 0 1 3 3",
+            "2 1 0 1 3 2e8",
+            "line 4: found due time 200000000; allowed: a number from 0 to 1e[+]07",
+        ),
+        (
+            "2 1 0 1 3 3",
+            "2 1 0 1 3 2",
+            "line 4: found due time 2; allowed: at least 3, the ready time",
+        ),
+        (
+            "2 1 0 1 3 3",
+            "2 1e6 0 1 3 3",
+            "line 4: found x 1000000; allowed: a number from -100000 to 100000",
+        ),
+        (
+            "2 1 0 1 3 3",
+            "2.5 1 0 1 3 3",
+            "line 4: found customer 2.5; allowed: a whole number",
+        ),
+        (
+            "2 1 0 1 3 3",
+            "2 1 0 1 0 0",
+            "customer 2 and its delivery 6: found .* at its pickup at 1 s",
+        ),
         ("2 1 0 1 3 3", "2 1 0 -1 3 3", "line 4: found demand -1 of a pickup"),
     ],
 )
-def test_errors_name_the_line_of_the_file_and_no_key_that_it_does_not_have(tmp_path, old, new, said):
+def test_errors_name_the_line_of_the_file_and_no_key_that_it_does_not_have(
+    tmp_path, old, new, said
+):
     file = tmp_path / "bad.txt"
     text = to_and_fro(1)
     assert old in text
     file.write_text(text.replace(old, new))
     with pytest.raises(InstanceError, match=said) as refusal:
         Instance.load(file)
-    for key in ("fixed_cost", "time_windows", "capacity[", "load[", "pickup[", "route_length_limit"):
+    for key in (
+        "fixed_cost",
+        "time_windows",
+        "capacity[",
+        "load[",
+        "pickup[",
+        "route_length_limit",
+    ):
         assert key not in str(refusal.value)
 
 

@@ -23,12 +23,24 @@ def test_arcs_and_columns_have_the_same_optimum(robots, tasks, seed, options):
     plan = solve_compact(instance)
     assert check(instance, plan) == []
     tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
-    columns = [(i, table.column(c)) for i, table in enumerate(tables) for c in range(1, len(table))]
-    assert partition(columns, tasks, seed=0, nodes=10_000).cost == pytest.approx(plan.cost, abs=1e-6)
+    columns = [
+        (i, table.column(c))
+        for i, table in enumerate(tables)
+        for c in range(1, len(table))
+    ]
+    assert partition(columns, tasks, seed=0, nodes=10_000).cost == pytest.approx(
+        plan.cost, abs=1e-6
+    )
 
 
 def test_no_plan_is_an_error():
-    raw = {"pickup": [[1.0, 0.0], [9.0, 0.0]], "delivery": [[1.0, 0.0], [9.0, 0.0]], "load": [1.0, 1.0]}
-    alone = Instance.parse(raw | {"home": [[5.0, 0.0]], "capacity": [1.0], "route_length_limit": 9.0})
+    raw = {
+        "pickup": [[1.0, 0.0], [9.0, 0.0]],
+        "delivery": [[1.0, 0.0], [9.0, 0.0]],
+        "load": [1.0, 1.0],
+    }
+    alone = Instance.parse(
+        raw | {"home": [[5.0, 0.0]], "capacity": [1.0], "route_length_limit": 9.0}
+    )
     with pytest.raises(SolverError, match="Infeasible"):
         solve_compact(alone)

@@ -17,7 +17,11 @@ from crazychoir.routing.pricing.route_table import RouteTable
 
 @pytest.mark.parametrize("kind", ["limit", "open limit", "matrix limit"])
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from([1.0, 4.0, 8.0, 20.0]), st.sampled_from([0.6, 1.0, 1.6]))
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([1.0, 4.0, 8.0, 20.0]),
+    st.sampled_from([0.6, 1.0, 1.6]),
+)
 def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
     v = vehicle_of(seed, 6, kind)
     v = replace(v, limit=far * v.limit)
@@ -32,8 +36,12 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
         assert column.length >= table.find(column.tasks).length - 1e-9
         assert column.length - prices[list(column.tasks)].sum() < 0.0
     if found:
-        assert found[0].length == pytest.approx(table.find(found[0].tasks).length, abs=1e-9)
-        assert found[0].length - prices[list(found[0].tasks)].sum() == pytest.approx(table.least(prices), abs=1e-9)
+        assert found[0].length == pytest.approx(
+            table.find(found[0].tasks).length, abs=1e-9
+        )
+        assert found[0].length - prices[list(found[0].tasks)].sum() == pytest.approx(
+            table.least(prices), abs=1e-9
+        )
         assert halves.cheapest(prices, 4, table.least(prices) - 1e-6) == []
 
 
@@ -44,7 +52,9 @@ def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
         for column in halves.cheapest(random.uniform(0.0, 20.0, 10), 10, 0.0):
             lengths.setdefault(column.tasks, set()).add(column.length)
     assert len(lengths) > 20
-    assert max(len(values) for values in lengths.values()) <= 4, "one a pair of halves, whatever the prices"
+    assert max(len(values) for values in lengths.values()) <= 4, (
+        "one a pair of halves, whatever the prices"
+    )
 
 
 def test_halves_that_are_cut_say_so():
@@ -52,10 +62,14 @@ def test_halves_that_are_cut_say_so():
     assert not Halves(v, most=5).complete
 
 
-@pytest.mark.parametrize("kind", ["plain", "windows limit", "aboard limit", "trips limit"])
+@pytest.mark.parametrize(
+    "kind", ["plain", "windows limit", "aboard limit", "trips limit"]
+)
 def test_what_cannot_be_halved(kind):
     some = [vehicle_of(seed, 4, kind) for seed in range(6)]
-    assert not any(Halves.fits(v) for v in some if v.aboard.any() or "aboard" not in kind)
+    assert not any(
+        Halves.fits(v) for v in some if v.aboard.any() or "aboard" not in kind
+    )
 
 
 def test_nothing_to_serve():

@@ -6,13 +6,20 @@ from tests.unit.routing.test_vehicle_routes import KINDS, vehicle_of
 
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.vehicle import Vehicle
-from crazychoir.routing.pricing.reduced_cost import least_reduced_cost, relaxed_reduced_cost
+from crazychoir.routing.pricing.reduced_cost import (
+    least_reduced_cost,
+    relaxed_reduced_cost,
+)
 from crazychoir.routing.pricing.route_table import RouteTable
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from([2.0, 8.0, 20.0]), st.sampled_from([1, 3, 1000]))
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([2.0, 8.0, 20.0]),
+    st.sampled_from([1, 3, 1000]),
+)
 def test_the_least_reduced_cost_is_that_of_the_table(kind, seed, worth, width):
     v = vehicle_of(seed, 5, kind)
     prices = np.random.default_rng(seed).uniform(-0.2, 1.0, size=5) * worth
@@ -26,11 +33,17 @@ def test_the_least_reduced_cost_is_that_of_the_table(kind, seed, worth, width):
         assert table.find(column.tasks).length == pytest.approx(column.length, abs=1e-8)
     if found.value < 0.0:
         best = found.columns[0]
-        assert best.length - prices[list(best.tasks)].sum() == pytest.approx(found.value, abs=1e-8)
+        assert best.length - prices[list(best.tasks)].sum() == pytest.approx(
+            found.value, abs=1e-8
+        )
     below = max(found.value, 0.0) + 1.0
     for near in (1, 3):
-        assert relaxed_reduced_cost(v, prices, below, near) <= min(below, found.value + 1e-8)
-    assert relaxed_reduced_cost(v, prices, below, 5) == pytest.approx(min(below, table.least(prices)), abs=1e-8)
+        assert relaxed_reduced_cost(v, prices, below, near) <= min(
+            below, found.value + 1e-8
+        )
+    assert relaxed_reduced_cost(v, prices, below, 5) == pytest.approx(
+        min(below, table.least(prices)), abs=1e-8
+    )
 
 
 def test_a_search_that_is_cut_says_so():
@@ -55,8 +68,18 @@ def test_a_route_of_the_shortest_ways_alone_is_not_cut(limit, price):
     """Stops in a row, one metre apart, with nothing to spare: bounds of what follows are exact there."""
     x = np.array([1.0, 3, 5, 7, 9, 11, 2, 4, 6, 8, 10, 12, 0, 13])
     distance = np.abs(x[:, None] - x[None, :])
-    v = Vehicle(distance, distance, np.zeros(14), np.full(14, np.inf), np.ones(6), 1.0, limit,
-                np.ones(6, bool), np.zeros(6, bool), fixed=-1.0)  # fmt: skip
+    v = Vehicle(
+        distance,
+        distance,
+        np.zeros(14),
+        np.full(14, np.inf),
+        np.ones(6),
+        1.0,
+        limit,
+        np.ones(6, bool),
+        np.zeros(6, bool),
+        fixed=-1.0,
+    )
     found = least_reduced_cost(v, np.full(6, price), width=1)
     assert found.value == pytest.approx(12.0 - 6 * price)
     assert found.columns[0].tasks == (0, 1, 2, 3, 4, 5)

@@ -17,17 +17,29 @@ def brute_force(local, tasks):
     for order in permutations([*tasks, *(m + j for j in tasks)]):
         if any(order.index(j) > order.index(m + j) for j in tasks):
             continue
-        held = np.cumsum([local.tasks.load[v] if v < m else -local.tasks.load[v - m] for v in order])
+        held = np.cumsum(
+            [local.tasks.load[v] if v < m else -local.tasks.load[v - m] for v in order]
+        )
         tour = [2 * m, *order, 2 * m]
         length = sum(local.vehicle.distance[a, b] for a, b in pairwise(tour))
-        if (held <= local.capacity).all() and length <= local.limit and (best is None or length < best):
+        if (
+            (held <= local.capacity).all()
+            and length <= local.limit
+            and (best is None or length < best)
+        ):
             best = length
     return best
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from([None, 16.0, 25.0]), st.sampled_from([(10, 10), (3, 3, 2)]))
-def test_the_table_holds_exactly_the_feasible_sets_with_their_shortest_tours(seed, limit, room):
+@given(
+    st.integers(0, 10_000),
+    st.sampled_from([None, 16.0, 25.0]),
+    st.sampled_from([(10, 10), (3, 3, 2)]),
+)
+def test_the_table_holds_exactly_the_feasible_sets_with_their_shortest_tours(
+    seed, limit, room
+):
     limit = None if len(room) == 3 else limit
     try:
         instance = random_instance(1, 3, seed, room, route_length_limit=limit)
@@ -36,7 +48,11 @@ def test_the_table_holds_exactly_the_feasible_sets_with_their_shortest_tours(see
     local = instance.local(0)
     expected = {()}
     for size in (1, 2, 3):
-        expected |= {tasks for tasks in combinations(range(3), size) if brute_force(local, tasks) is not None}
+        expected |= {
+            tasks
+            for tasks in combinations(range(3), size)
+            if brute_force(local, tasks) is not None
+        }
     table = RouteTable(local.vehicle)
     found = {table.column(c).tasks: table.column(c).length for c in range(len(table))}
     assert set(found) == expected
@@ -48,16 +64,23 @@ def test_the_least_reduced_cost_is_the_least_of_all_columns():
     local = random_instance(1, 6, seed=3).local(0)
     table = RouteTable(local.vehicle)
     prices = np.random.default_rng(0).uniform(0, 12, size=6)
-    every = [table.column(c).length - prices[list(table.column(c).tasks)].sum() for c in range(len(table))]
+    every = [
+        table.column(c).length - prices[list(table.column(c).tasks)].sum()
+        for c in range(len(table))
+    ]
     assert table.least(prices) == pytest.approx(min(every))
     best = table.cheapest(prices, 5, below=0.0)
-    assert [c.length - prices[list(c.tasks)].sum() for c in best] == pytest.approx(sorted(every)[:5])
+    assert [c.length - prices[list(c.tasks)].sum() for c in best] == pytest.approx(
+        sorted(every)[:5]
+    )
 
 
 def test_a_forbidden_task_is_in_no_column():
     table = RouteTable(random_instance(1, 5, seed=1).local(0).vehicle)
     prices = np.array([9.0, 9.0, -np.inf, 9.0, 9.0])
-    assert all(2 not in column.tasks for column in table.cheapest(prices, 1000, below=np.inf))
+    assert all(
+        2 not in column.tasks for column in table.cheapest(prices, 1000, below=np.inf)
+    )
 
 
 def test_idle_costs_nothing_and_comes_first():
@@ -78,11 +101,19 @@ def test_a_robot_that_can_do_nothing_has_the_idle_column_only():
 
 def test_more_than_sixty_four_tasks_use_the_second_word():
     points = [[0.1 * j, 1.0] for j in range(70)]
-    raw = {"home": [[0.0, 0.0]], "pickup": points, "delivery": points, "load": [1.0] * 70, "capacity": [1.0]}
+    raw = {
+        "home": [[0.0, 0.0]],
+        "pickup": points,
+        "delivery": points,
+        "load": [1.0] * 70,
+        "capacity": [1.0],
+    }
     local = Instance.parse(raw | {"route_length_limit": 15.0}).local(0).vehicle
     table = RouteTable(local, most=30_000)
     assert table.find([66]).length == pytest.approx(2 * np.hypot(6.6, 1.0))
-    assert table.find([63, 64]).length == pytest.approx(np.hypot(6.3, 1) + 0.1 + np.hypot(6.4, 1))
+    assert table.find([63, 64]).length == pytest.approx(
+        np.hypot(6.3, 1) + 0.1 + np.hypot(6.4, 1)
+    )
     nodes, length = shortest_route(local, [3, 63, 64, 69])
     assert nodes == [3, 73, 63, 133, 64, 134, 69, 139] or nodes[::2] == [69, 64, 63, 3]
     assert length == pytest.approx(np.hypot(0.3, 1) + 6.6 + np.hypot(6.9, 1))
@@ -106,7 +137,10 @@ def test_the_route_of_a_set_is_as_long_as_its_column():
         assert sorted(nodes) == sorted([*column.tasks, *(6 + j for j in column.tasks)])
 
 
-@pytest.mark.parametrize("change", [{"route_length_limit": 30.0}, {"capability": [[True, False, True, True]]}])
+@pytest.mark.parametrize(
+    "change",
+    [{"route_length_limit": 30.0}, {"capability": [[True, False, True, True]]}],
+)
 def test_a_set_that_does_not_fit_is_refused(change):
     raw = random_instance(2, 4, seed=4).to_json() | {"capability": [[True] * 4] * 2}
     raw["capability"] = [*change.get("capability", [[True] * 4]), [True] * 4]
@@ -118,7 +152,10 @@ def test_a_set_that_does_not_fit_is_refused(change):
 def test_capacity_holds_along_the_route():
     points = {"pickup": [[1.0, 0.0], [2.0, 0.0]], "delivery": [[3.0, 0.0], [4.0, 0.0]]}
     raw = {"home": [[0.0, 0.0]], **points, "load": [1.0, 1.0]}
-    locals_ = [Instance.parse(raw | {"capacity": [capacity]}).local(0) for capacity in (1.0, 2.0)]
+    locals_ = [
+        Instance.parse(raw | {"capacity": [capacity]}).local(0)
+        for capacity in (1.0, 2.0)
+    ]
     lengths = [RouteTable(local.vehicle).find([0, 1]).length for local in locals_]
     assert lengths == pytest.approx([10.0, 8.0])
 

@@ -39,7 +39,11 @@ def test_the_cheapest_insertion_is_the_best_of_all_that_keep_the_rest_in_order(s
     route = ()
     for j in range(3):
         found = insertion.cheapest(route, j)
-        both = [r for r in permutations((*route, j, m + j)) if [n for n in r if n % m != j] == list(route)]
+        both = [
+            r
+            for r in permutations((*route, j, m + j))
+            if [n for n in r if n % m != j] == list(route)
+        ]
         lengths = [v.length(r) - v.length(route) for r in both if feasible(v, r)]
         assert (found is None) == (not lengths)
         if found:
@@ -59,13 +63,22 @@ def test_a_full_robot_takes_nothing_in_between():
 def test_who_may_not_or_has_no_way_left_takes_nothing():
     v = vehicle(2)
     extra, _ = Insertion(v).cheapest((), 0)
-    assert Insertion(replace(v, capable=np.array([False, True]))).cheapest((), 0) is None
+    assert (
+        Insertion(replace(v, capable=np.array([False, True]))).cheapest((), 0) is None
+    )
     assert Insertion(replace(v, limit=extra)).cheapest((), 0) is not None
     assert Insertion(replace(v, limit=extra - 1e-6)).cheapest((), 0) is None
 
 
 def test_what_is_aboard_is_delivered_and_counts_from_the_start():
-    v = vehicle(3, 1, aboard=np.array([True, False, True]), load=np.ones(3), capacity=2.0, limit=0.1)
+    v = vehicle(
+        3,
+        1,
+        aboard=np.array([True, False, True]),
+        load=np.ones(3),
+        capacity=2.0,
+        limit=0.1,
+    )
     insertion = Insertion(v)
     first = insertion.first()
     assert sorted(first) == [3, 5], "whatever the limit: it cannot be left"
@@ -97,7 +110,10 @@ class Auction(Program):
 
 
 def sold(vehicles, free, graph):
-    agents = {i: Auction(i, v, free, graph.diameter() if len(vehicles) > 1 else 0) for i, v in vehicles.items()}
+    agents = {
+        i: Auction(i, v, free, graph.diameter() if len(vehicles) > 1 else 0)
+        for i, v in vehicles.items()
+    }
     while not all(agent.done for agent in agents.values()):
         assert not any(agent.done for agent in agents.values()), "all end in one round"
         messages = {i: agent.message() for i, agent in agents.items()}
@@ -123,15 +139,24 @@ def test_every_task_is_sold_once_to_one_who_can(seed, shape):
 def test_the_auction_does_not_depend_on_the_graph():
     instance = random_instance(5, 12, 3, capable=0.6)
     vehicles = {i: instance.local(i).vehicle for i in range(5)}
-    assert sold(vehicles, list(range(12)), named("ring", 5)) == sold(vehicles, list(range(12)), named("complete", 5))
+    assert sold(vehicles, list(range(12)), named("ring", 5)) == sold(
+        vehicles, list(range(12)), named("complete", 5)
+    )
 
 
 def test_what_nobody_can_serve_is_left_and_named_by_all():
     instance = random_instance(3, 4, 1)
-    vehicles = {i: replace(instance.local(i).vehicle, capable=np.array([True, False, True, True])) for i in range(3)}
+    vehicles = {
+        i: replace(
+            instance.local(i).vehicle, capable=np.array([True, False, True, True])
+        )
+        for i in range(3)
+    }
     results = sold(vehicles, [0, 1, 2], named("ring", 3))
     assert {left for _, left in results.values()} == {(1,)}
-    assert sorted(v for route, _ in results.values() for v in route) == [0, 2, 4, 6], "3 was not for sale"
+    assert sorted(v for route, _ in results.values() for v in route) == [0, 2, 4, 6], (
+        "3 was not for sale"
+    )
 
 
 def test_a_robot_alone_needs_no_rounds():

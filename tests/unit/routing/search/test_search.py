@@ -63,10 +63,14 @@ def team_of(seed, robots, m, kind):
     draw = np.random.default_rng(seed)
     stops, team = draw.uniform(0, 10, size=(2 * m, 2)), []
     opening = np.where(draw.random(2 * m) < 0.7, draw.uniform(0, 15, size=2 * m), 0.0)
-    closing = np.where(draw.random(2 * m) < 0.8, opening + draw.uniform(10, 40, size=2 * m), np.inf)
+    closing = np.where(
+        draw.random(2 * m) < 0.8, opening + draw.uniform(10, 40, size=2 * m), np.inf
+    )
     load, carrier = draw.integers(1, 4, size=m).astype(float), np.full(m, -1)
     if "aboard" in kind:
-        carrier[: min(m, robots) // 2 + 1] = draw.permutation(robots)[: min(m, robots) // 2 + 1]
+        carrier[: min(m, robots) // 2 + 1] = draw.permutation(robots)[
+            : min(m, robots) // 2 + 1
+        ]
     for i in range(robots):
         points = np.vstack([stops, draw.uniform(0, 10, size=(2, 2))])
         distance = np.linalg.norm(points[:, None] - points[None, :], axis=2)
@@ -78,46 +82,89 @@ def team_of(seed, robots, m, kind):
         earliest, latest = np.zeros(2 * m + 2), np.full(2 * m + 2, np.inf)
         if "windows" in kind:
             earliest[: 2 * m], latest[: 2 * m] = opening, closing
-            earliest[2 * m], latest[2 * m + 1] = draw.uniform(0, 5), draw.uniform(40, 80)
-        team.append(Vehicle(
-            distance, duration, earliest, latest, load, max(float(draw.integers(3, 7)), load[carrier == i].sum()),
-            draw.uniform(20, 40) if "limit" in kind else np.inf, draw.random(m) < 0.8, carrier == i,
-            fixed=draw.uniform(-2, 8), trips=int(draw.integers(1, 4)) if "trips" in kind else 1,
-            limit_again=draw.uniform(20, 40) if "limit" in kind else np.inf, robot=i,
-        ))  # fmt: skip
+            earliest[2 * m], latest[2 * m + 1] = (
+                draw.uniform(0, 5),
+                draw.uniform(40, 80),
+            )
+        team.append(
+            Vehicle(
+                distance,
+                duration,
+                earliest,
+                latest,
+                load,
+                max(float(draw.integers(3, 7)), load[carrier == i].sum()),
+                draw.uniform(20, 40) if "limit" in kind else np.inf,
+                draw.random(m) < 0.8,
+                carrier == i,
+                fixed=draw.uniform(-2, 8),
+                trips=int(draw.integers(1, 4)) if "trips" in kind else 1,
+                limit_again=draw.uniform(20, 40) if "limit" in kind else np.inf,
+                robot=i,
+            )
+        )
     return team
 
 
 def optimum(team, penalty, objective):
     """The least values, in the order of the objective, over all ways to give each task to a robot or to none."""
     tables, m = [RouteTable(v, objective=objective) for v in team], len(penalty)
-    worth = [{c.tasks: (c.length, table.second[n]) for n, c in enumerate(map(table.column, range(len(table))))}
-             for table in tables]  # fmt: skip
+    worth = [
+        {
+            c.tasks: (c.length, table.second[n])
+            for n, c in enumerate(map(table.column, range(len(table))))
+        }
+        for table in tables
+    ]
     best = (np.inf, np.inf)
     for share in product(range(len(team) + 1), repeat=m):
-        parts = [worth[i].get(tuple(j for j in range(m) if share[j] == i)) for i in range(len(team))]
+        parts = [
+            worth[i].get(tuple(j for j in range(m) if share[j] == i))
+            for i in range(len(team))
+        ]
         if None not in parts:
             refused = sum(penalty[j] for j in range(m) if share[j] == len(team))
             first, second = (np.array(values) for values in zip(*parts, strict=True))
             added = objective[0] == "total"
-            best = min(best, (first.sum() + refused, second.max()) if added else (first.max() + refused, second.sum()))
+            best = min(
+                best,
+                (first.sum() + refused, second.max())
+                if added
+                else (first.max() + refused, second.sum()),
+            )
     return best
 
 
-KINDS = ["", "open limit", "windows", "windows limit", "aboard limit", "aboard windows open", "trips limit",
-         "trips windows limit aboard"]  # fmt: skip
+KINDS = [
+    "",
+    "open limit",
+    "windows",
+    "windows limit",
+    "aboard limit",
+    "aboard windows open",
+    "trips limit",
+    "trips windows limit aboard",
+]
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "matrix limit", "matrix windows trips aboard"])
+@pytest.mark.parametrize(
+    "kind", [*KINDS, "matrix limit", "matrix windows trips aboard"]
+)
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from(OBJECTIVES), st.booleans())
 def test_plans_keep_all_limits(kind, seed, objective, refusable):
     team = team_of(seed, 5, 9, kind)
-    penalty = np.random.default_rng(seed).uniform(0, 30, size=9) if refusable else np.full(9, np.inf)
+    penalty = (
+        np.random.default_rng(seed).uniform(0, 30, size=9)
+        if refusable
+        else np.full(9, np.inf)
+    )
     found = search(team, [[]] * 5, penalty, 300, seed, objective=objective)
     check(team, penalty, found)
     if refusable:
-        assert all(not v.aboard[j] for v in team for j in found.unserved) or np.isinf(found.total)
+        assert all(not v.aboard[j] for v in team for j in found.unserved) or np.isinf(
+            found.total
+        )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -125,13 +172,24 @@ def test_plans_keep_all_limits(kind, seed, objective, refusable):
 @given(st.integers(0, 10**6), st.sampled_from(OBJECTIVES), st.booleans())
 def test_small_plans_are_optimal(kind, seed, objective, refusable):
     team = team_of(seed, 3, 4, kind)
-    penalty = np.random.default_rng(seed).uniform(0, 30, size=4) if refusable else np.full(4, np.inf)
-    found, best = search(team, [[]] * 3, penalty, 2000, 1, objective=objective), optimum(team, penalty, objective)
+    penalty = (
+        np.random.default_rng(seed).uniform(0, 30, size=4)
+        if refusable
+        else np.full(4, np.inf)
+    )
+    found, best = (
+        search(team, [[]] * 3, penalty, 2000, 1, objective=objective),
+        optimum(team, penalty, objective),
+    )
     if np.isinf(best[0]):
         assert np.isinf(found.total)
         return
     check(team, penalty, found)
-    value = found.total if objective[0] == "total" else found.finish + sum(penalty[found.unserved])
+    value = (
+        found.total
+        if objective[0] == "total"
+        else found.finish + sum(penalty[found.unserved])
+    )
     assert value == pytest.approx(best[0])
 
 
@@ -151,14 +209,20 @@ def seen(found):
     """(vehicle, cost, stops) of the routes in the pool."""
     pool, end = found.pool, 2 * 24 + 1
     return [
-        (int(pool.vehicle[p]), float(pool.cost[p]), tuple(np.minimum(pool.stop[p, : pool.stops[p]], end).tolist()))
+        (
+            int(pool.vehicle[p]),
+            float(pool.cost[p]),
+            tuple(np.minimum(pool.stop[p, : pool.stops[p]], end).tolist()),
+        )
         for p in np.flatnonzero(pool.vehicle >= 0)
     ]
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_seed_another_search():
     team, penalty = big()
-    one, two, other = (search(team, [[]] * 12, penalty, 2000, seed) for seed in (5, 5, 6))
+    one, two, other = (
+        search(team, [[]] * 12, penalty, 2000, seed) for seed in (5, 5, 6)
+    )
     assert one.routes == two.routes
     assert seen(one) == seen(two)
     assert seen(one) != seen(other)
@@ -181,17 +245,28 @@ def test_routes_seen_hold_the_plan_and_each_set_once():
     team, penalty = big()
     found = search(team, [[]] * 12, penalty, 1000, 1)
     routes = seen(found)
-    sets = [(vehicle, tuple(sorted(node for node in stops if node < 24))) for vehicle, _, stops in routes]
+    sets = [
+        (vehicle, tuple(sorted(node for node in stops if node < 24)))
+        for vehicle, _, stops in routes
+    ]
     assert len(sets) == len(set(sets)) > 100
     for vehicle, cost, stops in routes:
         assert flown(team[vehicle], stops)[0] == pytest.approx(cost)
-    assert {tuple(route) for route in found.routes if route} <= {stops for _, _, stops in routes}
+    assert {tuple(route) for route in found.routes if route} <= {
+        stops for _, _, stops in routes
+    }
 
 
 def test_putting_routes_together_finds_more_than_the_same_steps_alone():
     team, penalty = big()
-    alone = [search(team, [[]] * 12, penalty, 1000, seed, rounds=1).total for seed in range(4)]
-    together = [search(team, [[]] * 12, penalty, 1000, seed, rounds=2).total for seed in range(4)]
+    alone = [
+        search(team, [[]] * 12, penalty, 1000, seed, rounds=1).total
+        for seed in range(4)
+    ]
+    together = [
+        search(team, [[]] * 12, penalty, 1000, seed, rounds=2).total
+        for seed in range(4)
+    ]
     assert np.mean(together) < np.mean(alone)
 
 
@@ -241,13 +316,24 @@ def test_nothing_to_do():
     assert (found.routes, found.unserved, found.total) == ([[]] * 12, [], 0.0)
 
 
-@pytest.mark.skipif(not LI_LIM.exists(), reason="the instances of Li & Lim are not here")
-@pytest.mark.parametrize(("name", "vehicles", "distance"), [("lc101", 10, 828.94), ("lr101", 19, 1650.80),
-                                                            ("lrc101", 14, 1708.80)])  # fmt: skip
+@pytest.mark.skipif(
+    not LI_LIM.exists(), reason="the instances of Li & Lim are not here"
+)
+@pytest.mark.parametrize(
+    ("name", "vehicles", "distance"),
+    [("lc101", 10, 828.94), ("lr101", 19, 1650.80), ("lrc101", 14, 1708.80)],
+)
 def test_the_best_known_plans_of_li_and_lim(name, vehicles, distance):
     instance = Instance.load(LI_LIM / f"{name}.txt")
-    team, penalty = [instance.local(i).vehicle for i in range(instance.robots)], instance.tasks.penalty
+    team, penalty = (
+        [instance.local(i).vehicle for i in range(instance.robots)],
+        instance.tasks.penalty,
+    )
     found = search(team, [[]] * len(team), penalty, 20_000, 1, fleet_steps=20_000)
     check(team, penalty, found)
     assert sum(map(bool, found.routes)) == vehicles
-    assert found.total - sum(v.fixed for v, route in zip(team, found.routes, strict=True) if route) < 1.01 * distance
+    assert (
+        found.total
+        - sum(v.fixed for v, route in zip(team, found.routes, strict=True) if route)
+        < 1.01 * distance
+    )

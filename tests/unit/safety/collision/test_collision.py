@@ -27,7 +27,9 @@ class Sky:
         self.ports = [self.bus.port(i) for i in range(1 + others)]
         self.traffic = Traffic(self.ports[0], range(1 + others), alone)
         settings = Collision(method=method)
-        self.filter = CollisionFilter(settings, self.traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0)
+        self.filter = CollisionFilter(
+            settings, self.traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
+        )
 
     def hears(self, j, p, v=(0.0, 0.0, 0.0), age=0.0):
         self.traffic.hear((j, State.at(p, v)), age)
@@ -70,9 +72,16 @@ def test_ellipsoids_are_tall(method):
 def test_a_drone_on_the_floor_is_in_the_way_of_who_comes_down_on_it_alone():
     sky = Sky()
     sky.hears(1, (0.0, 0.0, 0.02))
-    assert sky.wants(State.at((0.0, 0.0, 0.4), (0.5, 0.0, 0.0)), (1.0, 0.0, 0.4)) is None, "over it"
-    assert sky.wants(State.at((0.3, 0.0, 0.3), (0.0, 0.0, -0.3)), (0.3, 0.0, 0.2)) is None, "down beside it"
-    assert sky.wants(State.at((0.02, 0.0, 0.25), (0.0, 0.0, -0.3)), (0.02, 0.0, 0.0))[2] > 0.1, "down on it"
+    assert (
+        sky.wants(State.at((0.0, 0.0, 0.4), (0.5, 0.0, 0.0)), (1.0, 0.0, 0.4)) is None
+    ), "over it"
+    assert (
+        sky.wants(State.at((0.3, 0.0, 0.3), (0.0, 0.0, -0.3)), (0.3, 0.0, 0.2)) is None
+    ), "down beside it"
+    assert (
+        sky.wants(State.at((0.02, 0.0, 0.25), (0.0, 0.0, -0.3)), (0.02, 0.0, 0.0))[2]
+        > 0.1
+    ), "down on it"
     assert sky.wants(State.at((0.2, 0.0, 0.0)), (0.2, 0.0, 1.0)) is None, "up beside it"
 
 
@@ -88,20 +97,29 @@ def test_without_a_usable_state_of_who_may_be_near_it_brakes_until_that_has_come
     sky.hears(1, (0.9, 0.0, 1.0))
     assert sky.wants(me, (1.0, 0.0, 1.0), now=0.8)[0] < -0.5
     sky.hears(1, (2.9, 0.0, 1.0))
-    assert sky.wants(me, (0.2, 0.0, 1.0), now=0.8) is None, "too far away to be here by now"
+    assert sky.wants(me, (0.2, 0.0, 1.0), now=0.8) is None, (
+        "too far away to be here by now"
+    )
     sky.hears(1, (0.9, 0.0, 1.0))
     for now in (3.5, 9.5):
-        assert sky.wants(me, (1.0, 0.0, 1.0), now=now)[0] < -0.5, "it may be anywhere near"
+        assert sky.wants(me, (1.0, 0.0, 1.0), now=now)[0] < -0.5, (
+            "it may be anywhere near"
+        )
     assert sky.wants(me, (1.0, 0.0, 1.0), now=GONE) is None, "it has landed"
     sky.hears(1, (0.4, 0.0, 0.02))
     low = State.at((0.0, 0.0, 0.2), (0.5, 0.0, 0.0))
-    assert sky.wants(low, (0.4, 0.0, 0.1), now=30.0) is not None, "who stood there still stands"
+    assert sky.wants(low, (0.4, 0.0, 0.1), now=30.0) is not None, (
+        "who stood there still stands"
+    )
 
 
 @pytest.mark.parametrize(
-    ("heard", "silent", "cut_off"), [(0, 1, True), (1, 1, False), (1, 2, True), (2, 2, False), (2, 3, True)]
+    ("heard", "silent", "cut_off"),
+    [(0, 1, True), (1, 1, False), (1, 2, True), (2, 2, False), (2, 3, True)],
 )
-def test_who_hears_no_more_than_half_of_those_that_fly_brakes_wherever_they_are(heard, silent, cut_off):
+def test_who_hears_no_more_than_half_of_those_that_fly_brakes_wherever_they_are(
+    heard, silent, cut_off
+):
     sky = Sky(others=heard + silent + 1)
     for j in range(1, 1 + heard + silent):
         sky.hears(j, (3.9, 0.5 * j - 1.5, 2.0), age=0.0 if j <= heard else 1.6)
@@ -121,7 +139,9 @@ def test_who_brakes_stays_where_it_came_to_rest():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_who_flies_at_one_that_it_does_not_hear_any_more_turns_aside_as_it_brakes(method):
+def test_who_flies_at_one_that_it_does_not_hear_any_more_turns_aside_as_it_brakes(
+    method,
+):
     sky = Sky(method)
     sky.hears(1, (1.5, 0.0, 1.0), (-1.0, 0.0, 0.0))
     a = sky.wants(State.at((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), (3.0, 0.0, 1.0), now=0.7)
@@ -152,12 +172,27 @@ def test_of_two_that_it_cannot_both_avoid_the_one_that_touches_counts():
 def test_half_spaces_that_are_almost_parallel_are_relaxed_at_once(seed):
     """An inner problem that rounding had ended early cost millions of steps."""
     draw = np.random.default_rng(seed)
-    box = np.array([[s * (c == k) for c in range(3)] + [-3.0] for k in range(3) for s in (1.0, -1.0)])
+    box = np.array(
+        [
+            [s * (c == k) for c in range(3)] + [-3.0]
+            for k in range(3)
+            for s in (1.0, -1.0)
+        ]
+    )
     rows = []
     axis = draw.standard_normal(3)
     for _ in range(200):
-        n = np.outer(draw.choice([-1.0, 1.0], 6), axis) + 1e-3 * draw.standard_normal((6, 3))
-        planes = np.vstack([box, np.column_stack([n / np.linalg.norm(n, axis=1)[:, None], draw.uniform(0.0, 3.4, 6)])])
+        n = np.outer(draw.choice([-1.0, 1.0], 6), axis) + 1e-3 * draw.standard_normal(
+            (6, 3)
+        )
+        planes = np.vstack(
+            [
+                box,
+                np.column_stack(
+                    [n / np.linalg.norm(n, axis=1)[:, None], draw.uniform(0.0, 3.4, 6)]
+                ),
+            ]
+        )
         rows.append((draw.standard_normal(3) * 2.0, planes))
     for u, planes in rows:
         out, began = np.empty(3), time.thread_time()
@@ -173,13 +208,18 @@ def test_who_lands_does_not_brake_for_who_is_not_heard(method):
     down = FullState.at((0.0, 0.0, 0.99), (0.0, 0.0, -0.3)).flat
     assert sky.filter.full_state(me, down, GAINS, 0.8)[2] > 0.5, "it brakes"
     assert sky.filter.full_state(me, down, GAINS, 0.8, lands=True) is None
-    assert sky.filter.full_state(me, down, GAINS, 0.8) is not None, "the next one does not land"
+    assert sky.filter.full_state(me, down, GAINS, 0.8) is not None, (
+        "the next one does not land"
+    )
 
 
 def test_an_old_state_keeps_it_farther_away():
     sky, me = Sky(), State.at((0.0, 0.0, 1.0), (0.3, 0.0, 0.0))
     sky.hears(1, (0.8, 0.0, 1.0))
-    fresh, old = (sky.filter.acceleration(me, np.array([3.0, 0.0, 0.0]), GAINS, now) for now in (0.0, 0.3))
+    fresh, old = (
+        sky.filter.acceleration(me, np.array([3.0, 0.0, 0.0]), GAINS, now)
+        for now in (0.0, 0.3)
+    )
     assert old[0] < fresh[0] - 0.3
 
 
@@ -188,19 +228,31 @@ def test_who_gives_way_to_nobody_is_given_way_to_alone(method):
     shared, alone = Sky(method), Sky(method, alone=(1,))
     for sky in (shared, alone):
         sky.hears(1, (0.9, 0.0, 1.0), (-0.5, 0.0, 0.0))
-    half, whole = (s.wants(State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0)), (2.0, 0.0, 1.0))[0] for s in (shared, alone))
+    half, whole = (
+        s.wants(State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0)), (2.0, 0.0, 1.0))[0]
+        for s in (shared, alone)
+    )
     assert whole < half - 0.2
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("beside", [0.0, 0.1, 0.2])
-def test_who_is_flown_at_by_one_that_gives_way_to_nobody_gets_out_of_its_way(method, beside):
-    sky, p, v, near = Sky(method, alone=(1,)), np.array([0.0, beside, 1.0]), np.zeros(3), []
+def test_who_is_flown_at_by_one_that_gives_way_to_nobody_gets_out_of_its_way(
+    method, beside
+):
+    sky, p, v, near = (
+        Sky(method, alone=(1,)),
+        np.array([0.0, beside, 1.0]),
+        np.zeros(3),
+        [],
+    )
     for k in range(500):
         other = np.array([0.008 * k - 1.5, 0.0, 1.0])
         sky.hears(1, other, (0.8, 0.0, 0.0))
         a = sky.wants(State.at(p, v), (0.0, beside, 1.0))
-        v = v + 0.01 * (-GAINS[0] * (p - [0.0, beside, 1.0]) - GAINS[3] * v if a is None else a)
+        v = v + 0.01 * (
+            -GAINS[0] * (p - [0.0, beside, 1.0]) - GAINS[3] * v if a is None else a
+        )
         p = p + 0.01 * v
         near.append(np.linalg.norm((p - other) * [1.0, 1.0, 0.4]))
     assert min(near) > 0.3
@@ -216,7 +268,11 @@ def test_out_of_a_pocket_between_two_that_stay_it_goes_the_other_way_round():
         for j, other in ((1, (-0.2, -0.26, 0.9)), (2, (-0.16, 0.29, 1.0))):
             sky.traffic.hear((j, State.at(other)), -0.01 * k)
         a = sky.wants(State.at(p, v), goal, now=0.01 * k)
-        a = np.clip(-GAINS[0] * (p - goal) - GAINS[3] * v, -2.0, 2.0) if a is None else a
+        a = (
+            np.clip(-GAINS[0] * (p - goal) - GAINS[3] * v, -2.0, 2.0)
+            if a is None
+            else a
+        )
         v = v + 0.01 * a
         p = p + 0.01 * v
         tried.append(sky.filter.side.sign)
@@ -227,7 +283,9 @@ def test_out_of_a_pocket_between_two_that_stay_it_goes_the_other_way_round():
 @pytest.mark.parametrize("method", METHODS)
 def test_between_too_many_it_keeps_above_the_floor(method):
     sky = Sky(method, others=3)
-    for j, p in enumerate([(0.0, 0.0, 0.75), (0.2, 0.1, 0.7), (-0.2, 0.0, 0.7)], start=1):
+    for j, p in enumerate(
+        [(0.0, 0.0, 0.75), (0.2, 0.1, 0.7), (-0.2, 0.0, 0.7)], start=1
+    ):
         sky.hears(j, p, (0.0, 0.0, -0.5))
     a = sky.wants(State.at((0.0, 0.0, 0.2), (0.0, 0.0, -0.4)), (0.0, 0.0, 1.0))
     assert a[2] > 0.5

@@ -20,12 +20,19 @@ def signs(side, places, goal=GOAL, period=0.1, began=0.0):
 def test_who_does_not_get_on_tries_the_other_way_and_then_the_first_one_again():
     found = signs(Side(), [(0.1 * (k % 2), 0.0, 1.0) for k in range(140)])
     turns = [0.1 * k for k in range(1, 140) if found[k] != found[k - 1]]
-    assert turns == pytest.approx([STUCK + 0.1, 2.0 * (STUCK + 0.1), 3.0 * (STUCK + 0.1)])
+    assert turns == pytest.approx(
+        [STUCK + 0.1, 2.0 * (STUCK + 0.1), 3.0 * (STUCK + 0.1)]
+    )
     assert found[0] == 1.0
 
 
 def test_who_moves_keeps_its_side():
-    assert signs(Side(), [(0.0, 1.1 * MOVED * k / (10.0 * STUCK), 1.0) for k in range(400)]) == [1.0] * 400
+    assert (
+        signs(
+            Side(), [(0.0, 1.1 * MOVED * k / (10.0 * STUCK), 1.0) for k in range(400)]
+        )
+        == [1.0] * 400
+    )
 
 
 def test_who_is_where_it_wants_to_be_keeps_its_side():

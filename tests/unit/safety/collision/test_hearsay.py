@@ -12,7 +12,15 @@ from crazychoir.config.tables import Collision
 from crazychoir.control.gains import STANDARD
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import BORN, GONE, HEARD, LOOK, SILENT, USABLE, Traffic
+from crazychoir.safety.collision.neighbour_table import (
+    BORN,
+    GONE,
+    HEARD,
+    LOOK,
+    SILENT,
+    USABLE,
+    Traffic,
+)
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
@@ -25,7 +33,11 @@ class Team:
 
     def __init__(self, drones=4):
         self.seconds = 0.0
-        self.bus = Bus(SimpleNamespace(now_ns=lambda: round(self.seconds * SECOND), now=lambda: self.seconds))
+        self.bus = Bus(
+            SimpleNamespace(
+                now_ns=lambda: round(self.seconds * SECOND), now=lambda: self.seconds
+            )
+        )
         for i in range(drones):
             self.bus.port(i)
         self.filters = [self.filter_of(i, drones) for i in range(drones)]
@@ -35,11 +47,16 @@ class Team:
 
     def filter_of(self, i, drones):
         traffic = Traffic(self.bus.ports[i], range(drones))
-        return CollisionFilter(Collision(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0)
+        return CollisionFilter(
+            Collision(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
+        )
 
     def spy(self, i):
         taken = self.bus.ports[i].handlers[SOUGHT.number]
-        self.bus.ports[i].handlers[SOUGHT.number] = lambda *message: (self.asked.append(i), taken(*message))
+        self.bus.ports[i].handlers[SOUGHT.number] = lambda *message: (
+            self.asked.append(i),
+            taken(*message),
+        )
 
     def row(self, i, j):
         traffic = self.filters[i].traffic
@@ -57,10 +74,19 @@ class Team:
             self.seconds += LOOK
             self.say(1, one, hear_one)
             for j in range(2, len(self.filters)):
-                self.say(j, (0.0, float(j), 1.0), [i for i in range(len(self.filters)) if i != j])
-            me, to = State.at(HERE, (0.5, 0.0, 0.0)), FullState.at((1.0, 0.0, 1.0), (0.5, 0.0, 0.0)).flat
+                self.say(
+                    j,
+                    (0.0, float(j), 1.0),
+                    [i for i in range(len(self.filters)) if i != j],
+                )
+            me, to = (
+                State.at(HERE, (0.5, 0.0, 0.0)),
+                FullState.at((1.0, 0.0, 1.0), (0.5, 0.0, 0.0)).flat,
+            )
             self.filters[0].look(self.seconds)
-            acted.append(self.filters[0].full_state(me, to, STANDARD.position, self.seconds))
+            acted.append(
+                self.filters[0].full_state(me, to, STANDARD.position, self.seconds)
+            )
         return acted
 
 
@@ -68,7 +94,9 @@ def test_who_is_not_heard_is_told_of_by_those_who_hear_it_and_does_not_count_as_
     team = Team()
     team.say(1, (1.5, 0.0, 1.0), [0])
     acted = team.fly(20.0)
-    assert not any(a is not None for a in acted[round(USABLE / LOOK) :]), "it knows where 1 is: away"
+    assert not any(a is not None for a in acted[round(USABLE / LOOK) :]), (
+        "it knows where 1 is: away"
+    )
     row = team.row(0, 1)
     assert row[0] == 3.0
     assert team.seconds - row[BORN] < 3.1, "newer than it could have come near since"
@@ -81,11 +109,15 @@ def test_who_is_told_of_nobody_brakes_near_it_and_asks_until_it_is_gone():
     team = Team()
     team.say(1, (0.5, 0.0, 1.0), [0])
     acted = team.fly(20.0, hear_one=())
-    brakes = [k * LOOK for k, a in enumerate(acted, start=1) if a is not None and a[0] < -0.5]
+    brakes = [
+        k * LOOK for k, a in enumerate(acted, start=1) if a is not None and a[0] < -0.5
+    ]
     assert brakes[0] == pytest.approx(USABLE, abs=2 * LOOK)
     assert brakes[-1] == pytest.approx(GONE, abs=2 * LOOK)
     asked = len(team.asked)
-    assert 2 * 20 < asked < 2 * (10 + 2 * 10 + 10), "two others: in the first second, until it is gone, and then"
+    assert 2 * 20 < asked < 2 * (10 + 2 * 10 + 10), (
+        "two others: in the first second, until it is gone, and then"
+    )
     team.fly(5.0, hear_one=())
     assert 0 < len(team.asked) - asked <= 2 * 5, "two others, once a second"
 
@@ -114,7 +146,9 @@ def test_nobody_asks_while_all_are_heard_or_far_away():
     team.fly(6.0, one=(30.0, 0.0, 1.0))
     assert team.asked == [], "it cannot be near yet"
     team.fly(20.0, one=(30.0, 0.0, 1.0))
-    assert team.seconds - team.row(0, 1)[BORN] < GONE, "nor when it counts as gone is it forgotten"
+    assert team.seconds - team.row(0, 1)[BORN] < GONE, (
+        "nor when it counts as gone is it forgotten"
+    )
 
 
 def test_who_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
@@ -156,7 +190,9 @@ def test_those_are_asked_that_are_heard_themselves():
         team.say(2, (5.0, 5.0, 1.0), [0])
         for j in (3, 4):
             team.filters[0].traffic.told((j, State.at((0.0, float(j), 1.0))), 0.0)
-        team.filters[0].full_state(State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds)
+        team.filters[0].full_state(
+            State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds
+        )
         team.filters[0].look(team.seconds)
     assert set(team.asked) == {2}
 
@@ -181,7 +217,9 @@ def test_all_that_are_heard_are_asked_in_turn_however_many_are_sought():
         for j in range(1, 5):
             team.say(j, (0.0, float(j), 1.0), [0])
         team.say(8, (5.0, 0.0, 1.0), [4])
-        team.filters[0].full_state(State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds)
+        team.filters[0].full_state(
+            State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds
+        )
         team.filters[0].look(team.seconds)
     assert team.row(0, 8)[0] == 5.0
     assert team.seconds - team.row(0, 8)[BORN] < 3.5
@@ -197,15 +235,29 @@ def test_who_hears_late_what_others_tell_earlier_hears_all_the_same():
     assert team.seconds - team.row(0, 1)[HEARD] == pytest.approx(0.4)
 
 
-GARBAGE = [b"", b"\xff", encode(None), encode(3.0), encode({1: 2}), encode([1] * 99), encode([np.zeros(3)])]
+GARBAGE = [
+    b"",
+    b"\xff",
+    encode(None),
+    encode(3.0),
+    encode({1: 2}),
+    encode([1] * 99),
+    encode([np.zeros(3)]),
+]
 
 
 @pytest.mark.parametrize(
     ("topic", "payload"),
     [
         *((topic, payload) for topic in (SOUGHT, HEARSAY) for payload in GARBAGE),
-        *((HEARSAY, encode([said])) for said in (["a", 1, 2], [1, 2], [1, State.at(HERE), -1.0], [1, HERE, 0.1])),
-        *((HEARSAY, encode([[np.zeros(3), State.at(HERE), old]])) for old in (0.1, np.inf)),
+        *(
+            (HEARSAY, encode([said]))
+            for said in (["a", 1, 2], [1, 2], [1, State.at(HERE), -1.0], [1, HERE, 0.1])
+        ),
+        *(
+            (HEARSAY, encode([[np.zeros(3), State.at(HERE), old]]))
+            for old in (0.1, np.inf)
+        ),
         *((SOUGHT, encode([said])) for said in ("1", True, 1.0, [1])),
     ],
 )

@@ -13,7 +13,9 @@ async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it
     traffic = Traffic(Bus(clock).port(0), [0, 1])
     traffic.seen(1, State.at((1.0, 0.0, 1.0)), 0.0)
     row = traffic.row(1)
-    assert (row[0], row[SHARE]) == (1.0, 1.0), "whoever is not heard gives way to nobody"
+    assert (row[0], row[SHARE]) == (1.0, 1.0), (
+        "whoever is not heard gives way to nobody"
+    )
     assert row[HEARD] == -np.inf, "it is not heard for that"
     traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.0)
     assert (row[0], row[SHARE]) == (2.0, 0.5)
@@ -26,9 +28,16 @@ async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it
 
 
 @virtual
-async def test_a_drone_whose_radio_is_silent_gives_way_to_nobody_whatever_its_agent_says(clock):
+async def test_a_drone_whose_radio_is_silent_gives_way_to_nobody_whatever_its_agent_says(
+    clock,
+):
     traffic = Traffic(Bus(clock).port(0), [0, 1])
-    for silence, age, share in ((0.1, 0.1, 0.5), (0.2, 0.15, 1.0), (2.0, 0.0, 1.0), (0.0, 0.05, 0.5)):
+    for silence, age, share in (
+        (0.1, 0.1, 0.5),
+        (0.2, 0.15, 1.0),
+        (2.0, 0.0, 1.0),
+        (0.0, 0.05, 0.5),
+    ):
         traffic.linked(1, LinkStatus("up", silence), age)
         traffic.linked(7, LinkStatus("up", silence), age)
         traffic.linked(1, None, 9.0)

@@ -32,7 +32,10 @@ def test_one_that_is_seen_first_in_full_flight_is_believed_on(hertz) -> None:
 @pytest.mark.parametrize("hertz", [10.0, 100.0])
 def test_a_jump_is_not_believed_for_as_long_as_it_lasts_and_its_end_is(hertz) -> None:
     gate = PoseGate()
-    believed = [gate.believes(pose(0.3 if 2.0 <= k / hertz < 2.2 else 0.0), k / hertz, True) for k in range(40)]
+    believed = [
+        gate.believes(pose(0.3 if 2.0 <= k / hertz < 2.2 else 0.0), k / hertz, True)
+        for k in range(40)
+    ]
     jumps = [2.0 <= k / hertz < 2.2 for k in range(40)]
     assert believed == [not jump for jump in jumps]
 
@@ -65,7 +68,9 @@ def test_poses_that_were_late_and_come_together_keep_nobody_unseen(hertz) -> Non
         for k in range(round(3.0 * hertz)):
             t = k / hertz
             born = 1.25 if 1.0 < t <= 1.25 else t
-            believed.append(gate.believes(pose(speed * t), born + 0.001 * (t - born), True))
+            believed.append(
+                gate.believes(pose(speed * t), born + 0.001 * (t - born), True)
+            )
         assert all(believed[round(1.4 * hertz) :]), speed
 
 
@@ -75,4 +80,6 @@ def test_another_body_is_never_believed_however_long_it_is_seen(hertz, jump) -> 
     gate = PoseGate()
     for k in range(round(8.0 * hertz)):
         t = k / hertz
-        assert gate.believes(pose(0.2 * math.sin(t) + jump * (t > 2.0)), t, True) is (t <= 2.0)
+        assert gate.believes(pose(0.2 * math.sin(t) + jump * (t > 2.0)), t, True) is (
+            t <= 2.0
+        )

@@ -7,7 +7,11 @@ from crazychoir.numerics.math3d import exponential, product, quaternion_of_yaw
 from crazychoir.safety.identity.preflight_check import Standing, before_arming
 from crazychoir.types import Pose
 
-HOMES = {0: np.array([0.0, 0.0, 0.0]), 1: np.array([1.0, 0.0, 0.0]), 2: np.array([0.0, 1.0, 0.0])}
+HOMES = {
+    0: np.array([0.0, 0.0, 0.0]),
+    1: np.array([1.0, 0.0, 0.0]),
+    2: np.array([0.0, 1.0, 0.0]),
+}
 
 
 def at(p, yaw=0.0, tilt=0.0):
@@ -18,7 +22,11 @@ def at(p, yaw=0.0, tilt=0.0):
 def standing(**changes):
     """Three drones at home, each as it says; changes: `own1`, `seen2`."""
     return {
-        i: Standing(home, changes.get(f"own{i}", at(home)), changes.get(f"seen{i}", at(home + 0.004)))
+        i: Standing(
+            home,
+            changes.get(f"own{i}", at(home)),
+            changes.get(f"seen{i}", at(home + 0.004)),
+        )
         for i, home in HOMES.items()
     }
 
@@ -39,11 +47,23 @@ def test_nothing_is_said_where_all_agrees():
     [
         ({"own1": None}, "it does not say where it is"),
         ({"seen1": None}, "the cameras do not see it"),
-        ({"own1": at((1.06, 0, 0))}, "it takes itself to be 0.06 m from where it is seen, limit 0.05 m"),
+        (
+            {"own1": at((1.06, 0, 0))},
+            "it takes itself to be 0.06 m from where it is seen, limit 0.05 m",
+        ),
         ({"own1": at((math.nan, 0, 0))}, "it takes itself to be nan m"),
-        ({"own1": at((1, 0, 0), yaw=math.pi)}, "it looks 180 deg away from how it is seen, limit 5 deg"),
-        ({"own1": at((1, 0, 0), yaw=-3.1), "seen1": at((1, 0, 0), yaw=3.05)}, "it looks 8 deg away"),
-        ({"seen1": at((1, 0, 0), tilt=0.12)}, "it is seen tilted by 7 deg from what it says, limit 5 deg"),
+        (
+            {"own1": at((1, 0, 0), yaw=math.pi)},
+            "it looks 180 deg away from how it is seen, limit 5 deg",
+        ),
+        (
+            {"own1": at((1, 0, 0), yaw=-3.1), "seen1": at((1, 0, 0), yaw=3.05)},
+            "it looks 8 deg away",
+        ),
+        (
+            {"seen1": at((1, 0, 0), tilt=0.12)},
+            "it is seen tilted by 7 deg from what it says, limit 5 deg",
+        ),
     ],
 )
 def test_what_does_not_agree_keeps_it_on_the_ground(changes, words):
@@ -52,7 +72,9 @@ def test_what_does_not_agree_keeps_it_on_the_ground(changes, words):
 
 
 def test_exchanged_bodies_are_seen_by_where_they_stand_although_each_drone_believes_the_cameras():
-    drones = standing(seen0=at(HOMES[1]), own0=at(HOMES[1]), seen1=at(HOMES[0]), own1=at(HOMES[0]))
+    drones = standing(
+        seen0=at(HOMES[1]), own0=at(HOMES[1]), seen1=at(HOMES[0]), own1=at(HOMES[0])
+    )
     assert before_arming(0, drones) == [
         "its body is 0.00 m from the home of drone 1, 1.00 m from its own: exchanged with that of drone 1"
     ]

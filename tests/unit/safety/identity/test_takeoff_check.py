@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from crazychoir.numerics.math3d import exponential, product, quaternion_of_yaw, rotation
-from crazychoir.safety.identity.takeoff_check import ENOUGH, LONGEST, SHORTEST, Ascent, Track, tilt
+from crazychoir.safety.identity.takeoff_check import (
+    ENOUGH,
+    LONGEST,
+    SHORTEST,
+    Ascent,
+    Track,
+    tilt,
+)
 
 IDS, HZ, SEEN = (0, 1, 2), 20, 50
 BEGINS = 1.0
@@ -16,7 +23,11 @@ BEGINS = 1.0
 def wobble(i, swing, t):
     """How drone i is tilted at t s: level until BEGINS, then more and more."""
     phase = 2.0 * i + 2.0
-    return swing * max(t - BEGINS, 0.0) * complex(math.cos(7.0 * t + phase), math.sin((5.0 + i) * t + phase))
+    return (
+        swing
+        * max(t - BEGINS, 0.0)
+        * complex(math.cos(7.0 * t + phase), math.sin((5.0 + i) * t + phase))
+    )
 
 
 class Flight:
@@ -25,15 +36,31 @@ class Flight:
     """
 
     def __init__(
-        self, body_of=None, turned=None, swing=0.1, seconds=3.0, late=0.03, flying=IDS, noise=0.1, shared=0.0, seed=1
+        self,
+        body_of=None,
+        turned=None,
+        swing=0.1,
+        seconds=3.0,
+        late=0.03,
+        flying=IDS,
+        noise=0.1,
+        shared=0.0,
+        seed=1,
     ):
         self.draw, self.noise = np.random.default_rng(seed), math.radians(noise)
         body_of, turned = body_of or {}, turned or {}
-        self.own, self.bodies, self.ascents, self.said = {i: Track() for i in IDS}, {i: Track() for i in IDS}, {}, {}
+        self.own, self.bodies, self.ascents, self.said = (
+            {i: Track() for i in IDS},
+            {i: Track() for i in IDS},
+            {},
+            {},
+        )
 
         def truth(i, t):
             common = shared * wobble(7, swing, t)
-            return (common + (1.0 - shared) * wobble(i, swing, t)) if i in flying else 0j
+            return (
+                (common + (1.0 - shared) * wobble(i, swing, t)) if i in flying else 0j
+            )
 
         for k in range(round(100 * seconds)):
             t = k / 100
@@ -42,7 +69,9 @@ class Flight:
                     j = body_of.get(i, i)
                     height = 0.2 * max(t - BEGINS - 0.2, 0.0) if j in flying else 0.0
                     track.flies = i in flying and t > BEGINS + 0.3
-                    u = truth(j, t) * np.exp(-1j * turned.get(i, 0.0)) + 0.02  # mounted askew
+                    u = (
+                        truth(j, t) * np.exp(-1j * turned.get(i, 0.0)) + 0.02
+                    )  # mounted askew
                     track.add(t, u + self.error(), height)
             if k % (100 // HZ) == 0:
                 for i in IDS:
@@ -69,11 +98,15 @@ def test_nothing_is_said_where_each_body_does_what_its_drone_does():
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02, 0.05])
-def test_of_two_that_take_off_together_with_exchanged_bodies_each_moves_as_the_other_body(late):
+def test_of_two_that_take_off_together_with_exchanged_bodies_each_moves_as_the_other_body(
+    late,
+):
     said = Flight(body_of={0: 1, 1: 0}, late=late).said
     assert set(said) == {0, 1}
     for i, (text, t) in said.items():
-        assert text.startswith(f"it does not tilt as its body does, but as the body of drone {1 - i}")
+        assert text.startswith(
+            f"it does not tilt as its body does, but as the body of drone {1 - i}"
+        )
         assert t < 1.0
 
 
@@ -95,7 +128,10 @@ def test_one_that_flies_alone_with_the_body_of_another():
     said = Flight(body_of={0: 1, 1: 0}, flying=(0,)).said
     assert said[0][0] == "it does not tilt as its body does, but as the body of drone 1"
     said = Flight(body_of={0: 1, 1: 0}, flying=(0,), swing=0.0).said
-    assert said[0][0] == "it flies, its body stays on the floor, and that of drone 1, which does not fly, rises"
+    assert (
+        said[0][0]
+        == "it flies, its body stays on the floor, and that of drone 1, which does not fly, rises"
+    )
     assert Flight(flying=(0,)).said == {}
 
 
@@ -106,7 +142,9 @@ def test_a_body_that_moves_by_itself_is_named():
 
 
 def test_of_drones_that_tilt_together_as_gusts_make_them_each_body_is_its_own():
-    assert all(Flight(shared=0.9, swing=0.3, seed=seed).said == {} for seed in range(20))
+    assert all(
+        Flight(shared=0.9, swing=0.3, seed=seed).said == {} for seed in range(20)
+    )
 
 
 def test_no_noise_of_cameras_is_called_a_motion():
@@ -128,14 +166,19 @@ def test_one_pose_whatever_it_shows_says_nothing():
         return ""
 
     assert flight((30,)) == ""
-    assert flight(range(30, 40)) == "it does not tilt as its body does, but as the body of drone 1"
+    assert (
+        flight(range(30, 40))
+        == "it does not tilt as its body does, but as the body of drone 1"
+    )
 
 
 def test_who_is_not_seen_is_not_judged():
     bodies, own = {0: Track(), 1: Track()}, Track()
     own.add(0.0, 0j)
     ascent = Ascent(0, 0.0, own, bodies)
-    assert [ascent.judge(0.05 * k, complex(0.1 * k), True) for k in range(1, 40)] == [""] * 39
+    assert [ascent.judge(0.05 * k, complex(0.1 * k), True) for k in range(1, 40)] == [
+        ""
+    ] * 39
 
 
 def test_it_ends_when_the_drone_has_moved_enough_or_at_last():

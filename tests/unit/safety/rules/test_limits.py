@@ -25,14 +25,18 @@ def accelerated(reference, state=HERE):
 
 
 def test_what_keeps_the_limits_is_not_touched():
-    reference = FullState.at([1.1, -2.1, 1.5], [0.2, 0.1, 0.0], [1.0, 1.0, 1.0], [9.0, 0.0, 0.0], 2.0, 3.0)
+    reference = FullState.at(
+        [1.1, -2.1, 1.5], [0.2, 0.1, 0.0], [1.0, 1.0, 1.0], [9.0, 0.0, 0.0], 2.0, 3.0
+    )
     assert LIMITS.full_state(reference, HERE) is reference
     gentle = Acceleration(np.array([1.0, 1.0, 1.0]))
     assert accelerated(gentle) is gentle
 
 
 def test_an_acceleration_keeps_its_direction_and_its_yaw():
-    cut = accelerated(Acceleration(np.array([3.0, 0.0, -4.0]), 0.7), State.at((0.0, 0.0, 1.0)))
+    cut = accelerated(
+        Acceleration(np.array([3.0, 0.0, -4.0]), 0.7), State.at((0.0, 0.0, 1.0))
+    )
     assert cut.a == pytest.approx([1.2, 0.0, -1.6])
     assert cut.yaw == 0.7
 
@@ -53,20 +57,30 @@ def test_a_full_state_is_cut_to_the_limits_and_its_heading_is_not(seed):
 
 def test_the_speed_asked_for_is_cut_too():
     still = State.at((0.0, 0.0, 1.0), (0.9, 0.0, 0.0))
-    cut = LIMITS.full_state(FullState.at([0.0, 0.0, 1.0], [3.0, 0.0, 0.0], [1.0, 0.0, 0.0]), still)
+    cut = LIMITS.full_state(
+        FullState.at([0.0, 0.0, 1.0], [3.0, 0.0, 0.0], [1.0, 0.0, 0.0]), still
+    )
     assert cut.v == pytest.approx([1.0, 0.0, 0.0])
     assert cut.a == pytest.approx(np.zeros(3)), "at its limit it does not grow"
 
 
 def test_the_jerk_and_the_yaw_rate_are_cut_to_what_the_attitude_control_outweighs():
     """|j| <= kr a_max, |yaw'| <= kr_yaw (1 rad); the direction stays."""
-    cut = LIMITS.full_state(FullState.at(HERE.p, HERE.v, j=[300.0, 0.0, -400.0], yaw_rate=-99.0), HERE)
+    cut = LIMITS.full_state(
+        FullState.at(HERE.p, HERE.v, j=[300.0, 0.0, -400.0], yaw_rate=-99.0), HERE
+    )
     assert cut.flat[9:12] == pytest.approx([9.6, 0.0, -12.8])
     assert cut.flat[13] == -4.0
-    assert LIMITS.full_state(FullState.at(HERE.p, HERE.v, yaw_rate=4.1), HERE).flat[13] == 4.0
+    assert (
+        LIMITS.full_state(FullState.at(HERE.p, HERE.v, yaw_rate=4.1), HERE).flat[13]
+        == 4.0
+    )
 
 
-@pytest.mark.parametrize("bad", [np.zeros(2), np.array([np.nan, 0.0, 0.0]), [0.0, np.inf, 0.0], np.zeros((1, 3))])
+@pytest.mark.parametrize(
+    "bad",
+    [np.zeros(2), np.array([np.nan, 0.0, 0.0]), [0.0, np.inf, 0.0], np.zeros((1, 3))],
+)
 def test_an_acceleration_that_is_none_is_not_flown(bad):
     assert accelerated(Acceleration(bad)) is None
 
@@ -78,29 +92,40 @@ def test_an_acceleration_whose_heading_is_none_is_not_flown(a, yaw):
 
 
 def test_an_acceleration_that_is_cut_has_no_jerk_left():
-    cut = LIMITS.full_state(FullState.at(HERE.p, HERE.v, [4.0, 0.0, 0.0], [5.0, 0.0, 0.0]), HERE)
+    cut = LIMITS.full_state(
+        FullState.at(HERE.p, HERE.v, [4.0, 0.0, 0.0], [5.0, 0.0, 0.0]), HERE
+    )
     assert cut.flat[6:12] == pytest.approx([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_at_the_speed_limit_a_far_place_pulls_no_more():
     """The steady flight to a place far away: kp e = kv v."""
     cruising = State.at((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
-    assert pull(LIMITS.full_state(FullState.at([0.0, 50.0, 1.0]), cruising), cruising) == pytest.approx(np.zeros(3))
+    assert pull(
+        LIMITS.full_state(FullState.at([0.0, 50.0, 1.0]), cruising), cruising
+    ) == pytest.approx(np.zeros(3))
 
 
 @pytest.mark.parametrize("far", [1e6, 1e150, 1e308])
 def test_a_place_at_the_end_of_the_numbers_stays_a_number(far):
-    cut = LIMITS.full_state(FullState.at([far, -far, far], [far, 0.0, 0.0], [0.0, far, 0.0]), HERE)
+    cut = LIMITS.full_state(
+        FullState.at([far, -far, far], [far, 0.0, 0.0], [0.0, far, 0.0]), HERE
+    )
     assert np.isfinite(cut.flat).all()
     assert np.linalg.norm(pull(cut, HERE)) <= 2.0 + 1e-9
 
 
-@pytest.mark.parametrize("v", [(1.0, 0.0, 0.0), (0.0, -0.9, 0.0), (1.2, 0.9, -0.3), (-4.0, 0.0, 3.0)])
+@pytest.mark.parametrize(
+    "v", [(1.0, 0.0, 0.0), (0.0, -0.9, 0.0), (1.2, 0.9, -0.3), (-4.0, 0.0, 3.0)]
+)
 @pytest.mark.parametrize("a", [(2.0, 0.0, 0.0), (0.5, -1.5, 0.4), (0.0, 0.0, 9.0)])
 def test_an_acceleration_leads_to_the_speed_limit_and_not_beyond(v, a):
     """a . v / |v| <= kv (v_max - |v|), |a| <= a_max; what is across the velocity is left."""
     state, speed = State.at((0.0, 0.0, 1.0), v), np.linalg.norm(v)
-    cut, wanted = accelerated(Acceleration(np.array(a)), state).a, saturate(np.array(a), 2.0)
+    cut, wanted = (
+        accelerated(Acceleration(np.array(a)), state).a,
+        saturate(np.array(a), 2.0),
+    )
     along = min(wanted @ v / speed, min(STANDARD.kv) * (1.0 - speed))
     expected = wanted + (along - wanted @ v / speed) * np.array(v) / speed
     np.testing.assert_allclose(cut, saturate(expected, 2.0), atol=1e-12)
@@ -108,7 +133,9 @@ def test_an_acceleration_leads_to_the_speed_limit_and_not_beyond(v, a):
 
 def test_an_acceleration_at_the_end_of_the_numbers_stays_one():
     for v in ((0.0, 0.0, 0.0), (1.0, 0.5, 0.0)):
-        cut = accelerated(Acceleration(np.array([1e308, -1e308, 0.0])), State.at((0.0, 0.0, 1.0), v)).a
+        cut = accelerated(
+            Acceleration(np.array([1e308, -1e308, 0.0])), State.at((0.0, 0.0, 1.0), v)
+        ).a
         assert np.linalg.norm(cut) <= 2.0
 
 

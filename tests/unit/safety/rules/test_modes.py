@@ -19,7 +19,9 @@ EVERY = list(product(Mode, Event))
 
 
 def test_the_table_says_of_every_mode_and_event_what_follows_or_why_not():
-    assert [(mode, event) for mode, row in TABLE.items() for event in Event if event in row] == EVERY
+    assert [
+        (mode, event) for mode, row in TABLE.items() for event in Event if event in row
+    ] == EVERY
     assert {len(row) for row in TABLE.values()} == {len(Event)}
     for mode, event in EVERY:
         why = refusal(mode, event)
@@ -30,18 +32,24 @@ def test_the_table_says_of_every_mode_and_event_what_follows_or_why_not():
 def test_every_mode_is_reached_from_the_ground_motors_always_stop_and_then_stay_off():
     reached = [Mode.GROUND]
     for mode in reached:
-        reached += [found for event in Event if (found := after(mode, event)) not in reached]
+        reached += [
+            found for event in Event if (found := after(mode, event)) not in reached
+        ]
     assert set(reached) == set(Mode)
     assert {after(mode, Event.STOP) for mode in Mode} == {Mode.CUT}
     assert {after(Mode.CUT, event) for event in Event} == {Mode.CUT}
-    assert all(refusal(Mode.CUT, event) for event in COMMANDS if event is not Event.STOP)
+    assert all(
+        refusal(Mode.CUT, event) for event in COMMANDS if event is not Event.STOP
+    )
 
 
 def the_pilot(clock, mode, z):
     """A pilot that sees its drone at z m, in this mode, between two flights."""
     bus = Bus(clock)
     link = SimpleNamespace(send=lambda command: None, cut=lambda: None)
-    pilot = Pilot(bus.port(0), link, Flight(), Fence.box((-2.0, -2.0, 0.0), (2.0, 2.0, 2.5)))
+    pilot = Pilot(
+        bus.port(0), link, Flight(), Fence.box((-2.0, -2.0, 0.0), (2.0, 2.0, 2.5))
+    )
     see(pilot, z)
     pilot.mode = mode
     return pilot
@@ -54,7 +62,13 @@ def see(pilot, z):
 
 async def arrive(pilot, z):
     """A flight to where it is ends."""
-    pilot.flights.go_to(FullState.at((0.0, 0.0, z)), np.array([0.0, 0.0, z]), 0.0, 0.01, pilot.clock.now())
+    pilot.flights.go_to(
+        FullState.at((0.0, 0.0, z)),
+        np.array([0.0, 0.0, z]),
+        0.0,
+        0.01,
+        pilot.clock.now(),
+    )
     await pilot.clock.sleep(0.12)
     see(pilot, z)
 
@@ -90,7 +104,11 @@ async def happens(pilot, event, z):
 def test_the_pilot_does_what_the_table_says(mode, event):
     @virtual
     async def case(clock):
-        z = LOW if event is Event.DOWN or (mode is Mode.GROUND and event is not Event.FOUND) else HIGH
+        z = (
+            LOW
+            if event is Event.DOWN or (mode is Mode.GROUND and event is not Event.FOUND)
+            else HIGH
+        )
         pilot = the_pilot(clock, mode, z)
         await happens(pilot, event, z)
         expected = after(mode, event)
@@ -111,7 +129,11 @@ def test_each_way_to_fly_is_the_same_event(mode, fly):
         if fly == "follow":
             pilot.follow(Acceleration(np.zeros(3)))
         else:
-            whole = SimpleNamespace(duration=1.0, sample=lambda t: FullState.at((0.0, 0.0, HIGH)), done=lambda t: t > 1)
+            whole = SimpleNamespace(
+                duration=1.0,
+                sample=lambda t: FullState.at((0.0, 0.0, HIGH)),
+                done=lambda t: t > 1,
+            )
             pilot.fly(whole)
         assert pilot.mode is after(mode, Event.FLY)
 
@@ -119,7 +141,9 @@ def test_each_way_to_fly_is_the_same_event(mode, fly):
 
 
 @pytest.mark.parametrize("kept", ["held", "awaits_start"])
-def test_one_that_is_held_or_waits_for_its_start_does_not_fly_where_guidance_wants(kept):
+def test_one_that_is_held_or_waits_for_its_start_does_not_fly_where_guidance_wants(
+    kept,
+):
     @virtual
     async def case(clock):
         pilot = the_pilot(clock, Mode.HOVER, HIGH)

@@ -19,7 +19,9 @@ HOVER = State.at((0.0, 0.0, 1.0))
 FLYING = 1 << 4
 
 
-async def judged(clock, table, seconds: float = 0.0, platform=CRAZYFLIE_21, **said) -> Action:
+async def judged(
+    clock, table, seconds: float = 0.0, platform=CRAZYFLIE_21, **said
+) -> Action:
     """The worst action about a drone of which an owner says this, so many s long."""
     return (await watched(clock, table, seconds, platform, **said))[0]
 
@@ -31,7 +33,9 @@ async def watched(clock, table, seconds, platform, **said) -> tuple[Action, str]
     watch = RadioWatch(port, BODIES + 3, guard, platform.firmware)
     action = Action.NOMINAL
     for _ in range(1 + round(seconds / 0.1)):
-        status = LinkStatus("up", **({"silence": 0.02, "battery": 3.9, "supervisor": FLYING} | said))
+        status = LinkStatus(
+            "up", **({"silence": 0.02, "battery": 3.9, "supervisor": FLYING} | said)
+        )
         owner.publish(LINK, status)
         await clock.sleep(0.1)
         watch.look()
@@ -45,31 +49,48 @@ def test_what_it_says_and_what_follows(table) -> None:
     async def check(clock) -> None:
         assert await judged(clock, table) is Action.NOMINAL
         for bit in (5, 6, 7):  # on its back, locked, crashed
-            assert await judged(clock, table, supervisor=FLYING | 1 << bit) is Action.CUT
+            assert (
+                await judged(clock, table, supervisor=FLYING | 1 << bit) is Action.CUT
+            )
         assert await judged(clock, table, 4.5, battery=3.1) is Action.NOMINAL
         assert await judged(clock, table, 5.5, battery=3.1) is Action.LAND
         assert await judged(clock, table, battery=2.9) is Action.LAND
-        assert await judged(clock, table, battery=math.nan) is Action.NOMINAL, "it has not said it yet"
+        assert await judged(clock, table, battery=math.nan) is Action.NOMINAL, (
+            "it has not said it yet"
+        )
         silent = await judged(clock, table, silence=0.6)
-        assert silent is (Action.BRAKE if table is REACHED else Action.NOMINAL), "its planner flies on anyway"
+        assert silent is (Action.BRAKE if table is REACHED else Action.NOMINAL), (
+            "its planner flies on anyway"
+        )
         assert await judged(clock, table, silence=4.1) is Action.LAND
 
     check()
 
 
 @virtual
-async def test_a_battery_is_low_when_the_firmware_of_its_platform_says_so(clock) -> None:
-    assert await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.3) == (Action.NOMINAL, "")
-    action, reason = await watched(clock, REACHED, 6.0, CRAZYFLIE_21_BRUSHLESS, battery=3.3)
+async def test_a_battery_is_low_when_the_firmware_of_its_platform_says_so(
+    clock,
+) -> None:
+    assert await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.3) == (
+        Action.NOMINAL,
+        "",
+    )
+    action, reason = await watched(
+        clock, REACHED, 6.0, CRAZYFLIE_21_BRUSHLESS, battery=3.3
+    )
     assert (action, reason[:26]) == (Action.LAND, "battery below 3.35 V for 5")
     action, reason = await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.1)
     assert (action, reason[:25]) == (Action.LAND, "battery below 3.2 V for 5")
     own = replace(CRAZYFLIE_21, firmware=replace(CRAZYFLIE_21.firmware, critical=3.12))
-    assert (await watched(clock, REACHED, 0.0, own, battery=3.1))[1].startswith("battery 0.02 V below 3.12 V: landing")
+    assert (await watched(clock, REACHED, 0.0, own, battery=3.1))[1].startswith(
+        "battery 0.02 V below 3.12 V: landing"
+    )
 
 
 @virtual
-async def test_an_owner_that_is_started_again_and_has_not_heard_it_is_no_silence(clock) -> None:
+async def test_an_owner_that_is_started_again_and_has_not_heard_it_is_no_silence(
+    clock,
+) -> None:
     guard, action = await restarted(clock, 1.5, heard_again=True)
     assert (action, guard.latched) == (Action.BRAKE, "")
     assert guard.told("link") < 0.3
@@ -87,7 +108,9 @@ async def test_one_that_never_hears_it_is_silent_from_the_last_packet_on(clock) 
 
 @virtual
 async def test_before_any_packet_it_is_silent_for_ever(clock) -> None:
-    assert (await watched(clock, REACHED, 0.0, CRAZYFLIE_21, silence=math.inf))[0] is Action.LAND
+    assert (await watched(clock, REACHED, 0.0, CRAZYFLIE_21, silence=math.inf))[
+        0
+    ] is Action.LAND
 
 
 async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Action]:
@@ -96,7 +119,12 @@ async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Ac
     owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=REACHED)
     watch = RadioWatch(port, BODIES + 3, guard, CRAZYFLIE_21.firmware)
     unheard = round(seconds / 0.1)
-    said = [0.02] * 3 + [None] * 5 + [math.inf] * unheard + ([0.02] * 3 if heard_again else [])
+    said = (
+        [0.02] * 3
+        + [None] * 5
+        + [math.inf] * unheard
+        + ([0.02] * 3 if heard_again else [])
+    )
     worst = Action.NOMINAL
     for silence in said:
         if silence is not None:
@@ -107,7 +135,11 @@ async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Ac
     return guard, worst
 
 
-@pytest.mark.parametrize("silence", [0.0, math.inf], ids=["heard again", "by an owner whose link is not up yet"])
+@pytest.mark.parametrize(
+    "silence",
+    [0.0, math.inf],
+    ids=["heard again", "by an owner whose link is not up yet"],
+)
 def test_who_was_locked_while_its_radio_was_silent_is_said_so(silence) -> None:
     run_virtual(partial(_locked, silence=silence))
 
@@ -122,9 +154,14 @@ async def _locked(clock, silence) -> None:
         watch.look()
         guard.check(clock.now(), HOVER, 0.01)
     assert guard.latched == ""
-    owner.publish(LINK, LinkStatus("up", silence=silence, battery=3.9, supervisor=1 << 6))
+    owner.publish(
+        LINK, LinkStatus("up", silence=silence, battery=3.9, supervisor=1 << 6)
+    )
     await clock.sleep(0.1)
     watch.look()
     guard.check(clock.now(), HOVER, 0.01)
     assert guard.latched.startswith("its radio was silent for 2.")
-    assert "s, it is tumbled, crashed or locked, as its firmware says: motors cut" in guard.latched
+    assert (
+        "s, it is tumbled, crashed or locked, as its firmware says: motors cut"
+        in guard.latched
+    )

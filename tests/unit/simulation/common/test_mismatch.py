@@ -8,7 +8,12 @@ import pytest
 from crazychoir.config.checks import MOTORS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, PAPER, rotor_speed
+from crazychoir.platforms import (
+    CRAZYFLIE_21,
+    CRAZYFLIE_21_BRUSHLESS,
+    PAPER,
+    rotor_speed,
+)
 from crazychoir.simulation import engines
 from crazychoir.simulation.common.mismatch import built, scaled
 from crazychoir.simulation.engines import worlds
@@ -27,14 +32,23 @@ def swarm(uri, platform, **plant):
 
 
 def test_a_lightweight_drone_accelerates_by_its_own_mass_and_thrust():
-    world = swarm("sim://", "paper", mass_error=MASS, thrust_error=THRUST, command_delay=0.0, rate_lag=0.0)
+    world = swarm(
+        "sim://",
+        "paper",
+        mass_error=MASS,
+        thrust_error=THRUST,
+        command_delay=0.0,
+        rate_lag=0.0,
+    )
     u = 1.5 * PAPER.weight
     world.states[0, 2] = 1.0
     world._resting[:] = 0.0
     world.link(0).send(FPQR(np.array([u, 0.0, 0.0, 0.0])))
     world.step()
     wanted = (1.0 + THRUST) * u / ((1.0 + MASS) * PAPER.mass) - GRAVITY
-    assert world.states[0, 5] / world.dt == pytest.approx(wanted, rel=2e-3)  # the rest is drag
+    assert world.states[0, 5] / world.dt == pytest.approx(
+        wanted, rel=2e-3
+    )  # the rest is drag
 
 
 def falls(platform):
@@ -46,16 +60,24 @@ def falls(platform):
 
 
 def test_a_lightweight_drone_without_thrust_falls_by_its_mass_and_drag_alone():
-    assert falls(scaled(PAPER, MASS, THRUST)) == pytest.approx(falls(scaled(PAPER, MASS, 0.0)), rel=1e-12)
+    assert falls(scaled(PAPER, MASS, THRUST)) == pytest.approx(
+        falls(scaled(PAPER, MASS, 0.0)), rel=1e-12
+    )
     assert falls(scaled(PAPER, MASS, 0.0)) != pytest.approx(falls(PAPER), rel=1e-3)
 
 
-@pytest.mark.parametrize("platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name)
-def test_the_same_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_error_harder(platform):
+@pytest.mark.parametrize(
+    "platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name
+)
+def test_the_same_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_error_harder(
+    platform,
+):
     share = platform.weight / (4.0 * platform.firmware.thrust_max)
     lifts, torques, volts = [], [], []
     for body in (platform, built(platform, 0.0, 0.05)):
-        world = MotorWorld([0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False)
+        world = MotorWorld(
+            [0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False
+        )
         world.commands[:] = share * np.array([1.1, 0.9, 1.1, 0.9])
         for _ in range(200):
             before = world.states[0, 12]
@@ -64,13 +86,17 @@ def test_the_same_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_er
         torques.append(world.states[0, 12] - before)
         volts.append(world.vbat(0))
     assert lifts[1] == pytest.approx(1.05 * lifts[0], rel=1e-6)
-    assert torques[1] == pytest.approx(torques[0], rel=1e-6)  # the drag of the rotors goes by their speeds
+    assert torques[1] == pytest.approx(
+        torques[0], rel=1e-6
+    )  # the drag of the rotors goes by their speeds
     assert volts[1] == pytest.approx(volts[0], rel=1e-5)  # and so does what they draw
 
 
 def test_rotors_that_pull_harder_turn_as_fast_as_the_others_do_for_less():
     rotor, other = CRAZYFLIE_21.rotor, built(CRAZYFLIE_21, 0.0, 0.1).rotor
-    assert rotor_speed(other, 1.1 * 0.07) == pytest.approx(rotor_speed(rotor, 0.07), rel=1e-12)
+    assert rotor_speed(other, 1.1 * 0.07) == pytest.approx(
+        rotor_speed(rotor, 0.07), rel=1e-12
+    )
 
 
 def test_the_firmware_of_a_body_is_made_for_its_platform():
@@ -83,11 +109,15 @@ def test_the_firmware_of_a_body_is_made_for_its_platform():
     assert world.platforms[0].mass == pytest.approx((1.0 + MASS) * CRAZYFLIE_21.mass)
 
 
-@pytest.mark.parametrize(("mass", "thrust"), [(0.0, 0.0), (0.03, 0.0), (0.0, 0.05), (-0.03, -0.05)])
+@pytest.mark.parametrize(
+    ("mass", "thrust"), [(0.0, 0.0), (0.03, 0.0), (0.0, 0.05), (-0.03, -0.05)]
+)
 def test_a_drone_hovers_at_the_command_that_its_errors_ask_for(mass, thrust):
     """At m (1 + e_m) g / (1 + e_f) N by the firmware's scale it neither climbs nor sinks."""
     body = built(CRAZYFLIE_21, mass, thrust)
-    world = MotorWorld([0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False)
+    world = MotorWorld(
+        [0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False
+    )
     share = CRAZYFLIE_21.weight / (4.0 * CRAZYFLIE_21.firmware.thrust_max)
     world.commands[:] = (1.0 + mass) / (1.0 + thrust) * share
     for _ in range(100):

@@ -60,7 +60,9 @@ def test_a_soft_landing_is_no_crash_and_leaves_the_drone_level_with_its_heading(
     world.command(7, [0.95 * W, 0.3, 0.0, 0.0])
     state = run(world, 100)
     assert world.crashed == []
-    np.testing.assert_allclose(state.q, [0.0, 0.0, np.sin(0.25), np.cos(0.25)], atol=0.02)
+    np.testing.assert_allclose(
+        state.q, [0.0, 0.0, np.sin(0.25), np.cos(0.25)], atol=0.02
+    )
     assert state.q[0] == state.q[1] == 0.0
 
 
@@ -110,7 +112,10 @@ def test_the_rate_lag_is_of_first_order():
 
 def test_every_drone_flies_as_if_alone():
     rng = np.random.default_rng(1)
-    p0, u = rng.uniform(1.0, 3.0, (5, 3)), rng.uniform([0.2, -3, -3, -3], [0.4, 3, 3, 3], (5, 4))
+    p0, u = (
+        rng.uniform(1.0, 3.0, (5, 3)),
+        rng.uniform([0.2, -3, -3, -3], [0.4, 3, 3, 3], (5, 4)),
+    )
     together = CFIntegrator(range(5), p0, rate_lag=0.05, command_delay=0.013)
     for i in range(5):
         together.command(i, u[i])

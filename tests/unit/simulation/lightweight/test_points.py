@@ -10,7 +10,11 @@ from crazychoir.simulation.common.world import KINDS
 from crazychoir.simulation.remote import SIZES
 from crazychoir.types import XYZ, Acc, Drive, Vel
 
-COMMANDS = {SINGLE: Vel(np.array([1.0, 0.0, 0.0, 0.0])), DOUBLE: Acc(np.ones(3)), UNICYCLE: Drive(np.array([1.0, 0.0]))}
+COMMANDS = {
+    SINGLE: Vel(np.array([1.0, 0.0, 0.0, 0.0])),
+    DOUBLE: Acc(np.ones(3)),
+    UNICYCLE: Drive(np.array([1.0, 0.0])),
+}
 
 
 @pytest.mark.parametrize(("uri", "command"), COMMANDS.items())

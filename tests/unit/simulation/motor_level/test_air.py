@@ -7,7 +7,9 @@ from crazychoir.simulation.common.draws import normals, stream, uniform
 from crazychoir.simulation.motor_level import air
 
 
-@pytest.mark.parametrize(("down", "grams"), [(0.2, 10.0), (0.3, 8.0), (0.4, 6.0), (0.5, 4.0)])
+@pytest.mark.parametrize(
+    ("down", "grams"), [(0.2, 10.0), (0.3, 8.0), (0.4, 6.0), (0.5, 4.0)]
+)
 def test_the_wash_is_what_was_measured_between_crazyflies(down, grams):
     assert 34.0 * air.wash(down, 0.0, 0.0685) == pytest.approx(grams, abs=0.2)
 
@@ -23,7 +25,9 @@ def test_the_wash_is_smooth_falls_to_the_side_and_begins_below():
 def pushed(x, lift, radius):
     n = len(x)
     out = np.full(n, np.nan)
-    air.downwash(x, lift, radius, np.zeros(64, np.int64), np.zeros((n, 3), np.int64), out)
+    air.downwash(
+        x, lift, radius, np.zeros(64, np.int64), np.zeros((n, 3), np.int64), out
+    )
     return out
 
 
@@ -46,7 +50,9 @@ def test_the_search_finds_what_comparing_all_pairs_finds():
 def test_the_wash_grows_with_the_upper_drones_thrust():
     x = np.zeros((2, 13))
     x[1, 2] = 0.3
-    once, twice = (pushed(x, np.array([9.0, f]), np.full(2, 0.0685)) for f in (0.3, 0.6))
+    once, twice = (
+        pushed(x, np.array([9.0, f]), np.full(2, 0.0685)) for f in (0.3, 0.6)
+    )
     assert once[1] == 0.0
     assert twice[0] == 2.0 * once[0] > 0.0
 
@@ -65,7 +71,9 @@ def test_gusts_have_the_deviation_the_mean_and_the_memory_of_drydens_filter():
     u = gusts(4000, decay) - np.repeat([1.0, 0.0, -0.5], 8)
     assert np.abs(u.mean(axis=0)).max() < 4 * 0.4 * math.sqrt(2 / 0.1 / 4000)
     assert u.std() == pytest.approx(0.4, rel=0.05)
-    assert np.mean(u[10:] * u[:-10]) / np.mean(u * u) == pytest.approx(math.exp(-1.0), abs=0.05)
+    assert np.mean(u[10:] * u[:-10]) / np.mean(u * u) == pytest.approx(
+        math.exp(-1.0), abs=0.05
+    )
     assert np.abs(np.corrcoef(u.T) - np.eye(24)).max() < 0.35
 
 
@@ -79,6 +87,16 @@ def test_draws_are_nearly_normal_independent_and_functions_of_their_number():
     assert abs(np.corrcoef(a[:, 0], a[:, 1])[0, 1]) < 0.03
     assert abs(np.corrcoef(a[1:, 0], a[:-1, 0])[0, 1]) < 0.03
     assert normals(np.uint64(key), np.uint64(5)) == tuple(a[5])
-    assert len({stream(seed, use, i) for seed in range(5) for use in range(3) for i in range(50)}) == 750
+    assert (
+        len(
+            {
+                stream(seed, use, i)
+                for seed in range(5)
+                for use in range(3)
+                for i in range(50)
+            }
+        )
+        == 750
+    )
     drawn = [uniform(key, k) for k in range(1000)]
     assert -1.0 <= min(drawn) < -0.97 < 0.97 < max(drawn) < 1.0

@@ -15,16 +15,23 @@ def posed(world, ticks):
     for _ in range(ticks):
         world.step()
         for i, row in world.row.items():
-            world.onboard[i].external_pose(world.states[row, :3].copy(), world.states[row, 6:10].copy())
+            world.onboard[i].external_pose(
+                world.states[row, :3].copy(), world.states[row, 6:10].copy()
+            )
 
 
-@pytest.mark.parametrize("platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name
+)
 def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
     tilt = math.radians(3.0)
     world = CrazyflieWorld(
-        [4], np.array([[0.5, -0.5, 0.0]]), platform=platform, wind=Wind((0.3, 0.0, 0.0), 0.1),
+        [4],
+        np.array([[0.5, -0.5, 0.0]]),
+        platform=platform,
+        wind=Wind((0.3, 0.0, 0.0), 0.1),
         floor_normal=(math.sin(tilt), 0.0, math.cos(tilt)),
-    )  # fmt: skip
+    )
     drone = world.onboard[4]
     posed(world, 50)
     drone.arm()
@@ -37,7 +44,11 @@ def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
     posed(world, 500)
     assert world.resting(4)
     assert world.crashed == []
-    np.testing.assert_allclose(rotation(world.states[0, 6:10])[:, 2], [math.sin(tilt), 0, math.cos(tilt)], atol=1e-6)
+    np.testing.assert_allclose(
+        rotation(world.states[0, 6:10])[:, 2],
+        [math.sin(tilt), 0, math.cos(tilt)],
+        atol=1e-6,
+    )
 
 
 def test_a_drone_flies_the_same_alone_and_among_others():

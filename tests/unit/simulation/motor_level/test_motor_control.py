@@ -59,14 +59,22 @@ def test_the_thrust_is_unlocked_once_and_not_interrupted(onboard, kind):
     onboard.rpyt_raw = lambda *packet: sent.append(packet[3]) or rpyt_raw(*packet)
     link.send(COMMANDS[kind])
     link.send(COMMANDS[kind])
-    assert sent == [0.0, pytest.approx(HOVER * 65535 / 0.48), pytest.approx(HOVER * 65535 / 0.48)]
+    assert sent == [
+        0.0,
+        pytest.approx(HOVER * 65535 / 0.48),
+        pytest.approx(HOVER * 65535 / 0.48),
+    ]
 
 
 def test_the_flight_mode_follows_the_kind(onboard):
     mc.MotorCtrlFPQR(onboard)
-    assert [onboard.get(f"flightmode.stabMode{axis}") for axis in ("Roll", "Pitch", "Yaw")] == [0, 0, 0]
+    assert [
+        onboard.get(f"flightmode.stabMode{axis}") for axis in ("Roll", "Pitch", "Yaw")
+    ] == [0, 0, 0]
     mc.MotorCtrlFRPY(onboard)
-    assert [onboard.get(f"flightmode.stabMode{axis}") for axis in ("Roll", "Pitch", "Yaw")] == [1, 1, 0]
+    assert [
+        onboard.get(f"flightmode.stabMode{axis}") for axis in ("Roll", "Pitch", "Yaw")
+    ] == [1, 1, 0]
 
 
 def test_the_planner_stops_the_motors_by_its_verb(onboard):
@@ -80,6 +88,10 @@ def test_the_planner_stops_the_motors_by_its_verb(onboard):
 
 
 def test_a_level_full_state_asks_for_the_attitude_of_its_acceleration(onboard):
-    mc.MotorCtrlFullState(onboard).send(FullState.at((0, 0, 1), a=(9.80665, 0, 0), yaw=0.0))
+    mc.MotorCtrlFullState(onboard).send(
+        FullState.at((0, 0, 1), a=(9.80665, 0, 0), yaw=0.0)
+    )
     sp = onboard.record["wanted"]
-    assert [sp["qx"], sp["qy"], sp["qz"], sp["qw"]] == pytest.approx([0, np.sin(np.pi / 8), 0, np.cos(np.pi / 8)])
+    assert [sp["qx"], sp["qy"], sp["qz"], sp["qw"]] == pytest.approx(
+        [0, np.sin(np.pi / 8), 0, np.cos(np.pi / 8)]
+    )

@@ -69,9 +69,13 @@ def test_near_the_floor_it_floats_on_less_than_its_weight():
 
 def test_motors_turn_the_body_as_they_are_placed():
     for u, axis, sign in [
-        ([0, 0, 1, 1], 0, 1), ([1, 1, 0, 0], 0, -1), ([0, 1, 1, 0], 1, 1), ([1, 0, 0, 1], 1, -1),
-        ([0, 1, 0, 1], 2, 1), ([1, 0, 1, 0], 2, -1),
-    ]:  # fmt: skip
+        ([0, 0, 1, 1], 0, 1),
+        ([1, 1, 0, 0], 0, -1),
+        ([0, 1, 1, 0], 1, 1),
+        ([1, 0, 0, 1], 1, -1),
+        ([0, 1, 0, 1], 2, 1),
+        ([1, 0, 1, 0], 2, -1),
+    ]:
         world = one(3.0)
         world.command(7, HOVER + 0.02 * np.array(u))
         w = run(world, 8).w
@@ -96,7 +100,9 @@ def test_a_soft_landing_is_no_crash_and_keeps_the_heading():
     state = run(world, 300)
     assert world.crashed == []
     assert world.resting(7)
-    np.testing.assert_allclose(state.q, [0, 0, math.sin(0.25), math.cos(0.25)], atol=0.01)
+    np.testing.assert_allclose(
+        state.q, [0, 0, math.sin(0.25), math.cos(0.25)], atol=0.01
+    )
     np.testing.assert_allclose(rotation(state.q)[:, 2], [0, 0, 1], atol=1e-6)
 
 
@@ -114,16 +120,22 @@ def test_from_a_tilted_floor_it_starts_tilted_and_drifts_downhill():
     world = one(floor_normal=(math.sin(tilt), 0.0, math.cos(tilt)), imu=Imu(0, 0, 0, 0))
     state = fly(world, 0.0, 20)
     assert world.resting(7)
-    np.testing.assert_allclose(rotation(state.q)[:, 2], [math.sin(tilt), 0, math.cos(tilt)], atol=1e-12)
+    np.testing.assert_allclose(
+        rotation(state.q)[:, 2], [math.sin(tilt), 0, math.cos(tilt)], atol=1e-12
+    )
     np.testing.assert_allclose(state.p, [0.1, 0.2, 0.0], atol=0)
-    np.testing.assert_allclose(world.accelerometer(7), GRAVITY * rotation(state.q)[2], atol=1e-9)
+    np.testing.assert_allclose(
+        world.accelerometer(7), GRAVITY * rotation(state.q)[2], atol=1e-9
+    )
     state = fly(world, 1.2 * HOVER, 60)
     assert state.p[2] > 0.1
     assert state.p[0] > 0.103
     assert abs(state.p[1] - 0.2) < 1e-6
     state = fly(world, 0.9 * HOVER, 300)
     assert world.resting(7)
-    np.testing.assert_allclose(rotation(state.q)[:, 2], [math.sin(tilt), 0, math.cos(tilt)], atol=1e-6)
+    np.testing.assert_allclose(
+        rotation(state.q)[:, 2], [math.sin(tilt), 0, math.cos(tilt)], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("normal", [(0, 0, -1), (1, 0, 0), (0, 0, 0), (math.nan, 0, 1)])
@@ -208,7 +220,9 @@ def test_forces_from_outside_push():
     world.force[0] = [0.01, 0.0, -0.02]
     world.torque[0] = [0.0, 0.0, 1e-5]
     state = fly(world, HOVER, 10)
-    np.testing.assert_allclose(state.v, [0.1 * 0.01 / P.mass, 0.0, -0.1 * 0.02 / P.mass], rtol=0.03, atol=1e-6)
+    np.testing.assert_allclose(
+        state.v, [0.1 * 0.01 / P.mass, 0.0, -0.1 * 0.02 / P.mass], rtol=0.03, atol=1e-6
+    )
     assert state.w[2] == pytest.approx(0.1 * 1e-5 / P.inertia[2], rel=1e-3)
 
 
@@ -217,9 +231,15 @@ def test_the_battery_sags_under_load_and_takes_the_top_thrust_with_it():
     fly(idle, 0.0, 100)
     fly(loaded, HOVER, 100)
     current = P.battery.hover_power / loaded.vbat(7) + P.battery.idle
-    assert idle.vbat(7) == pytest.approx(P.battery.full - P.battery.resistance * P.battery.idle, abs=2e-3)
-    assert idle.vbat(7) - loaded.vbat(7) == pytest.approx(P.battery.resistance * (current - P.battery.idle), abs=5e-3)
-    assert 1.0 - loaded.charge(7) == pytest.approx(current / P.battery.capacity, rel=0.01)
+    assert idle.vbat(7) == pytest.approx(
+        P.battery.full - P.battery.resistance * P.battery.idle, abs=2e-3
+    )
+    assert idle.vbat(7) - loaded.vbat(7) == pytest.approx(
+        P.battery.resistance * (current - P.battery.idle), abs=5e-3
+    )
+    assert 1.0 - loaded.charge(7) == pytest.approx(
+        current / P.battery.capacity, rel=0.01
+    )
     weak = replace(P, battery=Battery(resistance=0.3))
     full, low = one(50.0, platform=weak), one(50.0, platform=weak, charge=0.05)
     assert fly(low, 1.0, 100).v[2] < fly(full, 1.0, 100).v[2] - 0.5
@@ -239,7 +259,9 @@ def test_the_sensors_err_as_their_data_sheet_says():
         world.step()
         seen.append([*world.gyro(7), *world.accelerometer(7)])
     noise, bias = np.std(seen, axis=0), np.mean(seen, axis=0) - [0, 0, 0, 0, 0, GRAVITY]
-    np.testing.assert_allclose(noise[:3], math.radians(0.014) * math.sqrt(500), rtol=0.15)
+    np.testing.assert_allclose(
+        noise[:3], math.radians(0.014) * math.sqrt(500), rtol=0.15
+    )
     np.testing.assert_allclose(noise[3:], 190e-6 * GRAVITY * math.sqrt(500), rtol=0.15)
     assert np.all(np.abs(bias[:3]) < math.radians(0.075) + 4 * noise[:3] / 20)
     assert np.all(np.abs(bias[3:]) < 0.020 * GRAVITY + 4 * noise[3:] / 20)
@@ -259,7 +281,9 @@ def test_each_drone_has_a_platform():
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_drone_is_put_back_where_it_began_and_no_other_notices(wrong):
     places = np.array([[0.5 * i, 0.0, 1.0 - 0.125 * i] for i in range(9)])
-    began, alone, mended = (MotorWorld(range(9), places, downwash=False) for _ in range(3))
+    began, alone, mended = (
+        MotorWorld(range(9), places, downwash=False) for _ in range(3)
+    )
     for world in (alone, mended):
         fly(world, 0.6, 20)
     mended.states[3, 5] = wrong
@@ -268,10 +292,16 @@ def test_a_drone_is_put_back_where_it_began_and_no_other_notices(wrong):
     assert not np.all(np.isfinite(mended.states[3]))
     mended.restore(3)
     assert np.array_equal(mended.states[3], began.states[3])
-    assert (mended.vbat(3), mended.resting(3), mended.harm(3)) == (began.vbat(3), began.resting(3), "")
+    assert (mended.vbat(3), mended.resting(3), mended.harm(3)) == (
+        began.vbat(3),
+        began.resting(3),
+        "",
+    )
     others = [i for i in range(9) if i != 3]
     run(alone, 10)
     run(mended, 10)
     assert np.array_equal(mended.states[others], alone.states[others])
     assert np.allclose(mended.commands[3], began.commands[3])
-    assert mended.state(3).p[2] == pytest.approx(places[3, 2], abs=0.05), "it hovers there"
+    assert mended.state(3).p[2] == pytest.approx(places[3, 2], abs=0.05), (
+        "it hovers there"
+    )

@@ -9,16 +9,32 @@ import pytest
 from crazychoir.config.checks import TOUCHING
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import PLATFORMS
-from crazychoir.simulation.mujoco.shape import CENTRE, HEIGHT, crazyflie, scaled, shape_of
+from crazychoir.simulation.mujoco.shape import (
+    CENTRE,
+    HEIGHT,
+    crazyflie,
+    scaled,
+    shape_of,
+)
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+QUADS = (
+    (0, 1, 3, 2),
+    (4, 6, 7, 5),
+    (0, 4, 5, 1),
+    (2, 3, 7, 6),
+    (0, 2, 6, 4),
+    (1, 5, 7, 3),
+)
 
 
 def stl(path, half):
     """A box with these half-lengths, twelve triangles."""
     triangles = [corner for a, b, c, d in QUADS for corner in ((a, b, c), (a, c, d))]
-    rows = [struct.pack("<12fH", 0, 0, 0, *(CORNERS[list(one)] * half).ravel(), 0) for one in triangles]
+    rows = [
+        struct.pack("<12fH", 0, 0, 0, *(CORNERS[list(one)] * half).ravel(), 0)
+        for one in triangles
+    ]
     path.write_bytes(bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows))
     return path
 
@@ -50,14 +66,18 @@ def test_ours_is_a_dozen_primitives_that_stand_and_touch_where_drones_do(platfor
     assert len(solid) == 1
     assert 2.0 * solid[0].size[0] == pytest.approx(2.0 * platform.radius)
     assert 2.0 * solid[0].size[1] == HEIGHT
-    assert platform.name == "cf21bl" or 2.0 * solid[0].size[0] == pytest.approx(TOUCHING)
+    assert platform.name == "cf21bl" or 2.0 * solid[0].size[0] == pytest.approx(
+        TOUCHING
+    )
     shown = [part for part in shape.parts if part.colour[3] > 0.0]
     assert all(part.p[2] - part.size[2] > -HEIGHT for part in shown)
 
 
 def test_an_stl_of_millimetres_is_scaled(tmp_path):
     path = stl(tmp_path / "box.STL", (40.0, 30.0, 10.0))
-    with pytest.raises(ConfigError, match=r"geoms up to 51 m from the origin.*scale = 0.001"):
+    with pytest.raises(
+        ConfigError, match=r"geoms up to 51 m from the origin.*scale = 0.001"
+    ):
         shape_of(path)
     shape = shape_of(path, scale=0.001)
     assert shape.lowest == pytest.approx(-0.01, abs=1e-6)
@@ -97,8 +117,16 @@ def test_of_several_bodies_one_is_named(tmp_path):
         ("a.dae", "", "a file .dae; allowed: .stl"),
         ("a.xml", "<mujoco", "MuJoCo says"),
         ("a.xml", "<mujoco><worldbody/></mujoco>", "no geom that can touch anything"),
-        ("a.xml", '<mujoco><worldbody><geom size="1" contype="0" conaffinity="0"/></worldbody></mujoco>', "no geom"),
-        ("a.xml", '<mujoco><worldbody><geom size="0.001"/></worldbody></mujoco>', "geoms up to 0.00"),
+        (
+            "a.xml",
+            '<mujoco><worldbody><geom size="1" contype="0" conaffinity="0"/></worldbody></mujoco>',
+            "no geom",
+        ),
+        (
+            "a.xml",
+            '<mujoco><worldbody><geom size="0.001"/></worldbody></mujoco>',
+            "geoms up to 0.00",
+        ),
         ("a.stl", "solid", "MuJoCo says"),
     ],
 )

@@ -29,7 +29,13 @@ def swarm(n=1, **tables):
     """Drones one metre apart, one a platform."""
     names = list(PLATFORMS)
     drones = [
-        {"id": 3 + k, "home": [float(k), 0.0, 0.0], "uri": MUJOCO, "platform": names[k % len(names)]} for k in range(n)
+        {
+            "id": 3 + k,
+            "home": [float(k), 0.0, 0.0],
+            "uri": MUJOCO,
+            "platform": names[k % len(names)],
+        }
+        for k in range(n)
     ]
     fence = {"min": [-5.0, -5.0, 0.0], "max": [5.0, 5.0, 3.0]}
     return SwarmConfig.of({"name": "a", "drones": drones, "fence": fence, **tables})
@@ -42,7 +48,12 @@ def in_mujoco(n=1, **tables):
 
 def falling(*states, **options):
     """A world of drones whose motors stand still, from these p and v."""
-    world = MujocoWorld(range(len(states)), np.array([p for p, _ in states], float), imu=STILL, **options)
+    world = MujocoWorld(
+        range(len(states)),
+        np.array([p for p, _ in states], float),
+        imu=STILL,
+        **options,
+    )
     for row, (_, v) in enumerate(states):
         world.states[row, 3:6] = v
         world.cut(row)
@@ -61,7 +72,9 @@ def test_masses_and_inertias_are_those_of_the_platforms_and_of_what_they_are_off
         body = world.model.body(body_name(i))
         assert body.mass[0] == pytest.approx(1.1 * platform.mass, rel=1e-12)
         assert body.subtreemass[0] == body.mass[0]
-        np.testing.assert_allclose(sorted(body.inertia), sorted(platform.inertia), rtol=1e-9)
+        np.testing.assert_allclose(
+            sorted(body.inertia), sorted(platform.inertia), rtol=1e-9
+        )
         np.testing.assert_array_equal(body.ipos, 0.0)
 
 
@@ -88,8 +101,13 @@ def test_one_that_is_dropped_hits_the_floor_bounces_and_rests_there():
     lands = int(np.argmin(heights[:40]))
     assert max(heights[lands:]) > 0.002, "it bounces"
     assert fastest <= world.impact[0] <= fastest + GRAVITY * world.dt
-    assert 2.0 < fastest < math.sqrt(2 * GRAVITY * 0.3), "its rotors slow down while it falls"
-    assert world.harm(0) == f"crashed: hit the floor at {world.impact[0]:.2f} m/s, allowed 1 m/s"
+    assert 2.0 < fastest < math.sqrt(2 * GRAVITY * 0.3), (
+        "its rotors slow down while it falls"
+    )
+    assert (
+        world.harm(0)
+        == f"crashed: hit the floor at {world.impact[0]:.2f} m/s, allowed 1 m/s"
+    )
     assert world.resting(0)
     assert abs(heights[-1]) < 3e-4
 
@@ -125,11 +143,17 @@ def test_the_same_seed_gives_the_same_flight_and_another_one_another():
 
 
 def test_what_mujoco_cannot_do_or_read_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"motors.floor_tilt: found .*in MuJoCo the floor is level"):
+    with pytest.raises(
+        ConfigError, match=r"motors.floor_tilt: found .*in MuJoCo the floor is level"
+    ):
         in_mujoco(motors={"floor_tilt": [0.1, 0.0]})
-    with pytest.raises(ConfigError, match=r"mujoco.scene .*room.xml: found no such file"):
+    with pytest.raises(
+        ConfigError, match=r"mujoco.scene .*room.xml: found no such file"
+    ):
         in_mujoco(mujoco={"scene": str(tmp_path / "room.xml")})
-    (tmp_path / "room.xml").write_text('<mujoco><worldbody><geom type="nothing"/></worldbody></mujoco>')
+    (tmp_path / "room.xml").write_text(
+        '<mujoco><worldbody><geom type="nothing"/></worldbody></mujoco>'
+    )
     with pytest.raises(ConfigError, match=r"mujoco.scene .*MuJoCo says"):
         in_mujoco(mujoco={"scene": str(tmp_path / "room.xml")})
 
@@ -141,12 +165,19 @@ def test_files_of_shapes_are_relative_to_the_swarm_file(tmp_path):
     loaded = SwarmConfig.load(tmp_path / "lab" / "swarm.json")
     assert loaded.mujoco.model == str(tmp_path / "drone.stl")
     assert loaded.mujoco.scene == str(tmp_path / "lab" / "room.xml")
-    assert loaded.digest() == config.digest(), "hosts that have them in other folders agree"
-    assert loaded.digest() != swarm(mujoco={"model": "other.stl", "scene": "room.xml"}).digest()
+    assert loaded.digest() == config.digest(), (
+        "hosts that have them in other folders agree"
+    )
+    assert (
+        loaded.digest()
+        != swarm(mujoco={"model": "other.stl", "scene": "room.xml"}).digest()
+    )
 
 
 def test_without_mujoco_it_is_said_how_to_get_it(monkeypatch):
-    for name in [name for name in sys.modules if name.startswith("crazychoir.simulation.mujoco")]:
+    for name in [
+        name for name in sys.modules if name.startswith("crazychoir.simulation.mujoco")
+    ]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ConfigError, match=r"pip install 'crazychoir\[mujoco\]'"):

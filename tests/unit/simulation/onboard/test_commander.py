@@ -43,7 +43,9 @@ def test_thrust_is_locked_again_after_nobody_was_in_control(onboard):
     assert wanted(onboard, "thrust") == (0,)
 
 
-@pytest.mark.parametrize(("sent", "taken"), [(999, 0), (1000, 1000), (60000, 60000), (65000, 60000)])
+@pytest.mark.parametrize(
+    ("sent", "taken"), [(999, 0), (1000, 1000), (60000, 60000), (65000, 60000)]
+)
 def test_limits_of_the_thrust(onboard, sent, taken):
     onboard.rpyt_raw(0, 0, 0, 0)
     onboard.rpyt_raw(0, 0, 0, sent)
@@ -56,8 +58,13 @@ def test_modes_of_an_rpyt_packet(onboard, rates):
         onboard.set(f"flightmode.stabMode{axis}", value)
     onboard.rpyt_raw(1.0, 2.0, 3.0, 0)
     names = ("roll", "pitch", "yaw")
-    assert wanted(onboard, *(f"mode_{n}" for n in names)) == tuple(1 if r else 2 for r in rates)
-    taken = [wanted(onboard, n if r else f"{n}_rate")[0] for n, r in zip(names, rates, strict=True)]
+    assert wanted(onboard, *(f"mode_{n}" for n in names)) == tuple(
+        1 if r else 2 for r in rates
+    )
+    taken = [
+        wanted(onboard, n if r else f"{n}_rate")[0]
+        for n, r in zip(names, rates, strict=True)
+    ]
     assert taken == [1.0, 2.0, 3.0 if rates[2] else -3.0]
 
 
@@ -65,9 +72,13 @@ def test_fpqr_and_frpy_unlock_and_arrive_in_the_firmwares_signs(onboard):
     MotorCtrlFPQR(onboard).send(FPQR(vector(0.3, 0.1, 0.2, 0.3)))
     assert wanted(onboard, "thrust")[0] == pytest.approx(0.3 * 65535 / 0.48)
     # pitch nose up in the firmware; the yaw rate's two signs cancel
-    assert wanted(onboard, "roll_rate", "pitch_rate", "yaw_rate") == pytest.approx(degrees(0.1, -0.2, 0.3))
+    assert wanted(onboard, "roll_rate", "pitch_rate", "yaw_rate") == pytest.approx(
+        degrees(0.1, -0.2, 0.3)
+    )
     MotorCtrlFRPY(onboard).send(FRPY(vector(0.3, 0.1, 0.2, 0.3)))
-    assert wanted(onboard, "roll", "pitch", "yaw_rate") == pytest.approx(degrees(0.1, -0.2, 0.3))
+    assert wanted(onboard, "roll", "pitch", "yaw_rate") == pytest.approx(
+        degrees(0.1, -0.2, 0.3)
+    )
 
 
 def vector(*numbers):
@@ -92,9 +103,27 @@ def test_only_rpyt_turns_the_yaw_rates_sign(onboard):
 def test_full_state_keeps_rates_and_takes_the_heading(onboard):
     q = [0, 0, math.sin(0.4), math.cos(0.4)]
     assert onboard.full_state(vector(1, 2, 3, 4, 5, 6, 7, 8, 9, *q, 0.1, 0.2, 0.3))
-    assert wanted(onboard, "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az") == (1, 2, 3, 4, 5, 6, 7, 8, 9)
-    assert wanted(onboard, "roll_rate", "pitch_rate", "yaw_rate", "yaw") == pytest.approx(degrees(0.1, 0.2, 0.3, 0.8))
-    assert wanted(onboard, "mode_x", "mode_y", "mode_z", "mode_quat", "mode_yaw") == (1, 1, 1, 1, 0)
+    assert wanted(onboard, "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az") == (
+        1,
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+        8,
+        9,
+    )
+    assert wanted(
+        onboard, "roll_rate", "pitch_rate", "yaw_rate", "yaw"
+    ) == pytest.approx(degrees(0.1, 0.2, 0.3, 0.8))
+    assert wanted(onboard, "mode_x", "mode_y", "mode_z", "mode_quat", "mode_yaw") == (
+        1,
+        1,
+        1,
+        1,
+        0,
+    )
 
 
 def test_a_lower_priority_is_refused_until_the_higher_has_ended(onboard):
@@ -119,7 +148,9 @@ def test_a_set_point_stops_the_planner_until_it_is_told(onboard):
     assert wanted(onboard, "mode_z") == (1,)
 
 
-def test_a_planner_that_is_in_control_again_without_a_plan_switches_the_motors_off(onboard):
+def test_a_planner_that_is_in_control_again_without_a_plan_switches_the_motors_off(
+    onboard,
+):
     onboard.take_off(1.0, 2.0)
     run(onboard, 500)
     onboard.velocity((0, 0, 0.1), 0.0)

@@ -28,10 +28,14 @@ class Flown:
     def __init__(self, platforms):
         n = len(platforms)
         self.home = np.array([[1.5 * k, 0.0, 0.0] for k in range(n)])
-        self.world = CrazyflieWorld(range(n), self.home, np.full(n, YAW), platforms, downwash=False, seed=1)
+        self.world = CrazyflieWorld(
+            range(n), self.home, np.full(n, YAW), platforms, downwash=False, seed=1
+        )
         self.boards = list(self.world.onboard.values())
         self.cameras = SimulatedMocap(range(n), 1)
-        self.links = [DelayedLink(self.world.link(k, "fullstate"), DELAY_STEPS) for k in range(n)]
+        self.links = [
+            DelayedLink(self.world.link(k, "fullstate"), DELAY_STEPS) for k in range(n)
+        ]
         start = [(x - 0.4, y, HEIGHT) for x, y, _ in self.home]
         self.figures = [circle(p, 0.4, 10.0, 1.0, yaw=YAW, yaw_rate=1.0) for p in start]
 
@@ -40,7 +44,9 @@ class Flown:
             for link in self.links:
                 link.advance()
             self.world.step()
-            for k, pose in enumerate(self.cameras.sample(self.world.states, self.world.tick)):
+            for k, pose in enumerate(
+                self.cameras.sample(self.world.states, self.world.tick)
+            ):
                 self.world.see(k, pose)
 
     def take_off(self):
@@ -48,7 +54,9 @@ class Flown:
         for board in self.boards:
             board.arm()
         self.step(100)
-        assert [board.take_off(HEIGHT, 2.0) for board in self.boards] == [0] * len(self.boards)
+        assert [board.take_off(HEIGHT, 2.0) for board in self.boards] == [0] * len(
+            self.boards
+        )
         self.step(300)
 
     def circles(self, send):
@@ -58,7 +66,12 @@ class Flown:
             row = []
             for k, figure in enumerate(self.figures):
                 x, reference = self.world.states[k], figure.sample(0.01 * tick)
-                row.append((*(x[:3] - reference.p), math.degrees(wrap(yaw_of(x[6:10]) - reference.yaw))))
+                row.append(
+                    (
+                        *(x[:3] - reference.p),
+                        math.degrees(wrap(yaw_of(x[6:10]) - reference.yaw)),
+                    )
+                )
                 send(k, reference, 0.01 * tick)
             errors.append(row)
             self.step()
@@ -66,16 +79,24 @@ class Flown:
 
     def land(self):
         for link, figure in zip(self.links, self.figures, strict=True):
-            link.send(XYZ("land", np.array([0.0, 0.0, 0.0, figure.sample(math.inf).yaw, 2.0])))
+            link.send(
+                XYZ("land", np.array([0.0, 0.0, 0.0, figure.sample(math.inf).yaw, 2.0]))
+            )
         self.step(350)
-        assert [float(np.sum(board.record["motors"])) for board in self.boards] == [0.0] * len(self.boards)
+        assert [float(np.sum(board.record["motors"])) for board in self.boards] == [
+            0.0
+        ] * len(self.boards)
         assert self.world.crashed == []
         assert all(self.world.resting(i) for i in self.world.ids)
 
 
 # The firmware's -------------------------------------------------------------------------------------------------------
 
-ROWS = [(platform, law) for platform in ("cf21", "cf21plus", "cf21bl") for law in ("pid", "mellinger", "lee")]
+ROWS = [
+    (platform, law)
+    for platform in ("cf21", "cf21plus", "cf21bl")
+    for law in ("pid", "mellinger", "lee")
+]
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +112,10 @@ def firmware():
         # The firmware's constant is that of the Crazyflie: a brushless one would hover 8 cm too high, and land so.
         if board.platform is CRAZYFLIE_21_BRUSHLESS:
             board.set("ctrlMel.massThrust", 65535.0 / (4.0 * board.firmware.thrust_max))
-    ahead = [WaypointController(XYZSender(), FullStateTraj(), every=0.0, ahead=0.0) for _ in ROWS]
+    ahead = [
+        WaypointController(XYZSender(), FullStateTraj(), every=0.0, ahead=0.0)
+        for _ in ROWS
+    ]
 
     def send(k, reference, t):
         if ROWS[k][1] == "pid":
@@ -145,7 +169,12 @@ def geometric(setpoint, estimate, gyro, dt):
     """F = m (a + 7 e_p + 4 e_v + g e3), tau = J (-k_R e_R - k_w (w - w_d)): what somebody may write."""
     if setpoint.modes.z == 0:
         return ForceTorque(0.0, 0.0, 0.0, 0.0)
-    force = setpoint.a + 7.0 * (setpoint.p - estimate.p) + 4.0 * (setpoint.v - estimate.v) + [0.0, 0.0, GRAVITY]
+    force = (
+        setpoint.a
+        + 7.0 * (setpoint.p - estimate.p)
+        + 4.0 * (setpoint.v - estimate.v)
+        + [0.0, 0.0, GRAVITY]
+    )
     force *= CRAZYFLIE_21.mass
     r, d = rotation(estimate.q), np.array(flat_attitude(tuple(force), setpoint.yaw)).T
     e = d.T @ r - r.T @ d

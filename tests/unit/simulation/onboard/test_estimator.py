@@ -60,11 +60,15 @@ def test_yaw_goes_through_pi_without_a_jump():
     for k in range(1000):
         q = Rotation.from_euler("z", 3.0 + 0.5e-3 * k)
         if k % 10 == 0:
-            onboard.external_pose(np.zeros(3), q.as_quat() * (1.0 if k % 20 else -1.0))  # either sign of q
+            onboard.external_pose(
+                np.zeros(3), q.as_quat() * (1.0 if k % 20 else -1.0)
+            )  # either sign of q
         loop.run(onboard.rows, 1.0, 0, 0, 0.5, 0, 0, G)
         worst = max(worst, angle(onboard.estimate.q, q.as_quat()))
     assert worst < 0.01
-    assert onboard.log("stateEstimate.yaw") == pytest.approx(math.degrees(3.5) - 360.0, abs=0.5)
+    assert onboard.log("stateEstimate.yaw") == pytest.approx(
+        math.degrees(3.5) - 360.0, abs=0.5
+    )
 
 
 def test_a_wrong_beginning_is_forgotten_within_20_poses():
@@ -90,7 +94,9 @@ def test_the_variance_begins_large_and_falls():
     assert onboard.log("kalman.varX") == pytest.approx(1e4)
 
 
-@pytest.mark.parametrize(("p", "force"), [((101.0, 0, 0), (0, 0, G)), ((0, 0, 0), (0, 0, 5 * G))])
+@pytest.mark.parametrize(
+    ("p", "force"), [((101.0, 0, 0), (0, 0, G)), ((0, 0, 0), (0, 0, 5 * G))]
+)
 def test_out_of_bounds_it_begins_anew(p, force):
     onboard = Onboard(CRAZYFLIE_21)
     onboard.place((0.5, 0.0, 0.0), 0.3)
@@ -116,9 +122,15 @@ def test_logged_angles_are_the_firmwares():
     q = Rotation.from_euler("ZYX", [1.0, 0.2, 0.1]).as_quat()
     for _ in range(300):
         onboard.external_pose(np.zeros(3), q)
-    assert onboard.log("stateEstimate.roll") == pytest.approx(math.degrees(0.1), abs=0.05)
-    assert onboard.log("stateEstimate.pitch") == pytest.approx(-math.degrees(0.2), abs=0.05)
-    assert onboard.log("stateEstimate.yaw") == pytest.approx(math.degrees(1.0), abs=0.05)
+    assert onboard.log("stateEstimate.roll") == pytest.approx(
+        math.degrees(0.1), abs=0.05
+    )
+    assert onboard.log("stateEstimate.pitch") == pytest.approx(
+        -math.degrees(0.2), abs=0.05
+    )
+    assert onboard.log("stateEstimate.yaw") == pytest.approx(
+        math.degrees(1.0), abs=0.05
+    )
 
 
 def test_in_a_flight_the_estimate_is_near_the_truth():
@@ -126,7 +138,9 @@ def test_in_a_flight_the_estimate_is_near_the_truth():
     worst = [0.0, 0.0]
 
     def look():
-        worst[0] = max(worst[0], float(np.linalg.norm(body.onboard.estimate.p - body.p)))
+        worst[0] = max(
+            worst[0], float(np.linalg.norm(body.onboard.estimate.p - body.p))
+        )
         worst[1] = max(worst[1], angle(body.onboard.estimate.q, body.s[6:10]))
         body.onboard.position((0.8, 0.5, 1.2), 0.5)
 

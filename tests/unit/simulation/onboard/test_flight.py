@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from rigid_body import Body
 
-from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, CRAZYFLIE_21_PLUS, CRAZYFLIE_21_THRUST
+from crazychoir.platforms import (
+    CRAZYFLIE_21,
+    CRAZYFLIE_21_BRUSHLESS,
+    CRAZYFLIE_21_PLUS,
+    CRAZYFLIE_21_THRUST,
+)
 from crazychoir.simulation.motor_level import motor_control as mc
 from crazychoir.types import FPQR, FRPY, XYZ, FullState, Vel
 
@@ -50,7 +55,9 @@ def test_a_body_rate_is_turned_about_its_axis(controller, axis, sign):
 def test_attitude_commands_tilt_the_right_way(controller, yaw):
     body = hovering(controller, yaw)
     link = mc.MotorCtrlFRPY(body.onboard)
-    body.fly(0.8, lambda: link.send(FRPY(np.array([body.platform.weight, 0.1, 0.15, 0.0]))))
+    body.fly(
+        0.8, lambda: link.send(FRPY(np.array([body.platform.weight, 0.1, 0.15, 0.0])))
+    )
     assert body.angles[0] == pytest.approx(0.1, abs=0.03)
     assert body.angles[1] == pytest.approx(0.15, abs=0.03)
     ahead = body.v[0] * math.cos(yaw) + body.v[1] * math.sin(yaw)
@@ -91,7 +98,10 @@ def test_z_distance_and_manual_tilt_as_frpy_does():
     assert body.angles[2] > 0.1
 
 
-@pytest.mark.parametrize("platform", [CRAZYFLIE_21, CRAZYFLIE_21_PLUS, CRAZYFLIE_21_THRUST, CRAZYFLIE_21_BRUSHLESS])
+@pytest.mark.parametrize(
+    "platform",
+    [CRAZYFLIE_21, CRAZYFLIE_21_PLUS, CRAZYFLIE_21_THRUST, CRAZYFLIE_21_BRUSHLESS],
+)
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_a_position_is_held(controller, platform):
     body = hovering(controller, 0.1, platform)
@@ -101,7 +111,9 @@ def test_a_position_is_held(controller, platform):
     assert body.p[2] == pytest.approx(1.2, abs=0.06)
     assert body.p[:2] == pytest.approx([0.3, -0.2], abs=0.02)
     # Mellinger's yaw rings for long on the slow motors of the 2.1: 217 s^-2 and 22 s^-1 with a lag of 86 ms
-    assert body.angles[2] == pytest.approx(-0.2, abs=0.08 if controller == "mellinger" else 0.03)
+    assert body.angles[2] == pytest.approx(
+        -0.2, abs=0.08 if controller == "mellinger" else 0.03
+    )
 
 
 @pytest.mark.parametrize("controller", ["mellinger", "lee"])
@@ -113,8 +125,14 @@ def test_a_circle_is_followed_by_full_states(controller):
     def send():
         c, s = math.cos(w * time[0]), math.sin(w * time[0])
         time[0] += 0.02
-        p, v, a = (r * c - r, r * s, 1.0), (-r * w * s, r * w * c, 0), (-r * w * w * c, -r * w * w * s, 0)
-        link.send(FullState.at(p, v, a, (r * w**3 * s, -r * w**3 * c, 0), 0.3 * time[0], 0.3))
+        p, v, a = (
+            (r * c - r, r * s, 1.0),
+            (-r * w * s, r * w * c, 0),
+            (-r * w * w * c, -r * w * w * s, 0),
+        )
+        link.send(
+            FullState.at(p, v, a, (r * w**3 * s, -r * w**3 * c, 0), 0.3 * time[0], 0.3)
+        )
 
     body.fly(6.0, send)
     x, y, z = body.p

@@ -50,7 +50,12 @@ def test_legacy_table(command, motors):
 
 
 def test_the_cap_takes_the_excess_from_all():
-    assert request(output=LEGACY, thrust=60000, roll_out=20000) == [45535, 45535, 65535, 65535]
+    assert request(output=LEGACY, thrust=60000, roll_out=20000) == [
+        45535,
+        45535,
+        65535,
+        65535,
+    ]
 
 
 def test_idle_is_the_floor_and_nothing_turns_where_motors_are_not_allowed():
@@ -63,18 +68,33 @@ def test_force_and_torque_are_what_the_motors_make(platform):
     firmware = platform.firmware
     want = np.array([0.4 * platform.max_thrust, 4e-4, -3e-4, 2e-4])
     f = np.array(
-        request(platform, output=FORCE_TORQUE, force=want[0], torque_x=want[1], torque_y=want[2], torque_z=want[3])
+        request(
+            platform,
+            output=FORCE_TORQUE,
+            force=want[0],
+            torque_x=want[1],
+            torque_y=want[2],
+            torque_z=want[3],
+        )
     )
     f *= firmware.thrust_max / 65535
     a, k = firmware.arm * np.sqrt(0.5), firmware.thrust_to_torque
-    torque = [a * (-f[0] - f[1] + f[2] + f[3]), a * (-f[0] + f[1] + f[2] - f[3]), k * (-f[0] + f[1] - f[2] + f[3])]
+    torque = [
+        a * (-f[0] - f[1] + f[2] + f[3]),
+        a * (-f[0] + f[1] + f[2] - f[3]),
+        k * (-f[0] + f[1] - f[2] + f[3]),
+    ]
     assert [f.sum(), *torque] == pytest.approx(want, rel=1e-9)
 
 
 def test_the_map_is_linear_in_newtons():
     assert thrust_raw(1.0, CRAZYFLIE_21.firmware) == pytest.approx(136531, abs=1)
-    assert thrust_raw(1.0, CRAZYFLIE_21_BRUSHLESS.firmware) == pytest.approx(81919, abs=1)
-    assert thrust_newtons(thrust_raw(0.3, CRAZYFLIE_21.firmware), CRAZYFLIE_21.firmware) == pytest.approx(0.3)
+    assert thrust_raw(1.0, CRAZYFLIE_21_BRUSHLESS.firmware) == pytest.approx(
+        81919, abs=1
+    )
+    assert thrust_newtons(
+        thrust_raw(0.3, CRAZYFLIE_21.firmware), CRAZYFLIE_21.firmware
+    ) == pytest.approx(0.3)
     assert shares(output=LEGACY, thrust=32767.5) == pytest.approx([0.5] * 4)
 
 
@@ -94,7 +114,9 @@ def test_a_battery_off_its_low_pass_gives_what_the_curve_says(platform):
     v = np.roots([*platform.rotor.voltage[:0:-1], platform.rotor.voltage[0] - f])
     v = float(v[np.isreal(v)].real[0])
     got = shares(8, platform, output=LEGACY, thrust=0.6 * 65535, vbat=3.7, vbat_low=3.9)
-    assert got == pytest.approx([curve(platform, v * 3.7 / 3.9) / platform.firmware.thrust_max] * 4, rel=1e-9)
+    assert got == pytest.approx(
+        [curve(platform, v * 3.7 / 3.9) / platform.firmware.thrust_max] * 4, rel=1e-9
+    )
 
 
 def test_a_dead_battery_gives_nothing():

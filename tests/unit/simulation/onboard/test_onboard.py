@@ -17,17 +17,46 @@ from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import fleet
 
 BOOT = {
-    "pid_rate.roll_kp": 250, "pid_rate.roll_ki": 500, "pid_rate.roll_kd": 2.5, "pid_rate.yaw_ki": 16.7,
-    "pid_attitude.yaw_kd": 0.35, "pid_attitude.pitch_ki": 3, "velCtlPid.vzKi": 15, "velCtlPid.vxKp": 25,
-    "posCtlPid.zKi": 0.5, "posCtlPid.xKp": 2, "posCtlPid.thrustBase": 36000, "posCtlPid.thrustMin": 20000,
-    "posCtlPid.rLimit": 20, "posCtlPid.xVelMax": 1, "ctrlMel.kp_xy": 0.4, "ctrlMel.i_range_m_z": 1500,
-    "ctrlMel.mass": 0.029, "ctrlMel.massThrust": 132000, "ctrlMel.kd_omega_rp": 200, "ctrlLee.Kpos_Px": 7,
-    "ctrlLee.J_z": 29.261652e-6, "ctrlLee.Kw_z": 0.002, "flightmode.stabModeRoll": 1, "flightmode.stabModeYaw": 0,
-    "hlCommander.vtoff": 0.5, "kalman.maxPos": 100, "kalman.pNAcc_z": 1, "kalman.resetEstimation": 0,
-    "locSrv.extPosStdDev": 0.01, "locSrv.extQuatStdDev": 0.0045, "stabilizer.controller": 1, "stabilizer.stop": 0,
-    "supervisor.landedTimeout": 3000, "supervisor.prefltTimeout": 30000, "supervisor.tmblChckEn": 1,
-    "powerDist.idleThrust": 0, "velCtlPid.vxKFF": 0, "posCtlPid.zKff": 0, "pid_rate.yaw_kff": 0,
-}  # fmt: skip
+    "pid_rate.roll_kp": 250,
+    "pid_rate.roll_ki": 500,
+    "pid_rate.roll_kd": 2.5,
+    "pid_rate.yaw_ki": 16.7,
+    "pid_attitude.yaw_kd": 0.35,
+    "pid_attitude.pitch_ki": 3,
+    "velCtlPid.vzKi": 15,
+    "velCtlPid.vxKp": 25,
+    "posCtlPid.zKi": 0.5,
+    "posCtlPid.xKp": 2,
+    "posCtlPid.thrustBase": 36000,
+    "posCtlPid.thrustMin": 20000,
+    "posCtlPid.rLimit": 20,
+    "posCtlPid.xVelMax": 1,
+    "ctrlMel.kp_xy": 0.4,
+    "ctrlMel.i_range_m_z": 1500,
+    "ctrlMel.mass": 0.029,
+    "ctrlMel.massThrust": 132000,
+    "ctrlMel.kd_omega_rp": 200,
+    "ctrlLee.Kpos_Px": 7,
+    "ctrlLee.J_z": 29.261652e-6,
+    "ctrlLee.Kw_z": 0.002,
+    "flightmode.stabModeRoll": 1,
+    "flightmode.stabModeYaw": 0,
+    "hlCommander.vtoff": 0.5,
+    "kalman.maxPos": 100,
+    "kalman.pNAcc_z": 1,
+    "kalman.resetEstimation": 0,
+    "locSrv.extPosStdDev": 0.01,
+    "locSrv.extQuatStdDev": 0.0045,
+    "stabilizer.controller": 1,
+    "stabilizer.stop": 0,
+    "supervisor.landedTimeout": 3000,
+    "supervisor.prefltTimeout": 30000,
+    "supervisor.tmblChckEn": 1,
+    "powerDist.idleThrust": 0,
+    "velCtlPid.vxKFF": 0,
+    "posCtlPid.zKff": 0,
+    "pid_rate.yaw_kff": 0,
+}
 
 
 @pytest.mark.parametrize(("name", "value"), BOOT.items())
@@ -37,7 +66,15 @@ def test_boot_values_are_the_firmwares(name, value):
 
 def test_boot_values_of_the_brushless():
     onboard = Onboard(CRAZYFLIE_21_BRUSHLESS)
-    values = [onboard.get(n) for n in ("pid_rate.roll_kp", "pid_rate.pitch_ki", "posCtlPid.thrustBase", "ctrlLee.mass")]
+    values = [
+        onboard.get(n)
+        for n in (
+            "pid_rate.roll_kp",
+            "pid_rate.pitch_ki",
+            "posCtlPid.thrustBase",
+            "ctrlLee.mass",
+        )
+    ]
     assert values == pytest.approx([200, 400, 30000, 0.0393])
 
 
@@ -46,7 +83,9 @@ def test_every_parameter_can_be_written_and_read():
     for k, name in enumerate(sorted(set(parameters.TABLE) - {"stabilizer.controller"})):
         onboard.set(name, k % 7)
         assert onboard.get(name) == k % 7
-    assert len({str(path) for path in parameters.TABLE.values()}) == len(parameters.TABLE)
+    assert len({str(path) for path in parameters.TABLE.values()}) == len(
+        parameters.TABLE
+    )
 
 
 def test_a_gain_acts():
@@ -89,17 +128,41 @@ def test_drones_of_one_array_do_not_know_of_each_other():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda d: d.set("pid_rate.rol_kp", 1), "firmware parameter: found pid_rate.rol_kp; .*pid_rate.roll_kp"),
+        (
+            lambda d: d.set("pid_rate.rol_kp", 1),
+            "firmware parameter: found pid_rate.rol_kp; .*pid_rate.roll_kp",
+        ),
         (lambda d: d.get("xyz"), "firmware parameter: found xyz"),
-        (lambda d: d.set("pid_rate.roll_kp", math.nan), "pid_rate.roll_kp: found nan; allowed: a finite number"),
+        (
+            lambda d: d.set("pid_rate.roll_kp", math.nan),
+            "pid_rate.roll_kp: found nan; allowed: a finite number",
+        ),
         (lambda d: d.set("pid_rate.roll_kp", "3"), "found 3; allowed: a finite number"),
-        (lambda d: d.log("stateEstimat.x"), "firmware log variable: found stateEstimat.x; .*stateEstimate.x"),
-        (lambda d: d.set("stabilizer.controller", "indi"), "found indi; allowed: pid, mellinger, lee, or 0, 1"),
-        (lambda d: d.set("stabilizer.controller", 6), r"found 6; allowed: .*Offer your own with register\(name, law\)"),
-        (lambda d: d.register("pid", print), "register: controller: found pid; allowed: a callable under another name"),
+        (
+            lambda d: d.log("stateEstimat.x"),
+            "firmware log variable: found stateEstimat.x; .*stateEstimate.x",
+        ),
+        (
+            lambda d: d.set("stabilizer.controller", "indi"),
+            "found indi; allowed: pid, mellinger, lee, or 0, 1",
+        ),
+        (
+            lambda d: d.set("stabilizer.controller", 6),
+            r"found 6; allowed: .*Offer your own with register\(name, law\)",
+        ),
+        (
+            lambda d: d.register("pid", print),
+            "register: controller: found pid; allowed: a callable under another name",
+        ),
         (lambda d: d.register("mine", 3), "register: controller: found mine"),
-        (lambda d: FirmwareLaw("Indi", 0.12), "FirmwareLaw: name: found Indi; allowed: one of Pid, Mellinger, Lee"),
-        (lambda d: FirmwareLaw("Pid", 0.12), "cffirmware: found no such module.*make bindings_python"),
+        (
+            lambda d: FirmwareLaw("Indi", 0.12),
+            "FirmwareLaw: name: found Indi; allowed: one of Pid, Mellinger, Lee",
+        ),
+        (
+            lambda d: FirmwareLaw("Pid", 0.12),
+            "cffirmware: found no such module.*make bindings_python",
+        ),
     ],
 )
 def test_what_is_wrong_is_said_with_what_is_allowed(call, words, monkeypatch):
@@ -121,7 +184,12 @@ def test_a_controller_of_the_users_own_flies():
         tilt = [-a[1] / 9.8, a[0] / 9.8]
         q = estimate.q
         x, y = (5 * (tilt[k] - 2 * q[k]) - gyro[k] for k in (0, 1))
-        return ForceTorque(body.platform.mass * a[2], 20 * 16.8e-6 * x, 20 * 16.8e-6 * y, -16.8e-6 * 8 * gyro[2])
+        return ForceTorque(
+            body.platform.mass * a[2],
+            20 * 16.8e-6 * x,
+            20 * 16.8e-6 * y,
+            -16.8e-6 * 8 * gyro[2],
+        )
 
     body.onboard.register("mine", law)
     body.onboard.set("stabilizer.controller", "mine")
@@ -148,11 +216,16 @@ def answer_of(value, ms=6):
 
 
 def test_answers_of_a_law():
-    assert answer_of(MotorForces(0.03, 0.06, 0.09, 0.12)) == pytest.approx([0.25, 0.5, 0.75, 1.0])
+    assert answer_of(MotorForces(0.03, 0.06, 0.09, 0.12)) == pytest.approx(
+        [0.25, 0.5, 0.75, 1.0]
+    )
     assert answer_of(ForceTorque(0.24, 0, 0, 0)) == pytest.approx([0.5] * 4)
     assert answer_of(Legacy(32767.5, 0, 0, 0)) == pytest.approx([0.5] * 4)
     assert answer_of(ForceTorque(math.nan, 0, 0, 0)) == [0.0] * 4
-    with pytest.raises(ConfigError, match=r"controller 'mine': its answer: found \(1, 2\); allowed: ForceTorque"):
+    with pytest.raises(
+        ConfigError,
+        match=r"controller 'mine': its answer: found \(1, 2\); allowed: ForceTorque",
+    ):
         answer_of((1, 2))
 
 
@@ -160,7 +233,9 @@ def test_a_law_is_told_si_in_the_bodys_signs():
     told = {}
     onboard = Onboard(CRAZYFLIE_21)
     loop.run(onboard.rows, 200.0, 0, 0, 0, 0, 0, 9.80665)
-    onboard.register("mine", lambda s, *rest: told.update(s=s) or MotorForces(0, 0, 0, 0))
+    onboard.register(
+        "mine", lambda s, *rest: told.update(s=s) or MotorForces(0, 0, 0, 0)
+    )
     onboard.set("stabilizer.controller", "mine")
     onboard.manual(0.3, 0.1, 0.2, 0.3, rates=True)
     onboard.obey_law()
@@ -168,7 +243,9 @@ def test_a_law_is_told_si_in_the_bodys_signs():
     assert told["s"].thrust == pytest.approx(0.3)
     onboard.z_distance(0.1, 0.2, 0.3, 1.5)
     onboard.obey_law()
-    assert (told["s"].roll, told["s"].pitch, told["s"].p[2]) == pytest.approx((0.1, 0.2, 1.5))
+    assert (told["s"].roll, told["s"].pitch, told["s"].p[2]) == pytest.approx(
+        (0.1, 0.2, 1.5)
+    )
     assert told["s"].modes.z == 1
 
 
@@ -178,8 +255,20 @@ def stand_in(monkeypatch):
     firmware = ModuleType("cffirmware")
 
     def structure():
-        vectors = ("position", "velocity", "acceleration", "jerk", "attitudeQuaternion", "gyro")
-        return SimpleNamespace(**{part: SimpleNamespace() for part in (*vectors, "mode", "attitude", "attitudeRate")})
+        vectors = (
+            "position",
+            "velocity",
+            "acceleration",
+            "jerk",
+            "attitudeQuaternion",
+            "gyro",
+        )
+        return SimpleNamespace(
+            **{
+                part: SimpleNamespace()
+                for part in (*vectors, "mode", "attitude", "attitudeRate")
+            }
+        )
 
     firmware.setpoint_t = firmware.state_t = firmware.sensorData_t = structure
     firmware.control_t = lambda: SimpleNamespace(controlMode=0)
@@ -200,7 +289,12 @@ def stand_in(monkeypatch):
 
     def controller_lee(memory, control, setpoint, sensors, state, ms):
         control.controlMode = 1
-        control.thrustSi, control.torqueX, control.torqueY, control.torqueZ = memory.k, 0, 0, 0
+        control.thrustSi, control.torqueX, control.torqueY, control.torqueZ = (
+            memory.k,
+            0,
+            0,
+            0,
+        )
 
     firmware.controllerPid, firmware.controllerLee = controller_pid, controller_lee
     monkeypatch.setitem(sys.modules, "cffirmware", firmware)

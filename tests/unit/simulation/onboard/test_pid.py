@@ -53,7 +53,9 @@ def test_the_form_by_hand():
 def test_the_integral_is_clamped_before_its_gain_and_the_output_after_all():
     out = answers(plain, [10] * 5, [0] * 5, rate=10.0, ki=4.0, i_limit=2.5)
     assert out == pytest.approx([4, 8, 10, 10, 10])
-    assert answers(plain, [10, -10], [0, 0], kp=2.0, limit=3.0) == pytest.approx([3, -3])
+    assert answers(plain, [10, -10], [0, 0], kp=2.0, limit=3.0) == pytest.approx(
+        [3, -3]
+    )
 
 
 def test_a_step_of_the_set_point_makes_no_kick_and_feeds_forward():
@@ -69,7 +71,9 @@ def test_the_derivative_is_low_passed_at_20_hz():
     b, a = signal.butter(2, 20.0, fs=100.0)
     x = np.sin(0.3 * np.arange(60)) + 0.1 * np.arange(60)
     raw = np.diff(x, prepend=x[0]) * 100.0
-    assert answers(smooth, np.zeros(60), x, rate=100.0, kd=1.0) == pytest.approx(-signal.lfilter(b, a, raw), abs=1e-9)
+    assert answers(smooth, np.zeros(60), x, rate=100.0, kd=1.0) == pytest.approx(
+        -signal.lfilter(b, a, raw), abs=1e-9
+    )
 
 
 def test_the_rate_loop_answers_a_step_as_the_linear_loop_of_scipy():
@@ -84,9 +88,17 @@ def test_the_rate_loop_answers_a_step_as_the_linear_loop_of_scipy():
     top = np.hstack([ad, np.zeros((2, 2))]) + bd @ k[None, :]
     closed = np.vstack([top, [-dt, 0, 1, 0], [1, 0, 0, 0]])
     drive = np.concatenate([(bd * (kp + ki * dt)).ravel(), [dt, 0.0]])
-    _, want = signal.dlsim((closed, drive[:, None], np.eye(4), np.zeros((4, 1)), dt), np.full(300, 20.0))[:2]
+    _, want = signal.dlsim(
+        (closed, drive[:, None], np.eye(4), np.zeros((4, 1)), dt), np.full(300, 20.0)
+    )[:2]
     rows, x, flown = np.zeros(1, pid_fields), np.zeros(2), []
-    rows["kp"], rows["ki"], rows["kd"], rows["i_limit"], rows["previous"] = kp, ki, kd, 33.3, 0.0
+    rows["kp"], rows["ki"], rows["kd"], rows["i_limit"], rows["previous"] = (
+        kp,
+        ki,
+        kd,
+        33.3,
+        0.0,
+    )
     out = np.zeros(1)
     for _ in range(300):
         flown.append(x[0])
@@ -137,7 +149,9 @@ def test_limits_of_velocity_tilt_and_thrust():
     onboard.position((9.0, -9.0, 99.0), 0.0)
     control(onboard.rows)
     fw = onboard.record
-    assert (fw["target_vx"], fw["target_vy"], fw["target_vz"]) == pytest.approx((1.1, -1.1, 1.1))
+    assert (fw["target_vx"], fw["target_vy"], fw["target_vz"]) == pytest.approx(
+        (1.1, -1.1, 1.1)
+    )
     assert (fw["target_pitch"], fw["target_roll"]) == pytest.approx((-20.0, 20.0))
     assert fw["thrust"] == pytest.approx(36000 + 1000 * min(25.15 * 1.1, 32.767))
     onboard.position((0.0, 0.0, -99.0), 0.0)
@@ -167,4 +181,6 @@ def test_a_yaw_rate_is_integrated_at_500_hz():
     onboard.manual(0.3, 0.0, 0.0, math.radians(100.0))
     for _ in range(500):
         control(onboard.rows)
-    assert onboard.record["target_yaw"] == pytest.approx(math.degrees(3.0) + 100.0 - 360.0, abs=1e-6)
+    assert onboard.record["target_yaw"] == pytest.approx(
+        math.degrees(3.0) + 100.0 - 360.0, abs=1e-6
+    )

@@ -40,7 +40,14 @@ def samples(onboard, ms):
     out, begin = [], float(onboard.record["planner"]["begin"])
     for _ in range(ms // 10):
         run(onboard, 10)
-        t = float(F(onboard.record["tick"] // 10 * 10 - 10 + (10 if onboard.record["tick"] % 10 else 0)) * F(1e-3))
+        t = float(
+            F(
+                onboard.record["tick"] // 10 * 10
+                - 10
+                + (10 if onboard.record["tick"] % 10 else 0)
+            )
+            * F(1e-3)
+        )
         row = target(onboard, "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "yaw")
         out.append((t - begin, row[0:3], row[3:6], row[6:9], math.radians(row[9])))
     return out
@@ -48,7 +55,16 @@ def samples(onboard, ms):
 
 def rest_to_rest(d, t, duration, kind):
     """35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 as the coefficients of the firmware, evaluated in `kind`."""
-    c = [0, 0, 0, 0, 35 * d / duration**4, -84 * d / duration**5, 70 * d / duration**6, -20 * d / duration**7]
+    c = [
+        0,
+        0,
+        0,
+        0,
+        35 * d / duration**4,
+        -84 * d / duration**5,
+        70 * d / duration**6,
+        -20 * d / duration**7,
+    ]
     value = kind(0)
     for a in c[::-1]:
         value = value * kind(t) + kind(a)
@@ -123,7 +139,9 @@ def test_go_to_goes_on_smoothly_from_a_moving_set_point(onboard):
     onboard.go_to((0.4, 0.7, 1.5), 0.5, 2.0)
     run(onboard, 10)
     after = target(onboard, "x", "vx", "ax")
-    assert after == pytest.approx(before + np.array([0.01 * before[1], 0.01 * before[2], 0]), abs=0.08)
+    assert after == pytest.approx(
+        before + np.array([0.01 * before[1], 0.01 * before[2], 0]), abs=0.08
+    )
     run(onboard, 2100)
     assert target(onboard) == pytest.approx([0.4, 0.7, 1.5], abs=1e-4)
 
@@ -148,11 +166,16 @@ def test_no_duration_is_a_jump(onboard):
     assert target(onboard) == pytest.approx([1.4, -0.3, 1.0], abs=1e-5)
 
 
-@pytest.mark.parametrize(("goal", "reached"), [(-2.9, 2 * math.pi - 2.9), (-1.0, -1.0), (4.5, 4.5 - 2 * math.pi)])
+@pytest.mark.parametrize(
+    ("goal", "reached"),
+    [(-2.9, 2 * math.pi - 2.9), (-1.0, -1.0), (4.5, 4.5 - 2 * math.pi)],
+)
 def test_yaw_turns_the_short_way(onboard, goal, reached):
     risen(onboard).go_to((0.4, -0.3, 1.0), goal, 1.0)
     run(onboard, 500)
-    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx((0.5 + reached) / 2, abs=0.1)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(
+        (0.5 + reached) / 2, abs=0.1
+    )
 
 
 def test_stop_cuts_the_motors(onboard):
@@ -171,7 +194,10 @@ def pieces(*rows):
     return out
 
 
-RAMP = pieces(({0: [1.0, 0.5], 2: [1.0], 3: [0.1]}, 1.0), ({0: [1.5, 0.5, 0.2], 2: [1.0], 3: [0.1, 0.3]}, 2.0))
+RAMP = pieces(
+    ({0: [1.0, 0.5], 2: [1.0], 3: [0.1]}, 1.0),
+    ({0: [1.5, 0.5, 0.2], 2: [1.0], 3: [0.1, 0.3]}, 2.0),
+)
 
 
 def test_a_trajectory_runs_through_its_pieces_and_holds_its_end(onboard):
@@ -179,7 +205,9 @@ def test_a_trajectory_runs_through_its_pieces_and_holds_its_end(onboard):
     assert risen(onboard).start_trajectory(3) == 0
     for t, p, v, a, yaw in samples(onboard, 2900):
         u = t - 1.0
-        assert p[0] == pytest.approx(1 + 0.5 * t + (0.2 * u * u if u > 0 else 0), abs=1e-5)
+        assert p[0] == pytest.approx(
+            1 + 0.5 * t + (0.2 * u * u if u > 0 else 0), abs=1e-5
+        )
         assert v[0] == pytest.approx(0.5 + (0.4 * u if u > 0 else 0), abs=1e-4)
         if abs(u) > 1e-3:  # between the pieces
             assert a[0] == pytest.approx(0.4 if u > 0 else 0, abs=1e-4)
@@ -227,7 +255,9 @@ def test_slots_memory_and_their_codes(onboard):
     onboard.upload(1, RAMP)
     assert onboard.record["planner"]["offset"][1] == 66
     assert onboard.start_trajectory(1, timescale=0.0) == 8
-    onboard.memory[0:132] = np.frombuffer(RAMP[1].astype(np.float32).tobytes(), np.uint8)
+    onboard.memory[0:132] = np.frombuffer(
+        RAMP[1].astype(np.float32).tobytes(), np.uint8
+    )
     assert onboard.define_trajectory(30, 0, 1) == 0
     assert onboard.start_trajectory(30) == 0
     run(onboard, 20)
@@ -243,7 +273,11 @@ def test_slots_memory_and_their_codes(onboard):
         (0, np.zeros((2, 32)), r"trajectory 0: shape: found \(2, 32\)"),
         (0, np.zeros((0, 33)), "shape"),
         (0, np.zeros((1, 33)), "durations above 0 s"),
-        (0, np.tile(RAMP, (16, 1)), "32 pieces; allowed: at most 31 in all slots, 31 are free"),
+        (
+            0,
+            np.tile(RAMP, (16, 1)),
+            "32 pieces; allowed: at most 31 in all slots, 31 are free",
+        ),
     ],
 )
 def test_a_wrong_upload_says_what_is_allowed(onboard, slot, rows, words):
@@ -264,12 +298,18 @@ def test_a_spiral_ends_on_its_radius_at_its_angle(onboard, clockwise, side):
     start = target(onboard, "vx", "vy")
     run(onboard, 3100)
     x, y, z = target(onboard)
-    centre = np.array(PLACE[:2]) + 0.5 * side * np.array([-math.sin(0.5), math.cos(0.5)])
+    centre = np.array(PLACE[:2]) + 0.5 * side * np.array(
+        [-math.sin(0.5), math.cos(0.5)]
+    )
     assert math.hypot(x - centre[0], y - centre[1]) == pytest.approx(0.7, abs=1e-3)
     assert z == pytest.approx(1.2, abs=1e-4)
-    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.5 + side * math.pi / 2, abs=1e-4)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(
+        0.5 + side * math.pi / 2, abs=1e-4
+    )
     nose = np.array([math.cos(0.5), math.sin(0.5)])
-    assert start @ nose == pytest.approx(0.5 * math.pi / 2 / 3, rel=0.1)  # forward, along the circle
+    assert start @ nose == pytest.approx(
+        0.5 * math.pi / 2 / 3, rel=0.1
+    )  # forward, along the circle
 
 
 LONG, SHORT = (2e5, 1e30, 1e300), (1e-16, 1e-7, 5e-4)
@@ -279,12 +319,17 @@ def still_flown(onboard, before):
     """The plan of before goes on, and all that is asked for is a number."""
     run(onboard, 100)
     assert target(onboard) == pytest.approx(before, abs=1e-3)
-    assert all(math.isfinite(onboard.log(f"ctrltarget.{name}")) for name in ("x", "vx", "ax", "z", "yaw"))
+    assert all(
+        math.isfinite(onboard.log(f"ctrltarget.{name}"))
+        for name in ("x", "vx", "ax", "z", "yaw")
+    )
     assert np.all(np.isfinite(onboard.record["motors"]))
 
 
 @pytest.mark.parametrize("duration", LONG)
-def test_a_plan_of_a_wild_duration_is_refused_and_the_last_one_goes_on(onboard, duration):
+def test_a_plan_of_a_wild_duration_is_refused_and_the_last_one_goes_on(
+    onboard, duration
+):
     assert onboard.take_off(1.0, duration) == 1
     before = target(risen(onboard))
     assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration) == 1
@@ -330,7 +375,9 @@ def test_a_plan_beyond_all_bounds_is_refused(onboard, far):
         ({0: [0.0, 0.0, 0.0, 1e12]}, 1.0, 1e-2),
     ],
 )
-def test_what_was_uploaded_and_nobody_can_fly_is_refused(onboard, axes, duration, timescale):
+def test_what_was_uploaded_and_nobody_can_fly_is_refused(
+    onboard, axes, duration, timescale
+):
     words = pieces((axes, duration)).astype(np.float32)
     onboard.memory[0:132] = np.frombuffer(words.tobytes(), np.uint8)
     assert onboard.define_trajectory(0, 0, 1) == 0

@@ -27,7 +27,9 @@ class Bench:
         return bool(np.any(self.onboard.record["motors"] > 0))
 
     def run(self, ms, z=1.0, x=0.0):
-        loop.run(self.onboard.rows, float(ms), 0.0, 0.0, 0.0, x * GRAVITY, 0.0, z * GRAVITY)
+        loop.run(
+            self.onboard.rows, float(ms), 0.0, 0.0, 0.0, x * GRAVITY, 0.0, z * GRAVITY
+        )
 
     def push(self, thrust=0.3):
         self.onboard.manual(thrust, 0.0, 0.0, 0.0)
@@ -108,9 +110,13 @@ def test_level_out_keeps_the_thrust_and_a_new_set_point_recovers():
 
 def test_a_landed_drone_waits_3_s_and_begins_anew():
     bench = Bench().fly()
-    assert bench.until("landed", send=bench.onboard.stop_setpoint) == pytest.approx(2000, abs=80)
+    assert bench.until("landed", send=bench.onboard.stop_setpoint) == pytest.approx(
+        2000, abs=80
+    )
     landed = bench.now
-    assert bench.until("reset", send=bench.onboard.stop_setpoint) == pytest.approx(3000, abs=40)
+    assert bench.until("reset", send=bench.onboard.stop_setpoint) == pytest.approx(
+        3000, abs=40
+    )
     assert bench.now - landed >= 3000 - 1
     assert bench.until("ready to fly") <= 200
 
@@ -132,7 +138,9 @@ def test_ready_lasts_30_s(platform):
     bench.until("ready to fly")
     assert bench.until("pre-flight checks not passed") == pytest.approx(30000, abs=41)
     bench.run(200)
-    assert bench.onboard.state == ("pre-flight checks passed" if platform.firmware.needs_arming else "ready to fly")
+    assert bench.onboard.state == (
+        "pre-flight checks passed" if platform.firmware.needs_arming else "ready to fly"
+    )
 
 
 def test_a_brushless_drone_needs_arming_and_its_motors_wait():
@@ -160,7 +168,9 @@ def test_disarming_in_flight_cuts_and_resets():
 def test_tumbling_crashes_a_flying_drone_and_recovery_needs_it_upright(z, after):
     bench = Bench().fly()
     ms = bench.until("crashed", send=bench.push, z=z)
-    assert after < ms < after + 100  # the accelerometer's low-pass, the supervisor's 40 ms
+    assert (
+        after < ms < after + 100
+    )  # the accelerometer's low-pass, the supervisor's 40 ms
     bench.run(2, z=z)
     assert not bench.turning
     assert not bench.onboard.recover()

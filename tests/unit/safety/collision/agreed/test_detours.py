@@ -14,11 +14,15 @@ DOWN = np.array([0.0, 0.0, 0.6, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 def options(start, goal):
     aim = Aim(np.array(goal), 1.0, 0.8, (), np.ones(4))
-    return Detours(1.0, 0.8, FENCE, np.random.default_rng(1)).options(start, aim, np.inf)
+    return Detours(1.0, 0.8, FENCE, np.random.default_rng(1)).options(
+        start, aim, np.inf
+    )
 
 
 def lowest(option):
-    return min(moving(option.way, t)[2] for t in np.linspace(0.0, seconds(option.way), 300))
+    return min(
+        moving(option.way, t)[2] for t in np.linspace(0.0, seconds(option.way), 300)
+    )
 
 
 @pytest.mark.parametrize("z", [0.6, 1.0])
@@ -36,13 +40,21 @@ def test_no_way_goes_into_the_floor_though_the_drone_dives(speed):
     start = DOWN.copy()
     start[5] = -speed
     assert end(braking(start, 0.8))[2] < 0.1
-    assert all(lowest(option) >= 0.1 - 0.005 for option in options(start, (2.5, 0.0, 1.0)))
+    assert all(
+        lowest(option) >= 0.1 - 0.005 for option in options(start, (2.5, 0.0, 1.0))
+    )
 
 
 def test_ways_keep_off_the_sides_of_the_fence():
     start = np.array([-2.8, 0.0, 2.3, *np.zeros(9)])
     for option in options(start, (2.8, 0.0, 2.3)):
-        assert max(moving(option.way, t)[2] for t in np.linspace(0.0, seconds(option.way), 300)) <= 2.4 + 0.005
+        assert (
+            max(
+                moving(option.way, t)[2]
+                for t in np.linspace(0.0, seconds(option.way), 300)
+            )
+            <= 2.4 + 0.005
+        )
 
 
 def test_a_goal_below_the_fence_is_flown_to():

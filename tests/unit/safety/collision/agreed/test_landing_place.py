@@ -14,12 +14,17 @@ def test_it_is_the_nearest_that_is_far_enough_from_all():
     assert nearest_free(P, np.array([[0.5, 0.0, 0.4]]), HALL) == pytest.approx(P)
     place = nearest_free(P, np.array([[0.1, 0.0, 0.4]]), HALL)
     assert place == pytest.approx([-0.3, 0.0, 0.3])
-    others = np.array([[0.0, 0.0, 0.4], [-0.4, 0.0, 0.4], [0.4, 0.0, 0.4], [0.0, 0.4, 0.4]])
+    others = np.array(
+        [[0.0, 0.0, 0.4], [-0.4, 0.0, 0.4], [0.4, 0.0, 0.4], [0.0, 0.4, 0.4]]
+    )
     place = nearest_free(P, others, HALL)
     assert all(np.hypot(*(place[0:2] - other[0:2])) >= other[2] for other in others)
     assert np.linalg.norm(place[0:2]) == pytest.approx(0.4)
 
 
 def test_it_is_inside_the_fence_or_nowhere():
-    assert nearest_free(np.array([0.9, 0.0, 0.3]), np.array([[0.8, 0.0, 0.5]]), HALL)[0] <= 0.9
+    assert (
+        nearest_free(np.array([0.9, 0.0, 0.3]), np.array([[0.8, 0.0, 0.5]]), HALL)[0]
+        <= 0.9
+    )
     assert nearest_free(P, np.array([[0.0, 0.0, 9.0]]), HALL) is None

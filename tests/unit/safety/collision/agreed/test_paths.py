@@ -8,7 +8,16 @@ import pytest
 from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.safety.collision.agreed.meeting import Meeting
-from crazychoir.safety.collision.agreed.paths import braking, end, flight, hold, keeping_up, leaves, moving, seconds
+from crazychoir.safety.collision.agreed.paths import (
+    braking,
+    end,
+    flight,
+    hold,
+    keeping_up,
+    leaves,
+    moving,
+    seconds,
+)
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard
 
@@ -30,7 +39,9 @@ def planned(onboard, ms):
     for _ in range(ms // 10):
         loop.run(onboard.rows, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, GRAVITY)
         t = 1e-3 * float((onboard.record["tick"] - 1) // 10 * 10)
-        out.append((t - begin, np.array([float(onboard.record["wanted"][c]) for c in "xyz"])))
+        out.append(
+            (t - begin, np.array([float(onboard.record["wanted"][c]) for c in "xyz"]))
+        )
     return out
 
 
@@ -62,11 +73,16 @@ def test_a_flight_keeps_the_limits_and_arrives_at_rest(v):
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() <= 2.3
     assert flown[0] == pytest.approx(start, abs=1e-9)
     assert end(way) == pytest.approx([2.0, -1.0, 1.5])
-    assert moving(way, seconds(way) - 1e-9)[3:12] == pytest.approx(np.zeros(9), abs=1e-5)
+    assert moving(way, seconds(way) - 1e-9)[3:12] == pytest.approx(
+        np.zeros(9), abs=1e-5
+    )
 
 
 def test_a_motion_is_the_derivative_of_the_one_before():
-    way, h = flight(np.linspace(0.1, 1.2, 12), np.array([2.0, 0.0, 1.0]), 1.0, 2.0), 1e-5
+    way, h = (
+        flight(np.linspace(0.1, 1.2, 12), np.array([2.0, 0.0, 1.0]), 1.0, 2.0),
+        1e-5,
+    )
     for t in (0.3, 0.9, 0.6 * seconds(way)):
         slope = (moving(way, t + h) - moving(way, t - h)) / (2.0 * h)
         assert moving(way, t)[3:12] == pytest.approx(slope[0:9], abs=1e-5)
@@ -98,7 +114,11 @@ def met(way, others, began=0.0, now=0.0):
 def brute(way, other, began, other_began, until):
     """The first time at which the scaled distance is too small, looked at every ms."""
     for t in np.arange(max(began, other_began), until, 1e-3):
-        d = (moving(way, t - began)[0:3] - moving(other, t - other_began)[0:3]) * [1.0, 1.0, 0.4]
+        d = (moving(way, t - began)[0:3] - moving(other, t - other_began)[0:3]) * [
+            1.0,
+            1.0,
+            0.4,
+        ]
         if np.linalg.norm(d) < FIGURES[2]:
             return t
     return math.inf
@@ -117,7 +137,9 @@ def test_one_meets_another_that_stays_and_passes_high_above_it():
     low = hold(np.array([0.0, 0.0, 0.5]), 0.0)
     assert met(straight((-1, 0, 0.6), (1, 0, 0.6)), [(low, 0.0)])[1] == 7
     assert met(straight((-1, 0, 1.4), (1, 0, 1.4)), [(low, 0.0)])[1] is None
-    assert met(straight((-1, 0, 1.2), (1, 0, 1.2)), [(low, 0.0)])[1] == 7, "0.7 m count for 0.28"
+    assert met(straight((-1, 0, 1.2), (1, 0, 1.2)), [(low, 0.0)])[1] == 7, (
+        "0.7 m count for 0.28"
+    )
 
 
 def test_what_is_over_is_no_meeting():
@@ -153,7 +175,9 @@ def test_one_that_is_silent_may_be_anywhere_on_its_way():
     meeting.somewhere(4, way, 0.0, 1.0)
     assert not meeting.clear(through, 9.0, 9.0), "though it should be long past"
     assert met(through, [(way, 0.0)], began=9.0, now=9.0)[1] is None
-    assert meeting.clear(straight((-1, -1, 1), (0, -1.6, 1)), 9.0, 9.0), "that it had left before"
+    assert meeting.clear(straight((-1, -1, 1), (0, -1.6, 1)), 9.0, 9.0), (
+        "that it had left before"
+    )
 
 
 def test_a_silent_one_that_has_come_to_rest_is_still_there():
@@ -165,7 +189,11 @@ def test_a_silent_one_that_has_come_to_rest_is_still_there():
 
 
 def test_one_that_may_have_come_down_is_anywhere_below():
-    meeting, over, under = Meeting(FIGURES, 2.0), straight((-1, 0, 2), (1, 0, 2)), straight((-1, 0, 0.3), (1, 0, 0.3))
+    meeting, over, under = (
+        Meeting(FIGURES, 2.0),
+        straight((-1, 0, 2), (1, 0, 2)),
+        straight((-1, 0, 0.3), (1, 0, 0.3)),
+    )
     meeting.way(4, hold(np.array([0.0, 0.0, 1.2]), 0.0), -math.inf)
     assert meeting.clear(under, 0.0, 0.0)
     meeting = Meeting(FIGURES, 2.0)
@@ -179,7 +207,9 @@ def test_a_way_leaves_a_box_wherever_it_is_outside():
     assert not leaves(straight((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0)), low, high)
     assert leaves(straight((0.0, 0.0, 1.0), (0.0, 1.1, 1.0)), low, high)
     middle, below = (0.0, 0.0, 1.0), (0.0, 0.0, -0.2)
-    assert leaves(np.concatenate([straight(middle, below), straight(below, middle)]), low, high)
+    assert leaves(
+        np.concatenate([straight(middle, below), straight(below, middle)]), low, high
+    )
 
 
 def test_who_accelerates_comes_to_rest_without_flying_much_faster():

@@ -17,7 +17,14 @@ from crazychoir.planning.figure import circle
 from crazychoir.runtime.clock import SECOND
 from crazychoir.safety.collision.agreed.agreement import NO_WAY, NOWHERE
 from crazychoir.safety.collision.agreed.obstacles import UNANSWERED
-from crazychoir.safety.collision.agreed.paths import end, flight, hardest, hold, moving, seconds
+from crazychoir.safety.collision.agreed.paths import (
+    end,
+    flight,
+    hardest,
+    hold,
+    moving,
+    seconds,
+)
 from crazychoir.safety.collision.agreed.planned import ASKING, PERIOD, PlannedFlights
 from crazychoir.safety.collision.neighbour_table import Traffic
 from crazychoir.safety.rules.guard import Fence
@@ -36,8 +43,13 @@ class Flier:
         port = bus.ports[i]
         self.port, self.id = port, i
         traffic = Traffic(port, ids, planners)
-        self.filter = PlannedFlights(port, Collision(), traffic, planners, FENCE, 2.0, 1.0, 0.0)
-        self.at, self.goal = np.array(at, dtype=float), np.array(at if goal is None else goal, dtype=float)
+        self.filter = PlannedFlights(
+            port, Collision(), traffic, planners, FENCE, 2.0, 1.0, 0.0
+        )
+        self.at, self.goal = (
+            np.array(at, dtype=float),
+            np.array(at if goal is None else goal, dtype=float),
+        )
         self.track, self.flies, self.v, self.lands = [], True, np.zeros(3), False
 
     def tick(self, now):
@@ -45,7 +57,9 @@ class Flier:
         if self.flies:
             wanted = FullState.at(self.goal)
             state = State.at(self.at, self.v)
-            flown = self.filter.fly(state, self.wanted(), lambda later: wanted, 0.0, now, self.lands)
+            flown = self.filter.fly(
+                state, self.wanted(), lambda later: wanted, 0.0, now, self.lands
+            )
             self.at, self.v = flown.p.copy(), flown.v.copy()
         self.track.append(self.at.copy())
 
@@ -168,15 +182,23 @@ async def test_a_stream_that_begins_at_full_speed_is_caught_up_with_gently(clock
     drones[0].filter.fly(State.at(A), stream, partial(ahead, stream), 0.0, now)
     way = drones[0].filter.agreement.way
     assert end(way)[0] > A[0] + 0.8
-    assert hardest(way) < 2.0, "a harder one is flown less exactly than the others take it to be"
+    assert hardest(way) < 2.0, (
+        "a harder one is flown less exactly than the others take it to be"
+    )
 
 
 @virtual
-async def test_six_that_swap_across_a_circle_arrive_though_messages_are_lost_in_bursts(clock):
+async def test_six_that_swap_across_a_circle_arrive_though_messages_are_lost_in_bursts(
+    clock,
+):
     angles = np.pi / 3.0 * np.arange(6)
-    spots = np.column_stack([1.5 * np.cos(angles), 1.5 * np.sin(angles), np.full(6, 1.0)])
+    spots = np.column_stack(
+        [1.5 * np.cos(angles), 1.5 * np.sin(angles), np.full(6, 1.0)]
+    )
     burst = {"p_good_bad": 0.0278, "p_bad_good": 0.25}
-    _, drones = crowd(clock, *((spots[k], spots[(k + 3) % 6]) for k in range(6)), rules=[burst])
+    _, drones = crowd(
+        clock, *((spots[k], spots[(k + 3) % 6]) for k in range(6)), rules=[burst]
+    )
     await fly(clock, drones, 25.0)
     for k, drone in enumerate(drones):
         assert drone.at == pytest.approx(spots[(k + 3) % 6], abs=1e-3)
@@ -234,7 +256,9 @@ async def test_only_offers_that_are_clear_are_agreed_to(clock):
 
 
 @virtual
-async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_not_flown(clock):
+async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_not_flown(
+    clock,
+):
     _, drones = crowd(clock, (A,), (B,))
     await fly(clock, drones, 0.5)
     low, high = (drone.filter.agreement for drone in drones)
@@ -244,7 +268,9 @@ async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_
     drones[0].tick(clock.now())
     drones[0].goal = place.copy()
     await fly(clock, drones[:1], 2.0)
-    assert np.linalg.norm(drones[0].at - place) > 0.33, "nothing more is heard of it: it may be there"
+    assert np.linalg.norm(drones[0].at - place) > 0.33, (
+        "nothing more is heard of it: it may be there"
+    )
     assert low.may_be_flown(low.others[1])
     drones[1].filter.agreement.offer = NO_WAY
     await fly(clock, drones, 8.0)
@@ -268,7 +294,10 @@ async def test_it_brakes_before_a_stranger_who_comes_in_its_way(clock):
     for k in range(100):
         drones[1].at = np.array([max(drones[0].at[0] + 0.6, 0.4 - 0.001 * k), 0.0, 1.0])
         await fly(clock, drones, TICK)
-    assert min(np.linalg.norm((np.array(drones[0].track) - drones[1].track)[190:], axis=1)) > 0.3
+    assert (
+        min(np.linalg.norm((np.array(drones[0].track) - drones[1].track)[190:], axis=1))
+        > 0.3
+    )
 
 
 @virtual
@@ -278,7 +307,9 @@ async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
     lands, now = drones[1], clock.now()
     lands.goal = lands.at - [0.0, 0.0, 0.5]
     assert lands.filter.hears(State.at(A), now)
-    assert not lands.filter.hears(State(State.at(A).flat, 1.0), now), "who is not seen does not know where it is"
+    assert not lands.filter.hears(State(State.at(A).flat, 1.0), now), (
+        "who is not seen does not know where it is"
+    )
     await fly(clock, drones[1:], 1.5)
     now = clock.now()
     assert not lands.filter.hears(State.at(A), now)
@@ -286,7 +317,9 @@ async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
     assert lands.filter.lands(lands.wanted(), now).p.tolist() == lands.goal.tolist()
     assert not lands.filter.delayed
     lands.filter.lands(lands.wanted(), now + PERIOD)
-    assert math.dist(end(lands.filter.agreement.way), lands.goal) < 0.01, "that is what the others hear"
+    assert math.dist(end(lands.filter.agreement.way), lands.goal) < 0.01, (
+        "that is what the others hear"
+    )
 
 
 @virtual
@@ -320,7 +353,9 @@ async def test_plans_that_are_none_are_not_believed(clock):
 
 def parted(bus, clock, *edges):
     """From now on nothing that is said over these edges arrives."""
-    deaf = Impairment(1, [Rule({"loss": 1.0}, edge=edge, directed=True) for edge in edges])
+    deaf = Impairment(
+        1, [Rule({"loss": 1.0}, edge=edge, directed=True) for edge in edges]
+    )
     bus.impairment = deaf
     deaf.begin(clock.now())
 
@@ -356,12 +391,16 @@ async def test_who_says_that_it_is_on_the_ground_is_asked_no_more(clock):
 
 
 @virtual
-async def test_one_that_lands_and_hears_nothing_waits_for_an_answer_some_seconds_only(clock):
+async def test_one_that_lands_and_hears_nothing_waits_for_an_answer_some_seconds_only(
+    clock,
+):
     await lands_unanswered(clock, (0, 1))
 
 
 @virtual
-async def test_one_that_lands_and_is_not_heard_waits_for_an_answer_some_seconds_only(clock):
+async def test_one_that_lands_and_is_not_heard_waits_for_an_answer_some_seconds_only(
+    clock,
+):
     await lands_unanswered(clock, (1, 0))
 
 
@@ -392,7 +431,9 @@ async def test_one_that_lands_unanswered_still_keeps_clear_of_what_it_knows(cloc
 
 
 @virtual
-async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_started_again(clock):
+async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_started_again(
+    clock,
+):
     bus, drones = crowd(clock, (A,), (B,))
     await fly(clock, drones, 0.5)
     drones[1].goal = np.array([1.0, 1.0, 1.0])
@@ -407,7 +448,9 @@ async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_start
         assert mine.number != allowed
         mine.tell(clock.now())
         drones[0].tick(clock.now())
-        assert not drones[0].filter.agreement.may_be_flown(drones[0].filter.agreement.others[1])
+        assert not drones[0].filter.agreement.may_be_flown(
+            drones[0].filter.agreement.others[1]
+        )
     assert mine.others[0].agreed[1] != mine.number
 
 
@@ -430,12 +473,18 @@ async def test_who_is_behind_what_moves_does_not_begin_anew_all_the_time(clock):
     drone = drones[0]
     first = drone.filter.agreement.number
     for k in range(500):
-        drone.leads = FullState.at([min(-1.5 + 0.008 * k, 2.0), 0.0, 1.0], [0.8 * (k < 438), 0.0, 0.0])
+        drone.leads = FullState.at(
+            [min(-1.5 + 0.008 * k, 2.0), 0.0, 1.0], [0.8 * (k < 438), 0.0, 0.0]
+        )
         await clock.sleep(TICK)
         now = clock.now_ns() / SECOND
         p, v = drone.leads.p, drone.leads.v
         flown = drone.filter.fly(
-            State.at(drone.at, drone.v), drone.leads, lambda later, p=p, v=v: FullState.at(p + later * v, v), 0.0, now
+            State.at(drone.at, drone.v),
+            drone.leads,
+            lambda later, p=p, v=v: FullState.at(p + later * v, v),
+            0.0,
+            now,
         )
         drone.at, drone.v = flown.p.copy(), flown.v.copy()
     assert drone.filter.agreement.number - first <= 20
@@ -443,17 +492,23 @@ async def test_who_is_behind_what_moves_does_not_begin_anew_all_the_time(clock):
 
 
 @virtual
-async def test_what_waits_for_a_drone_that_rests_a_little_ahead_of_it_is_flown_on(clock):
+async def test_what_waits_for_a_drone_that_rests_a_little_ahead_of_it_is_flown_on(
+    clock,
+):
     way = circle((0.0, 0.0, 1.0), 0.3, 8.0)
     for lead, others in ((0.2, ()), (0.3, ()), (0.4, ()), (0.3, ((1.2, 0.0, 1.0),))):
-        _, (drone, *rest) = crowd(clock, (way.sample(6.0 + lead).p,), *([place] for place in others))
+        _, (drone, *rest) = crowd(
+            clock, (way.sample(6.0 + lead).p,), *([place] for place in others)
+        )
         await fly(clock, [drone, *rest], 1.0)
         t = 6.0
         for _ in range(900):
             await fly(clock, rest, TICK) if rest else await clock.sleep(TICK)
             state, wanted = State.at(drone.at, drone.v), partial(later_of, way, t)
             drone.port.publish(STATE, state)
-            flown = drone.filter.fly(state, wanted(0.0), wanted, 0.0, clock.now(), waits=True)
+            flown = drone.filter.fly(
+                state, wanted(0.0), wanted, 0.0, clock.now(), waits=True
+            )
             drone.at, drone.v = flown.p.copy(), flown.v.copy()
             t += 0.0 if drone.filter.delayed else TICK
         assert t > 12.0, (lead, others)
@@ -461,7 +516,9 @@ async def test_what_waits_for_a_drone_that_rests_a_little_ahead_of_it_is_flown_o
 
 @virtual
 async def test_who_brakes_unasked_begins_to_once(clock):
-    bus, drones = crowd(clock, ((-1.0, 2.5, 1.0),), (A, B), ((0.0, 2.5, 2.0),), planners=[0, 1])
+    bus, drones = crowd(
+        clock, ((-1.0, 2.5, 1.0),), (A, B), ((0.0, 2.5, 2.0),), planners=[0, 1]
+    )
     drones[2].flies = False
     await fly(clock, drones, 1.5)
     one = drones[1]
@@ -479,7 +536,9 @@ async def test_who_brakes_unasked_begins_to_once(clock):
 
 
 @virtual
-async def test_where_a_drone_is_whose_radio_is_silent_counts_whatever_way_its_agent_tells(clock):
+async def test_where_a_drone_is_whose_radio_is_silent_counts_whatever_way_its_agent_tells(
+    clock,
+):
     """It says that it rests at the side; the cameras see it in the middle."""
     for silence, clear in ((0.0, False), (1.0, True)):
         _, drones = crowd(clock, (A, B), ((0.0, 2.5, 1.0),))
@@ -490,5 +549,7 @@ async def test_where_a_drone_is_whose_radio_is_silent_counts_whatever_way_its_ag
             elsewhere.tick(clock.now_ns() / SECOND)
             goes.filter.traffic.hear((1, State.at((0.0, 0.0, 1.0))), 0.0)
             goes.tick(clock.now_ns() / SECOND)
-        d = np.linalg.norm((np.array(goes.track) - [0.0, 0.0, 1.0]) * [1.0, 1.0, 0.4], axis=1).min()
+        d = np.linalg.norm(
+            (np.array(goes.track) - [0.0, 0.0, 1.0]) * [1.0, 1.0, 0.4], axis=1
+        ).min()
         assert bool(d > 0.3) is clear, d

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from crazychoir.safety.collision.agreed.rest_goal import AWAITED, NEAR, REST, UNENDED, Aim
+from crazychoir.safety.collision.agreed.rest_goal import (
+    AWAITED,
+    NEAR,
+    REST,
+    UNENDED,
+    Aim,
+)
 
 GOAL, PLACE = np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
 FIGURES = np.array([1.0, 0.4, 0.34, 0.15])
@@ -16,7 +22,9 @@ def aim(*awaited):
 def test_at_the_goal_it_costs_nothing_and_near_it_what_a_flight_there_takes():
     near = GOAL + np.array([0.04, 0.0, 0.0])
     assert aim().missing(GOAL) == 0.0
-    assert aim().missing(near) == pytest.approx(np.sqrt(84.0 * np.sqrt(5.0) / 25.0 * 0.04 / 0.8))
+    assert aim().missing(near) == pytest.approx(
+        np.sqrt(84.0 * np.sqrt(5.0) / 25.0 * 0.04 / 0.8)
+    )
 
 
 def test_elsewhere_it_costs_more_than_the_flight_that_is_left():
@@ -26,10 +34,13 @@ def test_elsewhere_it_costs_more_than_the_flight_that_is_left():
 
 
 @pytest.mark.parametrize(
-    ("offset", "extra"), [((0.3, 0.0, 0.0), AWAITED), ((0.4, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.8), AWAITED)]
+    ("offset", "extra"),
+    [((0.3, 0.0, 0.0), AWAITED), ((0.4, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.8), AWAITED)],
 )
 def test_where_another_waits_to_come_to_it_costs_more(offset, extra):
-    assert aim(PLACE + np.array(offset)).missing(PLACE) - aim().missing(PLACE) == pytest.approx(extra)
+    assert aim(PLACE + np.array(offset)).missing(PLACE) - aim().missing(
+        PLACE
+    ) == pytest.approx(extra)
 
 
 def test_the_own_goal_costs_nothing_though_another_waits_for_it():
