@@ -525,11 +525,12 @@ def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int
 
 def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
     """Rounds until all have heard of `start`, which begins in round `first`."""
-    reached = {start}
+    reached = {start: None}  # in order, as a set would not be
     k = first
     while len(reached) < len(graphs.ids):
         graph = graphs.at(k)
-        reached.update(*[graph.out_neighbors(i) for i in reached])
+        for i in list(reached):
+            reached.update(dict.fromkeys(graph.out_neighbors(i)))
         k += 1
     return k - first
 
