@@ -146,19 +146,19 @@ def _rows(graphs: tuple[str, ...]) -> list[Row]:
     for graph in graphs:
         for n in (10, 30):
             for processes in (1, 2, n):
-                rows.append(Row("crazychoir", "peers_crazychoir", graph, n, processes))
+                rows.append(Row("crazychoir", "crazychoir_peer", graph, n, processes))
             for processes in (2, n):
                 rows.append(
                     Row(
                         "cyclonedds",
-                        "peers_cyclonedds",
+                        "cyclonedds_peer",
                         graph,
                         n,
                         processes,
                         "cyclonedds",
                     )
                 )
-            mpi = Row("mpi4py-pickle", "peers_mpi4py", graph, n, n, "mpi4py")
+            mpi = Row("mpi4py-pickle", "mpi4py_peer", graph, n, n, "mpi4py")
             if n > cores:
                 mpi.note = f"MPI polls: it collapses with more ranks ({n}) than cores ({cores})"
             rows.append(mpi)
@@ -267,6 +267,6 @@ def _python(row: Row, specification: dict[str, Any]) -> list[str]:
         "-c",
         BARE,
         str(PACKAGE),
-        f"crazychoir.cli.{row.module}",
+        f"crazychoir.bench.peers.{row.module}",
         json.dumps(specification),
     ]

@@ -58,13 +58,13 @@ def _rows(agents: tuple[int, ...]) -> list[Row]:
         for algorithm in ALGORITHMS:
             options = {"algorithm": algorithm}
             rows += [
-                Row("crazychoir", "peers_rounds", "ring", n, p, options=options)
+                Row("crazychoir", "rounds", "ring", n, p, options=options)
                 for p in (1, 2)
             ]
             rows.append(
                 Row(
                     PATTERN,
-                    "peers_mpi4py_rounds",
+                    "mpi4py_rounds",
                     "ring",
                     n,
                     n,

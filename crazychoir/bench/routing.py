@@ -71,13 +71,13 @@ class Peer:
 
 PEERS = (
     Peer(
-        "VROOM", "peers_vroom", "vroom", {"exploration": 5, "threads": 2, "restarts": 5}
+        "VROOM", "vroom_peer", "vroom", {"exploration": 5, "threads": 2, "restarts": 5}
     ),
-    Peer("OR-tools", "peers_ortools", "ortools", {"seconds": 10.0}),
-    Peer("arc-flow MILP", "peers_compact", "", {"nodes": 20_000}, ("tiny",)),
+    Peer("OR-tools", "ortools_peer", "ortools", {"seconds": 10.0}),
+    Peer("arc-flow MILP", "compact", "", {"nodes": 20_000}, ("tiny",)),
     Peer(
         "DISROPT's rule",
-        "peers_disropt",
+        "disropt_peer",
         "",
         {"rounds": 100},
         ("tiny", "small", "middle"),
@@ -261,7 +261,7 @@ def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[st
             "-c",
             BARE,
             str(PACKAGE),
-            f"crazychoir.cli.{peer.module}",
+            f"crazychoir.bench.peers.{peer.module}",
             spec,
         ]
         try:

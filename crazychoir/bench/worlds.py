@@ -119,7 +119,7 @@ def in_crazyflow(n: int, calls: int) -> float:
     """s of a step of crazyflow, in a process of its own; raises ModuleNotFoundError."""
     if importlib.util.find_spec("crazyflow") is None:
         raise ModuleNotFoundError("crazyflow")
-    program = Path(__file__).with_name("peers_crazyflow.py")
+    program = Path(__file__).with_name("peers") / "crazyflow_peer.py"
     words = [sys.executable, str(program), *map(str, (n, calls, REPEATS))]
     done = subprocess.run(
         words,

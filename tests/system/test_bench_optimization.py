@@ -7,7 +7,7 @@ import pytest
 from crazychoir.bench.exchange import Row, measure
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
-PROGRAMS = [("peers_rounds", "", 2), ("peers_mpi4py_rounds", "mpi4py", 3)]
+PROGRAMS = [("rounds", "", 2), ("mpi4py_rounds", "mpi4py", 3)]
 
 
 @pytest.mark.parametrize("algorithm", ["consensus", "dual decomposition"])

@@ -264,7 +264,7 @@ def test_all_are_made_as_the_readme_says(repository):
     ]
     table_of_all = text.split("\n| there | here |")[1].split("\n\n")[0]
     made = {}
-    for path in re.findall(r"in `(optimization/\w+)\.py`", table_of_all):
+    for path in re.findall(r"in `(optimization/[\w/]+)\.py`", table_of_all):
         module = importlib.import_module("crazychoir." + path.replace("/", "."))
         named = (
             getattr(module, name, None) for name in re.findall(r"`(\w+)", table_of_all)

@@ -19,7 +19,7 @@ ROOMS = {
     ),
     "mocap": ("crazychoir/mocap/reader.py",),
     "ros2": ("crazychoir/recording/ros/rmw_zenoh.py",),
-    "bench": ("crazychoir/cli/bench", "crazychoir/cli/peers"),
+    "bench": ("crazychoir/bench/", "crazychoir/cli/compute/bench"),
 }
 """The files that may import what an extra brings, by the beginnings of their paths."""
 TWINS = {"cvxpy": "cvxpy-base"}

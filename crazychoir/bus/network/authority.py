@@ -22,12 +22,11 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from crazychoir.bus.network import CERTIFICATE_DAYS
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import today
 
 AUTHORITY = "authority"
-DAYS = 825
-"""For which a certificate is good."""
 CERTIFICATE, KEY, ROOT = "certificate.pem", "key.pem", "authority.pem"
 SLACK = datetime.timedelta(minutes=5)
 """By which the clocks of two hosts may differ when a certificate is new."""
@@ -45,7 +44,7 @@ class Holder:
     until: datetime.datetime
 
 
-def init(folder: Path, days: int = DAYS) -> Path:
+def init(folder: Path, days: int = CERTIFICATE_DAYS) -> Path:
     """Make an authority; returns its certificate. Raises ConfigError if there is one."""
     own = folder / AUTHORITY
     if own.exists():
@@ -56,7 +55,7 @@ def init(folder: Path, days: int = DAYS) -> Path:
     return _issue(own, f"crazychoir {os.urandom(4).hex()}", None, days)
 
 
-def add(folder: Path, host: str, days: int = DAYS) -> Path:
+def add(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> Path:
     """Give a host a certificate; returns the folder that belongs on it. Raises ConfigError."""
     if not NAME.fullmatch(host) or host == AUTHORITY:
         raise ConfigError(
@@ -69,7 +68,7 @@ def add(folder: Path, host: str, days: int = DAYS) -> Path:
     return folder / host
 
 
-def revoke(folder: Path, host: str, days: int = DAYS) -> list[str]:
+def revoke(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
     """Take out a host: the others get a new authority and new certificates; returns their names. Raises ConfigError.
 
     What was there is replaced as a whole: where it fails, all is as it was.

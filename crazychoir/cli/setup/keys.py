@@ -6,7 +6,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.table import Table
 
-from crazychoir.bus.network.authority import DAYS
+from crazychoir.bus.network import CERTIFICATE_DAYS
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import STDOUT, fail, write_json
@@ -28,7 +28,9 @@ NEXT = "It counts for a process from its next start: copy each folder to its hos
 
 
 @app.command()
-def init(folder: Folder = HERE, days: Days = DAYS, as_json: Json = False) -> None:
+def init(
+    folder: Folder = HERE, days: Days = CERTIFICATE_DAYS, as_json: Json = False
+) -> None:
     """Make an authority, once for a lab; its key stays on this machine."""
     from crazychoir.bus.network import authority
 
@@ -50,7 +52,7 @@ def add(
         typer.Argument(help="Its name, as in the table hosts or security.operators."),
     ],
     folder: Folder = HERE,
-    days: Days = DAYS,
+    days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
 ) -> None:
     """Give a host, or an operator, a certificate."""
@@ -68,7 +70,7 @@ def add(
 def revoke(
     host: Annotated[str, typer.Argument(help="Who is to be kept out.")],
     folder: Folder = HERE,
-    days: Days = DAYS,
+    days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
 ) -> None:
     """Take a host out: all others get a new authority and new certificates, which count from their next start."""

@@ -26,7 +26,10 @@ HEAVY = {
 
 @pytest.mark.parametrize(
     "module",
-    [f"crazychoir.cli.{name}" for name in ("crazychoir", "agent", "world", "mocap")],
+    [
+        f"crazychoir.cli.{name}"
+        for name in ("main", "fly.agent", "fly.world", "fly.mocap")
+    ],
 )
 def test_a_command_line_starts_without_what_is_heavy(module):
     program = f"import sys, json, {module}; print(json.dumps(list(sys.modules)))"

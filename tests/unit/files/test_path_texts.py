@@ -149,11 +149,12 @@ def test_the_consoles_are_made_in_one_place_and_print_names_as_they_are():
         r"from rich\.console import [^\n]*\bConsole\b|from_markup|from rich import print"
     )
     sources = {
-        path.name: path.read_text(encoding="utf-8")
-        for path in (PACKAGE / "cli").glob("*.py")
+        path.relative_to(PACKAGE).as_posix(): path.read_text(encoding="utf-8")
+        for room in ("cli", "bench", "launch")
+        for path in (PACKAGE / room).rglob("*.py")
     }
     assert [name for name, source in sources.items() if makes.search(source)] == [
-        "show.py"
+        "launch/console.py"
     ]
     for console in (STDERR, STDOUT):
         assert (

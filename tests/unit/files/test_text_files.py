@@ -20,7 +20,7 @@ from crazychoir.radio.protocol.addresses import read_text as read_addresses
 from crazychoir.routing.instance.instance import Instance
 
 MARK = codecs.BOM_UTF8
-LI_LIM = Path(__file__).parents[1] / "data" / "li_lim_small.txt"
+LI_LIM = Path(__file__).parents[2] / "data" / "li_lim_small.txt"
 INSTANCE = {
     "home": [[0, 0]],
     "pickup": [[1, 0]],

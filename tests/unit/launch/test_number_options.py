@@ -11,7 +11,14 @@ from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.number_options import Real, Whole, finite_numbers
 
-PROGRAMS = ("crazychoir", "agent", "mocap", "radios", "world", "bench")
+PROGRAMS = (
+    "main",
+    "fly.agent",
+    "fly.mocap",
+    "fly.radio_owner",
+    "fly.world",
+    "compute.bench",
+)
 COMMANDS = {
     program: typer.main.get_command(
         importlib.import_module(f"crazychoir.cli.{program}").app

@@ -67,22 +67,22 @@ def test_a_law_that_waits_is_compiled_for_its_own_types_alone_when_it_is_called(
     [
         (
             NOT_RIGID,
-            ("crazychoir", "run", "{file}", "--fast"),
+            ("main", "run", "{file}", "--fast"),
             "all bearings of drone 3 are parallel",
         ),
         (
             NOT_RIGID,
-            ("agent", "--swarm", "{file}", "--id", "0"),
+            ("fly.agent", "--swarm", "{file}", "--id", "0"),
             "all bearings of drone 3 are parallel",
         ),
-        (GOOD, ("agent", "--swarm", "{file}", "--id", "7"), "found drone 7"),
+        (GOOD, ("fly.agent", "--swarm", "{file}", "--id", "7"), "found drone 7"),
         (
             GOOD.replace("[0, 0, 0]", "[9, 0, 0]"),
-            ("crazychoir", "run", "{file}"),
+            ("main", "run", "{file}"),
             "outside the fence",
         ),
-        (GOOD, ("crazychoir", "run", "{file}", "--only", "3"), "--only"),
-        (ALGORITHM, ("crazychoir", "simulate", "{file}"), "without message, step"),
+        (GOOD, ("main", "run", "{file}", "--only", "3"), "--only"),
+        (ALGORITHM, ("main", "simulate", "{file}"), "without message, step"),
     ],
 )
 def test_what_is_wrong_with_a_swarm_is_said_before_any_law_is_compiled(

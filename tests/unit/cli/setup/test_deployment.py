@@ -19,11 +19,11 @@ from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.processes import patience
 
 PROGRAMS = {
-    "crazychoir": "crazychoir",
-    "crazychoir-agent": "agent",
-    "crazychoir-world": "world",
-    "crazychoir-mocap": "mocap",
-    "crazychoir-radio": "radios",
+    "crazychoir": "main",
+    "crazychoir-agent": "fly.agent",
+    "crazychoir-world": "fly.world",
+    "crazychoir-mocap": "fly.mocap",
+    "crazychoir-radio": "fly.radio_owner",
 }
 UNITS = ("agent@", "world", "mocap", "radio@", "router")
 

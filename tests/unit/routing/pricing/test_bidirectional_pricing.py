@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.unit.routing.test_vehicle_routes import vehicle_of
 
 from crazychoir.errors import InstanceError
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.pricing.bidirectional_pricing import Halves
 from crazychoir.routing.pricing.reduced_cost import least_reduced_cost
 from crazychoir.routing.pricing.route_table import RouteTable
+from tests.unit.routing.instance.test_vehicle_routes import vehicle_of
 
 
 @pytest.mark.parametrize("kind", ["limit", "open limit", "matrix limit"])

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.unit.routing.test_vehicle_routes import KINDS, vehicle_of
 
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.vehicle import Vehicle
@@ -11,6 +10,7 @@ from crazychoir.routing.pricing.reduced_cost import (
     relaxed_reduced_cost,
 )
 from crazychoir.routing.pricing.route_table import RouteTable
+from tests.unit.routing.instance.test_vehicle_routes import KINDS, vehicle_of
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -16,7 +16,7 @@ from crazychoir.routing.pricing.route_table import RouteTable
 from crazychoir.routing.search.search import Search, search
 
 SLACK = 1e-6
-LI_LIM = Path(__file__).parents[4] / "shared" / "data" / "lilim"
+LI_LIM = Path(__file__).parents[5] / "shared" / "data" / "lilim"
 
 
 def flown(v, route, left=()):
