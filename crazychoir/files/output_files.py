@@ -5,12 +5,13 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from crazychoir.errors import ConfigError
 
+LONGEST_SUFFIX = 64  # characters of a suffix that a temporary name keeps
 PROBE = b"\0" * 4096
 """Written into a new place and taken away again: a full disk makes files, but does not fill them."""
 
@@ -66,23 +67,6 @@ def require_writable_folder(path: str | Path, option: str) -> None:
         ) from error
 
 
-def require_different(paths: Mapping[str, Path | None]) -> None:
-    """Raise ConfigError where two options name the same file. paths: by option."""
-    seen: dict[Path, str] = {}
-    for option, path in paths.items():
-        if path is None:
-            continue
-        place = Path(os.path.realpath(path))
-        if place in seen:
-            raise ConfigError(
-                option,
-                str(path),
-                f"another file than that of {seen[place]}",
-                "Name two files.",
-            )
-        seen[place] = option
-
-
 @contextlib.contextmanager
 def written_file(path: str | Path, what: str) -> Iterator[Path]:
     """Yield where to write; the file takes its place when the block ends, unless something is raised in it.
@@ -93,7 +77,7 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
     """
     path = Path(path)
     place = Path(os.path.realpath(path))
-    beside = place.with_name(f".{os.getpid()}.{path.stem[:64]}.new{path.suffix}")
+    beside: Path | None = None
     direct = place.exists() and (
         not place.is_file() or not os.access(place.parent, os.W_OK)
     )
@@ -105,15 +89,41 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
             return
         if place.exists():
             _open_to_write(place)  # a file that its owner has protected stays
+        beside = _new_file_beside(place)
         yield beside
         if place.exists():
             shutil.copymode(place, beside)
-        beside.replace(place)
+        _put(beside, place)
     except OSError as error:
         raise _cannot(what, path, error, "a file that can be written") from error
     finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+        if beside is not None:
+            with contextlib.suppress(OSError):
+                beside.unlink(missing_ok=True)
+
+
+def _new_file_beside(place: Path) -> Path:
+    """Make an empty file in the folder of `place` under a name that was free, with the usual permissions."""
+    suffix = place.suffix if len(place.suffix) <= LONGEST_SUFFIX else ""
+    number, name = tempfile.mkstemp(dir=place.parent, prefix=".", suffix=suffix)
+    mask = os.umask(0)
+    os.umask(mask)
+    os.fchmod(number, 0o666 & ~mask)
+    os.close(number)
+    return Path(name)
+
+
+def _put(new: Path, place: Path) -> None:
+    """Give a new file its place; where the place cannot be replaced, write the content into it.
+
+    A file that is mounted by itself, and another user's file in a sticky folder, can be written but not replaced.
+    """
+    try:
+        new.replace(place)
+    except OSError:
+        if not place.exists():
+            raise
+        shutil.copyfile(new, place)
 
 
 def save_figure(figure: Any, path: str | Path, **options: Any) -> None:

@@ -12,6 +12,7 @@ from crazychoir.files.user_folders import (
     make_private,
     owner_fault,
     private_folder,
+    private_folder_of,
     write_fault,
 )
 
@@ -21,6 +22,15 @@ REMOVE_IT = (
     "alike in every shell and service."
 )
 """What to do where another user, by mistake or on purpose, has taken the place."""
+NAME_ANOTHER = (
+    f"Let {RUNTIME_VARIABLE} name a folder of yours that others cannot use "
+    "(mkdir -m 700 FOLDER), alike in every shell and service."
+)
+"""What to do where the folder was named, and must not be changed or removed."""
+
+
+def _remedy(folder: Path) -> str:
+    return REMOVE_IT if folder == private_folder_of(os.getuid()) else NAME_ANOTHER
 
 
 def runtime_folder() -> Path:
@@ -32,7 +42,7 @@ def runtime_folder() -> Path:
     folder = private_folder()
     fault = make_private(folder)
     if fault:
-        raise ConfigError(str(folder), fault, ALLOWED, REMOVE_IT)
+        raise ConfigError(str(folder), fault, ALLOWED, _remedy(folder))
     return folder
 
 
@@ -44,7 +54,7 @@ def existing_runtime_folder() -> Path | None:
     except FileNotFoundError:
         return None
     if fault:
-        raise ConfigError(str(folder), fault, ALLOWED, REMOVE_IT)
+        raise ConfigError(str(folder), fault, ALLOWED, _remedy(folder))
     return folder
 
 

@@ -115,8 +115,14 @@ def make_private(folder: Path) -> str:
         fault = owner_fault(folder, os.getuid())
         if fault:
             return fault
-        if stat.S_IMODE(folder.lstat().st_mode) != PRIVATE_MODE:
-            folder.chmod(PRIVATE_MODE)
+        mode = stat.S_IMODE(folder.lstat().st_mode)
+        if mode == PRIVATE_MODE:
+            return ""
+        if folder != private_folder_of(
+            os.getuid()
+        ):  # a folder that was named, such as /tmp
+            return f"others may use it, as its mode is {mode:o}"
+        folder.chmod(PRIVATE_MODE)
     return ""
 
 

@@ -17,7 +17,7 @@ from crazychoir.bus.network.hello import VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.config.checks import LOWEST_PORT
-from crazychoir.config.swarm_config import LOCAL, SwarmConfig
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import BASE_PORT
 from crazychoir.errors import ConfigError
 from crazychoir.files.private_folder import scratch_folder
@@ -29,6 +29,7 @@ REPLAY = "Replay"
 """The host of what a recording says: no host of a swarm file can have this name."""
 LOWEST = 10_000
 """Of the ports that are drawn: below it are those of well-known services, and the default base_port."""
+TIME_WAIT = 6  # state of a closed connection, in /proc/net/tcp
 HIGHEST_PORT = 65_535
 ATTEMPTS = 200  # draws below the ports of connections
 FILES_BESIDE, FILES_PER_PROCESS = 256, 4
@@ -180,14 +181,6 @@ def held_ports(
     raise _no_block(len(places))
 
 
-def free_ports(offsets: list[int]) -> int:
-    """A base port such that base + offset is free for each offset now; `held_ports` keeps them free."""
-    for base in _bases(offsets):
-        if all(_free(base + offset) for offset in offsets):
-            return base
-    raise _no_block(len(offsets))
-
-
 def _no_block(count: int) -> ConfigError:
     found = f"no free block for {count} processes"
     return ConfigError(
@@ -226,11 +219,6 @@ def _first_of_connections() -> int:
         return 32_768
 
 
-def _free(port: int) -> bool:
-    with contextlib.ExitStack() as kept:
-        return _held(LOCAL, port, kept)
-
-
 def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
     """Bind a port, until the stack is left; False if it is taken. An address of another machine is not held."""
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
@@ -240,11 +228,28 @@ def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
     except socket.gaierror:
         return True
     except OSError as error:
-        return error.errno == errno.EADDRNOTAVAIL
+        if error.errno == errno.EADDRNOTAVAIL:
+            return True
+        if error.errno != errno.EADDRINUSE or not _is_left_behind(port):
+            return False
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        holder.bind((address, port))
     holder.setsockopt(
         socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
     )  # not before: bound like this it could be shared
     return True
+
+
+def _is_left_behind(port: int) -> bool:
+    """Return whether only closed connections still have the port, as for a minute after a run that used it."""
+    states = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        with contextlib.suppress(OSError):
+            for line in Path(table).read_text(encoding="ascii").splitlines()[1:]:
+                _, local, _, state, *_ = line.split()
+                if int(local.rpartition(":")[2], 16) == port:
+                    states.append(int(state, 16))
+    return bool(states) and all(state == TIME_WAIT for state in states)
 
 
 def _address(endpoint: str) -> str:

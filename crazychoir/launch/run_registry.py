@@ -9,11 +9,14 @@ import fcntl
 import json
 import logging
 import os
+import re
 import stat
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+
+import msgspec
 
 from crazychoir.errors import ConfigError
 from crazychoir.files.private_folder import existing_runtime_folder, runtime_folder
@@ -163,12 +166,24 @@ def _read(path: Path, uid: int) -> Run | None:
             if not stat.S_ISREG(found.st_mode) or found.st_uid != uid:
                 return None
             if _locked(file.fileno()):
-                return Run(**json.loads(file.read(LARGEST_RECORD)))
+                run = msgspec.json.decode(file.read(LARGEST_RECORD), type=Run)
+                return run if _is_sound(run, uid) else None
             if uid == os.getuid():
                 path.unlink()
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, RecursionError, msgspec.MsgspecError):
         pass
     return None
+
+
+def _is_sound(run: Run, uid: int) -> bool:
+    """Return whether a record says what a run of this user may say: plain names, and a regular swarm file."""
+    if not re.fullmatch(r"[\w.-]+", run.swarm) or not run.what.isprintable():
+        return False
+    try:
+        file = os.stat(run.file, follow_symlinks=False)
+    except FileNotFoundError:
+        return True
+    return stat.S_ISREG(file.st_mode) and file.st_uid == uid
 
 
 def _open_file(path: str, flags: int) -> int:

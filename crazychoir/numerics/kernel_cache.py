@@ -394,13 +394,16 @@ class _Store:
 
     def _index(self) -> dict[Any, str]:
         content = self._read(self._index_name)
-        index: dict[Any, str] = {} if content is None else pickle.loads(content)  # noqa: S301 - as above
-        return index
+        index = {} if content is None else pickle.loads(content)  # noqa: S301 - as above
+        return index if isinstance(index, dict) else {}
 
     def _read(self, name: str) -> bytes | None:
         """Return the content of a file, None if it is not there, not ours to read, or damaged."""
         try:
-            content = (self.folder / name).read_bytes()
+            with open(self.folder / name, "rb") as file:
+                if not self._is_trusted(os.fstat(file.fileno())):
+                    return None
+                content = file.read()
         except OSError:
             return None
         check = content[:CHECK_SIZE]
@@ -409,6 +412,18 @@ class _Store:
             self.damaged = True
             return None
         return rest
+
+    def _is_trusted(self, file: os.stat_result) -> bool:
+        """Return whether a file was written by this user, by root or by the owner of the package.
+
+        Reading it runs code: a file of another user, or one that all users may write, is not read.
+        """
+        if sys.platform == "win32":
+            return True
+        package_owner = os.stat(__file__).st_uid
+        return (
+            file.st_uid in (0, os.getuid(), package_owner) and not file.st_mode & 0o002
+        )
 
     def _write(self, name: str, value: Any) -> None:
         """Write a file whole or not at all."""

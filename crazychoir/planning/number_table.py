@@ -128,7 +128,7 @@ def _lines(
                         f"{path}, line {number}", "numbers without names", allowed
                     )
                 separator = separator or _separator(line)
-            rows.append((number, _cells(line, separator)))
+            rows.append((number, _row_cells(line, separator, len(head[1]))))
     if head is None:
         raise TableError(
             f"{path}",
@@ -150,6 +150,13 @@ def _head_in(comments: list[tuple[int, str]], required: Sequence[str]) -> Line |
 def _separator(line: str) -> str:
     """Return what separates the cells of a line; a blank stands for any number of blanks."""
     return next((mark for mark in (";", "\t", ",") if mark in line.strip()), " ")
+
+
+def _row_cells(line: str, separator: str, columns: int) -> list[str]:
+    """Return the cells of a row; an empty last one counts where the row has no more cells than columns."""
+    cells = _cells(line, separator)
+    ends_empty = separator != " " and line.rstrip().endswith(separator)
+    return [*cells, ""] if ends_empty and len(cells) == columns - 1 else cells
 
 
 def _cells(line: str, separator: str) -> list[str]:

@@ -27,6 +27,7 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import zenoh
+from ports import free_ports
 from system.link_process import linked, wall_clock
 
 from crazychoir.bus.frames import Frame, encode_frame
@@ -35,7 +36,6 @@ from crazychoir.bus.network.authority import CERTIFICATE, KEY, ROOT
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.topics import STATUS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import free_ports
 
 ARMS = ("nobody", "unrelated", "itself")
 RATE, EACH = 100_000, 100

@@ -68,7 +68,7 @@ def folder_named(name, tmp_path):
 def run(command, environment, folder):
     done = subprocess.run(
         command,
-        env=os.environ | environment,
+        env=os.environ | {"COLUMNS": "400"} | environment,
         cwd=folder,
         capture_output=True,
         check=False,

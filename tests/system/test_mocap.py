@@ -9,12 +9,13 @@ import socket
 
 import numpy as np
 import pytest
+from ports import free_ports
 from system.agents import MOCAP, Program, until
 
 from crazychoir.bus.port import EYES
 from crazychoir.bus.topics import POSE
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import attached, free_ports, observer
+from crazychoir.launch.network import attached, observer
 from crazychoir.mocap.frames import ASK, Frame
 from crazychoir.mocap.recording import Recorder, read_recording
 from crazychoir.numerics.math3d import quaternion_of_yaw

@@ -6,12 +6,12 @@ import time
 import numpy as np
 import pytest
 import zenoh
+from ports import free_ports
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
 from crazychoir.bus.network.zenoh_link import Outside
 from crazychoir.cli.recordings.ros import Bridge
-from crazychoir.launch.network import free_ports
 from crazychoir.types import State
 
 pytestmark = pytest.mark.system

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from ports import free_ports
 from system.agents import CRAZYCHOIR, Program
 from system.link_process import linked, wall_clock
 
@@ -20,7 +21,6 @@ from crazychoir.bus.network.zenoh_link import LOOKS
 from crazychoir.bus.topics import REQUEST, STATUS
 from crazychoir.cli.setup import host_facts
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import free_ports
 from crazychoir.types import Status
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]

@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from ports import free_ports
 from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
@@ -26,7 +27,6 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import ESTOP, HELLO, LOG, RESULT, ROUND, STATE, STATUS
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.launch.network import free_ports
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 from crazychoir.types import State, Status

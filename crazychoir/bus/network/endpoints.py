@@ -111,10 +111,17 @@ def address_fault(address: str) -> str:
         found = ipaddress.ip_address(address)
     except ValueError:
         is_name = _NAME.fullmatch(address) and not re.fullmatch(r"[\d.]+", address)
-        return "" if is_name else "Ports come from base_port."
+        return "" if is_name else _name_fault(address)
     if found.is_unspecified or found.is_multicast:
         return "Write the address by which the others reach this one host."
     return ""
+
+
+def _name_fault(address: str) -> str:
+    """Return what to do about a text that is neither an address nor a DNS name."""
+    if re.search(r":\d+$", address):
+        return "Leave out the port: ports come from base_port."
+    return "Write an IP address or a DNS name, as 10.0.0.2 or lab-3.local: letters a to z, digits, hyphens and dots."
 
 
 def _is_ip(text: str) -> bool:

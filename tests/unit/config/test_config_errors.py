@@ -276,12 +276,14 @@ CASES = {
     "address with a port": (
         'hosts.lab = "10.0.0.1:7447"',
         "",
-        'x.toml: hosts.lab: found "10.0.0.1:7447"; allowed: an IP address or a DNS name. Ports come from base_port.',
+        'x.toml: hosts.lab: found "10.0.0.1:7447"; allowed: an IP address or a DNS name. '
+        "Leave out the port: ports come from base_port.",
     ),
     "address that is none": (
         'hosts.lab = "10.0.0.999"',
         "",
-        'x.toml: hosts.lab: found "10.0.0.999"; allowed: an IP address or a DNS name. Ports come from base_port.',
+        'x.toml: hosts.lab: found "10.0.0.999"; allowed: an IP address or a DNS name. Write an IP address '
+        "or a DNS name, as 10.0.0.2 or lab-3.local: letters a to z, digits, hyphens and dots.",
     ),
     "name of a host": (
         'hosts."Lab 1" = "10.0.0.1"',

@@ -158,7 +158,7 @@ def test_two_files_that_write_a_uri_in_two_ways_are_one_swarm():
         ("radio://0/80?rate_limit=1e3", "whole number of packets"),
         ("radio://0/80?rate_limit=5&rate_limit=6", "Write rate_limit once"),
         ("udp://127.0.0.1", "Write its port, as udp://127.0.0.1:19850"),
-        ("udp://:19850", "Ports come from"),
+        ("udp://:19850", "Write an IP address or a DNS name"),
         ("udp://127.0.0.1:0", "A port is a number of 1 to 65535"),
         ("udp://127.0.0.1:65536", "A port is a number of 1 to 65535"),
         ("udp://127.0.0.1:1e4", "A port is a number of 1 to 65535"),

@@ -1,5 +1,6 @@
 """Places for answers: what is refused before a computation, and what is left when writing fails."""
 
+import errno
 import os
 from pathlib import Path
 
@@ -9,7 +10,6 @@ from matplotlib.figure import Figure
 
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import (
-    require_different,
     require_writable_file,
     require_writable_folder,
     save_figure,
@@ -109,20 +109,6 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path, name):
         require_writable_folder(tmp_path / name, "--out")
 
 
-def test_two_options_cannot_name_one_file(tmp_path):
-    (tmp_path / "link.png").symlink_to("x.png")
-    require_different(
-        {"--save": tmp_path / "x.csv", "--picture": tmp_path / "x.png", "--video": None}
-    )
-    with pytest.raises(
-        ConfigError,
-        match=r"--video: found .*link\.png; allowed: another file than that of --picture",
-    ):
-        require_different(
-            {"--picture": tmp_path / "x.png", "--video": tmp_path / "link.png"}
-        )
-
-
 def write_half(path, error):
     with written_file(path, "history") as place:
         place.write_text("half")
@@ -202,3 +188,37 @@ def test_the_suffix_says_the_kind_in_any_case_and_through_a_link(tmp_path):
     (tmp_path / "link.PDF").symlink_to("real.dat")
     save_figure(Figure(), tmp_path / "link.PDF")
     assert (tmp_path / "real.dat").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("error", [errno.EBUSY, errno.EPERM])
+def test_a_file_that_cannot_be_replaced_is_written_in_place(
+    tmp_path, monkeypatch, error
+):
+    """As a file that is mounted by itself, or another user's in a sticky folder."""
+
+    def refuse(new, place):
+        raise OSError(error, os.strerror(error), str(place))
+
+    (tmp_path / "x.json").write_text("before")
+    monkeypatch.setattr(Path, "replace", refuse)
+    with written_file(tmp_path / "x.json", "history") as place:
+        place.write_text("after")
+    assert (tmp_path / "x.json").read_text() == "after"
+    assert [file.name for file in tmp_path.iterdir()] == ["x.json"]
+
+
+def test_a_link_that_was_laid_beforehand_is_not_written_through(tmp_path):
+    (tmp_path / "victim").write_text("kept")
+    (tmp_path / f".{os.getpid()}.x.new.json").symlink_to("victim")
+    with written_file(tmp_path / "x.json", "history") as place:
+        place.write_text("after")
+    assert (tmp_path / "victim").read_text() == "kept"
+    assert not (tmp_path / "x.json").is_symlink()
+
+
+def test_a_new_file_has_the_usual_permissions(tmp_path):
+    (tmp_path / "usual").touch()
+    with written_file(tmp_path / "x.json", "history") as place:
+        place.write_text("after")
+    usual = (tmp_path / "usual").stat().st_mode
+    assert (tmp_path / "x.json").stat().st_mode == usual

@@ -11,6 +11,7 @@ import tempfile
 
 import pytest
 from other_user import as_user, in_own_namespace
+from ports import free_ports, is_free
 from typer.testing import CliRunner
 
 from crazychoir.bus.port import OBSERVER, Bus
@@ -21,7 +22,6 @@ from crazychoir.launch import network
 from crazychoir.launch.network import (
     apart,
     attached,
-    free_ports,
     held_ports,
     observer,
     set_apart,
@@ -45,18 +45,18 @@ def test_ports_in_use_are_left_alone(monkeypatch):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-        assert not network._free(port)
-    assert network._free(port)
+        assert not is_free(port)
+    assert is_free(port)
     tried = []
 
-    def free(port):
+    def hold(address, port, kept):
         tried.append(port)
         return len(tried) > 3
 
-    monkeypatch.setattr(network, "_free", free)
+    monkeypatch.setattr(network, "_held", hold)
     base = free_ports([0, 2])
     assert tried[-2:] == [base, base + 2]
-    monkeypatch.setattr(network, "_free", lambda port: False)
+    monkeypatch.setattr(network, "_held", lambda address, port, kept: False)
     with pytest.raises(ValueError, match=r"base_port.*2 processes"):
         free_ports([0, 2])
 
@@ -146,13 +146,13 @@ def listens_at(port):
 def test_ports_are_held_for_those_who_listen_there_and_for_no_other():
     with held_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
         for port in (base - 1, base, base + 3):
-            assert not network._free(port), "another run does not choose it"
+            assert not is_free(port), "another run does not choose it"
             with pytest.raises(ConnectionRefusedError):
                 socket.create_connection((LOCAL, port), 1.0)
             for _ in range(2):
                 listens_at(port)
-        assert network._free(base + 2)
-    assert all(network._free(base + offset) for offset in (-1, 0, 3))
+        assert is_free(base + 2)
+    assert all(is_free(base + offset) for offset in (-1, 0, 3))
 
 
 def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all():
@@ -220,7 +220,7 @@ def test_1200_processes_hold_their_ports():
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (1024, before[1]))
         with held_ports(dict.fromkeys(range(1200), LOCAL)) as base:
-            assert not network._free(base + 1199)
+            assert not is_free(base + 1199)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
@@ -284,7 +284,7 @@ def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
         flown.append(
             (
                 config.base_port,
-                network._free(config.base_port),
+                is_free(config.base_port),
                 SwarmConfig.load(path).base_port,
             )
         )
@@ -322,3 +322,19 @@ def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(
         ConfigError, match=expected.format("No usable temporary directory")
     ):
         swarm_file(default_swarm(2)).__enter__()
+
+
+def test_a_port_that_only_closed_connections_have_is_free():
+    """As after a run that used it: its connections stay in TIME_WAIT for a minute."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            accepted, _ = server.accept()
+            accepted.close()  # the side that closes first keeps the connection
+            client.recv(1)
+        with (
+            pytest.raises(ConfigError, match=f"port {port}, that of drone 0, is taken"),
+            held_ports({0: "127.0.0.1"}, port),
+        ):
+            pass
+    assert is_free(port)

@@ -1,6 +1,7 @@
 """A run is found while it flies, by its file or alone; two never stand for one another."""
 
 import contextlib
+import fcntl
 import json
 import os
 import shutil
@@ -335,3 +336,28 @@ def test_a_run_without_a_record_says_how_others_find_it(own_place, monkeypatch, 
     assert (
         f"Other shells must name it: crazychoir land --swarm {run.file}" in caplog.text
     )
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        '{"swarm": [], "what": "x", "source": null, "file": "lab.toml"}',
+        '{"swarm": "lab", "what": "x", "source": null, "file": 3}',
+        '{"swarm": "lab\\u001b[2J", "what": "x", "source": null, "file": "lab.toml"}',
+        '{"swarm": "lab", "what": "\\u001b[2J", "source": null, "file": "lab.toml"}',
+        '{"swarm": "lab", "what": "x", "source": null, "file": "pipe"}',
+        "[" * 60_000,
+        "{}",
+        "",
+    ],
+)
+def test_a_record_that_says_what_no_run_says_is_no_run(own_place, record):
+    """Another local user may have written it."""
+    os.mkfifo(own_place / "pipe")
+    folder = own_place / "crazychoir"
+    folder.mkdir(mode=0o700)
+    with (folder / "lab-1").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.write(record)
+        file.flush()
+        assert runs() == []

@@ -489,3 +489,19 @@ def test_a_law_whose_module_has_moved_has_another_digest():
     before = cache.Kept(law).digest
     law.__module__ = "elsewhere"
     assert cache.Kept(law).digest != before
+
+
+def test_a_file_that_all_users_may_write_is_not_read(tmp_path):
+    """Reading it runs code."""
+    store = _Store(tmp_path, "law", "digest")
+    store.save("key", "machine code")
+    assert store.load("key") == "machine code"
+    for file in tmp_path.iterdir():
+        file.chmod(0o666)
+    assert store.load("key") is None
+
+
+def test_an_index_of_another_kind_holds_nothing(tmp_path):
+    store = _Store(tmp_path, "law", "digest")
+    store._write(store._index_name, 3)
+    assert store.load("key") is None

@@ -26,7 +26,7 @@ LAND_FIRST = (
 def own_place(tmp_path, monkeypatch):
     """Locks of these tests alone."""
     monkeypatch.setattr(
-        "crazychoir.radio.link.ownership.PREFIX", f"crazychoir-{tmp_path}-"
+        "crazychoir.radio.link.ownership.PREFIX", f"crazychoir-{hash(tmp_path):x}-"
     )
 
 
