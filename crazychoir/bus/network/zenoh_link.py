@@ -186,7 +186,7 @@ class ZenohLink(Actor):
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
 
-    # Opening and closing --------------------------------------------------------------------------------------
+    # Opening and closing --------------------------------------------------------------
 
     def open(self) -> None:
         """Listen, connect, subscribe, and only then declare the token; raises ConfigError for a busy endpoint."""
@@ -274,7 +274,7 @@ class ZenohLink(Actor):
             return False
         return True
 
-    # Sending --------------------------------------------------------------------------------------------------
+    # Sending --------------------------------------------------------------------------
 
     def forward(
         self,
@@ -488,7 +488,7 @@ class ZenohLink(Actor):
                 )
                 session.put(self._key(peer.process, LOG.klass), frame)
 
-    # Receiving ------------------------------------------------------------------------------------------------
+    # Receiving ------------------------------------------------------------------------
 
     def _received(self, sample: zenoh.Sample) -> None:
         """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
