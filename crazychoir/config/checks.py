@@ -1,4 +1,6 @@
-"""What must hold between the keys of a swarm file: each rule names file, key, what was found, and what to do."""
+"""The rules between the keys of a swarm file. Each error names the file, the key, the value, and
+what to do.
+"""
 
 import math
 import re
@@ -17,18 +19,28 @@ from crazychoir.config.uris import RADIO_FORM, parse_uri
 from crazychoir.errors import ConfigError
 from crazychoir.team.graph import Graph, named, span
 
-LIGHTWEIGHT, MOTORS, MUJOCO = "sim://", "sim://motors", "mujoco://"
-"""Uris of the worlds of drones that are ours: each drone for itself in its agent's process, unless a world's owner is
-named; and all drones together in that owner, as every other world."""
-SINGLE, DOUBLE, UNICYCLE = "sim://single", "sim://double", "sim://unicycle"
-"""Uris of robots that do not fly: points that are sent velocities and accelerations, wheels that are sent (v, w)."""
+LIGHTWEIGHT = "sim://"
+"""Uri of the lightweight world: each drone in its agent's process, unless the file names a world's
+owner.
+"""
+MOTORS = "sim://motors"
+"""Uri of the motor-level world: all drones together in the process of the world's owner."""
+MUJOCO = "mujoco://"
+"""Uri of the MuJoCo world: all drones together in the process of the world's owner."""
+SINGLE = "sim://single"
+"""Uri of a point robot that does not fly and takes velocities."""
+DOUBLE = "sim://double"
+"""Uri of a point robot that does not fly and takes accelerations."""
+UNICYCLE = "sim://unicycle"
+"""Uri of a wheeled robot that does not fly and takes (v, w)."""
 ALONE = (LIGHTWEIGHT, SINGLE, DOUBLE, UNICYCLE)
-"""Worlds whose robots do not act on each other."""
+"""Worlds in which robots do not act on each other."""
 OURS = (*ALONE, MOTORS, MUJOCO)
+"""All worlds of this package."""
 REPLAY = "replay://"
-"""Begin of the uri of a drone that others fly, or have flown: the file of its recording follows."""
+"""Start of the uri of a drone that is replayed; the file of its recording follows."""
 WORLDS = "crazychoir.worlds"
-"""Group of entry points: the worlds of other packages, by the scheme of their uris."""
+"""Group of entry points with the worlds of other packages, named by the scheme of their uris."""
 CABLES = {
     "usb": "A drone on a USB cable cannot be flown here: write the uri of its radio.",
     "serial": "A drone on a serial cable cannot be flown here: write the uri of its radio.",
@@ -36,29 +48,38 @@ CABLES = {
     "prrt": "cflib's prrt:// is not supported here: write the uri of its radio.",
     "cpx": "cflib's cpx:// is not supported here: write the uri of its radio.",
 }
-"""Links that cflib knows and that are not flown by, and what to do."""
-WORLD_STEP = 0.01
-"""s, in which simulated worlds advance."""
+"""Links of cflib that are not supported here, and what to do instead."""
+WORLD_STEP = 0.01  # s: step of the simulated worlds
 LOWEST_PORT = 1024
-PATIENCE = 2.0
-"""s, the least that drones wait for a console."""
+"""First port that does not need root."""
+PATIENCE = 2.0  # s: least time that drones wait for a console
 ROUTER_BELOW = 19
-"""How far below base_port a router listens: below the owners of 16 dongles."""
-TOUCHING = 0.137
-"""m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
-sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
-FASTEST_PLANNED = 1.0
-"""m/s, to which the firmware limits a drone that flies to places."""
-AROUND = 0.5
-"""m from the fence to the limit area, where the swarm file has none."""
-OUTSIDE = 0.3
-"""m, the least from the fence to the limit area: at 0.25 m a drone lands, see safety/rules/guard.py."""
-OLDEST_POSE = 0.10
-"""s: a drone whose pose is older brakes, see safety/rules/guard.py; one that always is never flies."""
+"""Distance of the router's port below base_port: below the owners of 16 dongles."""
+TOUCHING = 0.137  # m
+"""Distance between the centres of two Crazyflies below which they may touch.
+
+It is 92 mm from motor to motor along the diagonal (data sheet of the Crazyflie 2.1, Bitcraze), and
+half a propeller of 45 mm at each end.
+"""
+FASTEST_PLANNED = 1.0  # m/s: limit of the firmware for a drone that flies to places
+AROUND = 0.5  # m from the fence to the limit area, if the swarm file has none
+OUTSIDE = 0.3  # m
+"""Least distance from the fence to the limit area.
+
+A drone lands 0.25 m outside the fence, see safety/rules/guard.py.
+"""
+OLDEST_POSE = 0.10  # s
+"""Age of a pose above which a drone brakes, see safety/rules/guard.py.
+
+A drone with only older poses never flies.
+"""
 
 
 def check(swarm: Swarm, where: str) -> None:
-    """Raise ConfigError for the first rule that does not hold; `where` is the file's name."""
+    """Raise ConfigError for the first rule that does not hold.
+
+    where: name of the file, for errors
+    """
     _ids(swarm, where)
     for rule in RULES:
         rule(swarm, where)
@@ -66,7 +87,9 @@ def check(swarm: Swarm, where: str) -> None:
 
 
 def graph_of(swarm: Swarm, where: str) -> Graph:
-    """The communication graph: from `graph` (default "ring"), `edges`, or each drone's `neighbors`."""
+    """Return the communication graph: from `graph` (default "ring"), `edges`, or each drone's
+    `neighbors`.
+    """
     listed = [drone.id for drone in swarm.drones if drone.neighbors is not None]
     written = {
         "graph": swarm.topology,
@@ -111,7 +134,7 @@ def _from_edges(swarm: Swarm, where: str) -> Graph:
 
 
 def _from_neighbors(swarm: Swarm, where: str) -> Graph:
-    """Drone i hears drones[i].neighbors."""
+    """Return the graph in which drone i receives from drones[i].neighbors."""
     ids = _members(swarm)
     heard: dict[int, tuple[int, ...]] = {}
     for n, drone in enumerate(swarm.drones):
@@ -248,7 +271,7 @@ def _uris(swarm: Swarm, where: str) -> None:
 
 
 def engines_of_others() -> tuple[str, ...]:
-    """Schemes of the worlds that installed packages bring."""
+    """Return the schemes of the worlds of installed packages."""
     return tuple(sorted({entry.name: None for entry in entry_points(group=WORLDS)}))
 
 
@@ -258,7 +281,7 @@ def _platforms(swarm: Swarm, where: str) -> None:
 
 
 def _delay(swarm: Swarm, where: str) -> None:
-    """Only the lightweight world obeys within a step."""
+    """Check the command delay: only the lightweight world can have a fraction of a step."""
     steps = swarm.plant.command_delay / WORLD_STEP
     if abs(steps - round(steps)) > 1e-6 and any(
         drone.uri != LIGHTWEIGHT for drone in swarm.drones
@@ -272,7 +295,11 @@ def _delay(swarm: Swarm, where: str) -> None:
 
 
 def _speed(swarm: Swarm, where: str) -> None:
-    """Nothing on board says that a drone stays behind its places: its reference would run away from it."""
+    """Check the speed limit of drones with the sender "xyz".
+
+    Nothing on board reports that a drone is behind its places: its reference would run away from
+    it.
+    """
     rows = {row.name: row for row in swarm.roles}
     planned = [
         drone.id
@@ -314,7 +341,10 @@ def _box(swarm: Swarm, where: str) -> None:
 
 
 def limit_area(swarm: Swarm) -> tuple[Position, Position]:
-    """The corners of the area beyond which motors stop at once: [keep_out], else AROUND m around [fence]."""
+    """Return the corners of the area outside which motors stop at once.
+
+    It is [keep_out], else [fence] with AROUND m more on each side.
+    """
     (a, b, c), (d, e, f) = swarm.fence.min, swarm.fence.max
     low = swarm.keep_out.min
     high = swarm.keep_out.max
@@ -326,7 +356,11 @@ def limit_area(swarm: Swarm) -> tuple[Position, Position]:
 
 
 def _limit_area(swarm: Swarm, where: str) -> None:
-    """A drone that leaves the fence lands before its motors are cut: it needs room for that, above and on each side."""
+    """Check the limit area.
+
+    A drone that leaves the fence lands before its motors are cut. It needs room for that above and
+    on each side.
+    """
     fence, (low, high) = swarm.fence, limit_area(swarm)
     room = [a - b for a, b in zip(fence.min[:2], low[:2], strict=True)]
     room += [b - a for a, b in zip(fence.max, high, strict=True)]
@@ -382,7 +416,10 @@ def _apart(swarm: Swarm, where: str) -> None:
 def too_near(
     places: Mapping[int, Position], scale: Position, least: float
 ) -> Iterator[tuple[int, int, float]]:
-    """Pairs of drones whose places, each axis times its scale, are less than `least` m apart, and how far they are."""
+    """Yield pairs of drones at places less than `least` m apart, with their distance.
+
+    scale: factor on each axis before distances are computed
+    """
     by_x = sorted(
         (tuple(s * c for s, c in zip(scale, p, strict=True)), i)
         for i, p in places.items()
@@ -396,7 +433,9 @@ def too_near(
 
 
 def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -> None:
-    """Raise ConfigError if drones at these places could never keep clear of each other, by [collision]."""
+    """Raise ConfigError if drones at these places could never stay clear of each other, by
+    [collision].
+    """
     if swarm.collision.method == "off":
         return
     x, y, z = swarm.collision.semi_axes
@@ -408,7 +447,11 @@ def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -
 
 
 def _cameras(swarm: Swarm, where: str) -> None:
-    """Just before the next pose comes, the last one is latency + 1 / rate old; simulated cameras count in periods."""
+    """Check the age of poses.
+
+    Just before the next pose arrives, the last one is latency + 1 / rate old. Simulated cameras
+    count the latency in periods.
+    """
     mocap = swarm.mocap
     periods = mocap.latency * mocap.rate
     if abs(periods - round(periods)) > 1e-6:
@@ -444,7 +487,10 @@ def _hosts(swarm: Swarm, where: str) -> None:
 
 
 def secured(swarm: Swarm) -> bool:
-    """Whether its network is encrypted and closed: unless told otherwise, where a host is not this machine."""
+    """Return True if the network is encrypted and closed.
+
+    Without `insecure` it is, as soon as a host is not this machine.
+    """
     wanted = swarm.security.insecure
     return (
         not all(map(is_loopback, swarm.hosts.values()))
@@ -493,7 +539,9 @@ def _placement(swarm: Swarm, where: str) -> None:
 
 
 def owned(swarm: Swarm) -> tuple[int, ...]:
-    """The drones whose bodies are, in real time, in the process of the world's owner; in increasing order."""
+    """Return the drones simulated, in real time, by the process of the world's owner;
+    increasing.
+    """
     named = swarm.world.owned or swarm.world.host is not None
     simulated = [drone for drone in swarm.drones if not is_reached(drone)]
     return tuple(
@@ -664,4 +712,4 @@ RULES = (
     check_radios,
     _security,
 )
-"""In the order of their errors."""
+"""All rules, in the order of their errors."""
