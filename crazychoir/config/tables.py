@@ -689,7 +689,7 @@ class Swarm(Table, frozen=True, kw_only=True):
     lost_after: Timeout = 5.0
     """s without a message after which a drone is lost."""
     lease: Timeout = 1.0
-    """s: lease of the network connections."""
+    """s without a sign of a host before it counts as gone from the network."""
     base_port: Port = BASE_PORT
     """A process listens on this port plus its lowest drone id."""
     processes: Groups | None = None

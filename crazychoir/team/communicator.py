@@ -42,7 +42,7 @@ class Communicator(Rounds):
     """One drone's part in the team's exchanges, on a graph that may be directed and may change with
     the round.
 
-    rounds: messages sent since the start
+    rounds: rounds sent since the start
     ahead: messages dropped because their round was too far ahead
     """
 

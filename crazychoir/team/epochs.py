@@ -17,7 +17,7 @@ class Epochs:
     epoch: number of the present composition
     members: incarnation by id; empty before the first roster
     gone: ids that have left
-    known: ids of all drones that may send to this team
+    known: ids from which messages count
     born: newest incarnation and its first round, by id
     gaps: True if any drone is or was `silent`
     since: first round of this drone's joinable channels

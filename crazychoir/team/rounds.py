@@ -96,7 +96,7 @@ class Rounds:
     deadline: default seconds to wait for a round
 
     Attributes:
-    rounds: messages sent since the start
+    rounds: rounds sent since the start
     ahead: messages dropped because their round was too far ahead
     """
 
