@@ -43,11 +43,15 @@ Decode = Callable[[Any], Any]
 W = TypeVar("W", bound=Wire)
 
 _LITTLE = [np.dtype(np.dtype(name).newbyteorder("<").str) for name in DTYPES]
+"""Little-endian dtypes, by code."""
 _CODES = {dtype: code for code, dtype in enumerate(_LITTLE)}
+"""Code of each dtype."""
 _BOOL = np.dtype(bool)
 _F8 = np.dtype("<f8")
 _VECTOR_HEAD = bytes([VECTOR]) + bytes(7)
+"""Head of a vector's payload."""
 _ARRAY_HEADS = [struct.Struct(f"<BBB5x{n}Q") for n in range(MAX_DIMENSIONS + 1)]
+"""Layout of the head of an array's payload, by number of dimensions."""
 
 
 def encode_array(value: Any) -> bytes:
@@ -98,8 +102,8 @@ def decode_array(payload: Payload) -> Any:
 def flat_layout(
     cls: type[W], tag: int, size: int, more: int = 0
 ) -> tuple[Encode, Decode]:
-    """Return the codec of a wire type of one (size,) vector, then floats, then a (more,) vector if
-    more is not 0.
+    """Return the codec of a wire type of one (size,) vector, then
+    floats, then a (more,) vector if more is not 0.
 
     Its payload is a head (8 bytes), the floats, and the vectors.
     """

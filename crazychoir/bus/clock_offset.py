@@ -83,6 +83,7 @@ class Offset:
         return None
 
     def _answered(self, t1: int, t2: int, t3: int, t4: int) -> None:
+        """Take the four times of an answer; raise CodecError if they are contradictory."""
         away = t4 - t1
         held = t3 - t2
         if not 0 <= held <= away:

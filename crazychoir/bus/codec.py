@@ -67,12 +67,17 @@ m: length of the last field, if it is a second vector
 """
 
 _GENERIC = FORMAT << 6
+"""First byte of a msgpack payload."""
 _FLOAT = FORMAT << 6 | 1
+"""First byte of a float."""
 _EXTENSION = 1  # msgpack extension code; its data is a payload
 _LEAVES = frozenset({type(None), bool, int, float, str, bytes})
+"""Types that msgpack takes as they are."""
 _F8 = np.dtype("<f8")
 _FLOAT_BODY = struct.Struct("<Bd")
+"""Layout of a float's payload."""
 _GENERIC_HEAD = bytes([_GENERIC])
+"""Head of a msgpack payload."""
 
 
 def encode(value: Any, limit: int = MAX_PAYLOAD) -> bytes:
@@ -236,8 +241,8 @@ def _decode_generic(payload: Payload) -> Any:
 
 
 def _check(value: Any, depth: int) -> None:
-    """Raise CodecError for values that no sender encodes: too deep containers, msgpack timestamps,
-    strange keys.
+    """Raise CodecError for values that no sender encodes: too deep
+    containers, msgpack timestamps, strange keys.
     """
     if depth > MAX_DEPTH:
         raise CodecError(
@@ -264,8 +269,9 @@ def _check_keys(keys: Iterable[Any]) -> None:
 
 
 def _extension(code: int, data: memoryview) -> Any:
-    """Return an array or a wire type inside a container; its bytes are copied, to align its
-    numbers.
+    """Return an array or a wire type inside a container.
+
+    Its bytes are copied, to align its numbers.
     """
     payload = bytes(data)
     if code != _EXTENSION or payload[0] in (_GENERIC, _FLOAT):
@@ -347,6 +353,7 @@ def _shown(value: Any) -> str:
 
 _plain = _LEAVES.issuperset
 _ARRIVING: set[type] = {*_LEAVES, np.ndarray}
+"""Types that may be in a decoded payload, in addition to lists and dicts."""
 _arrived = _ARRIVING.issuperset
 _encode_msgpack = msgspec.msgpack.Encoder().encode
 _decode_msgpack = msgspec.msgpack.Decoder(ext_hook=_extension).decode

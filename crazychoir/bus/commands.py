@@ -34,8 +34,9 @@ _Key = tuple[int, str, int]
 """Key of a request: its issuer, the issuer's incarnation, its number."""
 
 Execute = Callable[[str, dict[str, Any]], Awaitable[Any]]
-"""Callable that gets (verb, arguments) and returns the content of DONE; it raises Refused, or any
-other error, to refuse.
+"""Callable that gets (verb, arguments) and returns the content of DONE.
+
+It raises Refused, or any other error, to refuse.
 """
 
 
@@ -158,6 +159,7 @@ class Commander:
         flags: int,
         age: float,
     ) -> None:
+        """Take an answer to a request, or the acknowledgement of a stop."""
         if channel != f"{self.port.incarnation:x}":
             return
         if number in self._acknowledged:
@@ -212,6 +214,9 @@ class CommandServer:
         flags: int,
         age: float,
     ) -> None:
+        """Take a request: repeat its answer if it is known, else
+        execute it if it is valid and in time.
+        """
         key = (source, channel, number)
         if key in self._answers:
             self._send(key, self._answers[key])

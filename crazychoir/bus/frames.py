@@ -16,8 +16,8 @@ from crazychoir.errors import CodecError
 VERSION: Final = 1
 """Version of the format."""
 MAX_FRAME: Final = MAX_PAYLOAD + 50_000
-"""Bytes of one frame, unless the caller passes another limit: the largest payload with the largest
-header.
+"""Bytes of one frame, unless the caller passes another limit:
+the largest payload with the largest header.
 """
 MAX_ENVELOPES: Final = 4096
 """Most envelopes of a frame."""
@@ -145,8 +145,8 @@ class FrameBuffer:
         return len(self._envelopes)
 
     def add(self, envelope: Envelope) -> None:
-        """Add an envelope; raise CodecError if no frame can hold it, or if the receiver would
-        refuse it.
+        """Add an envelope; raise CodecError if no frame can hold
+        it, or if the receiver would refuse it.
         """
         size = _size(envelope)
         if size > self._room or not _acceptable(envelope):
@@ -187,6 +187,7 @@ class FrameBuffer:
         )
 
     def _parts(self, envelopes: list[Envelope]) -> list[list[Envelope]]:
+        """Return the envelopes divided into parts that fit into a frame."""
         parts: list[list[Envelope]] = []
         room = -1
         for envelope in envelopes:
@@ -208,8 +209,8 @@ def _acceptable(envelope: Envelope) -> bool:
 
 
 def _size(envelope: Envelope) -> int:
-    """Return an upper bound for the bytes of an envelope: 9 a number, 4 a character, 5 for each of
-    three heads.
+    """Return an upper bound for the bytes of an envelope: 9 a
+    number, 4 a character, 5 for each of three heads.
     """
     return len(envelope.payload) + 9 * len(envelope.to) + 4 * len(envelope.channel) + 61
 

@@ -5,8 +5,8 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Return lists for arrays, fields by name for wire types, and None for numbers that are not
-    finite.
+    """Return lists for arrays, fields by name for wire types,
+    and None for numbers that are not finite.
     """
     if isinstance(value, dict):
         return {

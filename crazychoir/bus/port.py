@@ -31,19 +31,20 @@ PHASE_NS = SECOND // 100
 OBSERVER = 10_000
 """Addresses from here on are observers and operators; lower ones are drones."""
 BODIES = 1 << 25
-"""Offset of the address of a drone's body, if another process than the drone's holds it; above all
-observers.
+"""Offset of the address of a drone's body, if another process than the drone's holds it.
+
+It is above the addresses of all observers.
 """
 EYES = 1 << 26
-"""Offset of the address at which motion capture publishes the poses of a drone, if the cameras have
-their own process.
+"""Offset of the address at which motion capture publishes the poses
+of a drone, if the cameras have their own process.
 """
 
 Handler = Callable[[int, bytes, int, str, int, float], None]
 """Callable that gets (source, payload, number, channel, flags, age)."""
 Tap = Callable[[int, int, int, int, bytes, str, int, float], None]
-"""Callable that gets (destination, topic, source, number, payload, channel, flags, age) of each
-arriving message.
+"""Callable that gets (destination, topic, source, number, payload,
+channel, flags, age) of each arriving message.
 """
 
 
@@ -184,12 +185,16 @@ class Counters:
 
 @dataclass(frozen=True)
 class Interest:
-    """`reader` wants `topic` of drone `source` (or ANY) at most `rate` times a second (0: all)."""
+    """The wish of a port to get a topic."""
 
     topic: str
+    """Name of the topic."""
     source: int
+    """Drone that publishes it, or ANY."""
     reader: int
+    """Address of the port."""
     rate: float = 0.0
+    """Most values a second; 0 for all."""
 
 
 class Bus:
@@ -346,8 +351,9 @@ class Port:
         attempt: int = 0,
         age: float = 0.0,
     ) -> None:
-        """Send to each address of `to`, in any process; between drones through the simulated
-        network.
+        """Send to each address of `to`, in any process.
+
+        Messages between drones pass the simulated network.
         """
         bus = self.bus
         ports = self.bus.ports
@@ -426,8 +432,8 @@ class Port:
     def _give(
         self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float
     ) -> None:
-        """Send and deliver in one step, if all readers are in this process and no message is
-        changed or tapped.
+        """Send and deliver in one step, if all readers are in this
+        process and no message is changed or tapped.
         """
         bus = self.bus
         source = self.address
@@ -515,8 +521,8 @@ class Port:
             self.send(topic, (j,), encode(value), age=age)
 
     def pace(self, topic: Topic, reader: int, rate: float) -> None:
-        """Give a reader with a limited rate this many values a second, but at least as many as it
-        asked for.
+        """Give a reader with a limited rate this many values a
+        second, but at least as many as it asked for.
         """
         readers = self._readers.get(topic.number)
         if readers is not None:
@@ -538,6 +544,9 @@ class Port:
         attempt: int,
         age: float,
     ) -> None:
+        """Send to drone j through the simulated network, which
+        may lose, delay or duplicate the message.
+        """
         bus = self.bus
         lane = channel or topic.name
         verdict = bus.impairment.verdict(
@@ -565,6 +574,7 @@ class Port:
         flags: int,
         age: float,
     ) -> None:
+        """Deliver a message that has left the simulated network, in this process or another one."""
         port = self.bus.ports.get(j)
         if port is not None:
             port.deliver(

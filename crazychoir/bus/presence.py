@@ -34,12 +34,18 @@ class Presence(Enum):
 
 @dataclass
 class _Member:
+    """The state of a watched member."""
+
     state: Presence = Presence.ABSENT
+    """Believed presence."""
     since_ns: int = 0
+    """ns: last change of the state."""
     token_gone: bool = False
+    """True if its liveliness token has disappeared."""
 
 
 OnChange = Callable[[int, Presence], None]
+"""Callable that gets (id, presence) of a member with a new state."""
 
 
 class PresenceMonitor(Actor):
@@ -109,6 +115,7 @@ class PresenceMonitor(Actor):
         self._members.setdefault(j, _Member()).token_gone = False
 
     def _look(self, j: int) -> None:
+        """Update the state of member j from the time of its last message and from its token."""
         member = self._members.setdefault(j, _Member())
         heard_ns = self.port.heard_ns.get(j)
         if heard_ns is None:

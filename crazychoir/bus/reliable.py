@@ -1,5 +1,5 @@
-"""Reliable messages between two ports over lossy links: sequence numbers, acknowledgements and
-retransmission.
+"""Reliable messages between two ports over lossy links: sequence
+numbers, acknowledgements and retransmission.
 
 The memory is bounded in messages and in age. A message without an acknowledgement within `MAX_AGE`
 is given up and counted, and the sequence continues after it. Messages are delivered once and in
@@ -27,26 +27,44 @@ Receive = Callable[[int, bytes], None]
 
 @dataclass
 class _Pending:
+    """A message that is not acknowledged yet."""
+
     topic: Topic
+    """Topic of the message."""
     payload: bytes
+    """Payload of the codec."""
     sent_ns: int
+    """ns: time of the first transmission."""
     due_ns: int
+    """ns: time of the next transmission."""
     rto: float = RTO
+    """s until the next transmission."""
     attempt: int = 0
+    """Retransmissions so far."""
 
 
 @dataclass
 class _Outgoing:
+    """The messages to one port."""
+
     number: int = 0
+    """Number of the next message."""
     pending: dict[int, _Pending] = field(default_factory=dict)
+    """{number: message} without an acknowledgement."""
 
 
 @dataclass
 class _Incoming:
+    """The messages from one port."""
+
     incarnation: str
+    """Label of the sender's incarnation."""
     expected: int = 0
+    """Number of the next message to deliver."""
     early: dict[int, tuple[int, bytes]] = field(default_factory=dict)
+    """{number: (topic, payload)} of messages that wait for earlier ones."""
     acks: int = 0
+    """Acknowledgements sent."""
     former: dict[str, None] = field(default_factory=dict)
     """Incarnations before this one; their messages arrive too late."""
 
@@ -112,8 +130,9 @@ class Reliable:
         self._schedule()
 
     def forget(self, j: int) -> None:
-        """Stop retransmission to port j because it is gone; if it comes back, the sequence
-        continues.
+        """Stop retransmission to port j because it is gone.
+
+        If it comes back, the sequence continues.
         """
         if j in self._outgoing:
             self._outgoing[j].pending.clear()
@@ -141,6 +160,10 @@ class Reliable:
         label: str,
         after_oldest: int,
     ) -> None:
+        """Take a message: deliver it and its successors in order, and acknowledge.
+
+        after_oldest: its number minus the oldest pending number of the sender
+        """
         incoming = self._incoming.get(source)
         if incoming is None:
             incoming = self._incoming[source] = _Incoming(label)
@@ -181,6 +204,7 @@ class Reliable:
             self._alarm = self.clock.call_at(due, self._sweep, drone=self.port.address)
 
     def _sweep(self) -> None:
+        """Resend the messages that are due, and give up the old ones."""
         # Ports of this process answer within `_transmit`: the pending messages may change
         # during this loop.
         self._alarm = None

@@ -1,5 +1,6 @@
-"""The table of all topics. Mailboxes, frames, impairment, latching and public keys are derived from
-it.
+"""The table of all topics.
+
+Mailboxes, frames, impairment, latching and public keys are derived from it.
 """
 
 from dataclasses import dataclass
@@ -22,8 +23,9 @@ from crazychoir.types import (
 
 
 class Class(IntEnum):
-    """How a message is treated on its way; the key of a frame has the name, the frame the
-    number.
+    """The treatment of a message on its way.
+
+    The key of a frame has the name, the frame the number.
     """
 
     ESTOP = 0
@@ -65,8 +67,8 @@ class Topic:
     wire: Literal["edge", "interest", "process"] = "interest"
     """Receivers: the neighbours along an edge, all ports with an interest, or a process."""
     of_body: bool = False
-    """True if the process with the drone's body publishes it, which may be another one than the
-    drone's.
+    """True if the process with the drone's body publishes it,
+    which may be another one than the drone's.
     """
 
     @property
@@ -87,12 +89,17 @@ NEVER_STALE = float("inf")
 
 # From one drone's actors to each other and to observers.
 POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False, of_body=True)
+"""Pose of the drone, from cameras or from its own estimator."""
 STATE = Topic(2, "state", State, 100, 0.25, 0, Class.CONTROL, public=10)
+"""Estimated state of the drone."""
 REFERENCE = Topic(3, "reference", FullState, 100, 0.5, 0, Class.CONTROL, impaired=False)
+"""Reference that the drone tracks."""
 COMMAND = Topic(4, "command", Command, 100, 0.1, 0, Class.CONTROL, impaired=False)
+"""Command to the motors or the firmware."""
 TRUTH = Topic(
     5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False, of_body=True
 )
+"""True state in simulation, else the best measurement."""
 STATUS = Topic(
     6,
     "status",
@@ -105,10 +112,13 @@ STATUS = Topic(
     impaired=False,
     public=2,
 )
+"""Status of the drone, for people."""
 RESULT = Topic(
     7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False
 )
+"""Result of the mission."""
 LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
+"""Log lines of the drone."""
 BODY = Topic(
     9,
     "body",
@@ -121,6 +131,7 @@ BODY = Topic(
     impaired=False,
     of_body=True,
 )
+"""State of the drone's body."""
 LINK = Topic(
     15,
     "link",
@@ -133,39 +144,54 @@ LINK = Topic(
     impaired=False,
     of_body=True,
 )
+"""State of the radio link."""
 TELEMETRY = Topic(
     11, "telemetry", dict, 100, 0.25, 0, Class.CONTROL, impaired=False, of_body=True
 )
+"""Log variables of the drone."""
 PLAN = Topic(12, "plan", Plan, 20, 0.5, 0, Class.CONTROL)
+"""Path that the drone is going to fly."""
 # From a drone to its body in another process: it replaces COMMAND after the motors are cut.
 CUT = Topic(
     10, "cut", None, 0, NEVER_STALE, 0, Class.CONTROL, impaired=False, wire="edge"
 )
+"""Cut of the motors."""
 # Along the edges of the graph.
 ROUND = Topic(16, "round", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
+"""Messages of round algorithms."""
 HEARTBEAT = Topic(17, "heartbeat", None, 4, 1.0, 0, Class.CONTROL, wire="edge")
+"""Sign of life, with the state of the team."""
 ROSTER = Topic(18, "roster", None, 0, NEVER_STALE, 0, Class.RELIABLE, wire="edge")
+"""Messages about the composition of the team."""
 ACK = Topic(19, "ack", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
+"""Acknowledgements of reliable messages."""
 # Commands of operators.
 REQUEST = Topic(
     24, "request", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge"
 )
+"""Commands of operators."""
 ANSWER = Topic(
     25, "answer", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge"
 )
+"""Answers to commands."""
 ESTOP = Topic(
     26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False, wire="edge"
 )
+"""Emergency stop, or its end."""
 # Between any two drones: a request for missing states of other drones, and the answer.
 SOUGHT = Topic(13, "sought", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
+"""Request for missing states of other drones."""
 HEARSAY = Topic(14, "hearsay", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
+"""States of other drones, as the sender received them."""
 # Between processes.
 HELLO = Topic(
     32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process"
 )
+"""Description of a process."""
 CLOCK = Topic(
     33, "clock", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process"
 )
+"""Times, to estimate the offset of clocks."""
 
 TOPICS = (
     POSE,
@@ -195,6 +221,8 @@ TOPICS = (
 )
 """All topics."""
 BY_NAME = {topic.name: topic for topic in TOPICS}
+"""Topics by name."""
 BY_NUMBER = {topic.number: topic for topic in TOPICS}
+"""Topics by number."""
 OBSERVABLE = tuple(topic.name for topic in TOPICS if topic.wire == "interest")
 """Names of the topics that an observer may ask for."""

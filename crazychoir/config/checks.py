@@ -1,5 +1,6 @@
-"""The rules between the keys of a swarm file. Each error names the file, the key, the value, and
-what to do.
+"""The rules between the keys of a swarm file.
+
+Each error names the file, the key, the value, and what to do.
 """
 
 import math
@@ -20,8 +21,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.team.graph import Graph, named, span
 
 LIGHTWEIGHT = "sim://"
-"""Uri of the lightweight world: each drone in its agent's process, unless the file names a world's
-owner.
+"""Uri of the lightweight world: each drone in its agent's
+process, unless the file names a world's owner.
 """
 MOTORS = "sim://motors"
 """Uri of the motor-level world: all drones together in the process of the world's owner."""
@@ -87,8 +88,8 @@ def check(swarm: Swarm, where: str) -> None:
 
 
 def graph_of(swarm: Swarm, where: str) -> Graph:
-    """Return the communication graph: from `graph` (default "ring"), `edges`, or each drone's
-    `neighbors`.
+    """Return the communication graph: from `graph` (default
+    "ring"), `edges`, or each drone's `neighbors`.
     """
     listed = [drone.id for drone in swarm.drones if drone.neighbors is not None]
     written = {
@@ -119,6 +120,7 @@ def graph_of(swarm: Swarm, where: str) -> Graph:
 
 
 def _from_edges(swarm: Swarm, where: str) -> Graph:
+    """Return the graph with the edges of the file."""
     ids = _members(swarm)
     for n, edge in enumerate(swarm.edges or ()):
         _known(ids, edge, f"{where}: edges[{n}]")
@@ -162,6 +164,7 @@ def _from_neighbors(swarm: Swarm, where: str) -> Graph:
 
 
 def _mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None:
+    """Check that neighbours of an undirected graph list each other."""
     at = {drone.id: n for n, drone in enumerate(swarm.drones)}
     one_sided = [
         (i, j) for i, others in heard.items() for j in others if i not in heard[j]
@@ -181,6 +184,7 @@ def _members(swarm: Swarm) -> list[int]:
 
 
 def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
+    """Check that all of these ids are drones of the swarm."""
     for j in named_ids:
         if j not in ids:
             raise ConfigError(
@@ -193,6 +197,7 @@ def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
 
 
 def _roles(swarm: Swarm, where: str) -> None:
+    """Check that roles are unique, and that each drone's role exists."""
     names = [row.name for row in swarm.roles]
     for n, name in enumerate(names):
         if name in names[:n]:
@@ -216,6 +221,7 @@ def _roles(swarm: Swarm, where: str) -> None:
 
 
 def _ids(swarm: Swarm, where: str) -> None:
+    """Check that there are drones, and that each id is unique."""
     if not swarm.drones:
         raise ConfigError(
             f"{where}: drones", "no drone", "one or more", "Add a [[drones]]."
@@ -235,6 +241,7 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 
 def _uris(swarm: Swarm, where: str) -> None:
+    """Check that each uri names a world or a radio address."""
     for n, drone in enumerate(swarm.drones):
         if drone.uri in OURS or drone.uri.startswith(REPLAY):
             continue
@@ -276,6 +283,7 @@ def engines_of_others() -> tuple[str, ...]:
 
 
 def _platforms(swarm: Swarm, where: str) -> None:
+    """Check that each platform exists."""
     for n, drone in enumerate(swarm.drones):
         platforms.platform(drone.platform, f"{where}: drones[{n}].platform")
 
@@ -320,6 +328,7 @@ def _speed(swarm: Swarm, where: str) -> None:
 
 
 def _box(swarm: Swarm, where: str) -> None:
+    """Check that the fence is a box, and that the take-off height is in it."""
     low = swarm.fence.min
     high = swarm.fence.max
     if any(a >= b for a, b in zip(low, high, strict=True)):
@@ -377,6 +386,7 @@ def _limit_area(swarm: Swarm, where: str) -> None:
 
 
 def _homes(swarm: Swarm, where: str) -> None:
+    """Check that homes are inside the fence."""
     low = swarm.fence.min
     high = swarm.fence.max
     (a, b, _), top = room_of(swarm)
@@ -400,6 +410,7 @@ def _homes(swarm: Swarm, where: str) -> None:
 
 
 def _apart(swarm: Swarm, where: str) -> None:
+    """Check that homes are far enough from each other."""
     places = {drone.id: drone.home for drone in swarm.drones}
     for i, j, d in too_near(places, (1.0, 1.0, 1.0), TOUCHING):
         n = next(n for n, drone in enumerate(swarm.drones) if drone.id == i)
@@ -433,8 +444,8 @@ def too_near(
 
 
 def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -> None:
-    """Raise ConfigError if drones at these places could never stay clear of each other, by
-    [collision].
+    """Raise ConfigError if drones at these places could never
+    stay clear of each other, by [collision].
     """
     if swarm.collision.method == "off":
         return
@@ -476,6 +487,7 @@ def _between(low: Position, high: Position) -> str:
 
 
 def _hosts(swarm: Swarm, where: str) -> None:
+    """Check the names and addresses of hosts."""
     for name, address in swarm.hosts.items():
         key = f"{where}: hosts.{name}"
         if not re.fullmatch(r"[a-z0-9_-]{1,40}", name):
@@ -500,6 +512,7 @@ def secured(swarm: Swarm) -> bool:
 
 
 def _security(swarm: Swarm, where: str) -> None:
+    """Check that a closed network has hosts and operators."""
     if not secured(swarm):
         return
     if not swarm.hosts:
@@ -518,6 +531,7 @@ def _security(swarm: Swarm, where: str) -> None:
 
 
 def _placement(swarm: Swarm, where: str) -> None:
+    """Check that each drone's host exists."""
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     for n, drone in enumerate(swarm.drones):
         if drone.host is None and swarm.hosts:
@@ -539,8 +553,9 @@ def _placement(swarm: Swarm, where: str) -> None:
 
 
 def owned(swarm: Swarm) -> tuple[int, ...]:
-    """Return the drones simulated, in real time, by the process of the world's owner;
-    increasing.
+    """Return the drones simulated, in real time, by the process of the world's owner.
+
+    The ids are in increasing order.
     """
     named = swarm.world.owned or swarm.world.host is not None
     simulated = [drone for drone in swarm.drones if not is_reached(drone)]
@@ -550,6 +565,7 @@ def owned(swarm: Swarm) -> tuple[int, ...]:
 
 
 def _world(swarm: Swarm, where: str) -> None:
+    """Check that the host of the world's owner exists."""
     host = swarm.world.host
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if host is not None and host not in swarm.hosts:
@@ -569,6 +585,7 @@ def _world(swarm: Swarm, where: str) -> None:
 
 
 def _router(swarm: Swarm, where: str) -> None:
+    """Check that the router's host exists."""
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if swarm.router is not None and swarm.router not in swarm.hosts:
         problem = "there is no such host"
@@ -579,6 +596,7 @@ def _router(swarm: Swarm, where: str) -> None:
 
 
 def _processes(swarm: Swarm, where: str) -> None:
+    """Check that each drone is in one process, and each process on one host."""
     if swarm.processes is None:
         return
     ids = _members(swarm)
@@ -607,6 +625,7 @@ def _processes(swarm: Swarm, where: str) -> None:
 
 
 def _dead_man(swarm: Swarm, where: str) -> None:
+    """Check that the time without a console is not too short."""
     seconds = swarm.flight.dead_man
     if 0.0 < seconds < PATIENCE:
         allowed = f"0 (never), or {PATIENCE:g} s and more: a console speaks twice a second, and one word may be lost"
@@ -619,6 +638,7 @@ def _dead_man(swarm: Swarm, where: str) -> None:
 
 
 def _start(swarm: Swarm, where: str) -> None:
+    """Check that the swarm has as many drones as the start needs."""
     if isinstance(swarm.start, int) and swarm.start > len(swarm.drones):
         allowed = f'"all", or 1 to {len(swarm.drones)} drones'
         raise ConfigError(
@@ -627,6 +647,7 @@ def _start(swarm: Swarm, where: str) -> None:
 
 
 def _ports(swarm: Swarm, where: str) -> None:
+    """Check that all ports are in the allowed range."""
     last = _members(swarm)[-1]
     if swarm.base_port + last > 65535:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
@@ -653,6 +674,7 @@ def _ports(swarm: Swarm, where: str) -> None:
 
 
 def _links(swarm: Swarm, where: str) -> None:
+    """Check that the rules of edges name drones of the swarm."""
     for n, edge in enumerate(swarm.network.edges):
         key = f"{where}: network.edges[{n}]"
         ends = tuple(i for i in (edge.source, edge.destination) if i is not None)
@@ -667,6 +689,7 @@ def _links(swarm: Swarm, where: str) -> None:
 
 
 def _partitions(swarm: Swarm, where: str) -> None:
+    """Check that partitions end after they begin, and that their groups are disjoint."""
     for n, cut in enumerate(swarm.network.partitions):
         key = f"{where}: network.partitions[{n}]"
         for group in cut.groups:

@@ -1,5 +1,5 @@
-"""The room in which goals may lie: inside the fence, with margins that keep the guard from braking
-there.
+"""The room in which goals may lie: inside the fence, with
+margins that keep the guard from braking there.
 """
 
 from crazychoir.config.tables import Position, Swarm

@@ -1,5 +1,5 @@
-"""The distance that a streamed drone flies on after its radio fails, and the inset from the fence
-that follows from it.
+"""The distance that a streamed drone flies on after its radio fails,
+and the inset from the fence that follows from it.
 """
 
 import math
@@ -26,8 +26,8 @@ circles of 0.25 to 0.5 m at 0.02 to 1 m/s for each sender but "fullstate", which
 "frpy".
 """
 OFFERED = ("frpy", "vel")
-"""Senders that an error offers in place of one with a longer distance, in addition to xyz, which
-has none.
+"""Senders that an error offers in place of one with a longer
+distance, in addition to xyz, which has none.
 """
 SPACE = 0.3  # m
 """Room that is left around each home."""
@@ -60,8 +60,8 @@ class Inset:
 
 
 def flies_on(speed: float, acceleration: float, sender: str) -> float:
-    """Return the m beyond the fence at which a drone's motors stop, if it was inside when its radio
-    failed.
+    """Return the m beyond the fence at which a drone's motors
+    stop, if it was inside when its radio failed.
 
         s + max_d (CUT + t) v(d) - d,   v(d) = min(v_max, sqrt(d a / BRAKES)),   s = STRAYS,  t =
         TILTED
@@ -88,8 +88,8 @@ def slow_enough(far: float, acceleration: float, sender: str) -> float:
 
 
 def inset(swarm: Swarm, sender: str) -> Inset:
-    """Return how far inside [fence] streamed drones stay, so that they do not end beyond
-    [keep_out].
+    """Return how far inside [fence] streamed drones stay, so
+    that they do not end beyond [keep_out].
     """
     low, high = limit_area(swarm)
     fence = swarm.fence
@@ -117,8 +117,9 @@ def inset(swarm: Swarm, sender: str) -> Inset:
 
 
 def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
-    """Return a text with the drone of the same dongle that drone i may touch if the dongle fails;
-    empty if there is none.
+    """Return a text with the drone of the same dongle that drone i may touch if the dongle fails.
+
+    The text is empty if there is none.
 
     Both drones then stray, and neither can avoid the other. Their homes decide. Only the drone with
     the lower id reports a pair.

@@ -53,8 +53,9 @@ def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) ->
 
 
 def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
-    """Return where a missing key of the file stands instead, and what to do; empty if it stands
-    nowhere.
+    """Return where a missing key of the file stands instead, and what to do.
+
+    The text is empty if it stands nowhere.
     """
     fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
     for other, value in raw.items():
@@ -66,8 +67,9 @@ def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
 
 
 def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
-    """Return what to do with keys of the file that stand in a table of the user's own keys; empty
-    if there are none.
+    """Return what to do with keys of the file that stand in a table of the user's own keys.
+
+    The text is empty if there are none.
     """
     if not isinstance(raw, Mapping) or file is None:
         return ""
@@ -79,8 +81,9 @@ def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
 
 
 def not_a_table(raw: object, key: str) -> str:
-    """Return what to do with a list of tables where one table is allowed; empty for anything
-    else.
+    """Return what to do with a list of tables where one table is allowed.
+
+    The text is empty for anything else.
     """
     if (
         isinstance(raw, list | tuple)
@@ -103,6 +106,7 @@ def label(path: str) -> str:
 
 
 def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> str:
+    """Return the advice for a key that is in the tables `labels`."""
     if FILE in labels:
         others = ", ".join(table for table in labels if table != FILE)
         also = f" {others} has a key of this name, too." if others else ""
@@ -117,6 +121,7 @@ def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> 
 
 
 def _write_it_in_the_file(name: str, value: object, key: str) -> str:
+    """Return the advice for a key of the file itself."""
     if isinstance(value, Mapping):
         return f"It is a table of its own: write [{name}], not [{_plain(key, name)}]."
     if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):

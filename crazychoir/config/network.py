@@ -57,6 +57,7 @@ def in_words(network: Mapping[str, Any]) -> list[str]:
 
 
 def _rule_in_words(rule: Mapping[str, Any]) -> str:
+    """Return a rule as text."""
     scope = ""
     if "edge" in rule:
         scope = (" to " if rule.get("directed") else " and ").join(
@@ -82,6 +83,7 @@ def _rule_in_words(rule: Mapping[str, Any]) -> str:
 
 
 def _partition_in_words(cut: Mapping[str, Any]) -> str:
+    """Return a partition as text."""
     a, b = (", ".join(map(str, side)) for side in (cut["a"], cut["b"]))
     until = "the end" if cut["until"] is None else f"{cut['until']:g} s"
     since = f"{cut['since']:g} s after GO" if cut["since"] else "GO"

@@ -37,8 +37,8 @@ def _dongle(drone: Drone) -> int:
 
 
 def check_radios(swarm: Swarm, where: str) -> None:
-    """Raise ConfigError for two drones at one address, for a dongle that differs from the uri's,
-    and for unknown hosts.
+    """Raise ConfigError for two drones at one address, for a dongle
+    that differs from the uri's, and for unknown hosts.
 
     With [hosts] the uri gives the number of the dongle on its host, and the key its number in the
     swarm.
@@ -112,8 +112,8 @@ def body_name(drone: Drone) -> str:
 
 
 def _check_bodies(swarm: Swarm, where: str) -> None:
-    """Check that each seen drone has its own body, a replay has a file, and poses have their own
-    port.
+    """Check that each seen drone has its own body, a replay
+    has a file, and poses have their own port.
     """
     first: dict[str, int] = {}
     for n, drone in enumerate(swarm.drones):
@@ -361,7 +361,8 @@ def _told(swarm: Swarm, i: int) -> bool:
 
 
 PLANNED = 0.85
-"""Share of the capacity that is used if the rate is chosen here; close to 1, packets wait for each
-other.
+"""Share of the capacity that is used if the rate is chosen here.
+
+Close to 1, packets wait for each other.
 """
 MOST_COMMANDS = 100.0  # Hz: one command for each pose

@@ -1,5 +1,6 @@
-"""Reads the text of a swarm file into tables. Errors name the file, the key, the value and the
-allowed values.
+"""Reads the text of a swarm file into tables.
+
+Errors name the file, the key, the value and the allowed values.
 """
 
 import json
@@ -63,8 +64,8 @@ def _decode_json(text: str) -> Any:
 
 
 def require_plain(raw: dict[str, Any], where: str) -> None:
-    """Raise ConfigError for values other than numbers, texts, true, false, and lists or tables of
-    them.
+    """Raise ConfigError for values other than numbers, texts,
+    true, false, and lists or tables of them.
     """
     pending = [(key, value, 1) for key, value in raw.items()]
     while pending:
@@ -166,6 +167,7 @@ def _value(
     key: str,
     file: type[msgspec.Struct] | None,
 ) -> object:
+    """Return the converted value of a key; raise ConfigError if it is not allowed."""
     kind = _bare(entry.type)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         return read(raw, kind, where, key, file)
@@ -208,6 +210,7 @@ def _unknown(
     key: str,
     file: type[msgspec.Struct] | None,
 ) -> ConfigError:
+    """Return the error for a key that the table does not have."""
     do = remedy(name, value, kind, key, file)
     allowed = (
         f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"

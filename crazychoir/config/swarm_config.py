@@ -1,5 +1,5 @@
-"""The swarm file, checked: its drones, their graph, the place of each process, and the world of
-each drone.
+"""The swarm file, checked: its drones, their graph, the place
+of each process, and the world of each drone.
 """
 
 import hashlib
@@ -46,8 +46,9 @@ from crazychoir.team.graph import Graph, span
 LOCAL = "127.0.0.1"
 """Address of this machine."""
 WORLD = -1
-"""Number of the process of the world's owner; the process of an agent has the number of its lowest
-drone.
+"""Number of the process of the world's owner.
+
+The process of an agent has the number of its lowest drone.
 """
 MOCAP = -2
 """Number of the process of motion capture."""
@@ -125,6 +126,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return config._with_mission_from(Path()) if "mission" in changes else config
 
     def _with_mission_from(self, folder: Path) -> Self:
+        """Return the swarm with the full path of its mission."""
         if self.mission is None or not self.mission.endswith(".py"):
             return self
         return msgspec.structs.replace(
@@ -132,6 +134,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def _with_files_from(self, folder: Path) -> Self:
+        """Return the swarm with the full paths of its files."""
         named = {
             key: value
             for key, value in self.mission_options.items()
@@ -155,6 +158,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def _with_shapes_from(self, folder: Path) -> Self:
+        """Return the swarm with the full paths of the files of [mujoco]."""
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
         found = {
             key: _resolved(folder, value, f"mujoco.{key}")
@@ -164,6 +168,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
     def _with_keys(self, folder: Path) -> Self:
+        """Return the swarm with the full path of its folder of keys."""
         if not self.secured:
             return self
         keys = _resolved(folder, self.security.keys, "security.keys")
@@ -192,8 +197,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return {key: Path(name) for key, name in named.items()}
 
     def digest(self) -> str:
-        """Return 16 hex digits that are equal at all hosts of one mission, for every Python and
-        hash seed.
+        """Return 16 hex digits that are equal at all hosts of one
+        mission, for every Python and hash seed.
 
         All keys count but `hosts`, `router`, `security`, `base_port` and `network`. Of the mission,
         of shapes and of recordings of poses only the file name counts, not the folder. A file in
@@ -204,8 +209,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         ).hexdigest()
 
     def digests(self) -> str:
-        """Return two hex digits for each of the keys AGREED, to name the keys in which two files
-        differ.
+        """Return two hex digits for each of the keys AGREED, to
+        name the keys in which two files differ.
         """
         agreed = self._agreed()
         said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
@@ -214,8 +219,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def of_bodies(self) -> dict[str, str]:
-        """Return hex digits for each of the keys OF_BODIES, equal for equal values; no file is
-        read.
+        """Return hex digits for each of the keys OF_BODIES, equal for equal values.
+
+        No file is read.
         """
         agreed: dict[str, Any] = msgspec.to_builtins(self)
         agreed["mujoco"] |= {
@@ -234,6 +240,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         }
 
     def _agreed(self) -> dict[str, Any]:
+        """Return the plain values that must be equal at all hosts, with
+        the content of files instead of their paths.
+        """
         agreed = {
             key: value
             for key, value in msgspec.to_builtins(self).items()
@@ -283,8 +292,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return graph_of(self, f"swarm {self.name}")
 
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Return the drones of each process, increasing; a process has the number of its lowest
-        drone.
+        """Return the drones of each process, increasing.
+
+        A process has the number of its lowest drone.
         """
         return tuple(
             sorted(
@@ -299,14 +309,15 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return next(group[0] for group in self.groups() if member in group)
 
     def endpoint(self, i: int) -> str:
-        """Return the endpoint of the process of drone i: tcp/<address of its host>:<base port + the
-        process>.
+        """Return the endpoint of the process of drone i:
+        tcp/<address of its host>:<base port + the process>.
         """
         return self._listens(self.drone(i).host, self.process(i))
 
     def endpoints(self) -> dict[int, str]:
-        """Return the endpoint of each process, by its number; the router and the owners come
-        first.
+        """Return the endpoint of each process, by its number.
+
+        The router and the owners come first.
         """
         listens = {
             process: self._listens(host, process)
@@ -385,6 +396,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def _require_local(self, endpoints: Iterable[str]) -> None:
+        """Raise ConfigError for an endpoint beyond this machine,
+        unless the file allows an insecure network.
+        """
         far = [
             endpoint
             for endpoint in endpoints
@@ -414,8 +428,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @property
     def unseen(self) -> tuple[int, ...]:
-        """The drones with a radio that estimate their own pose, which is also their truth;
-        increasing.
+        """The drones with a radio that estimate their own pose, which is also their truth.
+
+        The ids are in increasing order.
         """
         return tuple(i for i in self.reached if i not in self.seen)
 
@@ -440,8 +455,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return body_name(self.drone(i))
 
     def source(self, topic: Topic, i: int) -> int:
-        """Return the address that sends a topic of drone i in real time: its agent, its body or the
-        cameras.
+        """Return the address that sends a topic of drone i in real
+        time: its agent, its body or the cameras.
         """
         if not topic.of_body or i not in self.elsewhere:
             return i
@@ -502,8 +517,8 @@ def _content(value: Any) -> Any:
 
 
 def default_swarm(n: int) -> SwarmConfig:
-    """Return n simulated drones on a square grid on the floor, in a ring graph, without a
-    mission.
+    """Return n simulated drones on a square grid on the
+    floor, in a ring graph, without a mission.
     """
     return _on_a_grid("default", n, columns=max(1, math.ceil(math.sqrt(n))))
 
@@ -526,6 +541,7 @@ def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
 
 
 def _on_a_grid(name: str, n: int, columns: int) -> SwarmConfig:
+    """Return a swarm of n simulated drones on a grid."""
     homes = [
         [round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0]
         for k in range(n)

@@ -296,8 +296,9 @@ class Drone(Table, frozen=True, kw_only=True):
     options: Free = field(default_factory=dict)
     """Keys for its mission."""
     dongle: Dongle | None = None
-    """Dongle that reaches it by radio; without this key the dongle of its radio:// uri, or 0 for
-    udp://.
+    """Dongle that reaches it by radio.
+
+    Without this key, it is the dongle of its radio:// uri, or 0 for udp://.
     """
     pose: PoseFrom = "mocap"
     """Source of its pose, for a drone with a radio."""
@@ -306,8 +307,8 @@ class Drone(Table, frozen=True, kw_only=True):
     body_offset: Offset = (0.0, 0.0, 0.0)
     """(3,) m: tracked centre relative to the drone's centre."""
     body_rotation: Angles = (0.0, 0.0, 0.0)
-    """(3,) rad, roll, pitch, yaw: rotation with which the tracked body is mounted, see
-    mocap/mounting.py.
+    """(3,) rad, roll, pitch, yaw: rotation with which the
+    tracked body is mounted, see mocap/mounting.py.
     """
     parameters: Free = field(default_factory=dict)
     """Firmware parameters that are set at connection, in addition to those of [radio]."""
@@ -362,8 +363,9 @@ class Fence(Table, frozen=True, kw_only=True):
 
 
 class KeepOut(Table, frozen=True, kw_only=True):
-    """[keep_out]: the limit area, in the world frame; the motors of a drone outside it stop at
-    once.
+    """[keep_out]: the limit area, in the world frame.
+
+    The motors of a drone outside it stop at once.
 
     Without it the limit area is 0.5 m larger than the fence on each side.
     """
@@ -470,8 +472,8 @@ class Radio(Table, frozen=True, kw_only=True):
     parameters: Free = field(default_factory=dict)
     """Firmware parameters of all drones."""
     origin: Position = (0.0, 0.0, 0.0)
-    """(3,) m, world frame: origin of the frame in which drones estimate their own pose (pose =
-    "onboard").
+    """(3,) m, world frame: origin of the frame in which drones
+    estimate their own pose (pose = "onboard").
     """
     origin_yaw: Radians = 0.0
     """rad, world frame: heading of that frame."""
@@ -494,8 +496,8 @@ class Plant(Table, frozen=True, kw_only=True):
     command_delay: Seconds = 0.02
     """s: time until the drone obeys a command."""
     mass_error: Mismatch = 0.0
-    """Share by which the drone is heavier than the platform for which its controllers are
-    designed.
+    """Share by which the drone is heavier than the platform
+    for which its controllers are designed.
     """
     thrust_error: Mismatch = 0.0
     """Share by which its thrust is larger than that of the platform."""
@@ -523,8 +525,9 @@ class Motors(Table, frozen=True, kw_only=True):
 
 
 class Mujoco(Table, frozen=True, kw_only=True):
-    """[mujoco]: the shapes in mujoco://, in addition to [motors]. Paths are relative to the swarm
-    file.
+    """[mujoco]: the shapes in mujoco://, in addition to [motors].
+
+    Paths are relative to the swarm file.
     """
 
     model: Text = ""
@@ -541,8 +544,9 @@ class World(Table, frozen=True, kw_only=True):
     """[world]: the process that owns the simulated world in real time."""
 
     owned: Flag = False
-    """True to move lightweight drones, too, to that process; otherwise they are simulated in their
-    agents.
+    """True to move lightweight drones, too, to that process.
+
+    Otherwise they are simulated in their agents.
     """
     host: Name | None = None
     """Host on which it runs."""
@@ -554,18 +558,19 @@ class Collision(Table, frozen=True, kw_only=True):
     """[collision]: collision avoidance."""
 
     method: Avoidance = "barrier"
-    """"off", "barrier" (two drones together can always stop) or "cells" (each drone can stop on its
-    side of the middle).
+    """"off", "barrier" (two drones together can always stop) or "cells"
+    (each drone can stop on its side of the middle).
     """
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
-    """(3,) m: semi-axes of the ellipsoid around each drone; ellipsoids must not meet. It is tall
-    because of the downwash.
+    """(3,) m: semi-axes of the ellipsoid around each drone.
+
+    Ellipsoids must not meet. They are tall because of the downwash.
     """
     margin: Metres = 0.08
     """m: distance kept in addition to twice the first semi-axis."""
     slack: Metres = 0.02
-    """m: additional distance between drones on agreed paths (with the sender "xyz", "vel" or
-    "fullstate").
+    """m: additional distance between drones on agreed paths
+    (with the sender "xyz", "vel" or "fullstate").
     """
     brake: Acceleration = 1.0
     """m/s2: deceleration that a drone relies on."""
@@ -636,8 +641,9 @@ Partitions = Annotated[
 
 
 class Network(Link, frozen=True, kw_only=True):
-    """[network]: a simulated bad network between the drones; a key that is left out has no
-    effect.
+    """[network]: a simulated bad network between the drones.
+
+    A key that is left out has no effect.
     """
 
     edges: LinkEdges = ()

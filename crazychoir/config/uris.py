@@ -1,5 +1,5 @@
-"""The uris of drones with a radio: their allowed forms, and the one form in which they are
-compared.
+"""The uris of drones with a radio: their allowed forms, and
+the one form in which they are compared.
 
 A radio:// uri is cflib's, with a dongle by its number. Other forms that cflib or crazyflie-link-cpp
 know are refused with the reason. Parts that are left out have cflib's default.
@@ -32,10 +32,12 @@ DEFAULT_RATE = "2M"
 DEFAULT_ADDRESS = "E7E7E7E7E7"
 """Address of a new Crazyflie."""
 UDP_FORM = "udp://HOST:PORT, as udp://127.0.0.1:19850"
+"""Form of a udp:// uri, for errors."""
 RADIO_FORM = (
     "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E703: a dongle of 0 to 15, a channel of 0 to 125, "
     f"250K, 1M or 2M, an address of 10 hexadecimal digits; without them {DEFAULT_RATE} and {DEFAULT_ADDRESS}"
 )
+"""Form of a radio:// uri, for errors."""
 UNLIMITED = 10**9
 """Larger than any number that a uri may have."""
 LINK_OPTIONS = ("safelink", "autoping", "ackfilter")
@@ -120,6 +122,7 @@ def canonical(uri: str) -> str:
 
 
 def _parse_udp(uri: str, key: str) -> UdpUri:
+    """Return the parts of a udp:// uri; raise ConfigError if it is invalid."""
     place, mark, _ = uri.removeprefix(UDP).partition("?")
     place = place.removesuffix("/")
     if mark:
@@ -170,6 +173,7 @@ def _host(text: str) -> str:
 
 
 def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
+    """Return the parts of a radio:// uri; raise ConfigError if it is invalid."""
     place, _, query = uri.removeprefix(RADIO).partition("?")
     parts = place.removesuffix("/").split("/")
 
@@ -222,14 +226,16 @@ def _dongle_fault(dongle: str, serials: bool) -> str:
 
 
 def _address_hint(address: str) -> str:
+    """Return advice for a short address, or an empty text."""
     if re.fullmatch(r"[0-9A-Fa-f]{1,9}", address):
         return f"Write all 10 digits: cflib would take it for {address.upper():0>10}."
     return ""
 
 
 def _rate_limit(query: str, refused: Callable[[str], ConfigError]) -> int | None:
-    """Return the packets a second of ?rate_limit=, None without it; raise `refused` for any other
-    option.
+    """Return the packets a second of ?rate_limit=, None without it.
+
+    Raises `refused` for any other option.
     """
     limit = None
     for name, value in parse_qsl(query, keep_blank_values=True):

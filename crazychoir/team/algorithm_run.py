@@ -1,5 +1,6 @@
-"""Runs one agent's part of a distributed algorithm to its end; a failure at one agent ends it at
-all agents.
+"""Runs one agent's part of a distributed algorithm to its end.
+
+A failure at one agent ends it at all agents.
 """
 
 import contextlib
@@ -34,8 +35,8 @@ SENDERS = 4
 
 @dataclass(frozen=True)
 class Pace:
-    """The times at which an asynchronous agent wakes and computes: uniform draws from two
-    intervals.
+    """The times at which an asynchronous agent wakes and
+    computes: uniform draws from two intervals.
 
     Raises ConfigError for an interval that is not increasing, or a longest sleep of 0.
     """
@@ -68,8 +69,8 @@ async def run_algorithm(
     policy: Policy = "raise",
     pace: Pace | None = None,
 ) -> None:
-    """Run a pure algorithm to its end: in rounds, or, if its `asynchronous` is True, whenever it
-    wakes.
+    """Run a pure algorithm to its end: in rounds, or, if its
+    `asynchronous` is True, whenever it wakes.
 
     A step of an algorithm with `heavy = True` runs outside the event loop.
 
@@ -251,8 +252,8 @@ def _word(failed: AgentFailed) -> Failure:
 
 
 def _heard(heard: Mapping[int, Any] | None) -> str:
-    """Return a text with the kinds of received messages and their senders: they may have caused the
-    failure.
+    """Return a text with the kinds of received messages and their
+    senders: they may have caused the failure.
     """
     if not heard:
         return ""

@@ -39,9 +39,9 @@ def _read(payload: bytes) -> Beat:
 
 
 class Barrier:
-    """One drone's part in forming and keeping the team; also tells the communicator which drones
-    are lost.
+    """One drone's part in forming and keeping the team.
 
+    Also tells the communicator which drones are lost.
     agreed_keys: keys of the swarm file that the mission hash holds one by one
     start: "all", or the number of drones that suffice at the deadline
     start_deadline: seconds to wait for the team
@@ -123,8 +123,9 @@ class Barrier:
         )
 
     def coordinator(self) -> int:
-        """Return the lowest live id among the drones in an epoch; before the first epoch, among
-        all.
+        """Return the lowest live id among the drones in an epoch.
+
+        Before the first epoch, all drones count.
         """
         if self.roster is None:
             live = [j for j in self._others if self._present(j)]
@@ -173,6 +174,10 @@ class Barrier:
     # Forming --------------------------------------------------------------------------
 
     def _coordinate(self, late: bool) -> None:
+        """Issue the first roster if enough drones are present and all edges work.
+
+        late: True after the start deadline
+        """
         members = [j for j in self.graph.ids if j == self.id or self._present(j)]
         enough = len(members) == len(self.graph.ids) or (
             late and self.start != "all" and len(members) >= self.start
@@ -214,6 +219,7 @@ class Barrier:
         return Graph.from_edges(tuple(members), arcs, directed=True)
 
     def _issue(self, members: dict[int, int], epoch: int, first_round: int) -> None:
+        """Send a roster to its members, and adopt it."""
         graph = self._restricted(sorted(members))
         directed = not graph.is_undirected
         edges = [list(arc) for arc in (graph.arcs if directed else graph.edges())]
@@ -285,6 +291,10 @@ class Barrier:
         )
 
     def _adopt(self, roster: Roster, age: float = 0.0) -> None:
+        """Put a roster in force at this drone.
+
+        age: seconds since GO
+        """
         self.port.bus.impairment.begin(self.port.bus.clock.now(), age)
         before = self.roster.members if self.roster is not None else {}
         for j in self._others:
@@ -334,6 +344,7 @@ class Barrier:
     # Keeping --------------------------------------------------------------------------
 
     def _beat(self) -> bytes:
+        """Return the payload of this drone's heartbeat."""
         epoch = self.roster.epoch if self.roster else 0
         hears = (
             ()
@@ -359,6 +370,7 @@ class Barrier:
         flags: int,
         age: float,
     ) -> None:
+        """Take a heartbeat of another drone."""
         if self._calm.get(source) == payload:
             return  # the heartbeat is unchanged since a check that found nothing to do
         try:
@@ -400,8 +412,8 @@ class Barrier:
                 self._calm[source] = payload
 
     def _review(self, source: int, beat: Beat, roster: Roster) -> None:
-        """Act, as the coordinator, on a heartbeat: a lost member, a new or restarted one, or a
-        wrong roster.
+        """Act, as the coordinator, on a heartbeat: a lost member, a
+        new or restarted one, or a wrong roster.
         """
         members = self._next or roster.members
         if dead := self._dead((*beat.lost, *self._lost), roster):
@@ -425,6 +437,7 @@ class Barrier:
             )  # two coordinators that did not receive each other have both issued rosters
 
     def _changed(self, j: int, state: Presence) -> None:
+        """React to a new presence of drone j."""
         self.history.append((self.port.bus.clock.now(), j, state.value))
         del self.history[:-REMEMBERED]
         roster = self.roster
@@ -441,13 +454,14 @@ class Barrier:
         self._watch()
 
     def _dead(self, lost: Iterable[int], roster: Roster) -> list[int]:
-        """Return the members of the next roster that are reported lost and that we do not receive
-        either.
+        """Return the members of the next roster that are reported
+        lost and that we do not receive either.
         """
         members = self._next or roster.members
         return [j for j in lost if j in members and j != self.id and not self._alive(j)]
 
     def _without(self, gone: list[int], roster: Roster) -> None:
+        """Propose a roster without these members."""
         self._lost.update(dict.fromkeys(gone))
         members = self._next or roster.members
         self._propose(
@@ -456,8 +470,8 @@ class Barrier:
         )
 
     def _propose(self, members: dict[int, int], roster: Roster) -> None:
-        """Propose the members of the next roster: ask the drones in an epoch to hold their
-        rounds.
+        """Propose the members of the next roster: ask the
+        drones in an epoch to hold their rounds.
         """
         self._calm.clear()
         self._next = dict(sorted(members.items()))
@@ -492,8 +506,9 @@ class Barrier:
             self._without(self._dead(waited, roster), roster)
 
     def _holds(self, source: int, first: int, theirs: dict[int, int]) -> None:
-        """Store the answer of `source` to HOLD; a drone of another half of the team adds all of its
-        half.
+        """Store the answer of `source` to HOLD.
+
+        A drone of another half of the team adds all of its half.
         """
         self._held[source] = first
         if self.roster is not None and source not in self.roster.members:
@@ -510,8 +525,8 @@ class Barrier:
         self._conclude()
 
     def _running(self, roster: Roster) -> list[int]:
-        """Return the members of the next roster that are in an epoch now, maybe in another half of
-        the team.
+        """Return the members of the next roster that are in an
+        epoch now, maybe in another half of the team.
         """
         known = {**self._halves, **roster.members}
         here = [
@@ -539,6 +554,7 @@ class Barrier:
         self._issue(self._next, self._target, max([roster.first_round, *held]))
 
     def _alive(self, j: int) -> bool:
+        """Return True if a message of drone j came in the last SILENCE seconds."""
         heard_ns = self.port.heard_ns.get(j)
         return (
             heard_ns is not None
@@ -546,6 +562,7 @@ class Barrier:
         )
 
     def _present(self, j: int) -> bool:
+        """Return True if drone j sends heartbeats and is not lost."""
         return (
             j in self.beats
             and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT)
@@ -570,8 +587,8 @@ class Barrier:
         )
 
     def _absent_text(self) -> str:
-        """Return a text with the absent drones, the broken edges, the other missions, and what to
-        do.
+        """Return a text with the absent drones, the broken
+        edges, the other missions, and what to do.
         """
         here = [j for j in self.graph.ids if j == self.id or self._present(j)]
         known = {*here, *self._strangers.missions, *self._refusals}

@@ -1,4 +1,5 @@
 """The rounds of one algorithm instance: sent and received messages, and each neighbour's progress.
+
 No I/O and no clock.
 
 A message carries its round. Therefore nothing depends on the order of arrival, and duplicates have
@@ -11,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Final
 
 HISTORY: Final = 64
-"""Own rounds that are kept for late neighbours; also the most rounds of a neighbour that are
-buffered ahead.
+"""Own rounds that are kept for late neighbours.
+
+Also the most rounds of a neighbour that are buffered ahead.
 """
 MIN_RTO: Final = 0.010
 """Seconds: shortest time before a round is resent.
@@ -136,8 +138,8 @@ class Channel:
         return [j for j in late if j in self.pacing] if pacing_only else late
 
     def ended(self) -> dict[int, int]:
-        """Return {j: its rounds} of the awaited neighbours that ended the channel before the
-        awaited round.
+        """Return {j: its rounds} of the awaited neighbours that
+        ended the channel before the awaited round.
 
         Their message will never come. A neighbour is left out if we closed the channel at the same
         round or later and continued, because it may continue too.
@@ -146,8 +148,9 @@ class Channel:
         return {j: n for j, n in found.items() if self.closed_at < n <= self.receiving}
 
     def trim(self, gone: dict[int, None], pacing_only: bool = False) -> list[int]:
-        """Forget the rounds that all readers have; return the readers that may lack the oldest kept
-        round.
+        """Forget the rounds that all readers have.
+
+        Returns the readers that may lack the oldest kept round.
         """
         late: list[int] = []
         while self.oldest < self.sending and not (

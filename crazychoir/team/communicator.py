@@ -36,11 +36,12 @@ FAREWELLS: Final = 3
 """Times that the end of a channel is sent to neighbours that need not answer."""
 
 Policy = Literal["raise", "partial", "hold"]
+"""Action of an exchange at its deadline."""
 
 
 class Communicator(Rounds):
-    """One drone's part in the team's exchanges, on a graph that may be directed and may change with
-    the round.
+    """One drone's part in the team's exchanges, on a graph that
+    may be directed and may change with the round.
 
     rounds: rounds sent since the start
     ahead: messages dropped because their round was too far ahead
@@ -105,8 +106,8 @@ class Communicator(Rounds):
         channel: str = "main",
         deadline: float | None = None,
     ) -> None:
-        """Send the next message of a channel, for `receive` (one each a round) or
-        `asynchronous_receive`.
+        """Send the next message of a channel, for `receive` (one
+        each a round) or `asynchronous_receive`.
 
         Waits only for neighbours that use `receive` and are a whole history behind.
         Raises RoundTimeout, PeerLost or RosterChanged.
@@ -170,8 +171,8 @@ class Communicator(Rounds):
         }
 
     async def close(self, channel: str = "main", linger: float = LINGER) -> None:
-        """End a channel: send FIN to the neighbours and answer the late ones until all have
-        finished or are silent.
+        """End a channel: send FIN to the neighbours and answer the late
+        ones until all have finished or are silent.
 
         linger: seconds without a question from unfinished neighbours after which the channel is
             closed anyway
@@ -228,6 +229,7 @@ class Communicator(Rounds):
     def _send_round(
         self, ch: Channel, data: Any, to: tuple[int, ...], kind: int
     ) -> None:
+        """Encode and send the next round, and keep it for late readers."""
         k = ch.sending
         flags = self._flags | kind
         if type(data) is PerNeighbor:
@@ -248,8 +250,8 @@ class Communicator(Rounds):
         self.rounds += 1
 
     async def _admit(self, ch: Channel, seconds: float, patient: bool = True) -> None:
-        """Wait until the next round may be sent: no reader is a history behind, and no new epoch is
-        being formed.
+        """Wait until the next round may be sent: no reader is a
+        history behind, and no new epoch is being formed.
 
         patient: False to wait only for readers that have asked for rounds
         """
@@ -297,6 +299,7 @@ class Communicator(Rounds):
         deadline: float | None,
         policy: Policy,
     ) -> dict[int, Any]:
+        """Wait for the messages of the next round to receive, and decode them."""
         k = ch.receiving
         box = ch.inbox.get(k)
         if box is None:

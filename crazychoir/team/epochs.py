@@ -89,8 +89,8 @@ class Epochs:
                 self.gaps = True
 
     def silent(self, j: int, k: float) -> bool:
-        """Return True if j will send nothing in round k: it has left, or was restarted and begins
-        later.
+        """Return True if j will send nothing in round k: it has
+        left, or was restarted and begins later.
         """
         return j in self.gone or (j in self.born and k < self.born[j][1])
 

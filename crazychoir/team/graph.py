@@ -12,8 +12,11 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Wire
 
 Ids = int | Iterable[int]
+"""Number of drones, or their ids."""
 Arc = tuple[int, int]
+"""(sender, receiver)."""
 Weights = dict[int, dict[int, float]]
+"""w[i][j]: weight of j at i."""
 
 NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
 """Shapes that a swarm file can name."""
@@ -34,8 +37,8 @@ DIGITS = 9
 _PLAIN = re.compile(r"[0-9]{1,9}\.?[0-9]{0,9}|\.[0-9]{1,9}")
 """A number in plain decimal digits, without a sign or an exponent."""
 HOPELESS = 40.0
-"""Mean number of isolated drones above which a random graph is not even drawn: the probability of a
-connected draw is below exp(-40).
+"""Mean number of isolated drones above which a random graph is not even
+drawn: the probability of a connected draw is below exp(-40).
 """
 DRAWS = 1000
 """Most attempts to draw a connected random graph."""
@@ -132,8 +135,9 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return i
 
     def edges(self) -> tuple[Arc, ...]:
-        """Return the joined pairs (i, j), i < j, in either direction; `arcs` has the
-        directed ones.
+        """Return the joined pairs (i, j), i < j, in either direction.
+
+        `arcs` has the directed ones.
         """
         return tuple(sorted(dict.fromkeys((min(arc), max(arc)) for arc in self.arcs)))
 
@@ -152,8 +156,8 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         )
 
     def parts(self) -> tuple[tuple[int, ...], ...]:
-        """Return the groups of drones that edges join in either direction, ordered by their lowest
-        id.
+        """Return the groups of drones that edges join in either
+        direction, ordered by their lowest id.
 
         A graph without isolated drones or groups has one part.
         """
@@ -164,8 +168,8 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return tuple(found.values())
 
     def diameter(self) -> int:
-        """Return the largest number of hops that a message needs between two drones: the rounds of
-        a flood.
+        """Return the largest number of hops that a message needs
+        between two drones: the rounds of a flood.
 
         Raises ConfigError if the graph is not connected.
         """
@@ -241,8 +245,8 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
         return self.union().is_connected
 
     def diameter(self) -> int:
-        """Return the most rounds that a flood needs, over all drones and all first rounds of the
-        period.
+        """Return the most rounds that a flood needs, over all
+        drones and all first rounds of the period.
 
         Raises ConfigError if the graphs are not jointly connected.
         """
@@ -505,8 +509,8 @@ def _meant(shape: str, given: str) -> str:
 
 
 def metropolis(graph: Graph) -> Weights:
-    """Return the Metropolis-Hastings weights: symmetric, doubly stochastic, from the neighbours'
-    degrees only.
+    """Return the Metropolis-Hastings weights: symmetric, doubly
+    stochastic, from the neighbours' degrees only.
 
         w_ij = 1 / (1 + max(d_i, d_j)) for neighbours,   w_ii = 1 - sum_j w_ij
 
@@ -605,8 +609,8 @@ def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int
 
 
 def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
-    """Return the rounds until a flood from `start`, which begins in round `first`, reaches all
-    drones.
+    """Return the rounds until a flood from `start`, which
+    begins in round `first`, reaches all drones.
     """
     reached = {start: None}  # a dict, because a set has no fixed order
     k = first

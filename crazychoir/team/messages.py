@@ -1,5 +1,5 @@
-"""The messages in which members of a team describe themselves, and the roster that they
-agree on.
+"""The messages in which members of a team describe
+themselves, and the roster that they agree on.
 """
 
 from dataclasses import dataclass
@@ -53,9 +53,11 @@ class Go(msgspec.Struct, frozen=True):
     """A roster on the wire, with the age of the mission."""
 
     roster: Roster
+    """The roster."""
     age: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
-    """Seconds since the mission's GO. A drone that joins later counts its mission time from
-    GO too.
+    """Seconds since the mission's GO.
+
+    A drone that joins later counts its mission time from GO too.
     """
 
     def wire(self) -> bytes:

@@ -1,5 +1,5 @@
-"""The shape of an iterative distributed algorithm: no input or output, so any runtime can
-run it.
+"""The shape of an iterative distributed algorithm: no
+input or output, so any runtime can run it.
 """
 
 from typing import Any, Protocol, runtime_checkable
@@ -26,8 +26,9 @@ class Round(Protocol):
         ...
 
     def message(self) -> Any:
-        """Return the value for the neighbours in this round; a `PerNeighbor` holds one for each
-        neighbour.
+        """Return the value for the neighbours in this round.
+
+        A `PerNeighbor` holds one for each neighbour.
         """
         ...
 

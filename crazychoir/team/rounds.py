@@ -1,5 +1,5 @@
-"""The engine below the communicator: channels, arrivals, answers and resends, across the epochs of
-a team.
+"""The engine below the communicator: channels, arrivals,
+answers and resends, across the epochs of a team.
 
 Rounds need no acknowledgement. A drone that waits for round k resends its own message of round k
 every RTO to the neighbours that it misses. A drone that receives such a repeated message answers
@@ -57,8 +57,9 @@ CREDIT_EVERY: Final = 16
 MAX_CHANNELS: Final = 256
 """Most channels that are open at once."""
 MAX_EARLY: Final = 256
-"""Messages that are kept for channels and epochs that this drone does not have yet; newer messages
-replace older ones.
+"""Messages that are kept for channels and epochs that this drone does not have yet.
+
+Newer messages replace older ones.
 """
 MAX_EARLY_BYTES: Final = 8192
 """Largest payload of such a message; a larger one is not kept, and its sender resends it."""
@@ -69,13 +70,14 @@ PUSH: Final = 1 << 20
 FAILED: Final = "failed"
 """Channel on which an agent says that it stops on all channels."""
 SWEEP: Final = 5_000_000
-"""ns between two checks of the waiting channels; all drones of a process check at the same
-instants.
+"""ns between two checks of the waiting channels.
+
+All drones of a process check at the same instants.
 """
 
 
 class Membership(Protocol):
-    """The answer to: which neighbours are gone for good?"""
+    """Knows which neighbours are gone for good."""
 
     def lost(self, j: int) -> bool:
         """Return True if j is LOST."""
@@ -83,6 +85,8 @@ class Membership(Protocol):
 
 
 class _Everybody:
+    """A membership without lost drones."""
+
     def lost(self, j: int) -> bool:
         return False
 
@@ -158,8 +162,9 @@ class Rounds:
     # Channels and epochs --------------------------------------------------------------
 
     def open(self, channel: str, joinable: bool = False) -> Channel:
-        """Return a channel, which is an algorithm instance with its own rounds; create it if
-        needed.
+        """Return a channel, which is an algorithm instance with its own rounds.
+
+        Create it if needed.
 
         A `joinable` channel continues across epochs; a new member begins with the first round of
         its epoch.
@@ -190,8 +195,9 @@ class Rounds:
             self.adopt(barrier.roster)
 
     def hold(self) -> int:
-        """Send no further round of a joinable channel until the next epoch; return the first held
-        round.
+        """Send no further round of a joinable channel until the next epoch.
+
+        Returns the first held round.
         """
         held = self._epochs.hold(
             [ch.sending for ch in self._channels.values() if ch.joinable]
@@ -229,8 +235,8 @@ class Rounds:
         graph: Graph | None = None,
         first_round: int = 0,
     ) -> None:
-        """Begin a new epoch: `joinable` channels continue with the remaining members, others raise
-        RosterChanged.
+        """Begin a new epoch: `joinable` channels continue with the
+        remaining members, others raise RosterChanged.
         """
         self._epochs.begin(epoch, gone, joined, graph, first_round)
         self._flags = epoch << KIND_BITS
@@ -244,6 +250,7 @@ class Rounds:
     def _go_on(
         self, ch: Channel, gone: tuple[int, ...], joined: tuple[int, ...]
     ) -> None:
+        """Continue a joinable channel in a new epoch."""
         ch.until = 0
         ch.limit = ch.oldest
         ch.forget((*gone, *joined))
@@ -275,6 +282,7 @@ class Rounds:
         return ch
 
     def _make_room(self, channel: str) -> None:
+        """Remove a closed channel if there are too many; raise ConfigError if all are in use."""
         used = len(self._channels) - (FAILED in self._channels)
         if used >= MAX_CHANNELS:
             closed = next(
@@ -293,6 +301,7 @@ class Rounds:
             del self._channels[closed]
 
     def _absent(self, j: int) -> bool:
+        """Return True if j has left or is lost."""
         return j in self._epochs.gone or self.membership.lost(j)
 
     # Sending --------------------------------------------------------------------------
@@ -304,6 +313,7 @@ class Rounds:
         ch.until = self._epochs.until(ch.joinable, k)
 
     def _again(self, ch: Channel, k: int, j: int, attempt: int, kind: int) -> None:
+        """Resend our message of round k to j, if it is kept."""
         payload = ch.stored(k, j)
         if payload is not None:
             self.port.counters.resent += 1
@@ -314,6 +324,7 @@ class Rounds:
     def _control(
         self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0
     ) -> None:
+        """Send a message without content."""
         self.port.send(ROUND, to, b"", k, ch.name, self._flags | kind, attempt)
 
     # Arriving -------------------------------------------------------------------------
@@ -327,6 +338,7 @@ class Rounds:
         flags: int,
         age: float,
     ) -> None:
+        """Take a message of a neighbour: store it, answer it, and wake the waiting verb."""
         ch = self._channels.get(channel)
         kind = DATA
         if (
@@ -453,6 +465,7 @@ class Rounds:
             self._control(ch, FIN, (source,), ch.closed_at, PUSH + ch.told)
 
     def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
+        """Take a message without content: WANT, CREDIT, FIN, FIN_TOO or GONE."""
         if kind == GONE:
             self._skip(ch, number, source)
             return
@@ -526,6 +539,9 @@ class Rounds:
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
 
     def _sweep(self) -> None:
+        """Check the waiting channels: fail those with a lost neighbour or
+        past their deadline, and resend for the others.
+        """
         self._alarm = None
         now_ns = self._clock.now_ns()
         for ch in self._waiting():

@@ -1,5 +1,6 @@
-"""Strangers: drones of the same swarm name with another swarm file or mission. Decides which side
-is refused.
+"""Strangers: drones of the same swarm name with another swarm file or mission.
+
+Decides which side is refused.
 """
 
 from collections.abc import Collection, Sequence
@@ -8,8 +9,9 @@ from typing import Final
 from crazychoir.runtime.clock import SECOND, Clock
 
 SETTLE: Final = 2.0
-"""Seconds after the first stranger until the smaller group is decided; earlier if all drones are
-known.
+"""Seconds after the first stranger until the smaller group is decided.
+
+It comes earlier if all drones are known.
 """
 
 COPY: Final = "Copy one swarm file and one mission to every host."

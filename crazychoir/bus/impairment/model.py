@@ -1,5 +1,5 @@
-"""A simulated bad network between drones: loss, bursts, delay, jitter, duplicates, reordering,
-bandwidth, partitions.
+"""A simulated bad network between drones: loss, bursts, delay,
+jitter, duplicates, reordering, bandwidth, partitions.
 
 A verdict is a pure function of (seed, source, destination, channel, number, attempt). Therefore it
 does not depend on processes, scheduling or the order of calls. Only the queue of a limited
@@ -41,7 +41,9 @@ class EdgeCounters:
 
 
 LOST = Verdict(())
+"""The message is lost."""
 AT_ONCE = Verdict((0.0,))
+"""The message arrives without a delay."""
 
 
 class Impairment:
@@ -73,8 +75,8 @@ class Impairment:
         self._edges: dict[tuple[int, int], _Edge] = {}
 
     def update(self, changes: Mapping[str, Any]) -> None:
-        """Change a rule: {"loss": 0.3}, {"edge": [1, 2], "directed": true, "delay": 0.05},
-        {"drone": 3, "loss": None}.
+        """Change a rule: {"loss": 0.3}, {"edge": [1, 2], "directed":
+        true, "delay": 0.05}, {"drone": 3, "loss": None}.
 
         The named fields of the rule of that scope change; None unsets a field. {"clear": True}
         drops everything first. {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]}
@@ -153,9 +155,13 @@ class _Lane:
     """One channel of an edge: its key, and the latest block of burst states."""
 
     key: int
+    """Key of its draws."""
     link: Link
+    """Effects on the edge."""
     block: int = -1
+    """Number of the block in `states`; -1 for none."""
     states: bytes = b""
+    """Burst states of the block, a byte each: 1 bad, 0 good."""
 
     def bad(self, index: int) -> bool:
         block, place = divmod(index, BLOCK)
@@ -172,17 +178,29 @@ class _Edge:
     """A directed edge: its link, with the probabilities as thresholds of draws."""
 
     link: Link
+    """Effects on the edge."""
     cuts: tuple[tuple[float, float], ...]
+    """(since, until) of the partitions that cut it, in s since GO."""
     counters: EdgeCounters
+    """Counts of its messages."""
     key_of: Callable[[int | str], int]
+    """Callable that returns the key of a channel."""
     lanes: dict[int | str, _Lane] = field(default_factory=dict)
+    """Its channels."""
     free_at: float = 0.0
+    """s, sender's clock: time at which the bandwidth is free again."""
     loss: int = 0
+    """Threshold of the draws that lose a message."""
     loss_bad: int = 0
+    """Threshold of the draws that lose a message in the bad state of the burst chain."""
     bursty: bool = False
+    """True if it has a burst chain."""
     slow: bool = False
+    """True if messages may be late or doubled."""
     stateful: bool = False
+    """True if a partition or a bandwidth acts on it."""
     affected: bool = False
+    """True if there is any effect."""
 
     def __post_init__(self) -> None:
         link = self.link
@@ -201,8 +219,9 @@ class _Edge:
         return lane
 
     def wait(self, size: int, now: float, age: float) -> float:
-        """Return the seconds until the last byte has left; -1 if a partition or a full queue stops
-        the message.
+        """Return the seconds until the last byte has left.
+
+        The result is -1 if a partition or a full queue stops the message.
         """
         if any(since <= age < until for since, until in self.cuts):
             return -1.0
@@ -215,8 +234,8 @@ class _Edge:
         return self.free_at - now
 
     def late(self, lane: int, number: int, attempt: int, wait: float) -> Verdict:
-        """Return the delays of a message that arrives, and of its copy, by delay, jitter and
-        reordering.
+        """Return the delays of a message that arrives, and of its
+        copy, by delay, jitter and reordering.
         """
         link = self.link
         first, second = divmod(draw(lane ^ _LATENESS, number, attempt), _HALF)

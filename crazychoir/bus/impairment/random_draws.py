@@ -1,5 +1,5 @@
-"""Random numbers as a pure function of a key and counters: any of them can be computed in any
-order, in any process.
+"""Random numbers as a pure function of a key and counters: any of
+them can be computed in any order, in any process.
 
 Source of the mixing function: Steele, Lea & Flood 2014, OOPSLA (SplitMix64).
 """
@@ -42,8 +42,8 @@ def draw(key: int, number: int, attempt: int) -> int:
 
 
 def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bytes:
-    """Return the states of the Gilbert-Elliott chain at BLOCK * block and the BLOCK - 1 indices
-    after it: 1 bad, 0 good.
+    """Return the states of the Gilbert-Elliott chain at BLOCK * block
+    and the BLOCK - 1 indices after it: 1 bad, 0 good.
 
         u_t < p_gb: bad;   u_t >= 1 - p_bg: good;   else as at t - 1         (p_gb + p_bg <= 1)
 
@@ -75,8 +75,8 @@ def _state_before(key: int, block: int, p_good_bad: float, p_bad_good: float) ->
 def _decisions(
     key: int, block: int, p_good_bad: float, p_bad_good: float
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return two masks over a block: the indices that decide the state, and the indices that decide
-    for bad.
+    """Return two masks over a block: the indices that decide the
+    state, and the indices that decide for bad.
     """
     u = _uniforms(key ^ _BURST, block * BLOCK)
     bad = u < p_good_bad

@@ -220,6 +220,7 @@ def changed(
 def _merged(
     rules: tuple[Rule, ...], scope: Rule, effects: Mapping[str, Any]
 ) -> tuple[Rule, ...]:
+    """Return the rules after the effects of one scope have changed; None removes an effect."""
     before = next(
         (dict(rule.effects) for rule in rules if rule.scope == scope.scope), {}
     )
@@ -264,6 +265,7 @@ def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -
 
 
 def _check_scope(rule: Rule) -> None:
+    """Raise ConfigError if the drone or the edge of a rule is invalid."""
     if rule.drone is not None and (not _is_id(rule.drone) or rule.edge is not None):
         found = f"drone = {rule.drone!r}, edge = {rule.edge!r}"
         raise ConfigError(
@@ -294,6 +296,7 @@ def _check_effect(name: str, value: Any) -> None:
 
 
 def _check_burst(effects: Mapping[str, float]) -> None:
+    """Raise ConfigError if the probabilities of the burst chain do not fit together."""
     if ("p_good_bad" in effects) != ("p_bad_good" in effects):
         raise ConfigError(
             "impairment: burst",

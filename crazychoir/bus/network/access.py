@@ -43,21 +43,23 @@ class Access:
     operators: tuple[str, ...]
     """Hosts that may command."""
     router: str | None = None
-    """Host that passes all messages on; it restricts each host to its own name, and is itself
-    trusted.
+    """Host that passes all messages on.
+
+    It restricts each host to its own name, and is itself trusted.
     """
 
     def may_hold(self, host: str, address: int) -> bool:
-        """Return True if a process of this host may have this address; any host may have
-        observers.
+        """Return True if a process of this host may have this address.
+
+        Any host may have observers.
         """
         if OBSERVER <= address < BODIES:
             return True
         return self.holders.get(address) == host
 
     def may_be(self, host: str, process: str) -> bool:
-        """Return True if a process of this name may be on a host: no process takes another's
-        name.
+        """Return True if a process of this name may be on a
+        host: no process takes another's name.
         """
         return process.startswith(self._begins(host))
 
@@ -69,8 +71,9 @@ class Access:
         return 2 * len(self.processes.get(host, ())) + LOOKING
 
     def _begins(self, host: str) -> tuple[str, ...]:
-        """Return the first parts of the names of a host's processes; no name of a host has a
-        dot.
+        """Return the first parts of the names of a host's processes.
+
+        No name of a host has a dot.
         """
         return (
             *(f"{start}-" for start in self.processes.get(host, ())),
@@ -99,7 +102,8 @@ class Access:
             for key, path in own.items()
         }
         return {
-            # A certificate names a host, no address, and its host is held to the keys of that name.
+            # A certificate names a host and no address. Access control restricts the host to the
+            # keys with its name.
             "transport/link/tls": tls
             | {
                 "root_ca_certificate": str(self.folder / "authority.pem"),
@@ -111,7 +115,9 @@ class Access:
         }
 
     def _control(self) -> dict[str, Any]:
-        """Nothing is allowed to come in but what each host says of itself, and asks for itself."""
+        """Return Zenoh's access control: a host may only send under its
+        own name, and only subscribe to its own messages.
+        """
         top = f"choir/{self.swarm}"
         rules = [_rule("out", "egress", _TALK + _TOKENS, [f"{top}/**"])]
         policies: list[dict[str, Any]] = []

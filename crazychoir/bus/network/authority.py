@@ -1,5 +1,5 @@
-"""A folder of keys: the authority of a swarm, and for each host a certificate that the authority
-has signed.
+"""A folder of keys: the authority of a swarm, and for each host
+a certificate that the authority has signed.
 
     keys/authority/   certificate.pem, key.pem                    stays on one machine
     keys/<host>/      certificate.pem, key.pem, authority.pem     for this host only
@@ -205,6 +205,10 @@ def good_until(own: Path) -> datetime.datetime:
 
 
 def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    """Return the certificate and the private key of the authority.
+
+    Raises ConfigError if they cannot be read.
+    """
     own = folder / AUTHORITY
     if not own.exists():
         do = "Make one, once for a lab: crazychoir keys init"
@@ -229,6 +233,10 @@ def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateK
 
 
 def _give(folder: Path, host: str, days: int) -> None:
+    """Make a certificate for a host, and copy the authority's certificate into its folder.
+
+    Raises ConfigError if the authority's certificate has expired.
+    """
     issuer = _authority(folder)
     until = issuer[0].not_valid_after_utc
     if until <= today():
@@ -336,6 +344,7 @@ def _of_host(name: str) -> list[tuple[x509.ExtensionType, bool]]:
 
 
 def _read(path: Path) -> x509.Certificate:
+    """Return a certificate; raise ConfigError, with advice, if it cannot be read."""
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as error:

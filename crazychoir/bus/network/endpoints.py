@@ -1,5 +1,5 @@
-"""Endpoints of processes, Zenoh's settings for them, and the errors for endpoints that cannot be
-used.
+"""Endpoints of processes, Zenoh's settings for them, and the
+errors for endpoints that cannot be used.
 """
 
 import ipaddress
@@ -12,8 +12,8 @@ from crazychoir.errors import ConfigError
 MAX_MESSAGE = 8 << 20
 """Bytes that Zenoh assembles from fragments; a larger message ends the link to its sender."""
 LOCAL_LEASE = 10.0
-"""s: least lease if all processes are on one host, because 4 keep-alives for each lease and
-connection cost CPU time.
+"""s: least lease if all processes are on one host, because 4
+keep-alives for each lease and connection cost CPU time.
 """
 BATCHES = 16
 """Batches of 64 kB, for each class, that may wait for the network; this is Zenoh's maximum.
@@ -114,8 +114,9 @@ def is_loopback(address: str) -> bool:
 
 
 def address_fault(address: str) -> str:
-    """Return what to do about the address of a host in a file that all hosts read; empty for a
-    valid one.
+    """Return what to do about the address of a host in a file that all hosts read.
+
+    The text is empty for a valid one.
 
     Valid are an IPv4 address, an IPv6 address without brackets and zone, and a DNS name, all
     without a port.

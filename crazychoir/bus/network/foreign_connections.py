@@ -18,8 +18,8 @@ class Connections:
     def look(
         self, connected: Iterable[tuple[str | None, str]], known: Iterable[str]
     ) -> list[str]:
-        """Return the hosts with more programs than processes at two checks in a row, each host
-        once.
+        """Return the hosts with more programs than processes at
+        two checks in a row, each host once.
 
         connected: for each link, the name in the certificate and Zenoh's id of the program
         known: for each process with a token, its host

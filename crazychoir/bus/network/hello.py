@@ -1,5 +1,6 @@
-"""HELLO: a process describes itself to all other processes. Checks which parts of it are
-believed.
+"""HELLO: a process describes itself to all other processes.
+
+Checks which parts of it are believed.
 """
 
 from importlib.metadata import version
@@ -66,8 +67,9 @@ class Hello(msgspec.Struct, frozen=True):
     stopped: bool
     """True while an emergency stop is in force."""
     agreed: Annotated[dict[_Name, _Name], Meta(max_length=MAX_AGREED)] = {}
-    """Digest of each key of its swarm file that bodies and agents must agree on; empty for an
-    observer.
+    """Digest of each key of its swarm file that bodies and agents must agree on.
+
+    It is empty for an observer.
     """
 
     @classmethod
@@ -95,8 +97,8 @@ class Hello(msgspec.Struct, frozen=True):
         return [*self.drones, *self.observers]
 
     def wants(self) -> list[Interest]:
-        """Return its interests, without those for readers of other processes and those with invalid
-        rates.
+        """Return its interests, without those for readers of other
+        processes and those with invalid rates.
         """
         own = frozenset(self.addresses)
         sensible = [

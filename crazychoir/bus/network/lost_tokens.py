@@ -22,8 +22,8 @@ ANSWERS: Final = 64
 
 
 class Estranged:
-    """Decides which processes without a token get a HELLO, and when to declare another token of
-    ours.
+    """Decides which processes without a token get a HELLO, and
+    when to declare another token of ours.
     """
 
     def __init__(self) -> None:

@@ -158,6 +158,7 @@ class Peers:
         return self._payload, uptime - said.uptime
 
     def _hello(self, uptime: float) -> Hello:
+        """Return the HELLO of this process."""
         return Hello(
             process=self.bus.process,
             host=self.bus.host,
@@ -239,16 +240,15 @@ class Peers:
         )
 
     def _reads(self, peer: Peer, address: int) -> bool:
-        """Return True if an address that a peer claims may read: the address is not on another
-        host.
-        """
+        """Return True if a peer may read at an address: no other host holds it."""
         return (
             self.access is None or self.directory.get(address, peer).host == peer.host
         )
 
     def _forbids(self, peer: Peer, hello: Hello) -> bool:
-        """Return True if a peer claims an address that the swarm file gives to another host; log it
-        once.
+        """Return True if a peer claims an address of another host, by the swarm file.
+
+        Log it once.
         """
         others = [
             j
@@ -333,6 +333,7 @@ class Peers:
         return True
 
     def _take_in(self, peer: Peer, hello: Hello) -> None:
+        """Accept a HELLO: update the way to its addresses, and serve its interests."""
         was_mutual = self.mutual(peer)
         previous = peer.hello
         peer.hello = hello

@@ -1,5 +1,5 @@
-"""JSON copies of public topics at a lower rate, for other Zenoh programs, under
-choir/<swarm>/drone/<id>/<topic>.
+"""JSON copies of public topics at a lower rate, for other Zenoh
+programs, under choir/<swarm>/drone/<id>/<topic>.
 """
 
 from typing import Any, Protocol

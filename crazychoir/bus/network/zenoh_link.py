@@ -1,5 +1,5 @@
-"""The link to other processes: one Zenoh session, one wildcard subscriber, one put for each (peer
-process, class, loop pass).
+"""The link to other processes: one Zenoh session, one wildcard
+subscriber, one put for each (peer process, class, loop pass).
 
     frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
     tokens  choir/<swarm>/live/<host>/<process>[/<number>]    numbered ones: see lost_tokens.py
@@ -65,8 +65,9 @@ CLOSE_DEADLINE = 1.5  # s
 CLOSING = "zenoh close"
 """Name of the thread in which a session may be left behind, see launch/process/ending.py."""
 SETTLED = 5
-"""Seconds for which a changed HELLO is repeated every second; also the seconds between later
-repeats.
+"""Seconds for which a changed HELLO is repeated every second.
+
+It is also the time between later repeats.
 """
 RUNTIME = "(rx: (worker_threads: 64))"
 """Zenoh's receiving threads.
@@ -76,7 +77,7 @@ threads. The thread then waits up to 10 s for the network (SO_LINGER; zenoh issu
 no thread is left, no message is received.
 """
 ASKING = 4
-"""HELLOs a second to a peer that has not answered yet."""
+"""HELLOs a second to a peer until HELLO has gone both ways."""
 LOOKS = 2
 """Seconds between checks of the connections."""
 TOKENS = 8
@@ -84,7 +85,7 @@ TOKENS = 8
 KEY_PARTS = 7
 """Parts of the key of a frame."""
 OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
-"""Warning for a network without encryption."""
+"""Warning for a network that is neither encrypted nor closed."""
 _PRIORITY = {
     Class.ESTOP: zenoh.Priority.REAL_TIME,
     Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
@@ -123,8 +124,8 @@ class LinkCounters:
     other_version: int = 0
     """Frames of another version of the format."""
     strangers: int = 0
-    """Frames and messages of processes without a token (or with a HELLO that overtook it), or in
-    the name of another process.
+    """Frames and messages of processes without a token (or with a HELLO
+    that overtook it), or in the name of another process.
     """
     forbidden: int = 0
     """Commands of hosts that are not operators."""
@@ -277,8 +278,8 @@ class ZenohLink(Actor):
                 self._look_who_is_connected()
 
     async def on_stop(self) -> None:
-        """Send the waiting messages and close the session in a thread, because closing may take
-        long.
+        """Send the waiting messages and close the session in a
+        thread, because closing may take long.
         """
         self._flush()
         session = self._session
@@ -358,8 +359,8 @@ class ZenohLink(Actor):
                 self._add(peer, topic.klass, message)
 
     def then(self, work: Callable[[], None]) -> None:
-        """Call `work` after the puts at the end of this loop pass, so that other processes need not
-        wait for it.
+        """Call `work` after the puts at the end of this loop pass, so
+        that other processes need not wait for it.
         """
         self._after.append(work)
         self._schedule_flush()
@@ -383,6 +384,9 @@ class ZenohLink(Actor):
             self._say_time(peer, peer.offset.ask(self._now_ns()))
 
     def _look_who_is_connected(self) -> None:
+        """Warn about programs that connect with the certificate
+        of a host and are not in the swarm.
+        """
         session = self._session
         if session is None or self.access is None or self.access.router is not None:
             return  # through a router there are connections of all hosts
@@ -402,6 +406,7 @@ class ZenohLink(Actor):
         )
 
     def _greet_estranged(self, gone_too: bool) -> None:
+        """Send HELLO to processes without a token, without the lanes of a peer."""
         session = self._session
         processes = self._estranged.due(gone_too)
         if session is None or not processes:
@@ -421,6 +426,10 @@ class ZenohLink(Actor):
             )
 
     def _declare_another_token(self, process: str) -> None:
+        """Declare one more token because `process` does not see ours.
+
+        Drop the oldest additional one.
+        """
         session = self._session
         if session is None:
             return
@@ -435,6 +444,7 @@ class ZenohLink(Actor):
             log.warning("a liveliness token could not be declared: %s", error)
 
     def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
+        """Add a message to the next frame for a peer and a class."""
         session = self._session
         if session is None:
             self.counters.dropped += 1
@@ -451,6 +461,7 @@ class ZenohLink(Actor):
         self._schedule_flush()
 
     def _lane(self, session: zenoh.Session, peer: Peer, klass: Class) -> Lane:
+        """Open the lane of a class to a peer."""
         publisher = session.declare_publisher(
             self._key(peer.process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -473,6 +484,9 @@ class ZenohLink(Actor):
             self._loop.call_soon(self._flush)
 
     def _flush(self) -> None:
+        """Send all frames at the end of a pass of the event loop,
+        then run the work that waits for that.
+        """
         if self._to_greet:
             self._say_hello()
         self._flushing = False
@@ -500,6 +514,7 @@ class ZenohLink(Actor):
                 self._add(self.peers[name], HELLO.klass, hello)
 
     def _put(self, put: Callable[[bytes], None], frame: bytes) -> None:
+        """Send a frame, and measure how long the put takes."""
         counters = self.counters
         began_ns = self._now_ns()
         try:
@@ -584,7 +599,8 @@ class ZenohLink(Actor):
                 queue.clear()
 
     def _drain(self) -> None:
-        self._armed = False  # before the queue is read, else a wake-up is lost
+        """Read queued frames and tokens in the event loop, for a limited number and time."""
+        self._armed = False  # before reading, otherwise a wake-up is lost
         queue = self._queue
         now = self._now_ns()
         busy = now - self._behind_ns if self._behind_ns else 0
@@ -627,6 +643,7 @@ class ZenohLink(Actor):
             lane.publisher.undeclare()
 
     def _frame(self, key: str, data: bytes, arrived_ns: int) -> None:
+        """Decode a frame, find its peer, and deliver its messages."""
         counters = self.counters
         try:
             frame = decode_frame(data)
@@ -687,6 +704,7 @@ class ZenohLink(Actor):
     def _distribute(
         self, peer: Peer, messages: list[Envelope], arrived_ns: int
     ) -> None:
+        """Deliver the messages of a peer that it may send to the ports of this process."""
         directory = self.directory
         ports = self.bus.ports
         waited = (self._now_ns() - arrived_ns) / SECOND
@@ -829,8 +847,8 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
 
 
 def _speaker(key: str) -> tuple[str, str]:
-    """Return the host and the process in the key of a frame, where access control looks for the
-    host.
+    """Return the host and the process in the key of a frame,
+    where access control looks for the host.
 
     Returns two empty texts if the key does not have KEY_PARTS parts.
     """
