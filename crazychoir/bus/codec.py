@@ -2,8 +2,8 @@
 
     payload = tag (1 byte: format version in the upper 2 bits, kind in the lower 6) + body
 
-Kinds: 0 msgpack, 1 float, 2 and 3 arrays (array_codec.py), from 16 on wire types. Inside a
-    container, an array or a wire type is a msgpack extension that holds a whole payload.
+The kinds are 0 msgpack, 1 float, 2 and 3 arrays (array_codec.py), and from 16 on wire types. Inside
+a container, an array or a wire type is a msgpack extension that holds a whole payload.
 """
 
 import re

@@ -1,7 +1,8 @@
 """Monitors which members of a team are ALIVE, SUSPECT or LOST.
 
-SUSPECT: the liveliness token is gone, or no message came for a second. LOST: SUSPECT for
-    `lost_after`.
+A member is SUSPECT if its liveliness token is gone, or if no message came for a second.
+A member is LOST if it was SUSPECT for `lost_after`.
+
 Heartbeats come from the drone's event loop and pass the simulated network like every other message.
 Therefore a hung loop, a killed process and a partition all become visible. Any message counts as a
 sign of life.

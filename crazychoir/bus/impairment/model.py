@@ -75,12 +75,16 @@ class Impairment:
         self._edges: dict[tuple[int, int], _Edge] = {}
 
     def update(self, changes: Mapping[str, Any]) -> None:
-        """Change a rule: {"loss": 0.3}, {"edge": [1, 2], "directed":
-        true, "delay": 0.05}, {"drone": 3, "loss": None}.
+        """Change a rule, or the partitions.
 
-        The named fields of the rule of that scope change; None unsets a field. {"clear": True}
-        drops everything first. {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]}
-        sets the partitions, {"cut": {"a": [2]}} adds one.
+            {"loss": 0.3}
+            {"edge": [1, 2], "directed": true, "delay": 0.05}
+            {"drone": 3, "loss": None}
+
+        The named fields of the rule of that scope change; None unsets a field.
+        {"clear": True} drops everything first.
+        {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]} sets the partitions.
+        {"cut": {"a": [2]}} adds one.
         Raises ConfigError, and then changes nothing.
         """
         self.replace(*changed(self.rules, self.partitions, changes))

@@ -42,8 +42,7 @@ def draw(key: int, number: int, attempt: int) -> int:
 
 
 def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bytes:
-    """Return the states of the Gilbert-Elliott chain at BLOCK * block
-    and the BLOCK - 1 indices after it: 1 bad, 0 good.
+    """Return BLOCK states of the Gilbert-Elliott chain from index BLOCK * block on: 1 bad, 0 good.
 
         u_t < p_gb: bad;   u_t >= 1 - p_bg: good;   else as at t - 1         (p_gb + p_bg <= 1)
 

@@ -40,7 +40,7 @@ class Link:
     loss_bad: float = 1.0
     """Probability that a message is lost in the bad state."""
     delay: float = 0.0
-    """s."""
+    """s: delay of every message."""
     jitter: float = 0.0
     """s: uniform, in addition to the delay."""
     duplicate: float = 0.0
@@ -48,7 +48,7 @@ class Link:
     reorder: float = 0.0
     """Probability of an additional delay of reorder_delay."""
     reorder_delay: float = 0.05
-    """s."""
+    """s: additional delay of a reordered message."""
     bandwidth: float = 0.0
     """bytes/s; 0 for no limit."""
     queue: float = 0.5

@@ -49,12 +49,13 @@ def settings(
 ) -> dict[str, Any]:
     """Return Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait.
 
-    lease: seconds without a sign of another host before its tokens disappear; a longer lease
-        suffices on one host, where a process that dies closes its connections
+    lease: seconds without a sign of another host before its tokens disappear; at least LOCAL_LEASE
+        on one host, where a process that dies closes its connections
     mode: "peer", "client" or "router"
 
-    Gossip: a process that knows only some endpoints learns the others from those processes, and
-        connects to each. Without it, it would see only their tokens.
+    With gossip, a process that knows only some endpoints learns the others from those processes,
+    and connects to each. Without gossip it would see only the tokens of the processes that it
+    knows.
     A client has one link, to a router, for all messages: Zenoh's routers pass nothing on between
     peers.
     Raises ConfigError for a malformed endpoint.
@@ -116,10 +117,8 @@ def is_loopback(address: str) -> bool:
 def address_fault(address: str) -> str:
     """Return what to do about the address of a host in a file that all hosts read.
 
-    The text is empty for a valid one.
-
-    Valid are an IPv4 address, an IPv6 address without brackets and zone, and a DNS name, all
-    without a port.
+    The text is empty for a valid address: an IPv4 address, an IPv6 address without brackets and
+    zone, or a DNS name, all without a port.
     """
     bare, percent, zone = address.strip("[]").partition("%")
     if percent and _is_ip(bare):
