@@ -1,1 +1,3 @@
-"""How messages travel: topics, codec, frames, local delivery, Zenoh, presence, commands, impairment."""
+"""Messages between drones, processes and hosts: topics, codec,
+frames, ports, Zenoh, presence, commands, impairment.
+"""

@@ -1,7 +1,7 @@
-"""Arrays, and wire types made of one, to bytes and back: the bodies of the codec that are not msgpack.
+"""Encodes arrays, and wire types made of one: the bodies of the codec that are not msgpack.
 
-Numbers are little endian and begin at a multiple of 8 bytes, so that an array read from a payload is an aligned,
-read-only view of it.
+Numbers are little endian and begin at a multiple of 8 bytes. Therefore an array that is read from a
+payload is an aligned, read-only view of it.
 """
 
 import struct
@@ -17,9 +17,12 @@ from crazychoir.types import Vec, Wire
 
 FORMAT: Final = 1
 """Version of the format: the upper 2 bits of a payload's first byte."""
-VECTOR, ARRAY = FORMAT << 6 | 2, FORMAT << 6 | 3
-"""First bytes of a one-dimensional float64 array, and of any array."""
+VECTOR = FORMAT << 6 | 2
+"""First byte of a one-dimensional float64 array."""
+ARRAY = FORMAT << 6 | 3
+"""First byte of any other array."""
 MAX_DIMENSIONS: Final = 8
+"""Most dimensions of an array."""
 DTYPES: Final = (
     "float64",
     "float32",
@@ -32,6 +35,7 @@ DTYPES: Final = (
     "uint64",
     "bool",
 )
+"""Types of numbers that can travel; the index is the code in the payload, so only append."""
 
 Payload = bytes | bytearray | memoryview
 Encode = Callable[[Any], bytes]
@@ -39,17 +43,23 @@ Decode = Callable[[Any], Any]
 W = TypeVar("W", bound=Wire)
 
 _LITTLE = [np.dtype(np.dtype(name).newbyteorder("<").str) for name in DTYPES]
+"""Little-endian dtypes, by code."""
 _CODES = {dtype: code for code, dtype in enumerate(_LITTLE)}
+"""Code of each dtype."""
 _BOOL = np.dtype(bool)
 _F8 = np.dtype("<f8")
 _VECTOR_HEAD = bytes([VECTOR]) + bytes(7)
+"""Head of a vector's payload."""
 _ARRAY_HEADS = [struct.Struct(f"<BBB5x{n}Q") for n in range(MAX_DIMENSIONS + 1)]
+"""Layout of the head of an array's payload, by number of dimensions."""
 
 
 def encode_array(value: Any) -> bytes:
-    """A payload: for a vector, head (8 bytes) and numbers; else head with dtype and dimensions, shape, numbers.
+    """Return the payload of an array.
 
-    Raises KeyError for another dtype, IndexError for too many dimensions.
+    A vector has a head of 8 bytes and its numbers. Any other array has a head with dtype and
+    dimensions, its shape, and its numbers.
+    Raises KeyError for an unknown dtype, IndexError for too many dimensions.
     """
     if value.dtype is _F8 and value.ndim == 1:
         numbers: bytes = value.tobytes()
@@ -63,12 +73,15 @@ def encode_array(value: Any) -> bytes:
 
 
 def decode_vector(payload: Payload) -> Vec:
-    """(n,) view of a payload of kind VECTOR."""
+    """Return the (n,) view of a payload of kind VECTOR."""
     return np.frombuffer(payload, _F8, -1, 8)
 
 
 def decode_array(payload: Payload) -> Any:
-    """View of a payload of kind ARRAY; raises CodecError unless its shape and its length agree."""
+    """Return the view of a payload of kind ARRAY.
+
+    Raises CodecError if its shape and its length do not agree, or a truth value is neither 0 nor 1.
+    """
     dtype = _LITTLE[payload[1]]
     ndim = payload[2]
     head = _ARRAY_HEADS[ndim]
@@ -89,9 +102,10 @@ def decode_array(payload: Payload) -> Any:
 def flat_layout(
     cls: type[W], tag: int, size: int, more: int = 0
 ) -> tuple[Encode, Decode]:
-    """Codec of a wire type of one (size,) vector, then floats, then a (more,) vector if more is not 0.
+    """Return the codec of a wire type of one (size,) vector, then
+    floats, then a (more,) vector if more is not 0.
 
-    Its payload: head (8 bytes), the floats, the vectors.
+    Its payload is a head (8 bytes), the floats, and the vectors.
     """
     if more:
         return _flat_layout_of_two(cls, tag, size, more)
@@ -129,7 +143,7 @@ def flat_layout(
 def _flat_layout_of_two(
     cls: type[W], tag: int, size: int, more: int
 ) -> tuple[Encode, Decode]:
-    """Of two vectors."""
+    """Return the codec of a wire type of two vectors."""
     floats = len(cls.__struct_fields__) - 2
     pack = struct.Struct(f"<B7x{floats}d").pack
     unpack = struct.Struct(f"<8x{floats}d").unpack_from

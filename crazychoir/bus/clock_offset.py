@@ -1,8 +1,8 @@
-"""How far the monotonic clocks of two hosts are apart, as what their processes tell each other shows.
+"""Estimates the offset between the monotonic clocks of two hosts from messages of their processes.
 
     question = [t1],   answer = [t1, t2, t3]
 
-It is shown and recorded. Nothing is decided by it: messages carry ages.
+The offset is shown and recorded. No decision depends on it: messages carry ages.
 """
 
 from collections import deque
@@ -16,35 +16,43 @@ from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import SECOND
 
 SAMPLES: Final = 128
-"""The newest, one a second."""
+"""Newest answers that are kept, one a second."""
 DRIFT: Final = 30e-6
-"""s a second, between two clocks of 15 ppm each."""
+"""Seconds a second that two clocks of 15 ppm each can drift apart."""
 
 _Times = Annotated[
     list[Annotated[int, Meta(ge=0, lt=1 << 62)]], Meta(min_length=1, max_length=3)
 ]
+"""ns."""
 
 
 class Estimate(NamedTuple):
-    """offset: s that a clock is ahead of ours;  error: s, at most."""
+    """An estimate of the offset of another clock."""
 
     offset: float
+    """Seconds that the other clock is ahead of ours."""
     error: float
+    """Largest error, in seconds."""
 
     def contradicts(self, other: "Estimate") -> bool:
-        """Whether no offset fits both."""
+        """Return True if no offset fits both estimates."""
         return abs(self.offset - other.offset) > self.error + other.error
 
 
 class Offset:
-    """How far the clock of another process is ahead of ours, by questions of ours and its answers.
+    """The offset of the clock of another process to ours, from our questions and its answers.
 
         theta = ((t2 - t1) + (t3 - t4)) / 2,   error <= ((t4 - t1) - (t3 - t2)) / 2 + DRIFT age
 
-    t1: the question leaves us;  t2, t3: it arrives there, the answer leaves;  t4: that arrives here; each in ns of the
-    clock of its place;  age: s since t4. Of the last SAMPLES answers the one with the least error counts: mostly that
-    of the shortest way. One that contradicts it tells of another clock, of a host that was started anew or has slept:
-    what was known is forgotten.
+    t1: ns, our clock: the question leaves
+    t2: ns, other clock: the question arrives
+    t3: ns, other clock: the answer leaves
+    t4: ns, our clock: the answer arrives
+    age: seconds since t4
+
+    Of the last SAMPLES answers, the one with the smallest error counts. It mostly has the shortest
+    way. An answer that contradicts it comes from another clock, because the host was restarted or
+    has slept: all older answers are forgotten.
     Source: RFC 5905, sections 8 and 10.
     """
 
@@ -53,12 +61,15 @@ class Offset:
         self._samples: deque[tuple[int, Estimate]] = deque(maxlen=SAMPLES)
 
     def ask(self, now_ns: int) -> bytes:
-        """A question; an answer to an earlier one no longer counts."""
+        """Return a question; an answer to an earlier question no longer counts."""
         self._asked_ns = now_ns
         return encode([now_ns])
 
     def hear(self, payload: bytes, arrived_ns: int, now_ns: int) -> bytes | None:
-        """A question, to which it returns the answer, or an answer; raises CodecError for what is neither."""
+        """Handle a received message and return the answer if it is a question, else None.
+
+        Raises CodecError for a message that is neither a question nor an answer.
+        """
         try:
             times = msgspec.convert(decode(payload), _Times)
         except msgspec.ValidationError as error:
@@ -72,12 +83,13 @@ class Offset:
         return None
 
     def _answered(self, t1: int, t2: int, t3: int, t4: int) -> None:
+        """Take the four times of an answer; raise CodecError if they are contradictory."""
         away = t4 - t1
         held = t3 - t2
         if not 0 <= held <= away:
             raise CodecError(f"clock: held for {held} ns of {away}")
         if t1 != self._asked_ns:
-            return  # late, or the second of two
+            return  # the answer is late, or a duplicate
         self._asked_ns = None
         sample = Estimate(
             ((t2 - t1) + (t3 - t4)) / 2 / SECOND, (away - held) / 2 / SECOND
@@ -88,7 +100,7 @@ class Offset:
         self._samples.append((t4, sample))
 
     def estimate(self, now_ns: int) -> Estimate | None:
-        """The best that is known now."""
+        """Return the best estimate now, or None."""
         aged = [
             Estimate(theta, error + DRIFT * (now_ns - t4) / SECOND)
             for t4, (theta, error) in self._samples

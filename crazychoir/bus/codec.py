@@ -1,9 +1,9 @@
-"""Any value to bytes and back, for the payload of a message; nothing received can run code.
+"""Encodes any value as the bytes of a payload and decodes it; received bytes can never run code.
 
     payload = tag (1 byte: format version in the upper 2 bits, kind in the lower 6) + body
 
-Kinds: 0 msgpack, 1 float, 2 and 3 arrays (arrays.py), from 16 wire types. Inside a container, an array or a wire type
-is a msgpack extension that holds a whole payload.
+The kinds are 0 msgpack, 1 float, 2 and 3 arrays (array_codec.py), and from 16 on wire types. Inside
+a container, an array or a wire type is a msgpack extension that holds a whole payload.
 """
 
 import re
@@ -34,9 +34,12 @@ from crazychoir.errors import CodecError
 from crazychoir.files.path_texts import readable_texts
 
 MAX_PAYLOAD: Final = 600_000
-"""Bytes of one payload; a message of them fits into a frame, so that what is encoded here can leave the process."""
+"""Bytes of one payload.
+
+A message of this size fits into a frame, so every encoded value can leave the process.
+"""
 MAX_DEPTH: Final = 32
-"""Containers within containers."""
+"""Levels of containers within containers."""
 LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Pose": (16, 7),
     "State": (17, 13, 3),
@@ -56,26 +59,35 @@ LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Plan": (43, 0),
     "LinkStatus": (44, 0),
 }
-"""Wire types by class name: kind (16 to 63), and n if the fields are one (n,) float64 vector, then floats, and m if a
-(m,) vector comes last; else 0.
+"""Wire types by class name: (kind, n) or (kind, n, m).
 
-A kind that was ever used is never given to another class.
+kind: 16 to 63; a kind that was ever used is never given to another class
+n: length of the first field, a float64 vector that only floats follow; 0 for other fields
+m: length of the last field, if it is a second vector
 """
 
-_GENERIC, _FLOAT = FORMAT << 6, FORMAT << 6 | 1
-_EXTENSION = 1  # msgpack extension code: its data is the whole payload of an array or of a wire value
+_GENERIC = FORMAT << 6
+"""First byte of a msgpack payload."""
+_FLOAT = FORMAT << 6 | 1
+"""First byte of a float."""
+_EXTENSION = 1  # msgpack extension code; its data is a payload
 _LEAVES = frozenset({type(None), bool, int, float, str, bytes})
+"""Types that msgpack takes as they are."""
 _F8 = np.dtype("<f8")
 _FLOAT_BODY = struct.Struct("<Bd")
+"""Layout of a float's payload."""
 _GENERIC_HEAD = bytes([_GENERIC])
+"""Head of a msgpack payload."""
 
 
 def encode(value: Any, limit: int = MAX_PAYLOAD) -> bytes:
-    r"""Bytes of None, bool, int, float, str, bytes, list, tuple, dict, numpy array or scalar, wire type; nested.
+    r"""Return the bytes of a value: None, bool, int, float, str, bytes, list, tuple, dict, numpy
+    array or scalar, wire type; also nested.
 
-    Tuples arrive as lists (as tuples in the keys of a dict), numpy scalars as Python's. In texts, bytes of file
-    names that are not UTF-8 arrive as \xfc.
-    Raises CodecError: where in the value, what was found, what is allowed.
+    Tuples arrive as lists (as tuples in the keys of a dict), numpy scalars as Python's. In texts,
+    bytes of file names that are not UTF-8 arrive as \xfc.
+    limit: most bytes of the payload
+    Raises CodecError with the place in the value, what was found, and what is allowed.
     """
     try:
         payload = _ENCODERS.get(type(value), _encode_generic)(value)
@@ -91,9 +103,11 @@ def encode(value: Any, limit: int = MAX_PAYLOAD) -> bytes:
 
 
 def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
-    """Value of a payload. Arrays are read-only; not inside a container, they are views of the payload.
+    """Return the value of a payload.
 
-    Raises CodecError for whatever is wrong with the bytes, and nothing else.
+    Arrays are read-only. Outside of a container they are views of the payload.
+    limit: most bytes of the payload
+    Raises CodecError, and no other error, for invalid bytes.
     """
     try:
         if type(payload) is not bytes:
@@ -110,7 +124,10 @@ def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
 
 
 def register(cls: type[W]) -> type[W]:
-    """Let a wire type travel; its kind is in LAYOUTS. Usable as a decorator."""
+    """Let a wire type travel; its kind is in LAYOUTS. Can be used as a decorator.
+
+    Raises CodecError if LAYOUTS does not have the type, or a field has an unsuitable type.
+    """
     if cls.__name__ not in LAYOUTS:
         raise CodecError(
             f"{cls.__qualname__}: is not in codec.LAYOUTS, which has {', '.join(LAYOUTS)}. Add it there."
@@ -125,7 +142,7 @@ def register(cls: type[W]) -> type[W]:
 
 
 def _encode_readable(value: Any) -> bytes:
-    """Bytes of the value with texts that can travel."""
+    """Return the bytes of a value after its texts are made valid UTF-8."""
     try:
         texts = readable_texts(value, "strict")
         return _ENCODERS.get(type(texts), _encode_generic)(texts)
@@ -143,7 +160,11 @@ def _decode_float(payload: Payload) -> float:
 
 
 def _typed(cls: type[W], tag: int) -> tuple[Encode, Decode]:
-    """Any fields: msgpack of their list, checked against their types on arrival; arrays are float64, of any shape."""
+    """Return the codec of a wire type with any fields.
+
+    The body is the msgpack of their list, checked against their types on arrival. Arrays are
+    float64 of any shape.
+    """
     shown = repr(msgspec.inspect.type_info(cls))
     if re.search(
         r"AnyType|CustomType\(cls=<class '(?!numpy\.ndarray)|.StructType", shown
@@ -157,7 +178,7 @@ def _typed(cls: type[W], tag: int) -> tuple[Encode, Decode]:
 
     def encode_fields(value: Any) -> bytes:
         body = fields(value)
-        decoder.decode(body)  # a wrong type is the sender's mistake: it shall see it
+        decoder.decode(body)  # a wrong type is the sender's mistake: raise it there
         return head + body
 
     return encode_fields, lambda payload: decoder.decode(payload[1:])
@@ -170,7 +191,10 @@ def _encode_generic(value: Any) -> bytes:
 
 
 def _item(value: Any, depth: int) -> Any:
-    """What msgpack takes: arrays and wire types as extensions; a container without such is passed as it is."""
+    """Return the value in a form for msgpack: arrays and wire types become extensions.
+
+    A container without such values is returned as it is.
+    """
     kind = type(value)
     if kind in _LEAVES:
         return value
@@ -190,7 +214,7 @@ def _item(value: Any, depth: int) -> Any:
 
 
 def _leaf(value: Any) -> Any:
-    """A leaf, or the Python value of a numpy scalar."""
+    """Return a leaf, or the Python value of a numpy scalar; raise TypeError for other values."""
     if isinstance(value, np.generic):
         value = value.item()
     if type(value) not in _LEAVES:
@@ -199,12 +223,12 @@ def _leaf(value: Any) -> Any:
 
 
 def _key(key: Any) -> Any:
-    """A leaf, or a tuple of leaves (an edge of a graph)."""
+    """Return the key of a dict: a leaf, or a tuple of leaves (an edge of a graph)."""
     return tuple(map(_leaf, key)) if type(key) is tuple else _leaf(key)
 
 
 def _hooked_field(value: Any) -> Any:
-    """What msgpack doesn't take in a field of a wire type."""
+    """Return the form of a field of a wire type that msgpack does not know."""
     if type(value) is np.ndarray and value.dtype == _F8:
         return msgspec.msgpack.Ext(_EXTENSION, encode_array(value))
     return _leaf(value)
@@ -217,7 +241,9 @@ def _decode_generic(payload: Payload) -> Any:
 
 
 def _check(value: Any, depth: int) -> None:
-    """Refuse what no sender encodes: containers too deep, the timestamps of msgpack, strange keys."""
+    """Raise CodecError for values that no sender encodes: too deep
+    containers, msgpack timestamps, strange keys.
+    """
     if depth > MAX_DEPTH:
         raise CodecError(
             f"payload: more than {MAX_DEPTH} containers within each other."
@@ -243,7 +269,10 @@ def _check_keys(keys: Iterable[Any]) -> None:
 
 
 def _extension(code: int, data: memoryview) -> Any:
-    """An array or wire type inside a container; copied, so that its numbers are aligned."""
+    """Return an array or a wire type inside a container.
+
+    Its bytes are copied, to align its numbers.
+    """
     payload = bytes(data)
     if code != _EXTENSION or payload[0] in (_GENERIC, _FLOAT):
         raise CodecError(f"payload: found extension {code}, kind {payload[0]}.")
@@ -251,7 +280,7 @@ def _extension(code: int, data: memoryview) -> Any:
 
 
 def _field_extension(code: int, data: memoryview) -> types.Vec:
-    """A float64 array in a field of a wire type."""
+    """Return a float64 array in a field of a wire type."""
     payload = bytes(data)
     if code != _EXTENSION or payload[0] not in (VECTOR, ARRAY):
         raise CodecError(
@@ -286,7 +315,7 @@ def _refusal(value: Any, error: Exception) -> CodecError:
 
 
 def _blame(value: Any, where: str, depth: int) -> tuple[str, str] | None:
-    """Place and description of the first part that cannot be encoded."""
+    """Return the place and a description of the first part that cannot be encoded, or None."""
     if type(value) not in (list, tuple, dict):
         return _trouble(lambda part: _item(part, depth), value, where)
     if depth > MAX_DEPTH:
@@ -306,7 +335,7 @@ def _trouble(
 ) -> tuple[str, str] | None:
     try:
         _encode_msgpack(form(value))
-    except Exception as error:  # noqa: BLE001 - whatever stops this part is what the text tells
+    except Exception as error:  # noqa: BLE001 - the text reports any error of this part
         return where, f"{_shown(value)} ({error})" if str(error) else _shown(value)
     return None
 
@@ -324,6 +353,7 @@ def _shown(value: Any) -> str:
 
 _plain = _LEAVES.issuperset
 _ARRIVING: set[type] = {*_LEAVES, np.ndarray}
+"""Types that may be in a decoded payload, in addition to lists and dicts."""
 _arrived = _ARRIVING.issuperset
 _encode_msgpack = msgspec.msgpack.Encoder().encode
 _decode_msgpack = msgspec.msgpack.Decoder(ext_hook=_extension).decode

@@ -1,7 +1,8 @@
 """Commands with answers: (id, issuer, target, deadline, body) -> ACCEPTED, REFUSED (reason), DONE.
 
-A request is resent until it is answered, executed once an id, refused past its deadline. The emergency stop has
-a class of its own: resent until every drone has acknowledged; it persists until an operator clears it.
+A request is resent until it is answered, executed once for each id, and refused after its deadline.
+The emergency stop has its own class: it is resent until every drone has acknowledged, and stays in
+force until an operator clears it.
 """
 
 import asyncio
@@ -14,44 +15,52 @@ from crazychoir.bus.port import Port
 from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
 from crazychoir.errors import CodecError, ConfigError, Refused
 
-RESEND = 0.1
-AGAIN = 0.5
-"""s between repeats of a request that was accepted."""
+RESEND = 0.1  # s between repeats of a request without an answer
+AGAIN = 0.5  # s between repeats of an accepted request
 ALONE = "alone"
-"""What a stop says that is meant for its targets alone: it does not keep the others on the ground."""
+"""Content of a stop for its targets only: it does not keep other drones on the ground."""
 COMMANDED = "commanded: "
-"""How the log line of a drone begins that does what an operator has commanded."""
+"""Prefix of the log line of a drone that executes an operator's command."""
 REMEMBERED = 256
-ACCEPTED, REFUSED, DONE = "accepted", "refused", "done"
+"""Answers, and issuers, that a server remembers."""
+ACCEPTED = "accepted"
+REFUSED = "refused"
+DONE = "done"
 NOT_READY = "it is not ready"
-"""How a refusal begins of who will do it soon: it may be asked again."""
+"""Prefix of a temporary refusal; the command may be retried."""
 _ACCEPTED = encode([ACCEPTED, None])
 _OLD = encode([REFUSED, "it is older than what was asked since"])
 _Key = tuple[int, str, int]
-"""Of a request: its issuer, the issuer's incarnation, its number."""
+"""Key of a request: its issuer, the issuer's incarnation, its number."""
 
 Execute = Callable[[str, dict[str, Any]], Awaitable[Any]]
-"""Called with (verb, arguments); returns what DONE carries; raises Refused (or anything) to refuse."""
+"""Callable that gets (verb, arguments) and returns the content of DONE.
+
+It raises Refused, or any other error, to refuse.
+"""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """How a request ended: kind is DONE or REFUSED; ACCEPTED if it was not done by the deadline."""
+    """The end of a request."""
 
     target: int
+    """Drone that was asked."""
     kind: str
+    """DONE or REFUSED; ACCEPTED if the command was not done by the deadline."""
     detail: Any
+    """Result, or reason."""
 
 
 class Commander:
-    """The issuing side: asks drones to do things and waits for their answers."""
+    """The issuing side: sends commands to drones and waits for their answers."""
 
     def __init__(self, port: Port) -> None:
         self.port = port
         self._count = 0
         self._waiting: dict[
             int, tuple[int, asyncio.Future[Answer]]
-        ] = {}  # with who was asked
+        ] = {}  # {number: (target, answer)}
         self._accepted: dict[int, None] = {}
         self._on_accepted: dict[int, Callable[[], None]] = {}
         self._acknowledged: dict[int, dict[int, None]] = {}
@@ -65,9 +74,11 @@ class Commander:
         on_accepted: Callable[[], None] = lambda: None,
         **arguments: Any,
     ) -> Answer:
-        """Ask drone `target`; raises TimeoutError when nothing answers within `deadline` s.
+        """Send a command to drone `target` and return its answer.
 
-        on_accepted: called once when it has said that it will do it.
+        deadline: seconds
+        on_accepted: called once when the drone has accepted
+        Raises TimeoutError if there is no answer within `deadline`.
         """
         self._count += 1
         number = self._count
@@ -112,11 +123,14 @@ class Commander:
         alone: bool = False,
         answered: dict[int, None] | None = None,
     ) -> list[int]:
-        """Stop (or clear the stop of) all targets, resent until each acknowledges; returns those that did not.
+        """Stop all targets, or clear their stop, and return the targets that did not acknowledge.
 
-        targets: who is taken out of the list meanwhile is told no more;  deadline: s, infinite for as long as it takes;
-        alone: the stop is not one of the swarm: the motors of these stop, and it need not be cleared;
-        answered: who has acknowledged, as it goes on.
+        The stop is resent until each target acknowledges.
+        targets: drones; those removed from the list meanwhile get no further message
+        clear: True to clear the stop
+        deadline: seconds; may be infinite
+        alone: True for a stop of these drones only: their motors stop, and it need not be cleared
+        answered: filled with the drones that have acknowledged
         """
         self._count += 1
         number = self._count
@@ -145,6 +159,7 @@ class Commander:
         flags: int,
         age: float,
     ) -> None:
+        """Take an answer to a request, or the acknowledgement of a stop."""
         if channel != f"{self.port.incarnation:x}":
             return
         if number in self._acknowledged:
@@ -155,9 +170,8 @@ class Commander:
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if (
-            future is None or future.done() or source != target
-        ):  # nobody answers for another
+        if future is None or future.done() or source != target:
+            # Only the target itself may answer.
             return
         if kind == ACCEPTED:
             if number not in self._accepted:
@@ -168,9 +182,12 @@ class Commander:
 
 
 class CommandServer:
-    """The executing side, at one drone. A repeated request gets the answer that it had; it is not executed again.
+    """The executing side, at one drone.
 
-    Nor is one that comes again after its answer has been forgotten: the numbers of an issuer's life rise.
+    A repeated request gets its former answer; it is not executed again. After its answer is
+    forgotten it is refused: the numbers of an issuer's incarnation only increase.
+    execute: executes a command
+    on_stop: called with True for a stop, False for a clear
     """
 
     def __init__(
@@ -181,12 +198,10 @@ class CommandServer:
         self.on_stop = on_stop
         self._answers: dict[_Key, bytes] = {}
         self._running: dict[_Key, asyncio.Task[None]] = {}
-        self._forgotten: dict[
-            tuple[int, str], int
-        ] = {}  # highest number of an issuer's life without its answer
-        self._newest: dict[
-            tuple[int, str, bool], int
-        ] = {}  # number of the newest stop, or clear, of an issuer's life
+        # {(issuer, incarnation): highest number with a forgotten answer}
+        self._forgotten: dict[tuple[int, str], int] = {}
+        # {(issuer, incarnation, clear): number of the newest stop or clear}
+        self._newest: dict[tuple[int, str, bool], int] = {}
         port.handlers[REQUEST.number] = self._requested
         port.handlers[ESTOP.number] = self._stopped
 
@@ -199,6 +214,9 @@ class CommandServer:
         flags: int,
         age: float,
     ) -> None:
+        """Take a request: repeat its answer if it is known, else
+        execute it if it is valid and in time.
+        """
         key = (source, channel, number)
         if key in self._answers:
             self._send(key, self._answers[key])
@@ -268,10 +286,12 @@ class CommandServer:
         flags: int,
         age: float,
     ) -> None:
-        """Stop, or clear; what comes late, or again, is acknowledged, and does not undo what was ordered after it.
+        """Handle a stop or a clear.
 
-        The numbers of one issuer rise: a clear does not count after a newer stop of his, nor a stop after a newer
-        clear. A stop after a newer stop does: one may be of the swarm, the other of its targets alone.
+        A late or repeated message is acknowledged, but does not undo a later order. The numbers of
+        one issuer increase: a clear does not count after a newer stop of the same issuer, nor a
+        stop after a newer clear. A stop after a newer stop does count, because one may be for the
+        swarm and the other for its targets only.
         """
         key = (source, channel, number)
         try:

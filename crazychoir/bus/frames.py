@@ -1,8 +1,8 @@
-"""What one put of a process to another carries: many messages, each with its header.
+"""Frames: each holds many messages from one process to another, with their headers.
 
     frame = version (1 byte) + msgpack [process, incarnation, kind, [envelope, ...]]
 
-Pure: no clock, no session. All limits are checked before memory is taken for what they limit.
+The module has no clock and no session. Every limit is checked before memory is taken.
 """
 
 from typing import Annotated, Final
@@ -14,14 +14,19 @@ from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import CodecError
 
 VERSION: Final = 1
+"""Version of the format."""
 MAX_FRAME: Final = MAX_PAYLOAD + 50_000
-"""Bytes of one frame, unless the caller says otherwise: any payload of the codec with the largest header."""
+"""Bytes of one frame, unless the caller passes another limit:
+the largest payload with the largest header.
+"""
 MAX_ENVELOPES: Final = 4096
+"""Most envelopes of a frame."""
 MAX_DESTINATIONS: Final = 1024
+"""Most destinations of an envelope."""
 MAX_AGE: Final = 1e9
-"""s."""
+"""Largest age of a message, in seconds."""
 MAX_NAME: Final = 255
-"""Characters of a channel's or a process' name."""
+"""Most characters in the name of a channel or a process."""
 
 _Small = Annotated[int, Meta(ge=0, lt=1 << 16)]
 _Address = Annotated[int, Meta(ge=0, lt=1 << 32)]
@@ -31,7 +36,7 @@ _Name = Annotated[str, Meta(max_length=MAX_NAME)]
 
 
 class FrameVersionError(CodecError):
-    """A frame of another version of the format: a host that runs another crazychoir."""
+    """A frame has another version of the format: its host runs another crazychoir."""
 
     def __init__(self, found: int) -> None:
         self.found = found
@@ -41,37 +46,44 @@ class FrameVersionError(CodecError):
 
 
 class Envelope(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """One message and where it goes.
-
-    topic: number in the table of topics;  source: address of the sender (drone or observer);  to: addresses, empty for
-    "whoever is interested";  number: sequence or round;  flags: as the topic says;  age: s, of the content when it was
-    sent;  channel: of a round algorithm, or the sender's label;  payload: of the codec.
-    """
+    """One message with its destinations."""
 
     topic: _Small
+    """Number in the table of topics."""
     source: _Address
+    """Address of the sender, a drone or an observer."""
     to: Annotated[tuple[_Address, ...], Meta(max_length=MAX_DESTINATIONS)]
+    """Addresses of the receivers; empty for messages between processes."""
     number: _Count
+    """Sequence number or round."""
     flags: _Address
+    """Flags; the topic defines their meaning."""
     age: _Age
+    """Seconds since the content was made, at the time of sending."""
     channel: _Name
+    """Channel of a round algorithm, or the sender's label."""
     payload: bytes
+    """Payload of the codec."""
 
 
 class Frame(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """Envelopes of one class from one process.
-
-    process: name of the sender;  incarnation: 64 random bits, drawn when it started;  kind: number of the class.
-    """
+    """Envelopes of one class from one process."""
 
     process: _Name
+    """Name of the sender."""
     incarnation: _Count
+    """64 random bits, drawn when the sender started."""
     kind: Annotated[int, Meta(ge=0, lt=256)]
+    """Number of the class."""
     envelopes: Annotated[list[Envelope], Meta(max_length=MAX_ENVELOPES)]
+    """The messages."""
 
 
 def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
-    """Bytes of a frame; raises CodecError if they are more than `limit`, or a field cannot be encoded."""
+    """Return the bytes of a frame.
+
+    Raises CodecError if they are more than `limit`, or if a field cannot be encoded.
+    """
     try:
         data = _HEAD + _encode(frame)
     except Exception as error:
@@ -86,7 +98,10 @@ def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
 
 
 def decode_frame(data: bytes | bytearray | memoryview, limit: int = MAX_FRAME) -> Frame:
-    """Frame of received bytes; raises FrameVersionError for another version, CodecError for all else."""
+    """Return the frame of received bytes.
+
+    Raises FrameVersionError for another version, CodecError for anything else.
+    """
     if not 0 < len(data) <= limit:
         raise CodecError(f"frame: {len(data)} bytes; allowed: 1 to {limit}.")
     if data[0] != VERSION:
@@ -102,7 +117,9 @@ def decode_frame(data: bytes | bytearray | memoryview, limit: int = MAX_FRAME) -
 class FrameBuffer:
     """The envelopes for one peer and one class, collected during one pass of the event loop.
 
-    conflate: of envelopes with equal (topic, source, to, channel), only the newest is kept, at the place of the oldest.
+    conflate: True to keep only the newest of envelopes with equal (topic, source, to, channel), at
+        the place of the oldest
+    limit: most bytes of a frame
     """
 
     def __init__(
@@ -128,7 +145,9 @@ class FrameBuffer:
         return len(self._envelopes)
 
     def add(self, envelope: Envelope) -> None:
-        """Take an envelope along; raises CodecError if no frame can hold it, or the receiver would refuse the frame."""
+        """Add an envelope; raise CodecError if no frame can hold
+        it, or if the receiver would refuse it.
+        """
         size = _size(envelope)
         if size > self._room or not _acceptable(envelope):
             raise self._refusal(envelope, size)
@@ -143,7 +162,7 @@ class FrameBuffer:
         self._envelopes.append(envelope)
 
     def take(self) -> list[bytes]:
-        """Frames of all that was added, in its order; the buffer is empty afterwards."""
+        """Return frames with all added envelopes in their order, and empty the buffer."""
         envelopes = self._envelopes
         total = self._total
         self._envelopes = []
@@ -168,6 +187,7 @@ class FrameBuffer:
         )
 
     def _parts(self, envelopes: list[Envelope]) -> list[list[Envelope]]:
+        """Return the envelopes divided into parts that fit into a frame."""
         parts: list[list[Envelope]] = []
         room = -1
         for envelope in envelopes:
@@ -181,7 +201,7 @@ class FrameBuffer:
 
 
 def _acceptable(envelope: Envelope) -> bool:
-    """Whether the receiver takes what a sender could get wrong."""
+    """Return True if the receiver accepts the fields that a sender can get wrong."""
     name = envelope.channel
     text = name.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in name)
     short = len(name) <= MAX_NAME and len(envelope.to) <= MAX_DESTINATIONS
@@ -189,7 +209,9 @@ def _acceptable(envelope: Envelope) -> bool:
 
 
 def _size(envelope: Envelope) -> int:
-    """Bytes at most of an envelope in a frame: each number 9, each character 4, three heads of 5."""
+    """Return an upper bound for the bytes of an envelope: 9 a
+    number, 4 a character, 5 for each of three heads.
+    """
     return len(envelope.payload) + 9 * len(envelope.to) + 4 * len(envelope.channel) + 61
 
 

@@ -1,11 +1,13 @@
-"""What JSON has for any value that travels."""
+"""Shows any value that travels on the bus in the terms of JSON."""
 
 import math
 from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Lists for arrays, fields by name, null for what is not finite."""
+    """Return lists for arrays, fields by name for wire types,
+    and None for numbers that are not finite.
+    """
     if isinstance(value, dict):
         return {
             key if isinstance(key, str | int) else str(key): plain(item)
@@ -13,7 +15,7 @@ def plain(value: Any) -> Any:
         }
     if isinstance(value, list | tuple):
         return [plain(item) for item in value]
-    if hasattr(value, "tolist"):  # an array
+    if hasattr(value, "tolist"):  # numpy arrays and scalars
         return plain(value.tolist())
     if hasattr(value, "__struct_fields__"):  # a wire type
         return {name: plain(getattr(value, name)) for name in value.__struct_fields__}

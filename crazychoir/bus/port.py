@@ -1,7 +1,8 @@
-"""The bus of one process: its ports, who reads what, and the way of a message to the next mailbox.
+"""The bus of one process: its ports, their readers, and the way of a message to the next mailbox.
 
-A message between two drones always passes the codec and the simulated network, in one process too. Actors of
-one drone hand each other frozen values by reference. What is for another process goes to the `Forwarder`.
+A message between two drones always passes the codec and the simulated network, within one process
+too. Actors of one drone pass frozen values by reference. Messages for other processes go to the
+`Forwarder`.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,21 +21,31 @@ from crazychoir.runtime.tick_stages import Stages
 from crazychoir.types import Wire
 
 ANY = -1
-"""In an interest: every drone but the reader; a mailbox then gets (drone, value)."""
+"""Source of an interest in all drones but the reader; a mailbox then gets (drone, value)."""
 NEVER_NS = 1 << 62
-SLOW_NS, PHASE_NS = SECOND // 10, SECOND // 100
-"""ns: from this interval on, values leave at times that differ from drone to drone by the second."""
+"""ns: a time that never comes."""
+SLOW_NS = SECOND // 10
+"""ns: values with at least this interval leave at another time at each drone."""
+PHASE_NS = SECOND // 100
+"""ns: difference of these times from one drone id to the next."""
 OBSERVER = 10_000
-"""Addresses from here on are observers and operators; below are drones."""
+"""Addresses from here on are observers and operators; lower ones are drones."""
 BODIES = 1 << 25
-"""The body of drone i is at BODIES + i where another process than the drone's holds it: beyond all observers."""
+"""Offset of the address of a drone's body, if another process than the drone's holds it.
+
+It is above the addresses of all observers.
+"""
 EYES = 1 << 26
-"""What motion capture sees of drone i is said at EYES + i, where a process of its own has the cameras."""
+"""Offset of the address at which motion capture publishes the poses
+of a drone, if the cameras have their own process.
+"""
 
 Handler = Callable[[int, bytes, int, str, int, float], None]
-"""Called with (source, payload, number, channel, flags, age)."""
+"""Callable that gets (source, payload, number, channel, flags, age)."""
 Tap = Callable[[int, int, int, int, bytes, str, int, float], None]
-"""Called with (destination, topic, source, number, payload, channel, flags, age) of each message as it arrives."""
+"""Callable that gets (destination, topic, source, number, payload,
+channel, flags, age) of each arriving message.
+"""
 
 
 class Forwarder(Protocol):
@@ -51,28 +62,28 @@ class Forwarder(Protocol):
         flags: int,
         age: float,
     ) -> None:
-        """Take a message for ports elsewhere."""
+        """Take a message for ports in other processes."""
 
     def then(self, work: Callable[[], None]) -> None:
-        """Call it when what was forwarded in this pass of the loop has left."""
+        """Call `work` when all messages forwarded in this pass of the event loop have left."""
 
     def interested(self) -> None:
-        """The interests of this process have changed."""
+        """React to a change of the interests of this process."""
 
 
 @dataclass(slots=True)
 class Rate:
-    """How often the port of another drone or observer gets a topic: one value in each interval of a fixed grid.
-
-    interval_ns: now;  asked_ns: what it has asked for, the longest;  the sender may hasten it.
-    """
+    """The rate at which another port gets a topic: one value in each interval of a fixed grid."""
 
     interval_ns: int
+    """ns: the present interval; the sender may shorten it."""
     due_ns: int = 0
+    """ns: begin of the next interval."""
     asked_ns: int = 0
+    """ns: the interval that the reader asked for, which is the longest."""
 
     def due(self, now_ns: int) -> bool:
-        """Whether a value may go now."""
+        """Return True if a value may be sent now, and begin the next interval."""
         if now_ns < self.due_ns:
             return False
         self.due_ns += (
@@ -83,18 +94,27 @@ class Rate:
 
 @dataclass(slots=True)
 class Readers:
-    """Who reads a topic of one drone: its own actors' mailboxes; ports that get every value, or some a second."""
+    """The readers of a topic of one drone."""
 
     mailboxes: list[AnyMailbox] = field(default_factory=list)
+    """Mailboxes of the drone's own actors."""
     every: list[int] = field(default_factory=list)
+    """Ports that get every value."""
     some: dict[int, Rate] = field(default_factory=dict)
+    """Ports that get some values a second."""
     due: dict[int, list[int]] = field(default_factory=dict)
-    """When those of `some` are due, in ns; who is due at another time by now does not count."""
+    """{time in ns: ports of `some` that are due then}.
+
+    An entry of a port is ignored if its due time has changed since.
+    """
     next_ns: int = NEVER_NS
-    """Before that nobody of `some` is due."""
+    """ns: no port of `some` is due before."""
 
     def add(self, address: int, interval_ns: int, phase: int = 0) -> None:
-        """A port reads, at its fastest rate; phase: ns, of a slow grid, lest all drones say theirs in the same tick."""
+        """Add a port; a port that is added twice keeps its fastest rate.
+
+        phase: ns, shift of a slow grid, so that drones do not all send in the same tick
+        """
         if address in self.every:
             return
         if interval_ns == 0:
@@ -118,7 +138,7 @@ class Readers:
         self.next_ns = min(self.next_ns, rate.due_ns)
 
     def pace(self, address: int, interval_ns: int) -> None:
-        """A port that gets some values gets them at this interval, or as often as it asked, if that is more."""
+        """Set the interval of a port that gets some values, but never longer than it asked for."""
         rate = self.some.get(address)
         if rate is not None:
             rate.interval_ns = min(interval_ns, rate.asked_ns)
@@ -126,7 +146,7 @@ class Readers:
             self._plan(address, rate)
 
     def now_due(self, now_ns: int) -> list[int]:
-        """The ports of `some` that get a value now."""
+        """Return the ports of `some` that get a value now."""
         found: list[int] = []
         if now_ns < self.next_ns:
             return found
@@ -140,38 +160,51 @@ class Readers:
         return found
 
     def drop(self, addresses: Sequence[int]) -> None:
-        """These ports read no more."""
+        """Remove ports."""
         self.every = [j for j in self.every if j not in addresses]
         self.some = {j: rate for j, rate in self.some.items() if j not in addresses}
 
 
 @dataclass(slots=True)
 class Counters:
-    """What a port has exchanged.
-
-    sent, bytes: messages to drones;  lost: verdicts of the simulated network;  malformed: undecodable payloads.
-    """
+    """Counts of a port's messages."""
 
     sent: int = 0
+    """Messages to drones."""
     lost: int = 0
+    """Messages that the simulated network lost."""
     resent: int = 0
+    """Messages sent again."""
     received: int = 0
+    """Messages that arrived."""
     malformed: int = 0
+    """Payloads that could not be decoded."""
     bytes: int = 0
+    """Bytes of the messages to drones."""
 
 
 @dataclass(frozen=True)
 class Interest:
-    """`reader` wants `topic` of drone `source` (or ANY) at most `rate` times a second (0: all)."""
+    """The wish of a port to get a topic."""
 
     topic: str
+    """Name of the topic."""
     source: int
+    """Drone that publishes it, or ANY."""
     reader: int
+    """Address of the port."""
     rate: float = 0.0
+    """Most values a second; 0 for all."""
 
 
 class Bus:
-    """All ports of one process.  offsets: of the clocks of other hosts, to be shown."""
+    """All ports of one process.
+
+    offsets: clock offset of each other host, to be shown
+    unroutable: messages without a receiver
+    stopped: True while an emergency stop is in force
+    tap: callable that gets every arriving message, or None
+    """
 
     def __init__(
         self,
@@ -196,7 +229,10 @@ class Bus:
         self._opened: tuple[bytes | None, Any] = (None, None)
 
     def port(self, address: int, incarnation: int = 1) -> "Port":
-        """Open the port of a drone or an observer; when it opens again, its readers elsewhere are still there."""
+        """Open the port of a drone or an observer.
+
+        If it was open before, its readers in other processes are still there.
+        """
         readers = self._readers.setdefault(address, {})
         port = self.ports[address] = Port(self, address, incarnation, _readers=readers)
         for topic in readers.values():
@@ -207,11 +243,15 @@ class Bus:
         return port
 
     def close(self, address: int) -> None:
-        """Close a port: what is for it is lost from now on, as if its drone had crashed."""
+        """Close a port: its messages are lost from now on, as if its drone had crashed."""
         self.ports.pop(address, None)
 
     def open(self, topic: int, payload: bytes) -> Any:
-        """The value of a payload of this topic; raises CodecError. Decoded once for all who share the frozen value."""
+        """Return the value of a payload of this topic.
+
+        All readers share the frozen value, so it is decoded once.
+        Raises CodecError for invalid bytes or a wrong type.
+        """
         opened, value = self._opened
         if payload is opened:
             return value
@@ -226,7 +266,7 @@ class Bus:
         return value
 
     def drones(self) -> list[int]:
-        """Ids of the drones of this process."""
+        """Return the ids of the drones of this process."""
         return [address for address in self.ports if address < OBSERVER]
 
     def subscribe(
@@ -237,7 +277,10 @@ class Bus:
         mailbox: AnyMailbox,
         rate: float = 0.0,
     ) -> None:
-        """Let `mailbox` of `reader` get `topic` of drone `source` (or ANY)."""
+        """Let `mailbox` of `reader` get `topic` of drone `source` (or ANY).
+
+        rate: values a second; 0 for all
+        """
         interest = Interest(topic.name, source, reader, rate)
         self.ports[reader].mailboxes.setdefault(topic.number, {}).setdefault(
             source, []
@@ -254,35 +297,42 @@ class Bus:
                 self.forwarder.interested()
 
     def add_remote_interests(self, interests: list[Interest]) -> None:
-        """Another process has said what it wants."""
+        """Add the interests of another process."""
         for interest in interests:
             if interest.topic in OBSERVABLE:
                 for address in self._sources(interest):
                     self.ports[address].add_reader(interest, None)
 
     def _sources(self, interest: Interest) -> list[int]:
-        """The open ports here that an interest is about."""
+        """Return the open ports of this process that an interest names."""
         if interest.source != ANY:
             return [interest.source] if interest.source in self.ports else []
         return [address for address in self.drones() if address != interest.reader]
 
     def drop_readers(self, addresses: list[int]) -> None:
-        """These ports of another process are gone."""
+        """Remove these ports of another process from all readers."""
         for port in self.ports.values():
             port.drop_readers(addresses)
 
 
 @dataclass(eq=False)
 class Port:
-    """The place on the bus of one drone, or of one observer."""
+    """The place of one drone or one observer on the bus."""
 
     bus: Bus
+    """Bus of the process."""
     address: int
+    """Drone id or address of an observer."""
     incarnation: int
+    """Number that a restarted process changes."""
     counters: Counters = field(default_factory=Counters)
+    """Counts of its messages."""
     handlers: dict[int, Handler] = field(default_factory=dict)
+    """{topic: callable that gets its messages}."""
     mailboxes: dict[int, dict[int, list[AnyMailbox]]] = field(default_factory=dict)
+    """{topic: {source or ANY: mailboxes}}."""
     heard_ns: dict[int, int] = field(default_factory=dict)
+    """ns: {address: time of its last message}."""
     _readers: dict[int, Readers] = field(default_factory=dict)
     _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
     _numbers: dict[int, int] = field(default_factory=dict)
@@ -301,27 +351,27 @@ class Port:
         attempt: int = 0,
         age: float = 0.0,
     ) -> None:
-        """Send to each address of `to`, here or elsewhere; between drones through the simulated network."""
+        """Send to each address of `to`, in any process.
+
+        Messages between drones pass the simulated network.
+        """
         bus = self.bus
         ports = self.bus.ports
         sent = 0
         impaired = topic.impaired and bus.impairment.active
-        if (
-            bus.forwarder is not None
-        ):  # what leaves this process goes first: the others work meanwhile
+        if bus.forwarder is not None:
+            # Messages to other processes go first: those work while we go on.
             far = []
-            for (
-                j
-            ) in to:  # a loop: a comprehension would make a function for each message
+            # A loop is faster here: a comprehension makes a function for each message.
+            for j in to:
                 if j not in ports and not (impaired and j < OBSERVER):
                     far.append(j)
             if far:
                 self._forward(topic, far, payload, number, channel, flags, age)
                 sent += sum(j < OBSERVER for j in far)
                 to = [j for j in to if j in ports or (impaired and j < OBSERVER)]
-                if (
-                    to and topic.klass is Class.ROUNDS
-                ):  # those elsewhere wait for it, and then we for them
+                if to and topic.klass is Class.ROUNDS:
+                    # Other processes wait for this round, and we wait for theirs: they go first.
                     here = partial(
                         self.send,
                         topic,
@@ -354,7 +404,7 @@ class Port:
         self.counters.bytes += sent * len(payload)
 
     def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
-        """Give a value to all its readers; costs nothing where nobody reads."""
+        """Give a value to all its readers; this costs nothing without readers."""
         if topic.latched:
             self._latched[topic.number] = (
                 value,
@@ -382,7 +432,9 @@ class Port:
     def _give(
         self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float
     ) -> None:
-        """The short way of `send` and `deliver`, where all are here and nothing is done to a message on its way."""
+        """Send and deliver in one step, if all readers are in this
+        process and no message is changed or tapped.
+        """
         bus = self.bus
         source = self.address
         now_ns = self._now_ns()
@@ -416,7 +468,7 @@ class Port:
         flags: int,
         age: float,
     ) -> None:
-        """A message has arrived for this port."""
+        """Take a message that has arrived for this port."""
         bus = self.bus
         self.counters.received += 1
         if bus.tap is not None:
@@ -444,9 +496,11 @@ class Port:
             box.put((source, value), age)
 
     def add_reader(self, interest: Interest, mailbox: AnyMailbox | None) -> None:
-        """From now on `interest.reader` gets the topic; a latched value at once.
+        """Give the topic to `interest.reader` from now on, and a latched value at once.
 
-        mailbox: of an actor of this drone itself, None for another port. A port is served once, at its fastest rate.
+        mailbox: mailbox of an actor of this drone; None for another port
+
+        A port is served once, at its fastest rate.
         """
         topic = BY_NAME[interest.topic]
         readers = self._readers.setdefault(topic.number, Readers())
@@ -467,13 +521,15 @@ class Port:
             self.send(topic, (j,), encode(value), age=age)
 
     def pace(self, topic: Topic, reader: int, rate: float) -> None:
-        """Give a reader that gets some values of a topic so many a second, at least what it has asked for."""
+        """Give a reader with a limited rate this many values a
+        second, but at least as many as it asked for.
+        """
         readers = self._readers.get(topic.number)
         if readers is not None:
             readers.pace(reader, round(SECOND / rate) if rate > 0.0 else NEVER_NS)
 
     def drop_readers(self, addresses: list[int]) -> None:
-        """Forget the readers at these addresses."""
+        """Remove the readers at these addresses."""
         for readers in self._readers.values():
             readers.drop(addresses)
 
@@ -488,6 +544,9 @@ class Port:
         attempt: int,
         age: float,
     ) -> None:
+        """Send to drone j through the simulated network, which
+        may lose, delay or duplicate the message.
+        """
         bus = self.bus
         lane = channel or topic.name
         verdict = bus.impairment.verdict(
@@ -515,6 +574,7 @@ class Port:
         flags: int,
         age: float,
     ) -> None:
+        """Deliver a message that has left the simulated network, in this process or another one."""
         port = self.bus.ports.get(j)
         if port is not None:
             port.deliver(

@@ -1,7 +1,11 @@
-"""Who is there: ALIVE, SUSPECT (liveliness token gone, or silent for a second), LOST (SUSPECT for `lost_after`).
+"""Monitors which members of a team are ALIVE, SUSPECT or LOST.
 
-Heartbeats come from the drone's event loop and pass the simulated network like every other message, so a hung
-loop, a killed process and a partition all show; any message counts as a sign of life.
+A member is SUSPECT if its liveliness token is gone, or if no message came for a second.
+A member is LOST if it was SUSPECT for `lost_after`.
+
+Heartbeats come from the drone's event loop and pass the simulated network like every other message.
+Therefore a hung loop, a killed process and a partition all become visible. Any message counts as a
+sign of life.
 """
 
 from collections.abc import Callable
@@ -13,34 +17,44 @@ from crazychoir.bus.topics import HEARTBEAT
 from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import SECOND
 
-SILENCE = 1.0
-"""s without any message before a member is suspected."""
+SILENCE = 1.0  # s without any message after which a member is suspected
 
 
 class Presence(Enum):
-    """What is believed of a member."""
+    """The believed state of a member."""
 
     ABSENT = "absent"
-    """never heard"""
+    """No message was ever received."""
     ALIVE = "alive"
+    """Messages arrive."""
     SUSPECT = "suspect"
+    """The liveliness token is gone, or messages are missing."""
     LOST = "lost"
+    """Suspected for too long."""
 
 
 @dataclass
 class _Member:
+    """The state of a watched member."""
+
     state: Presence = Presence.ABSENT
+    """Believed presence."""
     since_ns: int = 0
+    """ns: last change of the state."""
     token_gone: bool = False
+    """True if its liveliness token has disappeared."""
 
 
 OnChange = Callable[[int, Presence], None]
+"""Callable that gets (id, presence) of a member with a new state."""
 
 
 class PresenceMonitor(Actor):
-    """Sends this drone's heartbeats to those who watch it, and watches others.
+    """Sends this drone's heartbeats to the watched members, and monitors them.
 
-    `watched` may be changed at any time; `beat` makes the heartbeat's payload, of the codec.
+    watched: ids of the members; may be changed at any time
+    beat: callable that returns the payload of a heartbeat
+    lost_after: seconds after which a SUSPECT member is LOST
     """
 
     name = "presence"
@@ -61,10 +75,10 @@ class PresenceMonitor(Actor):
         self._members: dict[int, _Member] = {}
         self._number = 0
         self.silent = False
-        """Whether it only listens: who cannot fly yet is no member."""
+        """True to send no heartbeats: a drone that cannot fly yet is no member."""
 
     async def run(self) -> None:
-        """Beat and look, four times a second."""
+        """Send a heartbeat and check all members, four times a second."""
         self.tick()
         async for _ in self.port.bus.clock.ticks(
             HEARTBEAT.rate, drone=self.port.address
@@ -72,7 +86,7 @@ class PresenceMonitor(Actor):
             self.tick()
 
     def tick(self) -> None:
-        """One heartbeat to everybody watched, and one look at each."""
+        """Send one heartbeat to every watched member, and check each of them."""
         self._number += 1
         if not self.silent:
             self.port.send(
@@ -82,26 +96,27 @@ class PresenceMonitor(Actor):
             self._look(j)
 
     def state(self, j: int) -> Presence:
-        """What is believed of member j now."""
+        """Return the believed state of member j."""
         member = self._members.get(j)
         return Presence.ABSENT if member is None else member.state
 
     def those(self, state: Presence) -> list[int]:
-        """Watched members in a state, in order."""
+        """Return the watched members in a state, increasing."""
         return [j for j in sorted(self.watched) if self.state(j) is state]
 
     def token_gone(self, j: int) -> None:
-        """The liveliness token of the process of j has disappeared."""
+        """Note that the liveliness token of j's process has disappeared."""
         member = self._members.setdefault(j, _Member())
         member.token_gone = True
         if member.state is Presence.ALIVE:
             self._change(j, member, Presence.SUSPECT)
 
     def token_back(self, j: int) -> None:
-        """The liveliness token is there (again)."""
+        """Note that the liveliness token of j's process exists (again)."""
         self._members.setdefault(j, _Member()).token_gone = False
 
     def _look(self, j: int) -> None:
+        """Update the state of member j from the time of its last message and from its token."""
         member = self._members.setdefault(j, _Member())
         heard_ns = self.port.heard_ns.get(j)
         if heard_ns is None:

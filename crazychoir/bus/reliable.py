@@ -1,7 +1,9 @@
-"""Our own reliable class: sequence, acknowledgement and resend between two ports, over whatever loses messages.
+"""Reliable messages between two ports over lossy links: sequence
+numbers, acknowledgements and retransmission.
 
-Bounded in messages and in age: what is not acknowledged within `MAX_AGE` is given up and counted, and the sequence
-goes on after it. Delivered in order, once. A sender that restarts begins a new sequence under its new incarnation.
+The memory is bounded in messages and in age. A message without an acknowledgement within `MAX_AGE`
+is given up and counted, and the sequence continues after it. Messages are delivered once and in
+order. A restarted sender begins a new sequence with its new incarnation.
 """
 
 from collections.abc import Callable
@@ -11,45 +13,66 @@ from crazychoir.bus.port import Port
 from crazychoir.bus.topics import ACK, Topic
 from crazychoir.runtime.clock import SECOND, Alarm
 
-RTO = 0.03
-"""s, first resend; doubles up to MAX_RTO."""
-MAX_RTO = 0.5
-MAX_AGE = 15.0
+RTO = 0.03  # s until the first retransmission; doubles up to MAX_RTO
+MAX_RTO = 0.5  # s
+MAX_AGE = 15.0  # s
 MAX_PENDING = 256
+"""Most messages to one port without an acknowledgement."""
 FORMER = 16
-"""Lives of a sender that are told from a new one, the newest."""
+"""Former incarnations of a sender that are remembered, the newest."""
 
 Receive = Callable[[int, bytes], None]
-"""Called with (source, payload), in the sender's order."""
+"""Callable that gets (source, payload), in the sender's order."""
 
 
 @dataclass
 class _Pending:
+    """A message that is not acknowledged yet."""
+
     topic: Topic
+    """Topic of the message."""
     payload: bytes
+    """Payload of the codec."""
     sent_ns: int
+    """ns: time of the first transmission."""
     due_ns: int
+    """ns: time of the next transmission."""
     rto: float = RTO
+    """s until the next transmission."""
     attempt: int = 0
+    """Retransmissions so far."""
 
 
 @dataclass
 class _Outgoing:
+    """The messages to one port."""
+
     number: int = 0
+    """Number of the next message."""
     pending: dict[int, _Pending] = field(default_factory=dict)
+    """{number: message} without an acknowledgement."""
 
 
 @dataclass
 class _Incoming:
+    """The messages from one port."""
+
     incarnation: str
+    """Label of the sender's incarnation."""
     expected: int = 0
+    """Number of the next message to deliver."""
     early: dict[int, tuple[int, bytes]] = field(default_factory=dict)
+    """{number: (topic, payload)} of messages that wait for earlier ones."""
     acks: int = 0
+    """Acknowledgements sent."""
     former: dict[str, None] = field(default_factory=dict)
-    """incarnations before this one: what still arrives of them is too late"""
+    """Incarnations before this one; their messages arrive too late."""
 
     def skip(self, oldest: int) -> None:
-        """The sender will not repeat what is before `oldest`: it has our acknowledgement, or has given up."""
+        """Skip the messages before `oldest`.
+
+        The sender will not repeat them: it has our acknowledgement, or has given up.
+        """
         if oldest > self.expected:
             self.expected = oldest
             self.early = {
@@ -58,7 +81,10 @@ class _Incoming:
 
 
 class Reliable:
-    """The reliable messages of one port."""
+    """The reliable messages of one port.
+
+    given_up: messages that were not acknowledged, or did not fit
+    """
 
     def __init__(self, port: Port) -> None:
         self.port = port
@@ -72,7 +98,7 @@ class Reliable:
         port.handlers[ACK.number] = self._acknowledged
 
     def listen(self, topic: Topic, receive: Receive) -> None:
-        """Hand the messages of a reliable topic to `receive`."""
+        """Pass the messages of a reliable topic to `receive`."""
         self._receivers[topic.number] = receive
 
         def arrived(
@@ -88,7 +114,10 @@ class Reliable:
         self.port.handlers[topic.number] = arrived
 
     def send(self, topic: Topic, j: int, payload: bytes) -> None:
-        """Send to port j; arrives once, after all that was sent before, or is counted in `given_up`."""
+        """Send to port j.
+
+        The message arrives once, after all earlier messages, or is counted in `given_up`.
+        """
         outgoing = self._outgoing.setdefault(j, _Outgoing())
         if len(outgoing.pending) >= MAX_PENDING:
             self.given_up += 1
@@ -101,12 +130,16 @@ class Reliable:
         self._schedule()
 
     def forget(self, j: int) -> None:
-        """Port j is gone: nothing more is resent. Should it come back, the sequence goes on."""
+        """Stop retransmission to port j because it is gone.
+
+        If it comes back, the sequence continues.
+        """
         if j in self._outgoing:
             self._outgoing[j].pending.clear()
 
     def _transmit(self, j: int, number: int, message: _Pending) -> None:
-        # A receiver that comes late, or again, must know where the sequence begins for it: the oldest pending number.
+        # A receiver that is new or restarted must know where its sequence begins: at the oldest
+        # pending number.
         oldest = min(self._outgoing[j].pending)
         self.port.send(
             message.topic,
@@ -127,6 +160,10 @@ class Reliable:
         label: str,
         after_oldest: int,
     ) -> None:
+        """Take a message: deliver it and its successors in order, and acknowledge.
+
+        after_oldest: its number minus the oldest pending number of the sender
+        """
         incoming = self._incoming.get(source)
         if incoming is None:
             incoming = self._incoming[source] = _Incoming(label)
@@ -167,7 +204,9 @@ class Reliable:
             self._alarm = self.clock.call_at(due, self._sweep, drone=self.port.address)
 
     def _sweep(self) -> None:
-        # Ports of this process answer within `_transmit`: pending messages may go, and new ones come, meanwhile.
+        """Resend the messages that are due, and give up the old ones."""
+        # Ports of this process answer within `_transmit`: the pending messages may change
+        # during this loop.
         self._alarm = None
         now_ns = self.clock.now_ns()
         for j, outgoing in list(self._outgoing.items()):

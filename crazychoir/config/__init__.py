@@ -1,1 +1,1 @@
-"""The swarm file: its tables, reader, checks and what follows from them."""
+"""The swarm file: its tables, its reader, its checks, and the values that follow from them."""

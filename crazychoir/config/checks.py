@@ -1,4 +1,7 @@
-"""What must hold between the keys of a swarm file: each rule names file, key, what was found, and what to do."""
+"""The rules between the keys of a swarm file.
+
+Each error names the file, the key, the value, and what to do.
+"""
 
 import math
 import re
@@ -17,18 +20,28 @@ from crazychoir.config.uris import RADIO_FORM, parse_uri
 from crazychoir.errors import ConfigError
 from crazychoir.team.graph import Graph, named, span
 
-LIGHTWEIGHT, MOTORS, MUJOCO = "sim://", "sim://motors", "mujoco://"
-"""Uris of the worlds of drones that are ours: each drone for itself in its agent's process, unless a world's owner is
-named; and all drones together in that owner, as every other world."""
-SINGLE, DOUBLE, UNICYCLE = "sim://single", "sim://double", "sim://unicycle"
-"""Uris of robots that do not fly: points that are sent velocities and accelerations, wheels that are sent (v, w)."""
+LIGHTWEIGHT = "sim://"
+"""Uri of the lightweight world: each drone in its agent's
+process, unless the file names a world's owner.
+"""
+MOTORS = "sim://motors"
+"""Uri of the motor-level world: all drones together in the process of the world's owner."""
+MUJOCO = "mujoco://"
+"""Uri of the MuJoCo world: all drones together in the process of the world's owner."""
+SINGLE = "sim://single"
+"""Uri of a point robot that does not fly and takes velocities."""
+DOUBLE = "sim://double"
+"""Uri of a point robot that does not fly and takes accelerations."""
+UNICYCLE = "sim://unicycle"
+"""Uri of a wheeled robot that does not fly and takes (v, w)."""
 ALONE = (LIGHTWEIGHT, SINGLE, DOUBLE, UNICYCLE)
-"""Worlds whose robots do not act on each other."""
+"""Worlds in which robots do not act on each other."""
 OURS = (*ALONE, MOTORS, MUJOCO)
+"""All worlds of this package."""
 REPLAY = "replay://"
-"""Begin of the uri of a drone that others fly, or have flown: the file of its recording follows."""
+"""Start of the uri of a drone that is replayed; the file of its recording follows."""
 WORLDS = "crazychoir.worlds"
-"""Group of entry points: the worlds of other packages, by the scheme of their uris."""
+"""Group of entry points with the worlds of other packages, named by the scheme of their uris."""
 CABLES = {
     "usb": "A drone on a USB cable cannot be flown here: write the uri of its radio.",
     "serial": "A drone on a serial cable cannot be flown here: write the uri of its radio.",
@@ -36,29 +49,38 @@ CABLES = {
     "prrt": "cflib's prrt:// is not supported here: write the uri of its radio.",
     "cpx": "cflib's cpx:// is not supported here: write the uri of its radio.",
 }
-"""Links that cflib knows and that are not flown by, and what to do."""
-WORLD_STEP = 0.01
-"""s, in which simulated worlds advance."""
+"""Links of cflib that are not supported here, and what to do instead."""
+WORLD_STEP = 0.01  # s: step of the simulated worlds
 LOWEST_PORT = 1024
-PATIENCE = 2.0
-"""s, the least that drones wait for a console."""
+"""First port that does not need root."""
+PATIENCE = 2.0  # s: least time that drones wait for a console
 ROUTER_BELOW = 19
-"""How far below base_port a router listens: below the owners of 16 dongles."""
-TOUCHING = 0.137
-"""m: two Crazyflies nearer than this, centre to centre, may touch: 92 mm from motor to motor along the diagonal (data
-sheet of the Crazyflie 2.1, Bitcraze), and half a propeller of 45 mm beyond each end."""
-FASTEST_PLANNED = 1.0
-"""m/s, to which the firmware limits a drone that flies to places."""
-AROUND = 0.5
-"""m from the fence to the limit area, where the swarm file has none."""
-OUTSIDE = 0.3
-"""m, the least from the fence to the limit area: at 0.25 m a drone lands, see safety/rules/guard.py."""
-OLDEST_POSE = 0.10
-"""s: a drone whose pose is older brakes, see safety/rules/guard.py; one that always is never flies."""
+"""Distance of the router's port below base_port: below the owners of 16 dongles."""
+TOUCHING = 0.137  # m
+"""Distance between the centres of two Crazyflies below which they may touch.
+
+It is 92 mm from motor to motor along the diagonal (data sheet of the Crazyflie 2.1, Bitcraze), and
+half a propeller of 45 mm at each end.
+"""
+FASTEST_PLANNED = 1.0  # m/s: limit of the firmware for a drone that flies to places
+AROUND = 0.5  # m from the fence to the limit area, if the swarm file has none
+OUTSIDE = 0.3  # m
+"""Least distance from the fence to the limit area.
+
+A drone lands 0.25 m outside the fence, see safety/rules/guard.py.
+"""
+OLDEST_POSE = 0.10  # s
+"""Age of a pose above which a drone brakes, see safety/rules/guard.py.
+
+A drone with only older poses never flies.
+"""
 
 
 def check(swarm: Swarm, where: str) -> None:
-    """Raise ConfigError for the first rule that does not hold; `where` is the file's name."""
+    """Raise ConfigError for the first rule that does not hold.
+
+    where: name of the file, for errors
+    """
     _ids(swarm, where)
     for rule in RULES:
         rule(swarm, where)
@@ -66,7 +88,9 @@ def check(swarm: Swarm, where: str) -> None:
 
 
 def graph_of(swarm: Swarm, where: str) -> Graph:
-    """The communication graph: from `graph` (default "ring"), `edges`, or each drone's `neighbors`."""
+    """Return the communication graph: from `graph` (default
+    "ring"), `edges`, or each drone's `neighbors`.
+    """
     listed = [drone.id for drone in swarm.drones if drone.neighbors is not None]
     written = {
         "graph": swarm.topology,
@@ -96,6 +120,7 @@ def graph_of(swarm: Swarm, where: str) -> Graph:
 
 
 def _from_edges(swarm: Swarm, where: str) -> Graph:
+    """Return the graph with the edges of the file."""
     ids = _members(swarm)
     for n, edge in enumerate(swarm.edges or ()):
         _known(ids, edge, f"{where}: edges[{n}]")
@@ -111,7 +136,7 @@ def _from_edges(swarm: Swarm, where: str) -> Graph:
 
 
 def _from_neighbors(swarm: Swarm, where: str) -> Graph:
-    """Drone i hears drones[i].neighbors."""
+    """Return the graph in which drone i receives from drones[i].neighbors."""
     ids = _members(swarm)
     heard: dict[int, tuple[int, ...]] = {}
     for n, drone in enumerate(swarm.drones):
@@ -139,6 +164,7 @@ def _from_neighbors(swarm: Swarm, where: str) -> Graph:
 
 
 def _mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None:
+    """Check that neighbours of an undirected graph list each other."""
     at = {drone.id: n for n, drone in enumerate(swarm.drones)}
     one_sided = [
         (i, j) for i, others in heard.items() for j in others if i not in heard[j]
@@ -158,6 +184,7 @@ def _members(swarm: Swarm) -> list[int]:
 
 
 def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
+    """Check that all of these ids are drones of the swarm."""
     for j in named_ids:
         if j not in ids:
             raise ConfigError(
@@ -170,6 +197,7 @@ def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
 
 
 def _roles(swarm: Swarm, where: str) -> None:
+    """Check that roles are unique, and that each drone's role exists."""
     names = [row.name for row in swarm.roles]
     for n, name in enumerate(names):
         if name in names[:n]:
@@ -193,6 +221,7 @@ def _roles(swarm: Swarm, where: str) -> None:
 
 
 def _ids(swarm: Swarm, where: str) -> None:
+    """Check that there are drones, and that each id is unique."""
     if not swarm.drones:
         raise ConfigError(
             f"{where}: drones", "no drone", "one or more", "Add a [[drones]]."
@@ -212,6 +241,7 @@ def _ids(swarm: Swarm, where: str) -> None:
 
 
 def _uris(swarm: Swarm, where: str) -> None:
+    """Check that each uri names a world or a radio address."""
     for n, drone in enumerate(swarm.drones):
         if drone.uri in OURS or drone.uri.startswith(REPLAY):
             continue
@@ -248,17 +278,18 @@ def _uris(swarm: Swarm, where: str) -> None:
 
 
 def engines_of_others() -> tuple[str, ...]:
-    """Schemes of the worlds that installed packages bring."""
+    """Return the schemes of the worlds of installed packages."""
     return tuple(sorted({entry.name: None for entry in entry_points(group=WORLDS)}))
 
 
 def _platforms(swarm: Swarm, where: str) -> None:
+    """Check that each platform exists."""
     for n, drone in enumerate(swarm.drones):
         platforms.platform(drone.platform, f"{where}: drones[{n}].platform")
 
 
 def _delay(swarm: Swarm, where: str) -> None:
-    """Only the lightweight world obeys within a step."""
+    """Check the command delay: only the lightweight world can have a fraction of a step."""
     steps = swarm.plant.command_delay / WORLD_STEP
     if abs(steps - round(steps)) > 1e-6 and any(
         drone.uri != LIGHTWEIGHT for drone in swarm.drones
@@ -272,7 +303,11 @@ def _delay(swarm: Swarm, where: str) -> None:
 
 
 def _speed(swarm: Swarm, where: str) -> None:
-    """Nothing on board says that a drone stays behind its places: its reference would run away from it."""
+    """Check the speed limit of drones with the sender "xyz".
+
+    Nothing on board reports that a drone is behind its places: its reference would run away from
+    it.
+    """
     rows = {row.name: row for row in swarm.roles}
     planned = [
         drone.id
@@ -293,6 +328,7 @@ def _speed(swarm: Swarm, where: str) -> None:
 
 
 def _box(swarm: Swarm, where: str) -> None:
+    """Check that the fence is a box, and that the take-off height is in it."""
     low = swarm.fence.min
     high = swarm.fence.max
     if any(a >= b for a, b in zip(low, high, strict=True)):
@@ -314,7 +350,10 @@ def _box(swarm: Swarm, where: str) -> None:
 
 
 def limit_area(swarm: Swarm) -> tuple[Position, Position]:
-    """The corners of the area beyond which motors stop at once: [keep_out], else AROUND m around [fence]."""
+    """Return the corners of the area outside which motors stop at once.
+
+    It is [keep_out], else [fence] with AROUND m more on each side.
+    """
     (a, b, c), (d, e, f) = swarm.fence.min, swarm.fence.max
     low = swarm.keep_out.min
     high = swarm.keep_out.max
@@ -326,7 +365,11 @@ def limit_area(swarm: Swarm) -> tuple[Position, Position]:
 
 
 def _limit_area(swarm: Swarm, where: str) -> None:
-    """A drone that leaves the fence lands before its motors are cut: it needs room for that, above and on each side."""
+    """Check the limit area.
+
+    A drone that leaves the fence lands before its motors are cut. It needs room for that above and
+    on each side.
+    """
     fence, (low, high) = swarm.fence, limit_area(swarm)
     room = [a - b for a, b in zip(fence.min[:2], low[:2], strict=True)]
     room += [b - a for a, b in zip(fence.max, high, strict=True)]
@@ -343,6 +386,7 @@ def _limit_area(swarm: Swarm, where: str) -> None:
 
 
 def _homes(swarm: Swarm, where: str) -> None:
+    """Check that homes are inside the fence."""
     low = swarm.fence.min
     high = swarm.fence.max
     (a, b, _), top = room_of(swarm)
@@ -366,6 +410,7 @@ def _homes(swarm: Swarm, where: str) -> None:
 
 
 def _apart(swarm: Swarm, where: str) -> None:
+    """Check that homes are far enough from each other."""
     places = {drone.id: drone.home for drone in swarm.drones}
     for i, j, d in too_near(places, (1.0, 1.0, 1.0), TOUCHING):
         n = next(n for n, drone in enumerate(swarm.drones) if drone.id == i)
@@ -382,7 +427,10 @@ def _apart(swarm: Swarm, where: str) -> None:
 def too_near(
     places: Mapping[int, Position], scale: Position, least: float
 ) -> Iterator[tuple[int, int, float]]:
-    """Pairs of drones whose places, each axis times its scale, are less than `least` m apart, and how far they are."""
+    """Yield pairs of drones at places less than `least` m apart, with their distance.
+
+    scale: factor on each axis before distances are computed
+    """
     by_x = sorted(
         (tuple(s * c for s, c in zip(scale, p, strict=True)), i)
         for i, p in places.items()
@@ -396,7 +444,9 @@ def too_near(
 
 
 def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -> None:
-    """Raise ConfigError if drones at these places could never keep clear of each other, by [collision]."""
+    """Raise ConfigError if drones at these places could never
+    stay clear of each other, by [collision].
+    """
     if swarm.collision.method == "off":
         return
     x, y, z = swarm.collision.semi_axes
@@ -408,7 +458,11 @@ def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -
 
 
 def _cameras(swarm: Swarm, where: str) -> None:
-    """Just before the next pose comes, the last one is latency + 1 / rate old; simulated cameras count in periods."""
+    """Check the age of poses.
+
+    Just before the next pose arrives, the last one is latency + 1 / rate old. Simulated cameras
+    count the latency in periods.
+    """
     mocap = swarm.mocap
     periods = mocap.latency * mocap.rate
     if abs(periods - round(periods)) > 1e-6:
@@ -433,6 +487,7 @@ def _between(low: Position, high: Position) -> str:
 
 
 def _hosts(swarm: Swarm, where: str) -> None:
+    """Check the names and addresses of hosts."""
     for name, address in swarm.hosts.items():
         key = f"{where}: hosts.{name}"
         if not re.fullmatch(r"[a-z0-9_-]{1,40}", name):
@@ -444,7 +499,10 @@ def _hosts(swarm: Swarm, where: str) -> None:
 
 
 def secured(swarm: Swarm) -> bool:
-    """Whether its network is encrypted and closed: unless told otherwise, where a host is not this machine."""
+    """Return True if the network is encrypted and closed.
+
+    Without `insecure` it is, as soon as a host is not this machine.
+    """
     wanted = swarm.security.insecure
     return (
         not all(map(is_loopback, swarm.hosts.values()))
@@ -454,6 +512,7 @@ def secured(swarm: Swarm) -> bool:
 
 
 def _security(swarm: Swarm, where: str) -> None:
+    """Check that a closed network has hosts and operators."""
     if not secured(swarm):
         return
     if not swarm.hosts:
@@ -472,6 +531,7 @@ def _security(swarm: Swarm, where: str) -> None:
 
 
 def _placement(swarm: Swarm, where: str) -> None:
+    """Check that each drone's host exists."""
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     for n, drone in enumerate(swarm.drones):
         if drone.host is None and swarm.hosts:
@@ -493,7 +553,10 @@ def _placement(swarm: Swarm, where: str) -> None:
 
 
 def owned(swarm: Swarm) -> tuple[int, ...]:
-    """The drones whose bodies are, in real time, in the process of the world's owner; in increasing order."""
+    """Return the drones simulated, in real time, by the process of the world's owner.
+
+    The ids are in increasing order.
+    """
     named = swarm.world.owned or swarm.world.host is not None
     simulated = [drone for drone in swarm.drones if not is_reached(drone)]
     return tuple(
@@ -502,6 +565,7 @@ def owned(swarm: Swarm) -> tuple[int, ...]:
 
 
 def _world(swarm: Swarm, where: str) -> None:
+    """Check that the host of the world's owner exists."""
     host = swarm.world.host
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if host is not None and host not in swarm.hosts:
@@ -521,6 +585,7 @@ def _world(swarm: Swarm, where: str) -> None:
 
 
 def _router(swarm: Swarm, where: str) -> None:
+    """Check that the router's host exists."""
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if swarm.router is not None and swarm.router not in swarm.hosts:
         problem = "there is no such host"
@@ -531,6 +596,7 @@ def _router(swarm: Swarm, where: str) -> None:
 
 
 def _processes(swarm: Swarm, where: str) -> None:
+    """Check that each drone is in one process, and each process on one host."""
     if swarm.processes is None:
         return
     ids = _members(swarm)
@@ -559,6 +625,7 @@ def _processes(swarm: Swarm, where: str) -> None:
 
 
 def _dead_man(swarm: Swarm, where: str) -> None:
+    """Check that the time without a console is not too short."""
     seconds = swarm.flight.dead_man
     if 0.0 < seconds < PATIENCE:
         allowed = f"0 (never), or {PATIENCE:g} s and more: a console speaks twice a second, and one word may be lost"
@@ -571,6 +638,7 @@ def _dead_man(swarm: Swarm, where: str) -> None:
 
 
 def _start(swarm: Swarm, where: str) -> None:
+    """Check that the swarm has as many drones as the start needs."""
     if isinstance(swarm.start, int) and swarm.start > len(swarm.drones):
         allowed = f'"all", or 1 to {len(swarm.drones)} drones'
         raise ConfigError(
@@ -579,6 +647,7 @@ def _start(swarm: Swarm, where: str) -> None:
 
 
 def _ports(swarm: Swarm, where: str) -> None:
+    """Check that all ports are in the allowed range."""
     last = _members(swarm)[-1]
     if swarm.base_port + last > 65535:
         problem = f"a process listens on base_port + its lowest drone id, here up to {swarm.base_port + last}"
@@ -605,6 +674,7 @@ def _ports(swarm: Swarm, where: str) -> None:
 
 
 def _links(swarm: Swarm, where: str) -> None:
+    """Check that the rules of edges name drones of the swarm."""
     for n, edge in enumerate(swarm.network.edges):
         key = f"{where}: network.edges[{n}]"
         ends = tuple(i for i in (edge.source, edge.destination) if i is not None)
@@ -619,6 +689,7 @@ def _links(swarm: Swarm, where: str) -> None:
 
 
 def _partitions(swarm: Swarm, where: str) -> None:
+    """Check that partitions end after they begin, and that their groups are disjoint."""
     for n, cut in enumerate(swarm.network.partitions):
         key = f"{where}: network.partitions[{n}]"
         for group in cut.groups:
@@ -664,4 +735,4 @@ RULES = (
     check_radios,
     _security,
 )
-"""In the order of their errors."""
+"""All rules, in the order of their errors."""

@@ -1,4 +1,4 @@
-"""Keys of a drone, written into the text of a swarm file: all else stays as it is, to the byte."""
+"""Writes keys of drones into the text of a swarm file; every other byte stays as it is."""
 
 import re
 import tomllib
@@ -13,11 +13,13 @@ from crazychoir.files.output_files import written_file
 from crazychoir.files.text_files import BYTE_ORDER_MARK, read_text
 
 HEADER = re.compile(r"\s*\[")
+"""First line of a table."""
 DRONES = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
+"""First line of a [[drones]]."""
 
 
 def lines_of(i: int, keys: Mapping[str, object]) -> str:
-    """What belongs into the [[drones]] with id i."""
+    """Return the lines for the [[drones]] with id i."""
     return "\n".join(
         [
             "[[drones]]",
@@ -30,10 +32,11 @@ def lines_of(i: int, keys: Mapping[str, object]) -> str:
 def with_keys(
     text: str, changes: Mapping[int, Mapping[str, object]], where: str = "swarm"
 ) -> str:
-    """The TOML text with other values of some keys of [[drones]], by id; a key that is not there comes last.
+    """Return the TOML text with other values of some keys of [[drones]].
 
-    Raises ConfigError, with the lines to write, where it is laid out in another way than one table a drone and one
-    line a key: nothing but these keys may change.
+    changes: {drone id: {key: value}}; a new key is added at the end of its table
+    Raises ConfigError, with the lines to write, if the file does not have one table for each drone
+    and one line for each key: nothing but these keys may change.
     """
     before = _parsed(text)
     lines = text.splitlines(keepends=True)
@@ -59,7 +62,7 @@ def with_keys(
 
 
 def write_keys(path: Path, changes: Mapping[int, Mapping[str, object]]) -> None:
-    """The same in a file."""
+    """Write other values of some keys of [[drones]] into a file; see `with_keys`."""
     text = read_text(path, "a swarm file that can be written", exact=True)
     mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
     changed = with_keys(text.removeprefix(mark), changes, str(path))
@@ -68,7 +71,7 @@ def write_keys(path: Path, changes: Mapping[int, Mapping[str, object]]) -> None:
 
 
 def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
-    """The lines with this key of drone i."""
+    """Return the lines with this key of drone i."""
     for begin, end in _tables(lines):
         if _parsed_id(lines[begin:end]) != i:
             continue
@@ -90,7 +93,7 @@ def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
 
 
 def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
-    """First line of each [[drones]], and the line of the next table."""
+    """Yield the first line of each [[drones]] and the first line of the next table."""
     headers = [n for n, line in enumerate(lines) if HEADER.match(line)]
     for n, end in pairwise([*headers, len(lines)]):
         if DRONES.fullmatch(lines[n].rstrip("\r\n")):
@@ -98,7 +101,7 @@ def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
 
 
 def _replaced(line: str, key: str, value: str) -> str:
-    """The line with another value; what follows it as a comment stays."""
+    """Return the line with another value; a comment after it stays."""
     found = re.match(
         rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|[^#\s]*)(.*)",
         line,
@@ -125,7 +128,7 @@ def _parsed(text: str) -> dict[str, Any] | None:
 def _changed(
     raw: dict[str, Any] | None, changes: Mapping[int, Mapping[str, object]]
 ) -> dict[str, Any] | None:
-    """What should be read afterwards."""
+    """Return the plain values that the changed text must have; None if that is impossible."""
     if raw is None or not all(
         any(drone.get("id") == i for drone in raw.get("drones", ())) for i in changes
     ):

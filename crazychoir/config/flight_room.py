@@ -1,18 +1,25 @@
-"""Where drones may be sent: inside the fence, by the margins that keep the guard from braking them there."""
+"""The room in which goals may lie: inside the fence, with
+margins that keep the guard from braking there.
+"""
 
 from crazychoir.config.tables import Position, Swarm
 
-EDGE = 0.005  # m from the sides and the top of the fence: nearer, noise alone carries a drone out
-ABOVE_FLOOR = 0.1  # m above the ground: lower, a drone that hovers touches the floor with its motors on
+EDGE = 0.005  # m
+"""Distance from the sides and the top of the fence: nearer, noise alone carries a drone out."""
+ABOVE_FLOOR = 0.1  # m
+"""Height above the ground: lower, a hovering drone touches the floor with its motors on."""
 
 Corners = tuple[Position, Position]
+"""Lowest and highest corner, m, world."""
 
 
 def flight_room(low: Position, high: Position, ground: float | None) -> Corners:
-    """Return the corners of the room in which every goal, and every place of a path, must lie.
+    """Return the corners of the room in which every goal and every point of a path must lie.
 
-    low, high: m, world, the corners of the fence.
-    ground: m, world, the height of the floor; None for a robot that drives, which may be where the fence is.
+    low: (3,) m, world: lowest corner of the fence
+    high: (3,) m, world: highest corner of the fence
+    ground: m, world: height of the floor; None for a robot that drives, which may be anywhere in
+        the fence
     """
     floor = low[2] + EDGE
     if ground is not None:
@@ -25,5 +32,5 @@ def flight_room(low: Position, high: Position, ground: float | None) -> Corners:
 
 
 def room_of(swarm: Swarm) -> Corners:
-    """Return the corners of the room of drones that fly, by the swarm file."""
+    """Return the corners of the room for flying drones, from the swarm file."""
     return flight_room(swarm.fence.min, swarm.fence.max, swarm.flight.ground)

@@ -1,4 +1,6 @@
-"""How far a drone that is streamed set-points flies on when its radio fails, and how far inside it therefore stays."""
+"""The distance that a streamed drone flies on after its radio fails,
+and the inset from the fence that follows from it.
+"""
 
 import math
 from collections.abc import Mapping
@@ -8,38 +10,48 @@ from crazychoir.config.checks import TOUCHING, limit_area
 from crazychoir.config.radio_checks import dongles, is_reached
 from crazychoir.config.tables import Position, Swarm
 
-HELD, CUT = 0.5, 2.0
-"""s for which the firmware holds the last set-point, then the drone is level; and after which its motors are off."""
+HELD = 0.5  # s
+"""Time for which the firmware holds the last set-point; afterwards the drone is level."""
+CUT = 2.0  # s
+"""Time without set-points after which the motors are off."""
 BRAKES = 0.67
-"""Of v^2 / a: m in which a drone comes to rest, with its delays."""
+"""Factor on v^2 / a that gives the braking distance in m, with the delays of the drone."""
 TILTED = {"fpqr": 0.0, "frpy": 0.2, "vel": 0.0, "fullstate": 0.2}
-"""s: what holding the last tilt adds for each m/s of speed."""
+"""s: additional metres for each m/s of speed, because the last tilt is held."""
 STRAYS = {"fpqr": 0.5, "frpy": 0.15, "vel": 0.05, "fullstate": 0.15}
-"""m that are added by the last rates, or the last tilt, however slow it was. With these, no drone of the motor level
-has flown further in 2 s, of 150 on circles of 0.25 to 0.5 m at 0.02 to 1 m/s, for each sender but "fullstate", which
-is taken to be as "frpy"."""
+"""m: additional distance because the last rates or the last tilt are held, even at low speed.
+
+With these values no drone of the motor level has flown further in 2 s. There were 150 flights on
+circles of 0.25 to 0.5 m at 0.02 to 1 m/s for each sender but "fullstate", which is assumed to be as
+"frpy".
+"""
 OFFERED = ("frpy", "vel")
-"""Senders of those that are offered in place of one that strays further; beside them xyz, which does not stray."""
-SPACE, MOST = 0.3, 0.25
-"""m that is left around each home; and the share of half the fence that is given up at most."""
+"""Senders that an error offers in place of one with a longer
+distance, in addition to xyz, which has none.
+"""
+SPACE = 0.3  # m
+"""Room that is left around each home."""
+MOST = 0.25
+"""Largest share of half the fence's width that is given up."""
 
 
 @dataclass(frozen=True)
 class Inset:
-    """needed: m, from the fence; given: m, as far as homes and the room allow; slow_enough: m/s, the speed_limit with
-    which what is given is enough, 0 if none is.
-    """
+    """The distance that streamed drones keep from the sides of the fence."""
 
     needed: float
+    """m from the fence that are needed."""
     given: float
+    """m from the fence that homes and the room allow, at most `needed`."""
     slow_enough: float
+    """m/s: speed_limit with which `given` suffices; 0 if there is none."""
 
     @property
     def problem(self) -> str:
-        """What to change; empty if there is room."""
+        """Text with what to change; empty if there is room."""
         if self.given >= self.needed:
             return ""
-        v = int(100.0 * self.slow_enough) / 100.0  # a little less
+        v = int(100.0 * self.slow_enough) / 100.0  # rounded down
         slower = f"lower speed_limit to {v:.2f} m/s, or " if v else ""
         return (
             f"are kept {self.given:.2f} m inside the fence, room permitting; {self.needed:.2f} m are needed, lest they "
@@ -48,11 +60,16 @@ class Inset:
 
 
 def flies_on(speed: float, acceleration: float, sender: str) -> float:
-    """m, beyond the fence, at which a drone is when its motors stop, if it was kept inside until its radio failed.
+    """Return the m beyond the fence at which a drone's motors
+    stop, if it was inside when its radio failed.
 
-        s + max_d (CUT + t) v(d) - d,   v(d) = min(v_max, sqrt(d a / BRAKES)),   s = STRAYS,  t = TILTED
+        s + max_d (CUT + t) v(d) - d,   v(d) = min(v_max, sqrt(d a / BRAKES)),   s = STRAYS,  t =
+        TILTED
 
-    It brakes in front of the fence, so it is slower the nearer it is.  speed: m/s;  acceleration: m/s2.
+    The drone brakes in front of the fence, so it is slower the nearer it is.
+    speed: m/s: v_max
+    acceleration: m/s2: a
+    sender: kind of command
     """
     seconds = CUT + TILTED[sender]
     k = acceleration / BRAKES
@@ -61,7 +78,7 @@ def flies_on(speed: float, acceleration: float, sender: str) -> float:
 
 
 def slow_enough(far: float, acceleration: float, sender: str) -> float:
-    """m/s: the speed_limit with which `flies_on` is `far` m at most; 0 where none is."""
+    """Return the speed_limit, m/s, with which `flies_on` is at most `far` m; 0 if there is none."""
     seconds = CUT + TILTED[sender]
     k = acceleration / BRAKES
     rest = far - STRAYS[sender]
@@ -71,7 +88,9 @@ def slow_enough(far: float, acceleration: float, sender: str) -> float:
 
 
 def inset(swarm: Swarm, sender: str) -> Inset:
-    """How far inside [fence] drones stay that are streamed set-points by a radio, lest they end beyond [keep_out]."""
+    """Return how far inside [fence] streamed drones stay, so
+    that they do not end beyond [keep_out].
+    """
     low, high = limit_area(swarm)
     fence = swarm.fence
     room = min(
@@ -98,10 +117,13 @@ def inset(swarm: Swarm, sender: str) -> Inset:
 
 
 def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
-    """Whom of the same dongle drone i may touch when that fails, by where they start; empty if nobody.
+    """Return a text with the drone of the same dongle that drone i may touch if the dongle fails.
 
-    Both stray then, and neither can keep clear of the other. A pair is said of its lower id.
-    senders: of all drones that are streamed set-points, i among them.
+    The text is empty if there is none.
+
+    Both drones then stray, and neither can avoid the other. Their homes decide. Only the drone with
+    the lower id reports a pair.
+    senders: {drone: kind of command} of all streamed drones, with i
     """
     homes = {drone.id: drone.home[:2] for drone in swarm.drones}
     here = next(ids for ids in dongles(swarm).values() if i in ids)
@@ -129,6 +151,6 @@ def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
 
 
 def _inside(p: Position, swarm: Swarm) -> float:
-    """m from the nearest side."""
+    """Return the m from p to the nearest side of the fence."""
     sides = zip(swarm.fence.min[:2], p[:2], swarm.fence.max[:2], strict=True)
     return min((min(x - a, b - x) for a, x, b in sides), default=math.inf)

@@ -1,6 +1,7 @@
-"""Keys of a swarm file that stand in the wrong table: which table they belong to, and what to do.
+"""Keys of a swarm file in the wrong table: the table to which they belong, and what to do.
 
-In TOML every key below a [table] is a key of that table: a key of the file itself belongs above the first one.
+In TOML every key below a [table] belongs to that table. Therefore a key of the file itself must
+stand above the first table.
 """
 
 import difflib
@@ -13,20 +14,23 @@ from msgspec.structs import FieldInfo
 
 Kind = type[msgspec.Struct]
 FILE = ""
-"""The label of the file itself."""
+"""Label of the file itself."""
 ROW = re.compile(r"\[\d+\]")
-"""The number of a table in a list of tables."""
+"""Number of a table in a list of tables."""
 MOST_TABLES = 4
-"""Tables that are named for one key."""
+"""Most tables that are named for one key."""
 OWN_KEYS = "mission_options"
-"""The table for keys of the user's own."""
+"""Table for the user's own keys."""
 
 
 def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) -> str:
     """Return what to do with a key that its table does not have.
 
-    name, value: of the key;  kind: the table that it stands in;  key: the path of that table, empty for the file
-    itself;  file: the whole file, None where a table is read alone.
+    name: the key
+    value: its value
+    kind: the table in which it stands
+    key: the path of that table; empty for the file itself
+    file: the whole file; None if a table is read alone
     """
     tables = {} if file is None else _tables_of_keys(file)
     near = difflib.get_close_matches(name, names(kind), n=1)
@@ -49,7 +53,10 @@ def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) ->
 
 
 def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
-    """Return where a key that the file lacks stands instead, and what to do; empty if it stands nowhere."""
+    """Return where a missing key of the file stands instead, and what to do.
+
+    The text is empty if it stands nowhere.
+    """
     fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
     for other, value in raw.items():
         table = _table_of(fields[other])[0] if other in fields else None
@@ -60,7 +67,10 @@ def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
 
 
 def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
-    """Return what to do with keys of the file that stand in a table of the user's own names; empty without any."""
+    """Return what to do with keys of the file that stand in a table of the user's own keys.
+
+    The text is empty if there are none.
+    """
     if not isinstance(raw, Mapping) or file is None:
         return ""
     return "".join(
@@ -71,7 +81,10 @@ def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
 
 
 def not_a_table(raw: object, key: str) -> str:
-    """Return what to do with a list where a table is allowed; empty where it is something else."""
+    """Return what to do with a list of tables where one table is allowed.
+
+    The text is empty for anything else.
+    """
     if (
         isinstance(raw, list | tuple)
         and raw
@@ -93,6 +106,7 @@ def label(path: str) -> str:
 
 
 def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> str:
+    """Return the advice for a key that is in the tables `labels`."""
     if FILE in labels:
         others = ", ".join(table for table in labels if table != FILE)
         also = f" {others} has a key of this name, too." if others else ""
@@ -107,6 +121,7 @@ def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> 
 
 
 def _write_it_in_the_file(name: str, value: object, key: str) -> str:
+    """Return the advice for a key of the file itself."""
     if isinstance(value, Mapping):
         return f"It is a table of its own: write [{name}], not [{_plain(key, name)}]."
     if isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
@@ -143,7 +158,7 @@ def _tables(kind: Kind, path: str) -> Iterator[tuple[str, Kind]]:
 
 
 def _table_of(entry: FieldInfo) -> tuple[Kind | None, bool]:
-    """Return the table that a key holds, and whether it holds a list of them."""
+    """Return the table that a key holds, and True if it holds a list of them."""
     kind: Any = entry.type
     if get_origin(kind) is Annotated:
         kind = get_args(kind)[0]

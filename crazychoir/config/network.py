@@ -1,4 +1,4 @@
-"""The simulated network that a swarm file describes."""
+"""Builds the simulated network that a swarm file describes."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,13 +9,15 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
 FOREVER = 1e9
+"""s: end of a partition without an end."""
 PLAIN = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
-"""Effects that a swarm file and the simulated network name alike."""
+"""Effects with the same name in a swarm file and in the simulated network."""
 LOSSES = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
+"""Names of the loss model in the simulated network."""
 
 
 def impairment_of(config: SwarmConfig) -> Impairment:
-    """[network] of the swarm file, with the swarm's seed."""
+    """Return the simulated network of [network], with the swarm's seed."""
     table = config.impairment()
     rules = [Rule(effects)] if (effects := _effects(table)) else []
     rules += [_edge_rule(edge) for edge in table.get("edges", [])]
@@ -27,9 +29,10 @@ def impairment_of(config: SwarmConfig) -> Impairment:
 
 
 def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
-    """What `Impairment.update` takes, of the effects as a swarm file names them; a new loss replaces the former one.
+    """Return the arguments for `Impairment.update`, from effects with the names of a swarm file.
 
-    Raises ConfigError.
+    A new loss replaces the old one completely.
+    Raises ConfigError for a burst below 1 or without a loss.
     """
     loss = options.get("loss")
     burst = options.get("burst")
@@ -47,13 +50,14 @@ def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
 
 
 def in_words(network: Mapping[str, Any]) -> list[str]:
-    """What `Impairment.describe` says is set, a line a rule."""
+    """Return the rules of `Impairment.describe` as text, one line for each."""
     lines = [_rule_in_words(rule) for rule in network["rules"]]
     lines += [_partition_in_words(cut) for cut in network["partitions"]]
     return lines or ["nothing: perfect"]
 
 
 def _rule_in_words(rule: Mapping[str, Any]) -> str:
+    """Return a rule as text."""
     scope = ""
     if "edge" in rule:
         scope = (" to " if rule.get("directed") else " and ").join(
@@ -79,6 +83,7 @@ def _rule_in_words(rule: Mapping[str, Any]) -> str:
 
 
 def _partition_in_words(cut: Mapping[str, Any]) -> str:
+    """Return a partition as text."""
     a, b = (", ".join(map(str, side)) for side in (cut["a"], cut["b"]))
     until = "the end" if cut["until"] is None else f"{cut['until']:g} s"
     since = f"{cut['since']:g} s after GO" if cut["since"] else "GO"
@@ -93,7 +98,10 @@ def _effects(table: dict[str, Any]) -> dict[str, float]:
 
 
 def _losses(loss: float, burst: float | None) -> dict[str, float]:
-    """By the names of the simulated network; a burst is a chain that is bad for `burst` messages in a row."""
+    """Return the loss model with the names of the simulated network.
+
+    A burst becomes a chain of two states that is bad for `burst` messages in a row on average.
+    """
     if not burst:
         return {"loss": loss}
     leave = 1.0 / float(burst)
@@ -113,7 +121,7 @@ def _edge_rule(entry: dict[str, Any]) -> Rule:
 
 
 def _cuts(entry: dict[str, Any]) -> list[Partition]:
-    """Every pair of groups is cut from each other."""
+    """Return a partition for every pair of groups."""
     groups = entry["groups"]
     until = entry.get("until") or FOREVER
     return [

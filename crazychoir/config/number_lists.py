@@ -5,10 +5,11 @@ import re
 from crazychoir.errors import ConfigError
 
 LAST_DRONE = 9999
-"""The largest id that a drone may have."""
+"""Largest id of a drone."""
 _PART = re.compile(r"\s*([0-9]+)\s*(?:-\s*([0-9]+)\s*(?::\s*([0-9]+)\s*)?)?")
+"""One number, a range, or a range with a step."""
 _LONGEST = 9
-"""Digits of a number; longer ones are larger than whatever is allowed."""
+"""Most digits of a number; longer ones are larger than any limit."""
 
 
 def parse_spans(
@@ -22,10 +23,15 @@ def parse_spans(
 ) -> list[int]:
     """Return the numbers of a text such as "3,5-7", each once, in the order of the text.
 
-    where: names the option in errors;  allowed: what an error says is allowed;  last: the largest number;  ranges,
-    steps: whether "5-7" and "2-8:2" may stand there;  repeats: whether a number may be there twice.
-    Errors: ConfigError for what is no such list, a range that goes down, or a number above `last`; no range is counted
-    through before it is known to end there.
+    where: name of the option, for errors
+    allowed: description of the allowed values, for errors
+    last: largest number
+    ranges: True if "5-7" is allowed
+    steps: True if "2-8:2" is allowed
+    repeats: True if a number may occur twice
+
+    Raises ConfigError if the text is no such list, a range goes down, or a number is above `last`.
+    The end of a range is checked before it is counted through.
     """
     found: dict[int, None] = {}
     for word in text.split(","):
@@ -57,7 +63,7 @@ def parse_spans(
 
 
 def _hint(text: str) -> str:
-    """Return what is wrong in a text that is no list."""
+    """Return a hint about a text that is no list, or an empty text."""
     if not text.strip():
         return "It names none."
     if any(not word.strip() for word in text.split(",")):

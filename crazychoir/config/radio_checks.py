@@ -1,4 +1,4 @@
-"""The drones that a radio reaches, and the dongles that they share: what must hold between their keys."""
+"""Checks of the drones with a radio, and of the dongles that they share."""
 
 import math
 from collections.abc import Mapping
@@ -10,17 +10,17 @@ from crazychoir.errors import ConfigError
 
 
 def is_reached(drone: Drone) -> bool:
-    """Whether a radio reaches it."""
+    """Return True if a radio reaches the drone."""
     return drone.uri.startswith((UDP, RADIO))
 
 
 def reached(swarm: Swarm) -> tuple[int, ...]:
-    """The drones that a radio reaches; in increasing order."""
+    """Return the drones that a radio reaches; increasing."""
     return tuple(sorted(drone.id for drone in swarm.drones if is_reached(drone)))
 
 
 def dongles(swarm: Swarm) -> dict[int, tuple[int, ...]]:
-    """The drones of each dongle, both in increasing order."""
+    """Return the drones of each dongle; both increasing."""
     found: dict[int, list[int]] = {}
     for drone in sorted(swarm.drones, key=lambda drone: drone.id):
         if is_reached(drone):
@@ -29,7 +29,7 @@ def dongles(swarm: Swarm) -> dict[int, tuple[int, ...]]:
 
 
 def _dongle(drone: Drone) -> int:
-    """Of the key, else of a radio:// uri, else 0."""
+    """Return the dongle of the key, else of a radio:// uri, else 0."""
     if drone.dongle is not None:
         return drone.dongle
     found = radio_uri(drone.uri)
@@ -37,9 +37,11 @@ def _dongle(drone: Drone) -> int:
 
 
 def check_radios(swarm: Swarm, where: str) -> None:
-    """Two drones at one address; a dongle that is not the uri's; hosts that there are not.
+    """Raise ConfigError for two drones at one address, for a dongle
+    that differs from the uri's, and for unknown hosts.
 
-    With [hosts] a uri says which dongle of its host it is, the key which of the swarm.
+    With [hosts] the uri gives the number of the dongle on its host, and the key its number in the
+    swarm.
     """
     first: dict[tuple[object, ...], int] = {}
     numbers: dict[int, str] = {}
@@ -84,7 +86,7 @@ def check_radios(swarm: Swarm, where: str) -> None:
 
 
 def _parameters(table: Mapping[str, object], where: str) -> None:
-    """Of a firmware, which says itself whether it has them, once it is connected."""
+    """Check the form of firmware parameters; the firmware reports at connection if it has them."""
     for name, value in table.items():
         if name.count(".") != 1:
             do = 'Put it into quotes: "posCtlPid.xKp" = 2.0.'
@@ -94,7 +96,7 @@ def _parameters(table: Mapping[str, object], where: str) -> None:
 
 
 def seen(swarm: Swarm) -> tuple[int, ...]:
-    """The drones whose poses come from the process of motion capture; in increasing order."""
+    """Return the drones with poses from the process of motion capture; increasing."""
     return tuple(
         sorted(
             drone.id
@@ -105,12 +107,14 @@ def seen(swarm: Swarm) -> tuple[int, ...]:
 
 
 def body_name(drone: Drone) -> str:
-    """What motion capture calls it."""
+    """Return the name of the drone in motion capture."""
     return drone.body or f"cf{drone.id}"
 
 
 def _check_bodies(swarm: Swarm, where: str) -> None:
-    """Each drone that is seen has a body of its own; a replay has a file, and poses a port of their own."""
+    """Check that each seen drone has its own body, a replay
+    has a file, and poses have their own port.
+    """
     first: dict[str, int] = {}
     for n, drone in enumerate(swarm.drones):
         if drone.id not in seen(swarm):
@@ -146,7 +150,7 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
 
 
 def _own_poses(swarm: Swarm, where: str) -> None:
-    """Who says itself where it is says it often enough to fly by it."""
+    """Check that a drone that estimates its own pose reports it often enough to fly by it."""
     for n, drone in enumerate(swarm.drones):
         if (
             is_reached(drone)
@@ -167,11 +171,11 @@ def _own_poses(swarm: Swarm, where: str) -> None:
 
 
 SEES = 25.0
-"""Hz, at which a drone must say where it is that nobody else sees, at least."""
+"""Least Hz at which a drone must report its own pose if no camera sees it."""
 
 
 def _radio_hosts(swarm: Swarm, where: str) -> None:
-    """Each owner has a host, where there are [hosts]."""
+    """Check that each owner of a dongle, and motion capture, has a host, if there are [hosts]."""
     flown = dongles(swarm)
     rows = {row.dongle: row for row in swarm.radio.dongles}
     for n, row in enumerate(swarm.radio.dongles):
@@ -210,18 +214,30 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
             )
 
 
-PINGS, PLANS, OTHERS = 10.0, 10.0, 2.0
-"""Packets a second and drone: echoes, lines of the planner on board, and what else is asked."""
-MOTION, SPREADS = 20.0, 10.0
-"""Hz at which drones speak of themselves: at least, how one is tilted that cameras see; how sure another is."""
+PINGS = 10.0
+"""Packets a second and drone: echoes."""
+PLANS = 10.0
+"""Packets a second and drone: lines for the planner on board."""
+OTHERS = 2.0
+"""Packets a second and drone: other requests."""
+MOTION = 20.0
+"""Least Hz at which a drone that cameras see reports its attitude."""
+SPREADS = 10.0
+"""Hz at which a drone that estimates its own pose reports the uncertainty of it."""
 ALONE = 1000.0
-"""Packets a second of a dongle that never changes its channel and address: users of cflib, not measured here."""
+"""Packets a second of a dongle that never changes its channel and address.
+
+Source: reports of users of cflib; it was not measured here.
+"""
 LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
-"""Hz of set-points, by what is sent: with fewer it is not flown."""
+"""Least Hz of set-points, by the kind of command; a drone does not fly with fewer."""
 
 
 def capacity_of(swarm: Swarm, dongle: int) -> float:
-    """Packets a second of a dongle: as its row says, else [radio]; more if it never changes its channel."""
+    """Return the packets a second of a dongle, from its row, else from [radio].
+
+    A dongle that never changes its channel has at least ALONE.
+    """
     row = next((row for row in swarm.radio.dongles if row.dongle == dongle), None)
     capacity = (
         row.capacity
@@ -232,10 +248,13 @@ def capacity_of(swarm: Swarm, dongle: int) -> float:
 
 
 def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
-    """Hz of set-points of each drone that a dongle reaches, of those that are streamed any.
+    """Return the Hz of set-points of each streamed drone that a dongle reaches.
 
-    senders: by drone, what it is sent. What drones say rides on the acknowledgements of what they are told, one packet
-    each: what they say must fit, too. Raises ConfigError, with the numbers, where the dongle does not carry either.
+    senders: {drone: kind of command}
+
+    The packets of a drone ride on the acknowledgements of the packets to it, one on each: they must
+    fit, too.
+    Raises ConfigError, with the numbers, if the dongle cannot carry either direction.
     """
     radio = swarm.radio
     ids = dongles(swarm)[dongle]
@@ -292,7 +311,11 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
 
 
 def _less(fits: float, least: float) -> str:
-    """What to do where a dongle carries so many Hz of set-points a drone, and what they are sent needs `least`."""
+    """Return advice to need fewer set-points, or an empty text.
+
+    fits: Hz of set-points a drone that the dongle carries
+    least: Hz that the kind of command needs
+    """
     if fits >= least:
         return f"set command_rate = {least:g} to {fits:g} ([radio]), "
     lighter = [kind for kind, rate in LEAST.items() if rate <= fits]
@@ -300,7 +323,10 @@ def _less(fits: float, least: float) -> str:
 
 
 def _check_said(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
-    """Raise ConfigError where what the drones of a dongle say would grow old on board, and answers with it."""
+    """Raise ConfigError if the packets from the drones of a dongle do not fit.
+
+    They would wait on board and grow old, and answers with them.
+    """
     ids = dongles(swarm)[dongle]
     log_rate = swarm.radio.log_rate
     logs = sum(
@@ -330,11 +356,13 @@ def _spared(capacity: float) -> str:
 
 
 def _told(swarm: Swarm, i: int) -> bool:
-    """Whether drone i is told its pose, and does not say it."""
+    """Return True if drone i is sent its pose, False if it reports its own."""
     return next(drone for drone in swarm.drones if drone.id == i).pose == "mocap"
 
 
 PLANNED = 0.85
-"""Of the capacity, where the rate is chosen here: near all of it packets wait for each other."""
-MOST_COMMANDS = 100.0
-"""Hz: a command a pose."""
+"""Share of the capacity that is used if the rate is chosen here.
+
+Close to 1, packets wait for each other.
+"""
+MOST_COMMANDS = 100.0  # Hz: one command for each pose

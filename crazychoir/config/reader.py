@@ -1,4 +1,7 @@
-"""From the text of a swarm file to its tables, with errors that name file, key, value and what is allowed."""
+"""Reads the text of a swarm file into tables.
+
+Errors name the file, the key, the value and the allowed values.
+"""
 
 import json
 import math
@@ -21,13 +24,16 @@ from crazychoir.errors import ConfigError
 T = TypeVar("T", bound=msgspec.Struct)
 
 DEPTH = 16
+"""Most levels of lists and tables."""
 SHOWN = 80
+"""Most letters of a value in an error text."""
 
 
 def parse(text: str, where: str) -> dict[str, Any]:
-    """The plain values of a TOML text, or of a JSON text: it begins with a brace.
+    """Return the plain values of a TOML text, or of a JSON text, which begins with a brace.
 
-    Raises ConfigError, also for what not every host could read back: dates, infinities, NaN, huge numbers, deep nests.
+    Raises ConfigError for a wrong text, and for values that not every host can read back: dates,
+    infinities, NaN, huge numbers, deep nests.
     """
     language, decode = (
         ("JSON", _decode_json)
@@ -45,7 +51,10 @@ def parse(text: str, where: str) -> dict[str, Any]:
 
 
 def _decode_json(text: str) -> Any:
-    """The values of a JSON text; only the standard library reads a path with bytes that are not UTF-8."""
+    """Return the values of a JSON text.
+
+    Only the standard library reads a path with bytes that are not UTF-8.
+    """
     try:
         return msgspec.json.decode(text)
     except msgspec.DecodeError:
@@ -55,7 +64,9 @@ def _decode_json(text: str) -> Any:
 
 
 def require_plain(raw: dict[str, Any], where: str) -> None:
-    """Refuse values that are not numbers, texts, true, false, lists or tables of them."""
+    """Raise ConfigError for values other than numbers, texts,
+    true, false, and lists or tables of them.
+    """
     pending = [(key, value, 1) for key, value in raw.items()]
     while pending:
         key, value, depth = pending.pop()
@@ -98,9 +109,13 @@ def read(
     key: str = "",
     file: type[msgspec.Struct] | None = None,
 ) -> T:
-    """The table `kind` with the values of `raw`; `where` is the file, `key` the path to this table in it.
+    """Return the table `kind` with the values of `raw`.
 
-    file: the whole file, whose tables are told where a key belongs to another one; else the table without a path.
+    where: name of the file, for errors
+    key: path to this table in the file
+    file: struct of the whole file, to find the table of a misplaced key; None: `kind`, if it is
+        read without a path
+    Raises ConfigError for unknown, missing or wrong keys.
     """
     file = kind if file is None and not key else file
     if not isinstance(raw, Mapping):
@@ -131,7 +146,7 @@ def read(
 
 
 def show(value: object) -> str:
-    """A value as a swarm file writes it, shortened."""
+    """Return a value as a swarm file writes it, shortened."""
     text = _toml(value)
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
@@ -152,6 +167,7 @@ def _value(
     key: str,
     file: type[msgspec.Struct] | None,
 ) -> object:
+    """Return the converted value of a key; raise ConfigError if it is not allowed."""
     kind = _bare(entry.type)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         return read(raw, kind, where, key, file)
@@ -172,7 +188,7 @@ def _bare(kind: Any) -> Any:
 
 
 def _row(kind: Any) -> type[msgspec.Struct] | None:
-    """The table that a list of tables repeats."""
+    """Return the struct of the rows if `kind` is a list of tables, else None."""
     inner = get_args(kind)[0] if get_origin(kind) is tuple else None
     return (
         inner if isinstance(inner, type) and issubclass(inner, msgspec.Struct) else None
@@ -180,7 +196,7 @@ def _row(kind: Any) -> type[msgspec.Struct] | None:
 
 
 def _allowed(entry: FieldInfo) -> tuple[str, str]:
-    """What a key allows, and an example."""
+    """Return the allowed values of a key as text, and an example."""
     kinds = (entry.type, *get_args(entry.type))
     meta = next(kind.__metadata__[0] for kind in kinds if get_origin(kind) is Annotated)
     return meta.description, show(meta.examples[0])
@@ -194,6 +210,7 @@ def _unknown(
     key: str,
     file: type[msgspec.Struct] | None,
 ) -> ConfigError:
+    """Return the error for a key that the table does not have."""
     do = remedy(name, value, kind, key, file)
     allowed = (
         f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"

@@ -1,4 +1,6 @@
-"""The swarm file: who flies, who talks to whom, where each process runs, and in which world."""
+"""The swarm file, checked: its drones, their graph, the place
+of each process, and the world of each drone.
+"""
 
 import hashlib
 import ipaddress
@@ -42,31 +44,42 @@ from crazychoir.files.text_files import read_text
 from crazychoir.team.graph import Graph, span
 
 LOCAL = "127.0.0.1"
+"""Address of this machine."""
 WORLD = -1
-"""The process of the world's owner, among processes that are known by their lowest drone."""
+"""Number of the process of the world's owner.
+
+The process of an agent has the number of its lowest drone.
+"""
 MOCAP = -2
-"""That of motion capture."""
+"""Number of the process of motion capture."""
 DONGLES = -3
-"""That of the owner of dongle 0; of dongle K: DONGLES - K."""
+"""Number of the process of dongle 0; the process of dongle K has DONGLES - K."""
 ROUTER = -ROUTER_BELOW
-"""That of the router."""
+"""Number of the process of the router."""
 SPACING = 0.6
+"""m between the homes of a built-in swarm."""
 MARGIN = 4.0
+"""m from the homes of a built-in swarm to its fence."""
 FILES = ("instance", "drawing")
 """Options of missions that name a file."""
 SHAPES = ("model", "scene")
-"""Keys of [mujoco] that name a file; only the host of the world's owner needs them."""
+"""Keys of [mujoco] that name a file; only the host of the world's owner needs these files."""
 
 
 class SwarmConfig(Swarm, frozen=True, kw_only=True):
     """A checked swarm file: `load`, `loads`, `of` and `replace` check it and raise ConfigError.
 
-    The fields are those of tables.Swarm. The key `graph` of the file is the field `topology`; `graph()` builds it.
+    The fields are those of tables.Swarm. The key `graph` of the file is the field `topology`;
+    `graph()` builds the graph.
     """
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a .toml or .json file. A mission that is a path, and FILES, are relative to the file's folder."""
+        """Read a .toml or .json file.
+
+        Paths in it are relative to its folder: the mission, the FILES of its options, and the files
+        of [mujoco], [mocap] and [security].
+        """
         do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
         text = read_text(path, "a swarm file, TOML or JSON", do=do)
         config = cls.loads(text, str(path))
@@ -80,12 +93,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @classmethod
     def loads(cls, text: str, where: str = "swarm") -> Self:
-        """Read TOML or JSON text; `where` names it in error texts."""
+        """Read TOML or JSON text; `where` is its name in error texts."""
         return cls.of(parse(text, where), where)
 
     @classmethod
     def of(cls, raw: dict[str, Any], where: str = "swarm") -> Self:
-        """The swarm of plain values, as `loads` finds them in a text."""
+        """Return the swarm of plain values, as a parser returns them."""
         require_plain(raw, where)
         config = read(raw, cls, where)
         check(config, where)
@@ -96,21 +109,24 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return msgspec.structs.replace(config, drones=drones)
 
     def dumps(self) -> str:
-        """JSON text for `loads`, defaults and all: hands a swarm to another process."""
+        """Return JSON text for `loads`, with all defaults, to hand the swarm to another process."""
         try:
             return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
-        except (
-            UnicodeEncodeError
-        ):  # a path with bytes that are not UTF-8: they are escaped
+        except UnicodeEncodeError:
+            # A path has bytes that are not UTF-8: the standard library escapes them.
             return json.dumps(msgspec.to_builtins(self), indent=2)
 
     def replace(self, **changes: Any) -> Self:
-        """This swarm with other values of some keys, named as in the file; a mission's path is relative to here."""
+        """Return this swarm with other values of some keys, named as in the file.
+
+        A mission's path is relative to the current folder.
+        """
         raw = {**msgspec.to_builtins(self), **msgspec.to_builtins(changes)}
         config = self.of(raw, f"swarm {self.name}")
         return config._with_mission_from(Path()) if "mission" in changes else config
 
     def _with_mission_from(self, folder: Path) -> Self:
+        """Return the swarm with the full path of its mission."""
         if self.mission is None or not self.mission.endswith(".py"):
             return self
         return msgspec.structs.replace(
@@ -118,6 +134,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def _with_files_from(self, folder: Path) -> Self:
+        """Return the swarm with the full paths of its files."""
         named = {
             key: value
             for key, value in self.mission_options.items()
@@ -141,6 +158,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def _with_shapes_from(self, folder: Path) -> Self:
+        """Return the swarm with the full paths of the files of [mujoco]."""
         named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
         found = {
             key: _resolved(folder, value, f"mujoco.{key}")
@@ -150,6 +168,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, mujoco=mujoco) if found else self
 
     def _with_keys(self, folder: Path) -> Self:
+        """Return the swarm with the full path of its folder of keys."""
         if not self.secured:
             return self
         keys = _resolved(folder, self.security.keys, "security.keys")
@@ -159,7 +178,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @property
     def files(self) -> dict[str, Path]:
-        """The files that a flight needs beside its mission, by the keys that name them."""
+        """The files that a flight needs in addition to its mission, by the keys that name them."""
         options = self.mission_options
         mujoco = self.mujoco
         named = {
@@ -178,17 +197,21 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return {key: Path(name) for key, name in named.items()}
 
     def digest(self) -> str:
-        """16 hex digits that all hosts of one mission share, the same on every host, Python and hash seed.
+        """Return 16 hex digits that are equal at all hosts of one
+        mission, for every Python and hash seed.
 
-        Everything counts but `hosts`, `base_port`, `network` and the folders of the mission, of shapes and of poses. A
-        file that the mission's options name counts by what is in it, wherever it lies.
+        All keys count but `hosts`, `router`, `security`, `base_port` and `network`. Of the mission,
+        of shapes and of recordings of poses only the file name counts, not the folder. A file in
+        the mission's options counts by its content.
         """
         return hashlib.blake2b(
             json_bytes(self._agreed(), order="sorted"), digest_size=8
         ).hexdigest()
 
     def digests(self) -> str:
-        """Of each of the keys AGREED alone two hex digits, so that two files that differ are told in what."""
+        """Return two hex digits for each of the keys AGREED, to
+        name the keys in which two files differ.
+        """
         agreed = self._agreed()
         said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
         return "".join(
@@ -196,7 +219,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def of_bodies(self) -> dict[str, str]:
-        """Of each of the keys OF_BODIES some hex digits, the same where what stands there is; no file is read."""
+        """Return hex digits for each of the keys OF_BODIES, equal for equal values.
+
+        No file is read.
+        """
         agreed: dict[str, Any] = msgspec.to_builtins(self)
         agreed["mujoco"] |= {
             key: Path(getattr(self.mujoco, key)).name for key in SHAPES
@@ -214,6 +240,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         }
 
     def _agreed(self) -> dict[str, Any]:
+        """Return the plain values that must be equal at all hosts, with
+        the content of files instead of their paths.
+        """
         agreed = {
             key: value
             for key, value in msgspec.to_builtins(self).items()
@@ -238,29 +267,35 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """The drones, increasing."""
+        """Drone ids, increasing."""
         return tuple(sorted(drone.id for drone in self.drones))
 
     def drone(self, i: int) -> Drone:
-        """The [[drones]] with id i."""
+        """Return the [[drones]] with id i; raise ConfigError if there is none."""
         for drone in self.drones:
             if drone.id == i:
                 return drone
         raise ConfigError(f"swarm {self.name}", f"drone {i}", span(self.ids))
 
     def control_of(self, i: int) -> Control:
-        """The [[roles]] of drone i, else [control], with what it is sent: level, one whose link fails flies on."""
+        """Return the [[roles]] of drone i, else [control], with its sender filled in.
+
+        The default for a drone with a radio is "frpy": if the link fails, it flies on level.
+        """
         drone = self.drone(i)
         row = next((row for row in self.roles if row.name == drone.role), self.control)
         streamed: Sender = "frpy" if is_reached(drone) else "fpqr"
         return msgspec.structs.replace(row, sender=row.sender or streamed)
 
     def graph(self) -> Graph:
-        """The communication graph."""
+        """Return the communication graph."""
         return graph_of(self, f"swarm {self.name}")
 
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """The drones of each process, increasing; a process is known by its lowest drone."""
+        """Return the drones of each process, increasing.
+
+        A process has the number of its lowest drone.
+        """
         return tuple(
             sorted(
                 tuple(sorted(group))
@@ -269,16 +304,21 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def process(self, i: int) -> int:
-        """The process of drone i: its lowest drone."""
+        """Return the process of drone i: its lowest drone."""
         member = self.drone(i).id
         return next(group[0] for group in self.groups() if member in group)
 
     def endpoint(self, i: int) -> str:
-        """Where the process of drone i listens: tcp/<address of its host>:<base port + the process>."""
+        """Return the endpoint of the process of drone i:
+        tcp/<address of its host>:<base port + the process>.
+        """
         return self._listens(self.drone(i).host, self.process(i))
 
     def endpoints(self) -> dict[int, str]:
-        """The endpoint of each process, by its lowest drone; those of the router and of owners first."""
+        """Return the endpoint of each process, by its number.
+
+        The router and the owners come first.
+        """
         listens = {
             process: self._listens(host, process)
             for process, host in self._owners().items()
@@ -286,16 +326,16 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return listens | {group[0]: self.endpoint(group[0]) for group in self.groups()}
 
     def host_of(self, process: int) -> str | None:
-        """Where a process of `endpoints` runs; None without [hosts]."""
+        """Return the host of a process of `endpoints`; None without [hosts]."""
         return self.drone(process).host if process >= 0 else self._owners()[process]
 
     @property
     def routers(self) -> list[str]:
-        """The endpoint of the router, if there is one: every process connects to it alone."""
+        """The endpoint of the router, if there is one: then every process connects only to it."""
         return [self._listens(self.router, ROUTER)] if self.router is not None else []
 
     def _owners(self) -> dict[int, str | None]:
-        """The hosts of the processes that are no agents."""
+        """Return the hosts of the processes that are not agents."""
         owners: dict[int, str | None] = (
             {ROUTER: self.router} if self.router is not None else {}
         )
@@ -309,19 +349,20 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @property
     def scheme(self) -> str:
-        """Of the endpoints."""
+        """Scheme of the endpoints."""
         return "tls" if self.secured else "tcp"
 
     @property
     def secured(self) -> bool:
-        """Whether its network is encrypted, and open to those alone who have a certificate."""
+        """True if the network is encrypted, and open only to holders of a certificate."""
         return secured(self)
 
     def access(self, host: str, *endpoints: str) -> Access | None:
-        """Who may say what, as a host sees it; None where the network is open to everybody.
+        """Return the access rules as a host applies them; None if the network is open to all.
 
-        endpoints: instead of those of the file. Raises ConfigError for keys that are not there, or not good, and for an
-        endpoint beyond this machine where the file has neither keys nor insecure = true.
+        endpoints: given instead of those of the file
+        Raises ConfigError for missing or bad keys, and for an endpoint beyond this machine if the
+        file has neither keys nor insecure = true.
         """
         if not self.secured:
             self._require_local(endpoints)
@@ -355,11 +396,14 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         )
 
     def _require_local(self, endpoints: Iterable[str]) -> None:
+        """Raise ConfigError for an endpoint beyond this machine,
+        unless the file allows an insecure network.
+        """
         far = [
             endpoint
             for endpoint in endpoints
             if "/" in endpoint and not are_local([endpoint])
-        ]  # else none at all
+        ]  # a text without "/" is no endpoint
         if far and not self.security.insecure:
             allowed = "one of this machine's own, as tcp/127.0.0.1:7460"
             do = "Give the swarm file [hosts] and keys (deploy/README.md), or write insecure = true in [security]."
@@ -369,27 +413,30 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     @property
     def owned(self) -> tuple[int, ...]:
-        """The drones whose bodies are, in real time, in the process of the world's owner; increasing."""
+        """The drones simulated, in real time, by the process of the world's owner; increasing."""
         return owned(self)
 
     @property
     def reached(self) -> tuple[int, ...]:
-        """The drones that a radio reaches, udp:// or radio://; increasing."""
+        """The drones with a radio, udp:// or radio://; increasing."""
         return reached(self)
 
     @property
     def seen(self) -> tuple[int, ...]:
-        """The drones whose poses come from the process of motion capture; increasing."""
+        """The drones with poses from the process of motion capture; increasing."""
         return seen(self)
 
     @property
     def unseen(self) -> tuple[int, ...]:
-        """The drones that alone say where they are: their truth is their own estimate; increasing."""
+        """The drones with a radio that estimate their own pose, which is also their truth.
+
+        The ids are in increasing order.
+        """
         return tuple(i for i in self.reached if i not in self.seen)
 
     @property
     def elsewhere(self) -> tuple[int, ...]:
-        """The drones whose bodies, in real time, are reached by another process than their agent's; increasing."""
+        """The drones with a body, in real time, outside the process of their agent; increasing."""
         return tuple(sorted((*self.owned, *self.reached)))
 
     @property
@@ -398,23 +445,28 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return dongles(self)
 
     def dongle_host(self, number: int) -> str | None:
-        """The host of a dongle's owner."""
+        """Return the host of a dongle's owner."""
         return next(
             (row.host for row in self.radio.dongles if row.dongle == number), None
         )
 
     def body_name(self, i: int) -> str:
-        """What motion capture calls drone i."""
+        """Return the name of drone i in motion capture."""
         return body_name(self.drone(i))
 
     def source(self, topic: Topic, i: int) -> int:
-        """The address that says a topic of drone i in real time: the drone's, its body's, or that of the cameras."""
+        """Return the address that sends a topic of drone i in real
+        time: its agent, its body or the cameras.
+        """
         if not topic.of_body or i not in self.elsewhere:
             return i
         return EYES + i if topic in (POSE, TRUTH) and i in self.seen else BODIES + i
 
     def impairment(self) -> dict[str, Any]:
-        """[network] as plain values, only what is written; the groups of a partition name every drone."""
+        """Return [network] as plain values, with only the keys that are written in the file.
+
+        The groups of a partition name every drone.
+        """
         network = self.network
         rules = _written(network)
         if network.edges:
@@ -427,13 +479,13 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return rules
 
     def _complete(self, groups: tuple[tuple[int, ...], ...]) -> list[list[int]]:
-        """The groups, and one more of the drones that they do not name."""
+        """Return the groups, and one more with the drones that they do not name."""
         rest = [i for i in self.ids if not any(i in group for group in groups)]
         return [list(group) for group in groups] + ([rest] if rest else [])
 
 
 def _replaying(drone: Drone, folder: Path) -> Drone:
-    """The drone, with the recording that it replays, if it does, found from a folder."""
+    """Return the drone with the full path of the recording that it replays, if it replays one."""
     name = drone.uri.removeprefix(REPLAY)
     if name == drone.uri:
         return drone
@@ -443,7 +495,11 @@ def _replaying(drone: Drone, folder: Path) -> Drone:
 
 
 def _resolved(folder: Path, name: str, key: str) -> str:
-    """Return the whole path of a file. Errors: ConfigError with `key` for a name that no file here can have."""
+    """Return the full path of a file.
+
+    key: the key that names the file, for the error
+    Raises ConfigError for a name that no file here can have.
+    """
     try:
         return str((folder / as_path(name)).resolve())
     except (ValueError, OSError, RuntimeError) as error:
@@ -454,24 +510,29 @@ def _resolved(folder: Path, name: str, key: str) -> str:
 
 
 def _content(value: Any) -> Any:
-    """A path becomes the hash of its file; anything else stays."""
+    """Return the hash of a file's content if the value is its path, else the value."""
     if not isinstance(value, str) or len(value) > 1000 or not Path(value).is_file():
         return value
     return hashlib.blake2b(Path(value).read_bytes(), digest_size=8).hexdigest()
 
 
 def default_swarm(n: int) -> SwarmConfig:
-    """n simulated drones on a square grid on the floor, in a ring graph, without a mission."""
+    """Return n simulated drones on a square grid on the
+    floor, in a ring graph, without a mission.
+    """
     return _on_a_grid("default", n, columns=max(1, math.ceil(math.sqrt(n))))
 
 
 def demo_swarm() -> SwarmConfig:
-    """Six simulated drones that share pickups and deliveries."""
+    """Return six simulated drones that share pickups and deliveries."""
     return _on_a_grid("demo", 6, columns=3).replace(mission="pickup_delivery")
 
 
 def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
-    """The swarm to fly, and a text that says which: the file given, else ./swarm.toml, else the demo swarm."""
+    """Return the swarm to fly, and a text with its origin.
+
+    It is the given file, else ./swarm.toml, else the demo swarm.
+    """
     if option is not None:
         return SwarmConfig.load(option), option
     if Path("swarm.toml").is_file():
@@ -480,6 +541,7 @@ def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
 
 
 def _on_a_grid(name: str, n: int, columns: int) -> SwarmConfig:
+    """Return a swarm of n simulated drones on a grid."""
     homes = [
         [round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0]
         for k in range(n)
@@ -501,7 +563,7 @@ def _bracketed(address: str) -> str:
 
 
 def _written(table: Table) -> dict[str, Any]:
-    """The values of a table that are written in the file, without its lists."""
+    """Return the values of a table that are written in the file, without its lists."""
     values: dict[str, Any] = msgspec.to_builtins(table)
     return {
         key: value

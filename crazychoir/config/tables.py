@@ -1,6 +1,7 @@
-"""What may be written in a swarm file: its tables, keys, units, ranges and defaults.
+"""The tables and keys of a swarm file, with their units, ranges and defaults.
 
-Every key says what is allowed in its Meta: the reader checks with it and error texts quote it.
+The Meta of every key states its allowed values. The reader checks values against it, and error
+texts quote it.
 """
 
 from typing import Annotated, Any, Literal
@@ -268,130 +269,176 @@ ThrustMap = Annotated[
 
 
 class Table(Struct, frozen=True, kw_only=True):
-    """A table of a swarm file."""
+    """Base of all tables of a swarm file."""
 
 
 class Drone(Table, frozen=True, kw_only=True):
-    """One [[drones]]: home is where it stands before the start, world frame; yaw rad; neighbors: whom it hears.
-
-    uri: in which world it flies;  platform: which kind of Crazyflie it is. Of one that a radio reaches (udp://,
-    radio://):  dongle: whose owner reaches it (without: that of its radio:// uri, 0 for udp://);  pose: who says where
-    it is;  body: its name in the motion capture (without: "cf" and its id);  body_offset: m, of the tracked centre from
-    its own, and body_rotation: roll, pitch, yaw rad, by which that body is mounted, see mocap/mounting.py;  parameters:
-    of its firmware, set when it is connected, beside those of [radio].
-    """
+    """One [[drones]]."""
 
     id: Id
+    """Number of the drone, unique in the swarm."""
     home: Position
+    """(3,) m, world frame: place of the drone before the start."""
     uri: Text = "sim://"
+    """World in which it flies, or the address at which a radio reaches it."""
     platform: Text = "paper"
+    """Kind of Crazyflie."""
     yaw: Radians = 0.0
+    """rad, world frame: heading at home."""
     neighbors: Ids | None = None
+    """Drones that it receives from; None if the swarm file gives the graph in another way."""
     leader: Flag = False
+    """True for a leader of a formation."""
     role: Text = ""
+    """Name of its [[roles]]."""
     host: Name | None = None
+    """Host of its agent, a name of [hosts]."""
     options: Free = field(default_factory=dict)
+    """Keys for its mission."""
     dongle: Dongle | None = None
+    """Dongle that reaches it by radio.
+
+    Without this key, it is the dongle of its radio:// uri, or 0 for udp://.
+    """
     pose: PoseFrom = "mocap"
+    """Source of its pose, for a drone with a radio."""
     body: Body = ""
+    """Name in motion capture; if empty, "cf" and its id."""
     body_offset: Offset = (0.0, 0.0, 0.0)
+    """(3,) m: tracked centre relative to the drone's centre."""
     body_rotation: Angles = (0.0, 0.0, 0.0)
+    """(3,) rad, roll, pitch, yaw: rotation with which the
+    tracked body is mounted, see mocap/mounting.py.
+    """
     parameters: Free = field(default_factory=dict)
+    """Firmware parameters that are set at connection, in addition to those of [radio]."""
 
 
 class Link(Table, frozen=True, kw_only=True):
-    """What happens to messages on their way.
-
-    loss, duplicate, reorder: probability a message;  burst: mean length of a run of losses (without: independent);
-    delay, jitter: s;  bandwidth: bytes/s.
-    """
+    """Effects on messages between drones; a key that is left out has no effect."""
 
     loss: Probability | None = None
+    """Probability that a message is lost."""
     burst: Burst | None = None
+    """Mean number of messages that are lost in a row; without it losses are independent."""
     delay: Seconds | None = None
+    """s: delay of each message."""
     jitter: Seconds | None = None
+    """s: additional random delay."""
     duplicate: Probability | None = None
+    """Probability that a message arrives twice."""
     reorder: Probability | None = None
+    """Probability that a message is overtaken by later ones."""
     bandwidth: Bandwidth | None = None
+    """bytes/s of the link."""
 
 
 class Edge(Link, frozen=True, kw_only=True):
-    """One [[network.edges]]: another rule for what `source` sends to `destination`; without one of them: any drone."""
+    """One [[network.edges]]: another rule for messages from `source` to `destination`."""
 
     source: Id | None = None
+    """Sender; without it any drone."""
     destination: Id | None = None
+    """Receiver; without it any drone."""
 
 
 class Partition(Table, frozen=True, kw_only=True):
-    """One [[network.partitions]]: groups don't hear each other from `at` to `until`; the unnamed are one more.
-
-    at, until: s since GO.
-    """
+    """One [[network.partitions]]: groups that do not receive each other for a time."""
 
     at: Seconds
+    """s since GO: begin of the partition."""
     groups: Groups
+    """Groups of drones; all drones that are not listed form one more group."""
     until: Seconds | None = None
+    """s since GO: end of the partition; without it there is no end."""
 
 
 class Fence(Table, frozen=True, kw_only=True):
-    """[fence]: the box, world frame, that no drone may leave."""
+    """[fence]: the box, in the world frame, that no drone may leave."""
 
     min: Position = (-4.0, -4.0, 0.0)
+    """(3,) m: lowest corner."""
     max: Position = (4.0, 4.0, 3.0)
+    """(3,) m: highest corner."""
 
 
 class KeepOut(Table, frozen=True, kw_only=True):
-    """[keep_out]: the limit area, world frame, beyond which motors stop at once; without it 0.5 m around the fence."""
+    """[keep_out]: the limit area, in the world frame.
+
+    The motors of a drone outside it stop at once.
+
+    Without it the limit area is 0.5 m larger than the fence on each side.
+    """
 
     min: Position | None = None
+    """(3,) m: lowest corner."""
     max: Position | None = None
+    """(3,) m: highest corner."""
 
 
 class Flight(Table, frozen=True, kw_only=True):
-    """[flight]: ground: height of the floor, world frame; takeoff_height: above it; limits of references;
-    operator: drones wait for an operator's take-off, and their missions for his start;  dead_man: s without his console
-    after which all land, 0 for never.
-    """
+    """[flight]: the floor, the limits of references, and the operator."""
 
     ground: Level = 0.0
+    """m, world frame: height of the floor."""
     takeoff_height: Height = 1.0
+    """m above the floor."""
     speed_limit: Speed = 1.0
+    """m/s: limit of references."""
     acceleration_limit: Acceleration = 2.0
+    """m/s2: limit of references."""
     landing_speed: Speed = 0.3
+    """m/s: speed of descent."""
     operator: Flag = False
+    """True if drones wait for an operator's take-off, and missions for the operator's start."""
     dead_man: Seconds = 0.0
+    """Seconds without the operator's console after which all drones land; 0 for never."""
 
 
 class Mocap(Table, frozen=True, kw_only=True):
-    """[mocap]: rate: poses a second; noise m, noise_angle rad: standard deviations an axis;
-    dropout: probability a pose; latency: s, whole periods of the rate; tilt: (roll, pitch) rad, by which the body
-    that the cameras know is mounted askew on the drone. Those are of simulated cameras. Of the cameras of drones that a
-    radio reaches:  source: which system;  hostname, port: where it is (port: of "virtual");  file: of "replay", a
-    recording (CSV), relative to the swarm file;  options: more that motioncapture's connect takes;
-    connect_deadline: s that a system gets for that;  host: where crazychoir-mocap runs.
+    """[mocap]: the cameras, simulated or real.
+
+    rate, noise, noise_angle, dropout, latency and tilt describe simulated cameras. All other keys
+    describe the cameras of drones with a radio.
     """
 
     rate: Hertz = 100.0
+    """Hz: poses a second."""
     noise: Metres = 0.0005
+    """m: standard deviation of the position, for each axis."""
     noise_angle: Turn = 0.001
+    """rad: standard deviation of the attitude, for each axis."""
     dropout: Probability = 0.0
+    """Probability that a pose is missing."""
     latency: Seconds = 0.0
+    """s: age of a pose when it arrives, in whole periods of the rate."""
     tilt: Tilt = (0.0, 0.0)
+    """(2,) rad, roll, pitch: angles by which the tracked body is mounted askew on the drone."""
     source: Source = "virtual"
+    """Motion capture system."""
     hostname: Text = "127.0.0.1"
+    """Address of the system."""
     port: UdpPort = 19849
+    """UDP port, for the source "virtual"."""
     file: Text = ""
+    """Recording (CSV) for the source "replay", relative to the swarm file."""
     options: Free = field(default_factory=dict)
+    """More arguments for motioncapture's connect."""
     connect_deadline: Timeout = 5.0
+    """s: time in which the system must answer."""
     host: Name | None = None
+    """Host on which crazychoir-mocap runs."""
 
 
 class RadioHost(Table, frozen=True, kw_only=True):
-    """One [[radio.dongles]]: on which host the owner of a dongle runs, and what the dongle carries."""
+    """One [[radio.dongles]]: a dongle, the host of its process, and its capacity."""
 
     dongle: Dongle
+    """Number of the dongle in the swarm."""
     host: Name | None = None
+    """Host to which the dongle is plugged."""
     capacity: Packets | None = None
+    """Packets a second; without it the capacity of [radio]."""
 
 
 Dongles = Annotated[
@@ -404,131 +451,163 @@ Dongles = Annotated[
 
 
 class Radio(Table, frozen=True, kw_only=True):
-    """[radio]: how drones with a uri udp:// or radio:// are reached.
-
-    capacity: packets a second of a dongle that several drones share;  command_rate: Hz of set-points, 0: as many as
-    the dongles carry, at most a command each pose;  pose_rate: Hz of the poses that a drone is told;  log_rate: Hz of
-    what it says of itself;  connect_deadline: s a drone;  watchdog: an XYZ drone whose radio fails cuts its motors
-    after 1 s, and is locked until it is started anew, also when a run has ended; else it flies on;
-    thrust_map: of all drones, for firmware whose release is not known;  parameters: of the
-    firmware, of all drones;  origin: m, origin_yaw: rad, world frame: where the frame of poses that come from drones
-    themselves (pose = "onboard") begins;  drift: whether a mission that needs a common frame may fly by such poses;
-    dongles: their hosts.
-    """
+    """[radio]: the connection to drones with a uri udp:// or radio://."""
 
     capacity: Packets = 250.0
+    """Packets a second of a dongle that several drones share."""
     command_rate: Rate = 0.0
+    """Hz of set-points; 0: as many as the dongles carry, but at most one command for each pose."""
     pose_rate: PoseRate = 10.0
+    """Hz of the poses that are sent to a drone."""
     log_rate: Hertz = 10.0
+    """Hz of the log packets that a drone sends."""
     connect_deadline: Timeout = 10.0
+    """s: time to connect to one drone."""
     watchdog: Flag = False
+    """True: a drone with the sender "xyz" cuts its motors 1 s after its radio fails. It stays
+    locked until it is restarted, also after the end of a run. False: it flies on.
+    """
     thrust_map: ThrustMap | None = None
+    """Thrust command a newton for all drones, for firmware of an unknown release."""
     parameters: Free = field(default_factory=dict)
+    """Firmware parameters of all drones."""
     origin: Position = (0.0, 0.0, 0.0)
+    """(3,) m, world frame: origin of the frame in which drones
+    estimate their own pose (pose = "onboard").
+    """
     origin_yaw: Radians = 0.0
+    """rad, world frame: heading of that frame."""
     drift: Flag = False
+    """True if a mission that needs a common frame may fly with such poses."""
     dongles: Dongles = ()
+    """Hosts and capacities of the dongles."""
 
 
 class Plant(Table, frozen=True, kw_only=True):
-    """[plant]: a simulated drone. In every world: command_delay: s until it obeys;  mass_error, thrust_error: shares by
-    which it is heavier and pulls harder than its platform, for which its controllers are made. Of the lightweight one:
-    inputs;  rate_lag: time constant of its body rates.
+    """[plant]: the properties of a simulated drone.
+
+    inputs and rate_lag are for the lightweight world only, all other keys for every world.
     """
 
     inputs: Inputs = "rates"
+    """Command that steers the drone: body rates or Euler rates."""
     rate_lag: Seconds = 0.03
+    """s: time constant of the body rates."""
     command_delay: Seconds = 0.02
+    """s: time until the drone obeys a command."""
     mass_error: Mismatch = 0.0
+    """Share by which the drone is heavier than the platform
+    for which its controllers are designed.
+    """
     thrust_error: Mismatch = 0.0
+    """Share by which its thrust is larger than that of the platform."""
 
 
 class Motors(Table, frozen=True, kw_only=True):
-    """[motors]: the motor-level world.
-
-    wind: m/s, world;  gusts: m/s, standard deviation an axis, each lasting gust_time s;  ground_effect, downwash:
-    whether they act;  battery: charge at the start, 1 is full;  imu_noise: of the sensors, 1 is the data sheet's;
-    floor_tilt: (roll, pitch) rad, about the world's axes, of what is under each drone.
-    """
+    """[motors]: the motor-level world."""
 
     wind: Wind = (0.0, 0.0, 0.0)
+    """(3,) m/s, world frame: mean wind."""
     gusts: Gust = 0.0
+    """m/s: standard deviation of the gusts, for each axis."""
     gust_time: Timeout = 2.0
+    """s: duration of a gust."""
     ground_effect: Flag = True
+    """True to simulate the ground effect."""
     downwash: Flag = True
+    """True to simulate the downwash."""
     battery: Share = 1.0
+    """Charge at the start; 1 is full."""
     imu_noise: Factor = 1.0
+    """Factor on the noise of the inertial sensors; 1 is the data sheet's."""
     floor_tilt: Tilt = (0.0, 0.0)
+    """(2,) rad, roll, pitch about the world's axes: tilt of the floor below each drone."""
 
 
 class Mujoco(Table, frozen=True, kw_only=True):
-    """[mujoco]: the shapes in mujoco://, beside [motors].
+    """[mujoco]: the shapes in mujoco://, in addition to [motors].
 
-    model: a file of a drone's shape (STL, OBJ, URDF, MJCF), empty: our own;  body: its body, if it has several;
-    scale: of its lengths, 0.001 for millimetres;  scene: an MJCF of what stands in the room. Paths are relative to the
-    swarm file.
+    Paths are relative to the swarm file.
     """
 
     model: Text = ""
+    """File with a drone's shape (STL, OBJ, URDF, MJCF); empty for the built-in shape."""
     body: Text = ""
+    """Body of the drone in that file, if there are several."""
     scale: Scale = 1.0
+    """Factor on its lengths; 0.001 for millimetres."""
     scene: Text = ""
+    """MJCF file with the objects in the room."""
 
 
 class World(Table, frozen=True, kw_only=True):
-    """[world]: the process that owns the simulated world, in real time.
-
-    owned: also of lightweight drones, which otherwise fly in their agents;  host: where it runs;  options: for an
-    engine of others.
-    """
+    """[world]: the process that owns the simulated world in real time."""
 
     owned: Flag = False
+    """True to move lightweight drones, too, to that process.
+
+    Otherwise they are simulated in their agents.
+    """
     host: Name | None = None
+    """Host on which it runs."""
     options: Free = field(default_factory=dict)
+    """Keys for a simulation engine of another package."""
 
 
 class Collision(Table, frozen=True, kw_only=True):
-    """[collision]: how drones keep clear of each other.
-
-    method: "off", "barrier" (two together can always stop) or "cells" (each can, on its side of the middle);
-    semi_axes: m, of the ellipsoid around each drone, which no other's meets: it is tall because of the downwash;
-    margin: m, kept beyond twice the first of them;  slack: m, beyond that, between drones that fly agreed ways (those
-    that are sent "xyz", "vel" or "fullstate");  brake: m/s2, with which a drone counts on being able to brake;
-    stiff, gamma: 1/s, how fast a gap closes at most, and how fast that limit is come to;  turn: how much a drone goes
-    to the side where somebody is in its way;  range: m, within which others count;  unsure: m/s2, by which one that is
-    not heard may change its acceleration;  lag, delay: s, with which drones obey.
-    """
+    """[collision]: collision avoidance."""
 
     method: Avoidance = "barrier"
+    """"off", "barrier" (two drones together can always stop) or "cells"
+    (each drone can stop on its side of the middle).
+    """
     semi_axes: SemiAxes = (0.12, 0.12, 0.3)
+    """(3,) m: semi-axes of the ellipsoid around each drone.
+
+    Ellipsoids must not meet. They are tall because of the downwash.
+    """
     margin: Metres = 0.08
+    """m: distance kept in addition to twice the first semi-axis."""
     slack: Metres = 0.02
+    """m: additional distance between drones on agreed paths
+    (with the sender "xyz", "vel" or "fullstate").
+    """
     brake: Acceleration = 1.0
+    """m/s2: deceleration that a drone relies on."""
     gamma: Timeout = 4.0
+    """1/s: rate at which the limit of the closing speed is approached."""
     turn: Factor = 1.0
+    """Strength of the sideways motion of a drone with another drone in its way."""
     range: Height = 2.0
+    """m: distance within which other drones count."""
     unsure: Factor = 2.0
+    """m/s2: assumed change of acceleration of a drone that is not received."""
     lag: Seconds = 0.05
+    """s: time constant with which drones obey."""
     delay: Seconds = 0.05
+    """s: dead time with which drones obey."""
     stiff: Timeout = 1.5
+    """1/s: largest relative rate at which a gap closes."""
 
 
 class Control(Table, frozen=True, kw_only=True):
-    """[control]: sender: what the drone is sent, none: "fpqr", or "frpy" to one that a radio reaches;  gains: of the
-    tracking controller, instead of the standard;  position_rate: Hz, of the position strategy, 0: each tick;  filter:
-    of the poses.
-    """
+    """[control]: the controller and the commands of a drone."""
 
     sender: Sender | None = None
+    """Kind of command; without it "fpqr", or "frpy" for a drone with a radio."""
     gains: Free = field(default_factory=dict)
+    """Gains of the tracking controller, instead of the standard ones."""
     position_rate: Rate = 0.0
+    """Hz of the position controller; 0: each tick."""
     filter: Filter = "kalman"
+    """Filter that computes velocities from poses."""
 
 
 class Role(Control, frozen=True, kw_only=True):
-    """One [[roles]]: a [control] of its own for the drones with this `role`."""
+    """One [[roles]]: a separate [control] for the drones with this `role`."""
 
     name: Text
+    """Name of the role."""
 
 
 Roles = Annotated[
@@ -562,68 +641,105 @@ Partitions = Annotated[
 
 
 class Network(Link, frozen=True, kw_only=True):
-    """[network]: a simulated bad network between the drones; what is not written is perfect."""
+    """[network]: a simulated bad network between the drones.
+
+    A key that is left out has no effect.
+    """
 
     edges: LinkEdges = ()
+    """Rules for single edges."""
     partitions: Partitions = ()
+    """Groups of drones that do not receive each other for a time."""
 
 
 class Security(Table, frozen=True, kw_only=True):
-    """[security]: of the network between hosts, which is encrypted and closed as soon as one is not this machine.
+    """[security]: encryption and access control of the network between hosts.
 
-    insecure: true: neither; false: on this machine, too;  keys: the folder of `crazychoir keys`, relative to the swarm
-    file;  operators: names of certificates whose hosts may command.
+    By default the network is encrypted and closed as soon as one host is not this machine.
     """
 
     insecure: Flag | None = None
+    """True: never encrypted or closed. False: encrypted and closed on this machine, too."""
     keys: Text = "keys"
+    """Folder of `crazychoir keys`, relative to the swarm file."""
     operators: Names = ()
+    """Names of certificates; their hosts may command the swarm."""
 
 
-BASE_PORT = 7460  # without one in the swarm file
+BASE_PORT = 7460  # the port if the swarm file has none
 
 
 class Swarm(Table, frozen=True, kw_only=True):
-    """A swarm file. SI units, world frame; see deploy/README.md."""
+    """The keys of a swarm file, in SI units and the world frame; see deploy/README.md."""
 
     name: Name
+    """Name of the swarm."""
     drones: Drones
+    """The drones of the swarm."""
     mission: Mission | None = None
+    """Mission to fly: a file in agents/, or the path of a .py file."""
     mission_options: Free = field(default_factory=dict)
+    """Keys for the mission."""
     seed: Seed = 0
+    """Seed of all random draws."""
     topology: Text | None = field(default=None, name="graph")
+    """Name of the communication graph; its key in the file is `graph`."""
     edges: Edges | None = None
+    """Edges of the graph, instead of its name."""
     directed: Flag = False
+    """True if the graph is directed."""
     start: Start = "all"
+    """"all", or the number of drones that suffice at the start deadline."""
     start_deadline: Timeout = 30.0
+    """s: time to wait for the team."""
     lost_after: Timeout = 5.0
+    """s without a message after which a drone is lost."""
     lease: Timeout = 1.0
+    """s without a sign of a host before it counts as gone from the network."""
     base_port: Port = BASE_PORT
+    """A process listens on this port plus its lowest drone id."""
     processes: Groups | None = None
+    """Groups of drones that share a process; without it each drone has its own."""
     hosts: Hosts = field(default_factory=dict)
+    """Address of each host, by name."""
     router: Name | None = None
+    """Host of the router; without it processes connect to each other directly."""
     security: Security = Security()
+    """Encryption and access control."""
     network: Network = Network()
+    """Simulated bad network."""
     flight: Flight = Flight()
+    """Floor, limits of references, and operator."""
     fence: Fence = Fence()
+    """Box that no drone may leave."""
     keep_out: KeepOut = KeepOut()
+    """Limit area around the fence."""
     mocap: Mocap = Mocap()
+    """Cameras."""
     radio: Radio = Radio()
+    """Connection to real and virtual Crazyflies."""
     plant: Plant = Plant()
+    """Properties of simulated drones."""
     motors: Motors = Motors()
+    """Motor-level world."""
     mujoco: Mujoco = Mujoco()
+    """Shapes in mujoco://."""
     world: World = World()
+    """Process that owns the simulated world."""
     collision: Collision = Collision()
+    """Collision avoidance."""
     control: Control = Control()
+    """Controller and commands of drones without a role."""
     roles: Roles = ()
+    """Controllers of drones with a role."""
 
 
 OWN_TO_A_HOST = ("hosts", "router", "security", "base_port", "network")
-"""What hosts need not agree on: how they reach each other, and what is simulated to happen to their messages."""
+"""Keys that may differ between hosts: the ways to reach each other, and the simulated network."""
 AGREED = tuple(
     key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST
 )
-"""All other keys of a swarm file."""
+"""All other keys of a swarm file: they must be equal at all hosts."""
 OF_BODIES = (
     "drones",
     "flight",
@@ -637,4 +753,7 @@ OF_BODIES = (
     "control",
     "roles",
 )
-"""What those who own bodies or cameras, which know no mission, agree on with those who fly."""
+"""Keys that must be equal at the agents and at the processes that own bodies or cameras.
+
+These processes do not know the mission.
+"""

@@ -1,7 +1,8 @@
-"""The uris of drones that a radio reaches: what they may say, and the one form in which they are compared.
+"""The uris of drones with a radio: their allowed forms, and
+the one form in which they are compared.
 
-A radio:// uri is cflib's, with a dongle by its number. What cflib or crazyflie-link-cpp know beside that is refused
-with the reason. What is left out has cflib's default.
+A radio:// uri is cflib's, with a dongle by its number. Other forms that cflib or crazyflie-link-cpp
+know are refused with the reason. Parts that are left out have cflib's default.
 """
 
 import re
@@ -15,25 +16,32 @@ from crazychoir.config.reader import show
 from crazychoir.errors import ConfigError
 
 UDP = "udp://"
-"""Begin of the uris of virtual Crazyflies."""
+"""Start of the uris of virtual Crazyflies."""
 RADIO = "radio://"
-"""Begin of the uris of real ones."""
+"""Start of the uris of real Crazyflies."""
 LAST_CHANNEL = 125
+"""Largest radio channel."""
 LAST_DONGLE = 15
+"""Largest number of a dongle."""
 LAST_PORT = 65535
+"""Largest UDP port."""
 RATES = ("250K", "1M", "2M")
+"""Data rates of the radio."""
 DEFAULT_RATE = "2M"
+"""Data rate if the uri has none."""
 DEFAULT_ADDRESS = "E7E7E7E7E7"
-"""That of a Crazyflie as it comes from the shop."""
+"""Address of a new Crazyflie."""
 UDP_FORM = "udp://HOST:PORT, as udp://127.0.0.1:19850"
+"""Form of a udp:// uri, for errors."""
 RADIO_FORM = (
     "radio://DONGLE/CHANNEL/RATE/ADDRESS, as radio://0/80/2M/E7E7E7E703: a dongle of 0 to 15, a channel of 0 to 125, "
     f"250K, 1M or 2M, an address of 10 hexadecimal digits; without them {DEFAULT_RATE} and {DEFAULT_ADDRESS}"
 )
+"""Form of a radio:// uri, for errors."""
 UNLIMITED = 10**9
-"""Larger than whatever number a uri may have."""
+"""Larger than any number that a uri may have."""
 LINK_OPTIONS = ("safelink", "autoping", "ackfilter")
-"""Of crazyflie-link-cpp."""
+"""Options of crazyflie-link-cpp."""
 _ADDRESS = re.compile(r"[0-9A-Fa-f]{10}")
 _THIS_MACHINE = "127.0.0.1"
 _NAMES_OF_THIS_MACHINE = ("localhost", "localhost.localdomain", "0.0.0.0")  # noqa: S104 - nothing listens by it here
@@ -41,30 +49,33 @@ _NAMES_OF_THIS_MACHINE = ("localhost", "localhost.localdomain", "0.0.0.0")  # no
 
 @dataclass(frozen=True)
 class UdpUri:
-    """A virtual Crazyflie."""
+    """The address of a virtual Crazyflie."""
 
     host: str
     """An IPv4 address in four numbers, or a name in small letters."""
     port: int
+    """UDP port."""
 
     def __str__(self) -> str:
         return f"{UDP}{self.host}:{self.port}"
 
     @property
     def drone(self) -> tuple[object, ...]:
-        """What two uris of one drone have in common."""
+        """Value that is equal for two uris of the same drone."""
         host = _THIS_MACHINE if self.host in _NAMES_OF_THIS_MACHINE else self.host
         return UDP, host, self.port
 
 
 @dataclass(frozen=True)
 class RadioUri:
-    """A Crazyflie behind a dongle."""
+    """The address of a Crazyflie behind a dongle."""
 
     dongle: str
-    """Its number, or, where that is allowed, its serial number."""
+    """Number of the dongle, or, if that is allowed, its serial number."""
     channel: int
+    """Radio channel."""
     rate: str
+    """Data rate, one of RATES."""
     address: str
     """10 hexadecimal digits, capitals."""
     rate_limit: int | None = None
@@ -76,7 +87,7 @@ class RadioUri:
 
     @property
     def drone(self) -> tuple[object, ...]:
-        """What two uris of one drone have in common: every dongle reaches it."""
+        """Value that is equal for two uris of the same drone; any dongle reaches it."""
         return RADIO, self.channel, self.rate, self.address
 
 
@@ -84,9 +95,11 @@ Uri = UdpUri | RadioUri
 
 
 def parse_uri(uri: str, key: str, serials: bool = False) -> Uri:
-    """Return what a udp:// or radio:// uri says; raise ConfigError for a uri that no driver here opens.
+    """Return the parts of a udp:// or radio:// uri.
 
-    key: names it in errors;  serials: whether a dongle may be named by its serial number.
+    key: the key of the uri, for errors
+    serials: True if a dongle may be named by its serial number
+    Raises ConfigError if no driver here can open the uri.
     """
     if uri.startswith(UDP):
         return _parse_udp(uri, key)
@@ -94,21 +107,22 @@ def parse_uri(uri: str, key: str, serials: bool = False) -> Uri:
 
 
 def udp_uri(uri: str) -> UdpUri | None:
-    """Return what a uri that was checked says, if it is a udp:// one."""
+    """Return the parts of a checked uri if it begins with udp://, else None."""
     return _parse_udp(uri, "uri") if uri.startswith(UDP) else None
 
 
 def radio_uri(uri: str) -> RadioUri | None:
-    """Return what a uri that was checked says, if it is a radio:// one."""
+    """Return the parts of a checked uri if it begins with radio://, else None."""
     return _parse_radio(uri, "uri", serials=False) if uri.startswith(RADIO) else None
 
 
 def canonical(uri: str) -> str:
-    """Return the one form of a uri that was checked; of a world that no radio reaches, the uri as it is."""
+    """Return the one form of a checked uri; the uri of a simulated world is returned as it is."""
     return str(parse_uri(uri, "uri")) if uri.startswith((UDP, RADIO)) else uri
 
 
 def _parse_udp(uri: str, key: str) -> UdpUri:
+    """Return the parts of a udp:// uri; raise ConfigError if it is invalid."""
     place, mark, _ = uri.removeprefix(UDP).partition("?")
     place = place.removesuffix("/")
     if mark:
@@ -146,7 +160,7 @@ def _parse_udp(uri: str, key: str) -> UdpUri:
 
 
 def _host(text: str) -> str:
-    """Return the host as it is compared: in small letters, an IPv4 address in four numbers, however it was written."""
+    """Return the host as it is compared: in small letters, an IPv4 address in four numbers."""
     host = text.lower().removesuffix(".")
     try:
         return (
@@ -159,6 +173,7 @@ def _host(text: str) -> str:
 
 
 def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
+    """Return the parts of a radio:// uri; raise ConfigError if it is invalid."""
     place, _, query = uri.removeprefix(RADIO).partition("?")
     parts = place.removesuffix("/").split("/")
 
@@ -195,7 +210,7 @@ def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
 
 
 def _dongle_fault(dongle: str, serials: bool) -> str:
-    """Return what to do about a dongle that is none; empty for a good one."""
+    """Return what to do about an invalid dongle; empty for a valid one."""
     if dongle == "*":
         return "* is any dongle to crazyflie-link-cpp; here each dongle has an owner: write its number, as radio://0."
     if _ADDRESS.fullmatch(dongle):
@@ -211,13 +226,17 @@ def _dongle_fault(dongle: str, serials: bool) -> str:
 
 
 def _address_hint(address: str) -> str:
+    """Return advice for a short address, or an empty text."""
     if re.fullmatch(r"[0-9A-Fa-f]{1,9}", address):
         return f"Write all 10 digits: cflib would take it for {address.upper():0>10}."
     return ""
 
 
 def _rate_limit(query: str, refused: Callable[[str], ConfigError]) -> int | None:
-    """Return the packets a second of ?rate_limit=, None without; raise what `refused` makes for any other option."""
+    """Return the packets a second of ?rate_limit=, None without it.
+
+    Raises `refused` for any other option.
+    """
     limit = None
     for name, value in parse_qsl(query, keep_blank_values=True):
         if name in LINK_OPTIONS:
@@ -241,6 +260,6 @@ def _rate_limit(query: str, refused: Callable[[str], ConfigError]) -> int | None
 
 
 def _number(digits: str) -> int:
-    """Return a number of at most nine digits; a longer one is larger than whatever is allowed."""
+    """Return a number of at most nine digits; a longer one becomes UNLIMITED."""
     stripped = digits.lstrip("0") or "0"
     return int(stripped) if len(stripped) < 10 else UNLIMITED

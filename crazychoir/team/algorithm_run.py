@@ -1,4 +1,7 @@
-"""Running one agent's part of a distributed algorithm to its end, over a communicator; a failure ends it at all."""
+"""Runs one agent's part of a distributed algorithm to its end.
+
+A failure at one agent ends it at all agents.
+"""
 
 import contextlib
 import random
@@ -23,20 +26,27 @@ from crazychoir.team.round import Round
 from crazychoir.types import Failure
 
 Interval = tuple[float, float]
-KINDS, SENDERS = 4, 4
-"""Of messages that are told of when a step has failed, the rarest first, and of their senders."""
+"""(shortest, longest), in seconds."""
+KINDS = 4
+"""Kinds of messages that the error of a failed step lists, the rarest first."""
+SENDERS = 4
+"""Senders that it lists for each kind."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """When an asynchronous agent wakes, and how long it computes: uniform draws from these intervals.
+    """The times at which an asynchronous agent wakes and
+    computes: uniform draws from two intervals.
 
-    sleep: s between two steps;  compute: s that a step is pretended to take, beside what it takes;  seed: of the draws.
+    Raises ConfigError for an interval that is not increasing, or a longest sleep of 0.
     """
 
     sleep: Interval = (0.0, 0.02)
+    """Seconds between two steps."""
     compute: Interval = (0.0, 0.0)
+    """Seconds added to the real duration of a step, to simulate a slower computer."""
     seed: int = 0
+    """Seed of the draws."""
 
     def __post_init__(self) -> None:
         for name, interval in (("sleep", self.sleep), ("compute", self.compute)):
@@ -59,13 +69,19 @@ async def run_algorithm(
     policy: Policy = "raise",
     pace: Pace | None = None,
 ) -> None:
-    """Run a pure algorithm to its end: in rounds, or, with `asynchronous = True` in it, whenever it wakes.
+    """Run a pure algorithm to its end: in rounds, or, if its
+    `asynchronous` is True, whenever it wakes.
 
-    `heavy = True` in an algorithm steps away from the event loop.  Where `message` or `step` raises at one agent, or a
-    neighbour is lost to it or has ended the channel, it tells its neighbours, they theirs, and all end within as many
-    rounds as the graph's diameter: that one with its error, the others, and it too where the error is none of ours,
-    with AgentFailed, which names who failed, is lost, or has ended. The channel is then of no more use.
-    After a RoundTimeout, which each gets by itself, the same algorithm may go on.
+    A step of an algorithm with `heavy = True` runs outside the event loop.
+
+    A failure is: `message` or `step` raises, or a neighbour is lost or has ended the channel. The
+    agent then tells its neighbours, and they tell theirs. All agents end within as many rounds as
+    the diameter of the graph.
+    The failed agent raises its own error if it is a CrazyChoirError, else AgentFailed. All others
+    raise AgentFailed, which names the agent that failed, is lost, or has ended the channel. The
+    channel cannot be used afterwards.
+
+    Each agent gets RoundTimeout by itself; the same algorithm may continue afterwards.
     """
     asynchronous = getattr(algorithm, "asynchronous", False)
     try:
@@ -81,9 +97,8 @@ async def run_algorithm(
             )
     except _Ended as ended:
         failed = ended.failed
-        with contextlib.suppress(
-            CrazyChoirError
-        ):  # why it cannot be told is not what went wrong
+        # The reason why the neighbours cannot be told is not the error to report.
+        with contextlib.suppress(CrazyChoirError):
             if asynchronous:
                 async for _ in _repeat(
                     communicator, _word(failed), channel, pace or Pace()
@@ -102,7 +117,10 @@ async def _in_rounds(
     deadline: float | None,
     policy: Policy,
 ) -> None:
-    """The rounds; their number must be the same at all agents. `joinable = True` goes on across epochs."""
+    """Run the rounds; all agents must run the same number.
+
+    An algorithm with `joinable = True` continues across epochs.
+    """
     i = communicator.id
     heavy = getattr(algorithm, "heavy", False)
     communicator.open(channel, getattr(algorithm, "joinable", False))
@@ -137,9 +155,10 @@ async def _in_rounds(
 async def _wake_and_sleep(
     communicator: Communicator, algorithm: Round, channel: str, pace: Pace
 ) -> None:
-    """Sleep, take the latest of each neighbour, compute, step, send; nothing is resent, nobody waited for.
+    """Repeat: sleep, take the latest message of each neighbour, compute, step, send.
 
-    An algorithm that itself `waits` for all its neighbours ends with PeerLost where one is lost.
+    Nothing is resent, and no neighbour is waited for.
+    Raises PeerLost if a neighbour is lost and the algorithm `waits` for all of them.
     """
     i = communicator.id
     clock = communicator.port.bus.clock
@@ -178,7 +197,7 @@ async def _wake_and_sleep(
 async def _repeat(
     communicator: Communicator, message: Any, channel: str, pace: Pace
 ) -> AsyncIterator[None]:
-    """The last message, until all have it who are not cut off."""
+    """Send the last message again and again, until all connected neighbours have it."""
     pause = max(sum(pace.sleep) / 2, 1e-3)
     for _ in range(LAST_WORDS):
         await communicator.send(message, channel=channel)
@@ -187,7 +206,11 @@ async def _repeat(
 
 
 async def _tell(communicator: Communicator, word: Failure, channel: str) -> None:
-    """In place of the next message, and of those after it where another round has other readers."""
+    """Send the failure in place of the next message.
+
+    If the graph changes with the round, send it once for each graph of the period, to reach all
+    readers.
+    """
     graph = communicator.graph
     for _ in range(len(graph.graphs) if isinstance(graph, GraphSequence) else 1):
         await communicator.send(word, channel=channel)
@@ -195,7 +218,10 @@ async def _tell(communicator: Communicator, word: Failure, channel: str) -> None
 
 
 def _require_alive(heard: Mapping[int, Any]) -> None:
-    """Raise what a neighbour says in place of its message, if one has failed or has heard of who did."""
+    """Raise AgentFailed if a neighbour has sent a Failure in place of its message.
+
+    The neighbour has failed itself, or reports another agent's failure.
+    """
     for word in heard.values():
         if type(word) is Failure:
             failed = AgentFailed(word.agent, word.reason)
@@ -203,14 +229,14 @@ def _require_alive(heard: Mapping[int, Any]) -> None:
 
 
 def _unsent(communicator: Communicator, channel: str, error: CodecError) -> CodecError:
-    """What cannot be sent, with whose it is and in which round."""
+    """Return the error for a message that cannot be encoded, with the agent and the round."""
     return CodecError(
         f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}"
     )
 
 
 def _require_all(communicator: Communicator) -> None:
-    """Raise PeerLost, for all, if a neighbour is gone for good."""
+    """Raise PeerLost, and end the algorithm for all agents, if a neighbour is gone for good."""
     lost = [
         j
         for j in communicator.graph.at(0).in_neighbors(communicator.id)
@@ -226,7 +252,9 @@ def _word(failed: AgentFailed) -> Failure:
 
 
 def _heard(heard: Mapping[int, Any] | None) -> str:
-    """Of what kind it was, by sender: an agent may fail by what another has sent."""
+    """Return a text with the kinds of received messages and their
+    senders: they may have caused the failure.
+    """
     if not heard:
         return ""
     senders: dict[str, list[int]] = {}
@@ -247,7 +275,7 @@ def _some(ids: list[int]) -> str:
 
 
 def _kind(message: Any) -> str:
-    """The type, with shape or length."""
+    """Return the type of a message, with its shape or length."""
     if message is None:
         return "None"
     if hasattr(message, "dtype"):
@@ -261,7 +289,11 @@ def _kind(message: Any) -> str:
 
 
 class _Ended(Exception):
-    """An algorithm has ended here by a failure, which the neighbours are to hear of: what they get, what we raise."""
+    """The algorithm has ended at this agent by a failure that the neighbours must receive.
+
+    failed: the error that the neighbours get
+    error: the error that this agent raises
+    """
 
     def __init__(self, failed: AgentFailed, error: Exception) -> None:
         self.failed = failed
@@ -271,7 +303,11 @@ class _Ended(Exception):
     def at(
         cls, i: int, error: Exception, heard: Mapping[int, Any] | None = None
     ) -> "_Ended":
-        """Our own algorithm has raised this, or is told by this that it has failed, in a step that had heard this."""
+        """Return the end by an error of this agent.
+
+        error: raised by the algorithm, or AgentFailed received from a neighbour
+        heard: the messages that the failed step had received
+        """
         if isinstance(error, AgentFailed):
             return cls(error, error)
         reason = f"{type(error).__name__}: {error}"
@@ -286,6 +322,6 @@ class _Ended(Exception):
 
     @classmethod
     def by(cls, error: PeerLost | ChannelEnded) -> "_Ended":
-        """A neighbour will not come: it is the one who has failed."""
+        """Return the end by a neighbour that will not answer: it counts as the failed agent."""
         who = error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
         return cls(AgentFailed(who, f"{type(error).__name__}: {error}"), error)

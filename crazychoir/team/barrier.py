@@ -1,10 +1,12 @@
-"""Who flies together: the start barrier, and the epochs that follow when members come and go.
+"""The start barrier of a team, and the epochs that follow when members join or leave.
 
-Every drone's heartbeat says who it is and whom it hears. The coordinator is the lowest live id. It issues
-GO(roster) as soon as all members are there and each edge works in both directions, or, at the start deadline,
-when enough are there. A member that is LOST or joins makes a new epoch in two steps: the coordinator asks those who
-stay to hold their rounds (HOLD), each answers with the first round that it has not sent (HELD), and the roster
-counts from a round that nobody has reached. A newer epoch wins.
+Every heartbeat contains the sender's incarnation and the drones that it receives. The lowest live
+id is the coordinator. It issues GO(roster) as soon as all members are present and each edge works
+in both directions, or, at the start deadline, when enough are present.
+
+A member that is LOST or joins begins a new epoch in two steps. The coordinator asks the remaining
+members to hold their rounds (HOLD). Each answers with the first round that it has not sent (HELD).
+The new roster counts from a round that no member has reached. A newer epoch wins.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -26,25 +28,35 @@ from crazychoir.team.strangers import Strangers
 
 __all__ = ["Barrier", "Beat", "Roster"]
 
-POLL: Final = 0.02
+POLL: Final = 0.02  # s
 REMEMBERED: Final = 1000
-"""Changes of presence."""
+"""Changes of presence that are kept in the history."""
 
 
-@lru_cache(maxsize=2048)  # all drones of a process hear the same beat, as bytes
+@lru_cache(maxsize=2048)  # all drones of a process receive the same heartbeats
 def _read(payload: bytes) -> Beat:
     return Beat.of(decode(payload))
 
 
 class Barrier:
-    """One drone's part in forming and keeping the team; also tells the communicator who is lost.
+    """One drone's part in forming and keeping the team.
 
+    Also tells the communicator which drones are lost.
     agreed_keys: keys of the swarm file that the mission hash holds one by one
-    start: "all", or how many suffice at the deadline;  hold: holds the rounds until the next epoch and returns the
-    first round that is held (set by `Communicator.follow`; 0 where nobody exchanges);  listeners: called
-    with each new roster;  history: (s, id, presence) of the newest changes;  refused: why this drone cannot fly: the
-    others hear it and do not wait for it;  apart: the parts that have no way to each other, where all of the swarm
-    have one; else empty.
+    start: "all", or the number of drones that suffice at the deadline
+    start_deadline: seconds to wait for the team
+    lost_after: seconds of silence after which a drone is LOST
+
+    Attributes:
+    roster: the present roster; None before GO
+    beats: {drone id: its newest heartbeat}
+    hold: callable that holds the rounds until the next epoch and returns the first held round;
+        `Communicator.follow` sets it, and it returns 0 for a drone without exchanges
+    listeners: callables that get each new roster
+    history: the newest changes of presence, as (seconds, id, presence)
+    refused: reason why this drone cannot fly; the others receive it and do not wait for this drone
+    apart: text with the parts of the graph that cannot reach each other, if the graph of the whole
+        swarm has fewer parts; else empty
     """
 
     def __init__(
@@ -105,20 +117,23 @@ class Barrier:
         return tuple(j for j in self.graph.ids if j not in here)
 
     def lost(self, j: int) -> bool:
-        """Whether j is LOST, or has left."""
+        """Return True if j is LOST or has left."""
         return j in self._lost or (
             self.roster is not None and j not in self.roster.members
         )
 
     def coordinator(self) -> int:
-        """The lowest live id of those who are in an epoch; before the first, of all."""
+        """Return the lowest live id among the drones in an epoch.
+
+        Before the first epoch, all drones count.
+        """
         if self.roster is None:
             live = [j for j in self._others if self._present(j)]
             return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
         settling = self.port.bus.clock.now_ns() < self._settled_ns
         known = (
             self.roster.members if settling else {}
-        )  # who has not adopted it by then never will
+        )  # a member that has not adopted the roster by then never will
         lower = (j for j in self._others if j < self.id and self._present(j))
         return next(
             (
@@ -130,10 +145,12 @@ class Barrier:
         )
 
     async def go(self) -> Roster:
-        """Wait for GO; raises Refused naming who is absent at the deadline, or whose mission is another one; and at
-        once, with the reasons, when those who cannot fly leave too few.
+        """Wait for GO and return the roster.
 
-        Who coordinates may have come later, and waits for as long from then on.
+        A coordinator that appeared late gets the full start deadline from its arrival on.
+        Raises Refused at the deadline, with the absent drones, or if this drone's mission is
+        another one. Raises it at once, with the reasons, if too many drones report that they cannot
+        fly.
         """
         clock = self.port.bus.clock
         ends = clock.now() + self.start_deadline
@@ -154,9 +171,13 @@ class Barrier:
             await clock.sleep(POLL, drone=self.id)
         return self.roster
 
-    # Forming --------------------------------------------------------------------------------------------------
+    # Forming --------------------------------------------------------------------------
 
     def _coordinate(self, late: bool) -> None:
+        """Issue the first roster if enough drones are present and all edges work.
+
+        late: True after the start deadline
+        """
         members = [j for j in self.graph.ids if j == self.id or self._present(j)]
         enough = len(members) == len(self.graph.ids) or (
             late and self.start != "all" and len(members) >= self.start
@@ -165,7 +186,11 @@ class Barrier:
             self._issue(self._incarnations(members), 1, 0)
 
     def _deaf(self, members: list[int]) -> list[tuple[int, int]]:
-        """Pairs (i, j): i should hear j, along an edge or to or from the coordinator, and does not."""
+        """Return the pairs (i, j) where i should receive j but does not.
+
+        Each drone must receive its in-neighbours and the coordinator, and the coordinator must
+        receive every member.
+        """
         hears = {j: self.beats[j].hears for j in members if j != self.id} | {
             self.id: tuple(self.beats)
         }
@@ -194,6 +219,7 @@ class Barrier:
         return Graph.from_edges(tuple(members), arcs, directed=True)
 
     def _issue(self, members: dict[int, int], epoch: int, first_round: int) -> None:
+        """Send a roster to its members, and adopt it."""
         graph = self._restricted(sorted(members))
         directed = not graph.is_undirected
         edges = [list(arc) for arc in (graph.arcs if directed else graph.edges())]
@@ -219,7 +245,11 @@ class Barrier:
         )
 
     def _told(self, source: int, payload: bytes) -> None:
-        """A roster, [epoch] to hold for, or [epoch, first round that is held, members of the sender's roster...]."""
+        """Handle a message on ROSTER.
+
+        It is a roster (GO), [epoch] (HOLD), or [epoch, first held round, members of the sender's
+        roster as id, incarnation, id, incarnation, ...] (HELD).
+        """
         try:
             told = msgspec.convert(decode(payload), Go | list[int])
         except (CodecError, msgspec.ValidationError):
@@ -242,7 +272,11 @@ class Barrier:
             )
 
     def _asked(self, source: int, target: int) -> None:
-        """Somebody asks to hold: who has a lower id than we coordinates, who has a higher one will hear of us."""
+        """Answer a HOLD request with the first round that we hold.
+
+        If the sender has the lower id it coordinates, so drop our proposal. If it has the higher id
+        and we coordinate, ignore the request: it will receive ours.
+        """
         if source < self.id:
             self._next = {}
         elif self.coordinator() == self.id:
@@ -257,6 +291,10 @@ class Barrier:
         )
 
     def _adopt(self, roster: Roster, age: float = 0.0) -> None:
+        """Put a roster in force at this drone.
+
+        age: seconds since GO
+        """
         self.port.bus.impairment.begin(self.port.bus.clock.now(), age)
         before = self.roster.members if self.roster is not None else {}
         for j in self._others:
@@ -265,7 +303,7 @@ class Barrier:
             elif roster.members[j] != before.get(j) or j not in self.graph.neighbors(
                 self.id
             ):
-                self._lost.pop(j, None)  # the coordinator knows better
+                self._lost.pop(j, None)  # the coordinator has heard from it
         self.roster = roster
         self._checksum = roster.checksum
         parts = roster.graph.parts()
@@ -281,13 +319,17 @@ class Barrier:
         self._target = 0
         self._settled_ns = self.port.bus.clock.now_ns() + int(
             SILENCE * SECOND
-        )  # others adopt it, and watch fewer
+        )  # until then the others adopt the roster and begin to watch fewer drones
         for listener in self.listeners:
             listener(roster)
         self._watch()
 
     def _watch(self) -> None:
-        """After the start: the coordinator watches all, the others their neighbours and it; all, if it is silent."""
+        """Choose the drones that this drone monitors after the start.
+
+        The coordinator watches all. The others watch their neighbours and the coordinator, or all
+        drones if the coordinator is silent.
+        """
         self._calm.clear()
         if self.roster is None:
             return
@@ -295,13 +337,14 @@ class Barrier:
         alive = self.monitor.state(first) is Presence.ALIVE
         calm = (
             first != self.id and alive and self.coordinator() == first
-        )  # it may have come back without a team
+        )  # a restarted coordinator may have no team
         near = {*self.graph.neighbors(self.id), first} - {self.id}
         self.monitor.watched = tuple(sorted(near)) if calm else self._others
 
-    # Keeping --------------------------------------------------------------------------------------------------
+    # Keeping --------------------------------------------------------------------------
 
     def _beat(self) -> bytes:
+        """Return the payload of this drone's heartbeat."""
         epoch = self.roster.epoch if self.roster else 0
         hears = (
             ()
@@ -327,8 +370,9 @@ class Barrier:
         flags: int,
         age: float,
     ) -> None:
+        """Take a heartbeat of another drone."""
         if self._calm.get(source) == payload:
-            return  # what it has said before, and all was well
+            return  # the heartbeat is unchanged since a check that found nothing to do
         try:
             beat = _read(payload)
         except (CodecError, TypeError, ValueError):
@@ -354,7 +398,8 @@ class Barrier:
                 source not in self.monitor.watched
                 and self.port.bus.clock.now_ns() > self._settled_ns
             ):
-                self.monitor.watched += (source,)  # who watches us shall hear us
+                # It sends us heartbeats because it watches us: send ours in return.
+                self.monitor.watched += (source,)
             theirs = bool(beat.epoch) and source < self.id
             if self.roster is not None and not theirs and self.coordinator() == self.id:
                 self._review(source, beat, self.roster)
@@ -367,7 +412,9 @@ class Barrier:
                 self._calm[source] = payload
 
     def _review(self, source: int, beat: Beat, roster: Roster) -> None:
-        """As coordinator: take in what a member reports of others, and members that are new or new again."""
+        """Act, as the coordinator, on a heartbeat: a lost member, a
+        new or restarted one, or a wrong roster.
+        """
         members = self._next or roster.members
         if dead := self._dead((*beat.lost, *self._lost), roster):
             self._without(dead, roster)
@@ -377,7 +424,7 @@ class Barrier:
         elif self._next and beat.epoch >= self._target:
             self._propose(
                 dict(self._next), roster
-            )  # it has gone on with another, while we did not hear it
+            )  # it followed another coordinator while we did not receive it
         elif self._next and source not in self._held and beat.epoch:
             self.reliable.send(ROSTER, source, encode([self._target]))
         elif self._next:
@@ -387,9 +434,10 @@ class Barrier:
         elif beat.epoch > roster.epoch or beat.checksum != self._checksum:
             self._propose(
                 dict(members), roster
-            )  # two coordinators have issued rosters, out of each other's sight
+            )  # two coordinators that did not receive each other have both issued rosters
 
     def _changed(self, j: int, state: Presence) -> None:
+        """React to a new presence of drone j."""
         self.history.append((self.port.bus.clock.now(), j, state.value))
         del self.history[:-REMEMBERED]
         roster = self.roster
@@ -398,7 +446,7 @@ class Barrier:
             if roster is not None and self.coordinator() == self.id:
                 dead = self._dead(
                     self._lost, roster
-                )  # also who was lost while another one coordinated
+                )  # includes drones that were lost while another drone coordinated
                 if dead or j in (self._next or roster.members):
                     self._without([j, *dead], roster)
         elif state is Presence.ALIVE:
@@ -406,11 +454,14 @@ class Barrier:
         self._watch()
 
     def _dead(self, lost: Iterable[int], roster: Roster) -> list[int]:
-        """Those of the next roster who are said to be lost, and whom we do not hear either."""
+        """Return the members of the next roster that are reported
+        lost and that we do not receive either.
+        """
         members = self._next or roster.members
         return [j for j in lost if j in members and j != self.id and not self._alive(j)]
 
     def _without(self, gone: list[int], roster: Roster) -> None:
+        """Propose a roster without these members."""
         self._lost.update(dict.fromkeys(gone))
         members = self._next or roster.members
         self._propose(
@@ -419,7 +470,9 @@ class Barrier:
         )
 
     def _propose(self, members: dict[int, int], roster: Roster) -> None:
-        """Ask those who run already to hold their rounds."""
+        """Propose the members of the next roster: ask the
+        drones in an epoch to hold their rounds.
+        """
         self._calm.clear()
         self._next = dict(sorted(members.items()))
         epochs = [self.beats[j].epoch for j in members if j in self.beats]
@@ -428,7 +481,7 @@ class Barrier:
             [self._target, *(epoch + 1 for epoch in (roster.epoch, *epochs))]
         )
         if self._target > before:
-            self._held = {}  # who held for a lower one may have gone on since
+            self._held = {}  # a drone that held for a lower epoch may have continued since
         self._held[self.id] = self.hold()
         clock = self.port.bus.clock
         self._give_up_ns = clock.now_ns() + int(self.monitor.lost_after * SECOND)
@@ -439,7 +492,10 @@ class Barrier:
         self._conclude()
 
     def _give_up(self) -> None:
-        """Go on without those who have not held for so long, and are not heard; there may be nobody else to hear."""
+        """Continue without the members that have not answered HOLD and are not received.
+
+        The timeout is needed because there may be no other drone that sends anything.
+        """
         roster = self.roster
         if (
             roster is not None
@@ -450,7 +506,10 @@ class Barrier:
             self._without(self._dead(waited, roster), roster)
 
     def _holds(self, source: int, first: int, theirs: dict[int, int]) -> None:
-        """Source holds; one from another half of the team brings all of its half along."""
+        """Store the answer of `source` to HOLD.
+
+        A drone of another half of the team adds all of its half.
+        """
         self._held[source] = first
         if self.roster is not None and source not in self.roster.members:
             new = {
@@ -460,13 +519,15 @@ class Barrier:
             }
             self._halves.update(new)
             for j in new:
-                self._lost.pop(j, None)  # its half knows better
+                self._lost.pop(j, None)  # its own half still receives it
             if new:
                 self._propose({**self._next, **new}, self.roster)
         self._conclude()
 
     def _running(self, roster: Roster) -> list[int]:
-        """Those of the next roster who are in an epoch now, maybe in another half of the team."""
+        """Return the members of the next roster that are in an
+        epoch now, maybe in another half of the team.
+        """
         known = {**self._halves, **roster.members}
         here = [
             j for j, incarnation in self._next.items() if known.get(j) == incarnation
@@ -478,7 +539,10 @@ class Barrier:
         ]
 
     def _conclude(self) -> None:
-        """Issue the next roster when all who run hold their rounds; it counts from the highest round + 2."""
+        """Issue the next roster as soon as all running members hold their rounds.
+
+        It counts from the highest held round + 1.
+        """
         roster = self.roster
         if (
             roster is None
@@ -490,6 +554,7 @@ class Barrier:
         self._issue(self._next, self._target, max([roster.first_round, *held]))
 
     def _alive(self, j: int) -> bool:
+        """Return True if a message of drone j came in the last SILENCE seconds."""
         heard_ns = self.port.heard_ns.get(j)
         return (
             heard_ns is not None
@@ -497,6 +562,7 @@ class Barrier:
         )
 
     def _present(self, j: int) -> bool:
+        """Return True if drone j sends heartbeats and is not lost."""
         return (
             j in self.beats
             and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT)
@@ -505,23 +571,25 @@ class Barrier:
 
     @property
     def _fewest(self) -> int:
-        """How many must be there."""
+        """Number of drones that must be present."""
         return len(self.graph.ids) if self.start == "all" else self.start
 
     def _fewer_text(self) -> str:
-        """How the others may fly without."""
+        """Return the advice to fly with fewer drones."""
         do = "set start = n" if self.start == "all" else f"lower start = {self.start}"
         return f"{do} in the swarm file"
 
     def _refusals_text(self) -> str:
-        """Who cannot fly, and why."""
+        """Return a text with the drones that cannot fly and their reasons."""
         return " ".join(
             f"drone {j} cannot fly: {why.rstrip('.')}."
             for j, why in sorted(self._refusals.items())
         )
 
     def _absent_text(self) -> str:
-        """Who is absent, who does not hear whom, whose mission is another one; what to do."""
+        """Return a text with the absent drones, the broken
+        edges, the other missions, and what to do.
+        """
         here = [j for j in self.graph.ids if j == self.id or self._present(j)]
         known = {*here, *self._strangers.missions, *self._refusals}
         absent = [j for j in self._others if j not in known]

@@ -1,6 +1,9 @@
-"""The rounds of one algorithm instance: what was sent, what has come, who is how far. No I/O and no clock.
+"""The rounds of one algorithm instance: sent and received messages, and each neighbour's progress.
 
-A message carries its round, so nothing relies on the order of arrival, and duplicates do nothing.
+No I/O and no clock.
+
+A message carries its round. Therefore nothing depends on the order of arrival, and duplicates have
+no effect.
 """
 
 import asyncio
@@ -9,80 +12,110 @@ from dataclasses import dataclass, field
 from typing import Final
 
 HISTORY: Final = 64
-"""Own rounds that are kept for late neighbours; also how far ahead a neighbour's rounds are buffered."""
+"""Own rounds that are kept for late neighbours.
+
+Also the most rounds of a neighbour that are buffered ahead.
+"""
 MIN_RTO: Final = 0.010
+"""Seconds: shortest time before a round is resent.
+
+The time is 1.5 smoothed round times and doubles with every fourth attempt up to MAX_RTO.
+"""
 MAX_RTO: Final = 0.100
-"""s: resend after 1.5 smoothed round times within these, doubling with every fourth attempt up to MAX_RTO."""
+"""Seconds: longest time before a round is resent."""
 
 Content = bytes | dict[int, bytes]
-"""One payload for all readers, or one for each."""
+"""One payload for all readers, or one for each reader."""
 Sent = tuple[Content, tuple[int, ...]]
+"""Payload of a sent round, and its readers."""
 Latest = tuple[int, bytes, int]
-"""Round, payload, and when it was born by our clock, in ns."""
+"""Round, payload, and the time of its creation on our clock, in ns."""
 NOT_SENT: Final[Sent] = (b"", ())
+"""Stands for a round that is not kept: no payload and no readers."""
 
 
 @dataclass(eq=False, slots=True)
 class Channel:
-    """One drone's rounds in one algorithm instance.
-
-    sending, receiving: the round that comes next;  limit: the first round that may not be sent unless it is looked
-    whether the readers have come along;  oldest: the first round that a reader may still lack;  progress: of each
-    neighbour, the first round that it may not have finished;  pacing: those who ask for rounds that they lack;
-    ins, outs: neighbours, the same until round `until`;  missing: who is waited for;  strict: whether who waits wants
-    all of them;  finished: of each neighbour that has ended the channel, the first round that it did not take part in;
-    kept: of each neighbour that was without us for a while, the first round that it still has;  told: how often we told
-    of our own end to who asked for a round after it.
-    """
+    """The rounds of one drone in one algorithm instance."""
 
     name: str
+    """Name of the channel, unique at this drone."""
     joinable: bool = False
+    """True if the channel continues across epochs."""
     sending: int = 0
+    """Next round to send."""
     receiving: int = 0
+    """Next round to receive."""
     oldest: int = 0
+    """First round that a reader may still lack."""
     limit: int = 0
+    """First round that may only be sent after a check of the readers' progress."""
     until: float = 0
+    """First round for which `ins` and `outs` must be computed again."""
     ins: tuple[int, ...] = ()
+    """In-neighbours, valid before round `until`."""
     outs: tuple[int, ...] = ()
+    """Out-neighbours, valid before round `until`."""
     sent: dict[int, Sent] = field(default_factory=dict)
+    """{round: payload and readers} of the own rounds that are kept."""
     inbox: dict[int, dict[int, bytes]] = field(default_factory=dict)
+    """{round: {sender: payload}} of received rounds that are not read yet."""
     latest: dict[int, Latest] = field(default_factory=dict)
+    """{sender: its newest message}."""
     progress: dict[int, int] = field(default_factory=dict)
+    """{neighbour: first round that it may not have finished}."""
     pacing: dict[int, None] = field(default_factory=dict)
+    """Neighbours that ask for rounds that they lack (a dict, to keep their order)."""
     finished: dict[int, int] = field(default_factory=dict)
+    """{neighbour that has ended the channel: first round in which it did not take part}."""
     kept: dict[int, int] = field(default_factory=dict)
+    """{neighbour that was without us for a while: first round that it still has}."""
     closed_at: int = -1
+    """Number of rounds when we closed the channel; -1 while it is open."""
     told: int = 0
+    """FINs that we sent to neighbours that asked for a round after our last."""
     changed: Exception | None = None
+    """Error that the next verb raises because the channel was restarted."""
     missing: dict[int, None] = field(default_factory=dict)
+    """Neighbours that we wait for."""
     strict: bool = True
+    """True if the wait fails without all of them."""
     waiter: "asyncio.Future[None] | None" = None
+    """Resolved when the awaited round is complete."""
     gate: "asyncio.Future[None] | None" = None
+    """Resolved when there is news of the readers' progress."""
     since_ns: int = 0
+    """ns: start of the present wait."""
     resend_ns: int = 0
+    """ns: time of the next resend; 0 before the first sweep of the wait."""
     deadline_ns: int = 0
+    """ns: time at which the wait fails."""
     attempt: int = 0
+    """Resends in the present wait."""
     answers: int = 0
+    """Answers to repeated rounds and questions."""
     round_time: float = 0.0
+    """Seconds: smoothed time of a round."""
 
     @classmethod
     def beginning(cls, name: str, joinable: bool, first: int) -> "Channel":
-        """A channel whose first round is `first`."""
+        """Return a new channel that begins with the round `first`."""
         return cls(
             name, joinable, sending=first, receiving=first, oldest=first, limit=first
         )
 
     @property
     def used(self) -> bool:
-        """Whether an algorithm is in the middle of it."""
+        """True while an algorithm is between its first round and the end of the channel."""
         return self.closed_at < self.sending and bool(
             self.sending or self.receiving or self.waiter
         )
 
     def stored(self, k: int, j: int) -> bytes | None:
-        """Our message of round k for j, if j is one of its readers and it is still kept.
+        """Return our message of round k for j, or None if it is not kept or j does not read it.
 
-        Across epochs j may know better than we whether it is a reader.
+        On a joinable channel j gets any kept round: after a change of epoch j may know before us
+        that it is a reader.
         """
         content, readers = self.sent.get(k, (None, ()))
         if j not in readers and not self.joinable:
@@ -90,27 +123,35 @@ class Channel:
         return content.get(j) if isinstance(content, dict) else content
 
     def reads(self, k: int, j: int) -> bool:
-        """Whether j is a reader of our round k."""
+        """Return True if j is a reader of our round k."""
         return j in self.sent.get(k, NOT_SENT)[1]
 
     def behind(
         self, k: int, gone: dict[int, None], pacing_only: bool = False
     ) -> list[int]:
-        """Readers of our round k that may lack it."""
+        """Return the readers of our round k that may lack it.
+
+        pacing_only: True to return only readers that ask for rounds that they lack
+        """
         readers = self.sent.get(k, NOT_SENT)[1]
         late = [j for j in readers if self.progress.get(j, 0) <= k and j not in gone]
         return [j for j in late if j in self.pacing] if pacing_only else late
 
     def ended(self) -> dict[int, int]:
-        """{j: its rounds} of those waited for who have ended the channel before the awaited round: it never comes.
+        """Return {j: its rounds} of the awaited neighbours that
+        ended the channel before the awaited round.
 
-        Not of those with whom we have ended it ourselves and gone on, as they may too.
+        Their message will never come. A neighbour is left out if we closed the channel at the same
+        round or later and continued, because it may continue too.
         """
         found = {j: self.finished[j] for j in self.missing if j in self.finished}
         return {j: n for j, n in found.items() if self.closed_at < n <= self.receiving}
 
     def trim(self, gone: dict[int, None], pacing_only: bool = False) -> list[int]:
-        """Forget the rounds that all readers have; returns who may lack the oldest that is left."""
+        """Forget the rounds that all readers have.
+
+        Returns the readers that may lack the oldest kept round.
+        """
         late: list[int] = []
         while self.oldest < self.sending and not (
             late := self.behind(self.oldest, gone, pacing_only)
@@ -124,7 +165,7 @@ class Channel:
         return late
 
     def _trim_on(self, readers: tuple[int, ...], gone: dict[int, None]) -> None:
-        """The rounds that follow with the same readers, together."""
+        """Forget the following finished rounds that have the same readers, all together."""
         done = min(
             (self.progress.get(j, 0) for j in readers if j not in gone),
             default=self.sending,
@@ -134,7 +175,7 @@ class Channel:
             self.oldest += 1
 
     def forget(self, peers: Iterable[int]) -> None:
-        """These are gone, or begin anew."""
+        """Forget the state of neighbours that have left or were restarted."""
         for j in peers:
             for known in (
                 self.latest,
@@ -146,7 +187,7 @@ class Channel:
                 known.pop(j, None)
 
     def rto(self, attempt: int) -> float:
-        """s until the next resend."""
+        """Return the seconds until the next resend."""
         return min(
             MAX_RTO, max(MIN_RTO, 1.5 * self.round_time) * 2.0 ** min(attempt // 4, 8)
         )

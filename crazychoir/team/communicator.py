@@ -1,4 +1,6 @@
-"""The paper's verbs: send, receive, asynchronous_receive, neighbors_exchange, as coroutines over lossy links."""
+"""The verbs of the ChoiRbot papers as coroutines over lossy links: send, receive,
+asynchronous_receive, neighbors_exchange.
+"""
 
 import asyncio
 from math import inf
@@ -24,21 +26,28 @@ from crazychoir.team.rounds import (
 from crazychoir.types import Failure, PerNeighbor
 
 LINGER: Final = 2.0
+"""Seconds without a question from unfinished neighbours after which `close` returns."""
 LAST_WORDS: Final = 32
-"""Times that what must not get lost is said to those who need not ask: at 50 % loss all are lost once in 4e9 times."""
+"""Times that an important message is sent to neighbours that do not ask for it.
+
+At 50 % loss all copies are lost once in 4e9 cases.
+"""
 FAREWELLS: Final = 3
-"""Times that a channel's end is told to those who need not answer."""
+"""Times that the end of a channel is sent to neighbours that need not answer."""
 
 Policy = Literal["raise", "partial", "hold"]
+"""Action of an exchange at its deadline."""
 
 
 class Communicator(Rounds):
-    """One drone's part in the team's exchanges, on a graph that may be directed and may change with the round.
+    """One drone's part in the team's exchanges, on a graph that
+    may be directed and may change with the round.
 
-    rounds: sent since the start;  ahead: messages dropped because they were too far ahead.
+    rounds: rounds sent since the start
+    ahead: messages dropped because their round was too far ahead
     """
 
-    # The verbs ------------------------------------------------------------------------------------------------
+    # The verbs ------------------------------------------------------------------------
 
     async def neighbors_exchange(
         self,
@@ -52,12 +61,21 @@ class Communicator(Rounds):
     ) -> dict[int, Any]:
         """Send `data` to the out-neighbours and wait for the same round of every in-neighbour.
 
-        A `PerNeighbor` gives each neighbour its own payload. Returns {j: value} in increasing j.
-        policy: at the deadline raise RoundTimeout, return the `partial` set, or `hold` the last value of the silent.
-        After a RoundTimeout the next exchange goes on with the same round, whose message has already been sent.
-        Raises RoundTimeout, PeerLost, RosterChanged, CodecError, AgentFailed when a neighbour has said that it goes on
-        no more, and is not waited for as long as it may be silent, and ChannelEnded when a neighbour has closed the
-        channel before this round, unless we have closed it there too: such a round would never come.
+        data: one value for all, or a `PerNeighbor` with one for each neighbour
+        in_neighbors: senders to wait for; None: those of the graph
+        out_neighbors: receivers; None: those of the graph
+        deadline: seconds to wait
+        policy: at the deadline "raise" RoundTimeout, return the "partial" set, or "hold" the last
+            value of the silent neighbours
+        Returns {j: value} in increasing j.
+
+        After a RoundTimeout the next exchange continues with the same round: its message is already
+        sent.
+        Raises RoundTimeout, PeerLost, RosterChanged and CodecError.
+        Raises AgentFailed if a neighbour has said that it stops; the exchange then does not wait
+        for the deadline.
+        Raises ChannelEnded if a neighbour closed the channel before this round, unless we closed it
+        there too: such a round would never come.
         """
         ch = self._channels.get(channel) or self.open(channel)
         k = ch.sending
@@ -88,10 +106,11 @@ class Communicator(Rounds):
         channel: str = "main",
         deadline: float | None = None,
     ) -> None:
-        """Send the next message of a channel; pairs with `receive` (one each a round) or `asynchronous_receive`.
+        """Send the next message of a channel, for `receive` (one
+        each a round) or `asynchronous_receive`.
 
-        Waits only for those who `receive` and are a whole history behind.
-        Raises RoundTimeout, PeerLost, RosterChanged.
+        Waits only for neighbours that use `receive` and are a whole history behind.
+        Raises RoundTimeout, PeerLost or RosterChanged.
         """
         ch = self._channels.get(channel) or self.open(channel)
         if ch.sending >= ch.limit or ch.changed is not None:
@@ -131,7 +150,11 @@ class Communicator(Rounds):
         channel: str = "main",
         max_age: float = inf,
     ) -> dict[int, Any]:
-        """The latest message of each neighbour that has one not older than `max_age` s; never waits."""
+        """Return the latest message of each neighbour, without waiting.
+
+        max_age: seconds; older messages are left out
+        Returns {j: value}; a neighbour without a message is left out.
+        """
         ch = self._channels.get(channel) or self.open(channel)
         k = ch.sending
         wanted = (
@@ -148,10 +171,14 @@ class Communicator(Rounds):
         }
 
     async def close(self, channel: str = "main", linger: float = LINGER) -> None:
-        """End a channel: tell the neighbours (FIN) and serve the late ones, until all have finished or say nothing.
+        """End a channel: send FIN to the neighbours and answer the late
+        ones until all have finished or are silent.
 
-        linger: s without a question from those who have not finished. Who uses the channel again goes on with its
-        next round; all must have closed it in the same round.
+        linger: seconds without a question from unfinished neighbours after which the channel is
+            closed anyway
+
+        A channel that is used again continues with its next round. For that all drones must have
+        closed it in the same round.
         """
         ch = self.open(channel)
         n = ch.closed_at = max(ch.sending, ch.receiving)
@@ -173,9 +200,8 @@ class Communicator(Rounds):
                 answers = ch.answers
             if self._clock.now() >= ends or ch.changed is not None:
                 return
-            if (
-                self._clock.now_ns() >= due_ns
-            ):  # not at any news: of n neighbours each would then ask n times
+            # Wait for the timer even if there is news: otherwise each of n neighbours asks n times.
+            if self._clock.now_ns() >= due_ns:
                 self._control(ch, FIN_TOO, tuple(late), n, attempt)
                 attempt = attempt + 1
                 due_ns = self._clock.now_ns() + round(2 * MIN_RTO * SECOND)
@@ -186,9 +212,10 @@ class Communicator(Rounds):
         ch.oldest = ch.sending
 
     async def fail(self, word: Failure) -> None:
-        """Say to all neighbours that we go on no more: who waits for us now or later, on any channel, need not.
+        """Tell all neighbours that this agent stops on every channel.
 
-        They get AgentFailed, of `word`, instead of RoundTimeout at their deadline.
+        A neighbour that waits for this agent, now or later, gets AgentFailed with `word` instead of
+        RoundTimeout at its deadline.
         """
         payload = encode(word)
         flags = self._flags | AHEAD
@@ -197,11 +224,12 @@ class Communicator(Rounds):
             self.port.send(ROUND, readers, payload, k, FAILED, flags)
             await self._clock.sleep(MIN_RTO, drone=self.id)
 
-    # Sending --------------------------------------------------------------------------------------------------
+    # Sending --------------------------------------------------------------------------
 
     def _send_round(
         self, ch: Channel, data: Any, to: tuple[int, ...], kind: int
     ) -> None:
+        """Encode and send the next round, and keep it for late readers."""
         k = ch.sending
         flags = self._flags | kind
         if type(data) is PerNeighbor:
@@ -222,9 +250,10 @@ class Communicator(Rounds):
         self.rounds += 1
 
     async def _admit(self, ch: Channel, seconds: float, patient: bool = True) -> None:
-        """Wait until the next round may be sent: no reader is a history behind, and no new epoch is being made.
+        """Wait until the next round may be sent: no reader is a
+        history behind, and no new epoch is being formed.
 
-        Not patient: wait only for those who have asked for rounds.
+        patient: False to wait only for readers that have asked for rounds
         """
         ends = self._clock.now() + seconds
         attempt = 0
@@ -251,7 +280,7 @@ class Communicator(Rounds):
         )
 
     async def _pause(self, ch: Channel, seconds: float) -> None:
-        """Wait for news of a channel, at most some seconds."""
+        """Wait for news of a channel, but not longer than `seconds`."""
         gate = ch.gate = asyncio.get_running_loop().create_future()
         due_ns = self._clock.now_ns() + round(seconds * SECOND)
         alarm = self._clock.call_at(due_ns, wake, gate, drone=self.id)
@@ -261,7 +290,7 @@ class Communicator(Rounds):
             ch.gate = None
             alarm.cancel()
 
-    # Receiving ------------------------------------------------------------------------------------------------
+    # Receiving ------------------------------------------------------------------------
 
     async def _collect(
         self,
@@ -270,6 +299,7 @@ class Communicator(Rounds):
         deadline: float | None,
         policy: Policy,
     ) -> dict[int, Any]:
+        """Wait for the messages of the next round to receive, and decode them."""
         k = ch.receiving
         box = ch.inbox.get(k)
         if box is None:
@@ -308,7 +338,7 @@ class Communicator(Rounds):
         return heard
 
     def _grant(self, ch: Channel, k: int, wanted: tuple[int, ...]) -> None:
-        """Tell those who do not hear us how far we are."""
+        """Send our progress to the senders that do not receive our messages."""
         one_way = tuple(j for j in wanted if not ch.reads(k, j))
         if one_way:
             self._control(ch, CREDIT, one_way, k + 1)

@@ -1,4 +1,4 @@
-"""What holds from which epoch, and from which round, on: who is a member, and who talks to whom."""
+"""Epochs of a team: its members and its graph, and the round from which each holds."""
 
 from collections.abc import Iterable
 from math import inf
@@ -8,16 +8,22 @@ from crazychoir.team.graph import Graph, GraphSequence
 
 AnyGraph = Graph | GraphSequence
 KEPT: Final = 16
-"""Graphs of earlier epochs that are kept for channels that are not there yet."""
+"""Graphs of earlier epochs that are kept for channels that are still behind."""
 
 
 class Epochs:
     """The compositions of one team, as one member knows them.
 
-    epoch: number of the present one;  members: incarnation by id, empty before the first roster;  gone: who has left;
-    known: whose messages count;  born: newest incarnation and its first round, by id;  gaps: whether anybody is,
-    or was, `silent`;  since: first round of its joinable channels;  held: the first round that may not be sent until
-    the next epoch.
+    epoch: number of the present composition
+    members: incarnation by id; empty before the first roster
+    gone: ids that have left
+    known: ids from which messages count
+    born: newest incarnation and its first round, by id
+    gaps: True if any drone is or was `silent`
+    since: first round of this drone's joinable channels
+    held: first round that may not be sent before the next epoch
+    graph: the present graph, or a periodic sequence of graphs
+    ids: all drones of the mission
     """
 
     def __init__(self, graph: AnyGraph) -> None:
@@ -31,7 +37,7 @@ class Epochs:
         self.replace(graph)
 
     def replace(self, graph: AnyGraph) -> None:
-        """Another graph, for all rounds."""
+        """Use another graph, for all rounds."""
         self.graph = self._whole = graph
         self.ids = graph.ids
         self.known = dict.fromkeys(graph.ids)
@@ -39,11 +45,11 @@ class Epochs:
 
     @property
     def first(self) -> int:
-        """The first round of the present graph."""
+        """First round of the present graph."""
         return self._graphs[-1][0]
 
     def at(self, joinable: bool, k: int) -> Graph:
-        """The graph of round k of a channel."""
+        """Return the graph of round k of a channel."""
         if not joinable:
             return self.graph.at(k)
         return next(
@@ -52,7 +58,7 @@ class Epochs:
         ).at(k)
 
     def until(self, joinable: bool, k: int) -> float:
-        """The first round after k that may have another graph."""
+        """Return the first round after k that may have another graph."""
         if any(isinstance(graph, GraphSequence) for _, graph in self._graphs):
             return k + 1
         return (
@@ -62,13 +68,19 @@ class Epochs:
         )
 
     def hold(self, rounds: list[int]) -> int:
-        """Hold the rounds from the highest of these on; asked again, the answer is the same."""
+        """Hold the rounds from the highest of these on, and return that round.
+
+        A repeated call returns the same round until the next epoch.
+        """
         if self.held == inf:
             self.held = max(rounds, default=0)
         return int(self.held)
 
     def renew(self, members: dict[int, int], first_round: int) -> None:
-        """Members of an epoch: who was started again since it was last known begins with the epoch's first round."""
+        """Take the members of an epoch and find restarted drones by their incarnation.
+
+        A drone that was restarted since the last epoch begins with the first round of this one.
+        """
         for j, incarnation in members.items():
             if j not in self.born:
                 self.born[j] = incarnation, -inf
@@ -77,7 +89,9 @@ class Epochs:
                 self.gaps = True
 
     def silent(self, j: int, k: float) -> bool:
-        """Whether nothing of j will come in round k: it has left, or was started again and begins later."""
+        """Return True if j will send nothing in round k: it has
+        left, or was restarted and begins later.
+        """
         return j in self.gone or (j in self.born and k < self.born[j][1])
 
     def begin(
@@ -88,7 +102,7 @@ class Epochs:
         graph: Graph | None,
         first_round: int,
     ) -> None:
-        """A new epoch; its graph counts from `first_round` on."""
+        """Begin a new epoch; its graph holds from `first_round` on."""
         self.epoch = epoch
         self.held = inf
         self.gone.update(dict.fromkeys(gone))
@@ -109,7 +123,7 @@ class Epochs:
 
 
 def among(sequence: GraphSequence, ids: tuple[int, ...]) -> GraphSequence:
-    """The same sequence for these drones only."""
+    """Return the same sequence of graphs, restricted to these drones."""
     inside = dict.fromkeys(ids)
     return GraphSequence(
         tuple(

@@ -1,4 +1,4 @@
-"""Communication graphs over drone ids: shapes, weights, and graphs that change from round to round."""
+"""Communication graphs over drone ids: shapes, weights, and graphs that change with the round."""
 
 import random
 import re
@@ -12,12 +12,16 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Wire
 
 Ids = int | Iterable[int]
+"""Number of drones, or their ids."""
 Arc = tuple[int, int]
+"""(sender, receiver)."""
 Weights = dict[int, dict[int, float]]
+"""w[i][j]: weight of j at i."""
 
 NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
+"""Shapes that a swarm file can name."""
 DIRECTED = "ring, erdos-renyi:P"
-"""Of these, those that there are directed, too."""
+"""Shapes of NAMES that can be directed."""
 FORMS = {
     "k-regular": ("k-regular:K", "K a whole number of neighbours, as k-regular:4"),
     "erdos-renyi": ("erdos-renyi:P", "P a probability of 0 to 1, as erdos-renyi:0.3"),
@@ -27,24 +31,31 @@ FORMS = {
     ),
     "grid": ("grid:ROWSxCOLUMNS", "ROWS and COLUMNS whole numbers, as grid:3x4"),
 }
-"""The shapes that take numbers: how they are written, and with which."""
+"""Shapes that take numbers: how each is written, and the meaning of its numbers."""
 DIGITS = 9
-"""Of a whole number."""
+"""Largest number of digits of a whole number in a shape."""
 _PLAIN = re.compile(r"[0-9]{1,9}\.?[0-9]{0,9}|\.[0-9]{1,9}")
+"""A number in plain decimal digits, without a sign or an exponent."""
 HOPELESS = 40.0
-"""Drones without any neighbour, on average, from which on no draw is connected: the probability is below exp(-40)."""
+"""Mean number of isolated drones above which a random graph is not even
+drawn: the probability of a connected draw is below exp(-40).
+"""
 DRAWS = 1000
+"""Most attempts to draw a connected random graph."""
 
 
 class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
-    """Directed graph; the arc (i, j) says that drone i sends to drone j.
+    """A directed graph; the arc (i, j) says that drone i sends to drone j.
 
-    ids: the drones, increasing;  arcs: ordered pairs of them, increasing, no loops.
-    All answers are sorted tuples. Raises ConfigError for what is not such a graph, and for a drone that is not in it.
+    All answers are sorted tuples.
+    Raises ConfigError if the fields do not describe such a graph, and for a drone that is not in
+    it.
     """
 
     ids: tuple[int, ...]
+    """Drone ids, increasing."""
     arcs: tuple[Arc, ...]
+    """Ordered pairs of drones, increasing, without loops."""
 
     def __post_init__(self) -> None:
         if not self.ids or any(i >= j for i, j in pairwise(self.ids)):
@@ -71,14 +82,20 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
     def from_edges(
         cls, ids: Ids, pairs: Iterable[Iterable[int]], directed: bool = False
     ) -> Self:
-        """The graph with these edges [i, j]: both ways, or, if directed, only from i to j."""
+        """Return the graph with the edges [i, j].
+
+        directed: True if i only sends to j; False if both also send back
+        """
         arcs = [_arc(pair) for pair in pairs]
         both = arcs if directed else arcs + [(j, i) for i, j in arcs]
         return cls(_ids(ids), tuple(sorted(dict.fromkeys(both))))
 
     @classmethod
     def from_neighbors(cls, neighbors: Mapping[int, Iterable[int]]) -> Self:
-        """The graph where drone i hears the drones neighbors[i]; undirected if every pair names each other."""
+        """Return the graph in which drone i receives from the drones neighbors[i].
+
+        It is undirected if the two drones of every pair name each other.
+        """
         return cls.from_edges(
             neighbors,
             ((j, i) for i, heard in neighbors.items() for j in heard),
@@ -101,15 +118,15 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         }
 
     def in_neighbors(self, i: int) -> tuple[int, ...]:
-        """Whom drone i hears."""
+        """Return the drones that drone i receives from."""
         return self._in[self._member(i)]
 
     def out_neighbors(self, i: int) -> tuple[int, ...]:
-        """Who hears drone i."""
+        """Return the drones that receive from drone i."""
         return self._out[self._member(i)]
 
     def neighbors(self, i: int) -> tuple[int, ...]:
-        """Whom drone i hears, or who hears it."""
+        """Return the in-neighbours and out-neighbours of drone i."""
         return self._both[self._member(i)]
 
     def _member(self, i: int) -> int:
@@ -118,17 +135,20 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return i
 
     def edges(self) -> tuple[Arc, ...]:
-        """The joined pairs (i, j), i < j, whatever the direction; the directed ones are `arcs`."""
+        """Return the joined pairs (i, j), i < j, in either direction.
+
+        `arcs` has the directed ones.
+        """
         return tuple(sorted(dict.fromkeys((min(arc), max(arc)) for arc in self.arcs)))
 
     @property
     def is_undirected(self) -> bool:
-        """Whether each arc has its opposite."""
+        """True if each arc has its opposite."""
         return self._in == self._out
 
     @property
     def is_connected(self) -> bool:
-        """Whether a message of each drone reaches every other drone (strongly connected)."""
+        """True if a message of each drone reaches every other drone (strongly connected)."""
         first = self.ids[0]
         return all(
             len(_distances(first, step)) == len(self.ids)
@@ -136,7 +156,11 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         )
 
     def parts(self) -> tuple[tuple[int, ...], ...]:
-        """Drones that are joined, whatever the direction, by their lowest one: one part, if nobody is by itself."""
+        """Return the groups of drones that edges join in either
+        direction, ordered by their lowest id.
+
+        A graph without isolated drones or groups has one part.
+        """
         found: dict[int, tuple[int, ...]] = {}
         for i in self.ids:
             if not any(i in part for part in found.values()):
@@ -144,7 +168,11 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return tuple(found.values())
 
     def diameter(self) -> int:
-        """The most hops that a message needs from one drone to another: rounds of a flood."""
+        """Return the largest number of hops that a message needs
+        between two drones: the rounds of a flood.
+
+        Raises ConfigError if the graph is not connected.
+        """
         if not self.is_connected:
             do = "Add an edge; in flight: those in between have gone, and the others cannot go on as a team."
             raise ConfigError(
@@ -153,14 +181,18 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return _diameter(self.ids, self.arcs)
 
     def at(self, k: int) -> Self:
-        """The graph of round k: always this one."""
+        """Return the graph of round k, which is always this one."""
         return self
 
 
 class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
-    """A graph that changes with the round, periodically: round k uses graphs[k mod len(graphs)]."""
+    """A graph that changes periodically: round k uses graphs[k mod len(graphs)].
+
+    Raises ConfigError without a graph, or if the graphs have different drones.
+    """
 
     graphs: tuple[Graph, ...]
+    """The graphs of one period."""
 
     def __post_init__(self) -> None:
         if not self.graphs or any(
@@ -174,9 +206,9 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 
     @classmethod
     def draw(cls, graph: Graph, p: float, length: int, seed: int) -> Self:
-        """`length` sub-graphs of `graph`, each keeping each edge with probability p.
+        """Return `length` sub-graphs of `graph`; each keeps each edge with probability p.
 
-        Edge number e is always in graph e mod `length`, so their union is `graph`.
+        Edge number e is always in graph e mod `length`, therefore the union of all is `graph`.
         """
         chance = _chance(p, seed, length, *graph.ids)
         directed = not graph.is_undirected
@@ -192,15 +224,15 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 
     @property
     def ids(self) -> tuple[int, ...]:
-        """The drones."""
+        """Drone ids, increasing."""
         return self.graphs[0].ids
 
     def at(self, k: int) -> Graph:
-        """The graph of round k."""
+        """Return the graph of round k."""
         return self.graphs[k % len(self.graphs)]
 
     def union(self) -> Graph:
-        """All arcs of one period together."""
+        """Return the graph with all arcs of one period."""
         return Graph.from_edges(
             self.ids,
             (arc for graph in self.graphs for arc in graph.arcs),
@@ -209,11 +241,15 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the graphs of one period are jointly (strongly) connected."""
+        """True if the graphs of one period are jointly (strongly) connected."""
         return self.union().is_connected
 
     def diameter(self) -> int:
-        """The most rounds that a flood needs, whoever starts it and in whichever round of the period."""
+        """Return the most rounds that a flood needs, over all
+        drones and all first rounds of the period.
+
+        Raises ConfigError if the graphs are not jointly connected.
+        """
         if not self.is_connected:
             found = "a drone that never reaches all others"
             raise ConfigError(
@@ -228,12 +264,18 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 
 
 def empty(n: Ids) -> Graph:
-    """Nobody hears anybody. n: how many drones, or their ids; so in all shapes."""
+    """Return the graph without edges.
+
+    n: number of drones, or their ids; this holds for all shapes
+    """
     return Graph.from_edges(n, ())
 
 
 def ring(n: Ids, directed: bool = False) -> Graph:
-    """Each drone and the next, the last and the first; directed: each sends to the next only."""
+    """Return the ring: each drone and the next, and the last and the first.
+
+    directed: True if each drone sends to the next only
+    """
     ids = _ids(n)
     return Graph.from_edges(
         ids, zip(ids, ids[1:] + ids[:1], strict=True) if len(ids) > 1 else (), directed
@@ -241,23 +283,27 @@ def ring(n: Ids, directed: bool = False) -> Graph:
 
 
 def path(n: Ids) -> Graph:
-    """Each drone and the next."""
+    """Return the path: each drone and the next."""
     return Graph.from_edges(ids := _ids(n), pairwise(ids))
 
 
 def star(n: Ids) -> Graph:
-    """The first drone and each other."""
+    """Return the star: the first drone and each other drone."""
     ids = _ids(n)
     return Graph.from_edges(ids, ((ids[0], j) for j in ids[1:]))
 
 
 def complete(n: Ids) -> Graph:
-    """Everybody hears everybody."""
+    """Return the graph in which every drone receives from every other."""
     return Graph.from_edges(ids := _ids(n), combinations(ids, 2))
 
 
 def k_regular(n: Ids, k: int) -> Graph:
-    """Circulant graph: each drone and the k/2 next on both sides of a ring; k odd: and the one opposite."""
+    """Return the circulant graph of a ring: each drone and its k/2 next drones on both sides.
+
+    If k is odd, each drone is also joined with the opposite one.
+    Raises ConfigError if no such graph exists.
+    """
     ids = _ids(n)
     size = len(ids)
     if not 0 <= k < size or k * size % 2:
@@ -273,7 +319,11 @@ def k_regular(n: Ids, k: int) -> Graph:
 
 
 def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -> Graph:
-    """Binomial graph: each edge is there with probability p; drawn again until it is (strongly) connected."""
+    """Return a binomial graph, in which each edge exists with probability p.
+
+    The graph is drawn again until it is (strongly) connected.
+    Raises ConfigError if no draw is connected.
+    """
     ids = _ids(n)
     chance = _chance(p, seed, *ids)
     if len(ids) * (1.0 - p) ** (len(ids) - 1) > HOPELESS:
@@ -289,9 +339,11 @@ def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -
 
 
 def geometric(n: Ids, radius: float, seed: int) -> Graph:
-    """Random points in the unit square, those within `radius` of each other joined; drawn again until it is connected.
+    """Return a graph of random points in the unit square, joined where they are within `radius`.
 
-    What short-range radios make of a swarm that is spread at random.
+    This is the network of a randomly spread swarm with short-range radios. The graph is drawn again
+    until it is connected.
+    Raises ConfigError if no draw is connected.
     """
     ids = _ids(n)
     if not 0.0 < radius <= 2.0:
@@ -331,7 +383,12 @@ def _never_connected(shape: str, given: str, larger: str, size: int) -> ConfigEr
 def grid(
     rows: int, columns: int, diagonals: bool = False, ids: Ids | None = None
 ) -> Graph:
-    """Rows and columns, numbered row by row: each drone and those beside, above, below; and diagonally."""
+    """Return the grid of rows and columns, numbered row by row.
+
+    Each drone is joined with those to the left, right, above and below.
+    diagonals: True to join the diagonal ones too
+    Raises ConfigError if rows times columns is not the number of drones.
+    """
     members = _ids(rows * columns if ids is None else ids)
     if rows < 1 or columns < 1 or rows * columns != len(members):
         raise ConfigError(
@@ -349,7 +406,12 @@ def grid(
 
 
 def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
-    """The graph that a swarm file names, see NAMES; `seed` draws the random ones; directed: one of DIRECTED."""
+    """Return the graph that a swarm file names; NAMES lists the shapes.
+
+    seed: seed of the random shapes
+    directed: only for the shapes in DIRECTED
+    Raises ConfigError for an unknown shape or a wrong number.
+    """
     plain = {"path": path, "star": star, "complete": complete, "empty": empty}
     shape, colon, given = name.strip().partition(":")
     if colon and shape not in FORMS:
@@ -380,7 +442,10 @@ def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
 
 
 def _number(name: str, given: str) -> float:
-    """Return the number of "erdos-renyi:0.3", however it is written; raise ConfigError for none that is finite."""
+    """Return the number of "erdos-renyi:0.3", in any notation that Python reads.
+
+    Raises ConfigError if it is not a finite number.
+    """
     try:
         number = float(given)
     except ValueError:
@@ -397,7 +462,7 @@ def _number(name: str, given: str) -> float:
 
 
 def _whole(name: str, given: str) -> int:
-    """Return the number of "k-regular:4"; raise ConfigError for none that is whole."""
+    """Return the number of "k-regular:4"; raise ConfigError if it is not a whole number."""
     text = given.strip()
     if text.isascii() and text.isdecimal() and len(text) <= DIGITS:
         return int(text)
@@ -406,7 +471,7 @@ def _whole(name: str, given: str) -> int:
 
 
 def _sides(name: str, given: str) -> tuple[int, int]:
-    """Return the numbers of "grid:3x4"; raise ConfigError for what has no two."""
+    """Return the two numbers of "grid:3x4"; raise ConfigError if there are not two."""
     rows, cross, columns = (
         given.lower().replace("\N{MULTIPLICATION SIGN}", "x").partition("x")
     )
@@ -416,7 +481,10 @@ def _sides(name: str, given: str) -> tuple[int, int]:
 
 
 def _wrong(name: str, meant: str) -> ConfigError:
-    """The error of a shape whose number is none."""
+    """Return the error for a shape with an invalid number.
+
+    meant: the number that was probably meant, or an empty text
+    """
     shape = name.strip().partition(":")[0]
     form, what = FORMS[shape]
     do = f"Write {shape}:{meant}." if meant and shape != "grid" else ""
@@ -429,7 +497,10 @@ def _wrong(name: str, meant: str) -> ConfigError:
 
 
 def _meant(shape: str, given: str) -> str:
-    """Return which shape was probably meant: the same letters, with other capitals, hyphens or blanks."""
+    """Return a hint with the shape that was probably meant, or an empty text.
+
+    A known shape matches if it has the same letters with other capitals, hyphens or blanks.
+    """
     letters = re.sub(r"[^a-z]", "", shape.lower())
     for known in ("ring", "path", "star", "complete", "empty", *FORMS):
         if known.replace("-", "") == letters:
@@ -438,12 +509,16 @@ def _meant(shape: str, given: str) -> str:
 
 
 def metropolis(graph: Graph) -> Weights:
-    """Metropolis-Hastings weights: symmetric and doubly stochastic, from the degrees of neighbours only.
+    """Return the Metropolis-Hastings weights: symmetric, doubly
+    stochastic, from the neighbours' degrees only.
 
         w_ij = 1 / (1 + max(d_i, d_j)) for neighbours,   w_ii = 1 - sum_j w_ij
 
-    d_i: number of neighbours of i.  Returns w[i][j], j over i and its neighbours, increasing. The graph is undirected.
-    Source: Xiao, Boyd & Lall 2005, IPSN, "A scheme for robust distributed sensor fusion based on average consensus".
+    d_i: number of neighbours of i
+    Returns w[i][j], where j is i or a neighbour of i, increasing.
+    Raises ConfigError if the graph is directed.
+    Source: Xiao, Boyd & Lall 2005, IPSN, "A scheme for robust distributed sensor fusion based on
+        average consensus".
     """
     if not graph.is_undirected:
         raise ConfigError(
@@ -464,7 +539,12 @@ def metropolis(graph: Graph) -> Weights:
 
 
 def row_stochastic(graph: Graph) -> Weights:
-    """Equal weights of what i hears and itself, w_ij = 1 / (1 + |N_in(i)|): each row sums to one."""
+    """Return equal weights for drone i and its in-neighbours.
+
+        w_ij = 1 / (1 + |N_in(i)|)
+
+    Each row sums to one.
+    """
     heard = {i: graph.in_neighbors(i) for i in graph.ids}
     return {
         i: {j: 1.0 / (1 + len(heard[i])) for j in sorted((i, *heard[i]))}
@@ -473,7 +553,12 @@ def row_stochastic(graph: Graph) -> Weights:
 
 
 def column_stochastic(graph: Graph) -> Weights:
-    """Equal shares of what j sends and keeps, w_ij = 1 / (1 + |N_out(j)|): each column sums to one (push-sum)."""
+    """Return equal shares of the value of j for itself and its out-neighbours (push-sum).
+
+        w_ij = 1 / (1 + |N_out(j)|)
+
+    Each column sums to one.
+    """
     heard = {i: graph.in_neighbors(i) for i in graph.ids}
     return {
         i: {j: 1.0 / (1 + len(graph.out_neighbors(j))) for j in sorted((i, *heard[i]))}
@@ -482,7 +567,7 @@ def column_stochastic(graph: Graph) -> Weights:
 
 
 def span(ids: Iterable[int]) -> str:
-    """Ids for an error text: "0 to 7" without gaps, else "0, 2, 5"."""
+    """Return ids as text for an error: "0 to 7" without gaps, else "0, 2, 5"."""
     known = sorted(ids)
     if len(known) > 1 and known[-1] - known[0] == len(known) - 1:
         return f"{known[0]} to {known[-1]}"
@@ -505,14 +590,14 @@ def _adjacency(ids: tuple[int, ...], arcs: Iterable[Arc]) -> dict[int, tuple[int
     return {i: tuple(sorted(others)) for i, others in found.items()}
 
 
-@lru_cache(maxsize=16)  # each drone of a large swarm asks it of the same graph
+@lru_cache(maxsize=16)  # each drone of a large swarm computes it for the same graph
 def _diameter(ids: tuple[int, ...], arcs: tuple[Arc, ...]) -> int:
     step = _adjacency(ids, arcs)
     return max(max(_distances(i, step).values()) for i in ids)
 
 
 def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int]:
-    """Hops from start to each drone that can be reached, breadth first."""
+    """Return the hops from start to each drone that can be reached, breadth first."""
     hops = {start: 0}
     queue = [start]
     for i in queue:
@@ -524,8 +609,10 @@ def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int
 
 
 def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
-    """Rounds until all have heard of `start`, which begins in round `first`."""
-    reached = {start: None}  # in order, as a set would not be
+    """Return the rounds until a flood from `start`, which
+    begins in round `first`, reaches all drones.
+    """
+    reached = {start: None}  # a dict, because a set has no fixed order
     k = first
     while len(reached) < len(graphs.ids):
         graph = graphs.at(k)
@@ -536,7 +623,10 @@ def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
 
 
 def _chance(p: float, seed: int, *salt: int) -> random.Random:
-    """A stream of draws that is the same on every host and Python."""
+    """Return a random stream that is the same on every host and every Python.
+
+    Raises ConfigError if p is not a probability.
+    """
     if not 0.0 <= p <= 1.0:
         do = f"{p:g} % is {p / 100.0:g}." if 1.0 < p <= 100.0 else ""
         raise ConfigError("random graph", f"p = {p:g}", "a probability, 0 to 1", do)

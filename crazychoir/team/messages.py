@@ -1,4 +1,6 @@
-"""What the members of a team tell each other about themselves, and what they agree on."""
+"""The messages in which members of a team describe
+themselves, and the roster that they agree on.
+"""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -12,19 +14,24 @@ from crazychoir.team.graph import Graph
 
 
 class Roster(msgspec.Struct, frozen=True):
-    """What all members agree on.
-
-    members: {id: incarnation};  first_round: from which this epoch counts for algorithms that go on.
-    """
+    """The composition of the team in one epoch, equal at all members."""
 
     epoch: int
+    """Number of this composition; a larger number is newer."""
     members: dict[int, int]
+    """{drone id: incarnation}."""
     edges: list[list[int]]
+    """Pairs [i, j] of the communication graph of the members."""
     directed: bool
+    """True if an edge [i, j] says only that i sends to j."""
     seed: int
+    """Seed of the mission, from the swarm file."""
     first_round: int
+    """Round from which this epoch counts, for algorithms that continue across epochs."""
     mission_hash: str
+    """Hash of the swarm file and the mission."""
     version: str
+    """Version of crazychoir at the coordinator."""
 
     @property
     def ids(self) -> tuple[int, ...]:
@@ -38,38 +45,47 @@ class Roster(msgspec.Struct, frozen=True):
 
     @property
     def checksum(self) -> int:
-        """Equal for equal rosters."""
+        """CRC-32 of the encoded roster: equal rosters have equal checksums."""
         return crc32(encode(msgspec.to_builtins(self)))
 
 
 class Go(msgspec.Struct, frozen=True):
-    """A roster as it is told.  age: s since GO, of the mission: who joins it later counts from there too."""
+    """A roster on the wire, with the age of the mission."""
 
     roster: Roster
+    """The roster."""
     age: Annotated[float, Meta(ge=0.0, le=1e9)] = 0.0
+    """Seconds since the mission's GO.
+
+    A drone that joins later counts its mission time from GO too.
+    """
 
     def wire(self) -> bytes:
-        """As a message."""
+        """Return the encoded message."""
         return encode(msgspec.to_builtins(self))
 
 
 @dataclass(frozen=True)
 class Beat:
-    """What a heartbeat says: incarnation, epoch and checksum of its roster, whom it has lost, mission.
-
-    hears: before the first roster, whom it hears;  refused: why it cannot fly and will not come; empty if it does.
-    """
+    """The content of a heartbeat."""
 
     incarnation: int
+    """Number of the sender's process; a restarted agent has another one."""
     epoch: int
+    """Epoch of the sender's roster; 0 before the first."""
     checksum: int
+    """Checksum of the sender's roster."""
     hears: tuple[int, ...]
+    """Ids that the sender receives; only before the first roster."""
     lost: tuple[int, ...]
+    """Ids that the sender has lost."""
     mission_hash: str
+    """Hash of the sender's swarm file and mission."""
     refused: str = ""
+    """Reason why the sender cannot fly and will not join; empty if it can fly."""
 
     def wire(self) -> list[Any]:
-        """As the codec takes it."""
+        """Return the fields as a list for the codec."""
         hears = list(self.hears)
         lost = list(self.lost)
         return [
@@ -84,7 +100,10 @@ class Beat:
 
     @classmethod
     def of(cls, value: Any) -> "Beat":
-        """From the wire; raises TypeError, ValueError."""
+        """Return the heartbeat that a decoded list describes.
+
+        Raises TypeError or ValueError if the list is not a heartbeat.
+        """
         incarnation, epoch, checksum, hears, lost, mission_hash, refused = value
         numbers = int(incarnation), int(epoch), int(checksum)
         return cls(

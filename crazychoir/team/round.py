@@ -1,4 +1,6 @@
-"""The shape of an iterative distributed algorithm: pure, without I/O, run by any runtime."""
+"""The shape of an iterative distributed algorithm: no
+input or output, so any runtime can run it.
+"""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -8,23 +10,28 @@ class Round(Protocol):
     """One agent's part of a synchronous algorithm.
 
     The runtime repeats, for k = 0, 1, ...: send `message()` to the out-neighbours, wait for the
-    message of round k of every in-neighbour, call `step(heard)`; until `done`.
+    message of round k of every in-neighbour, then call `step(heard)`. It stops when `done` is true.
     All agents of a connected team must become `done` in the same round.
 
-    One with `asynchronous = True` is instead woken by itself, again and again: `step` gets the latest message of each
-    neighbour that has been heard, then `message()` is sent once, and may be lost. Each ends when it is `done` itself.
-    `waits = True` beside it says that it cannot go on without all of its neighbours: one that is lost ends it.
+    An algorithm with `asynchronous = True` wakes by its own timer, again and again. Then `step`
+    gets the latest message of each neighbour that has sent one, and `message()` is sent once and
+    may be lost. Each agent stops when it is `done` itself.
+    `waits = True` beside it says that the algorithm needs all of its neighbours: a lost neighbour
+    ends it.
     """
 
     @property
     def done(self) -> bool:
-        """Whether the last round is over."""
+        """True after the last round."""
         ...
 
     def message(self) -> Any:
-        """What the neighbours get in this round; a `PerNeighbor` gives each its own."""
+        """Return the value for the neighbours in this round.
+
+        A `PerNeighbor` holds one for each neighbour.
+        """
         ...
 
     def step(self, heard: dict[int, Any]) -> None:
-        """Take the neighbours' messages of this round, by drone id in increasing order."""
+        """Take the neighbours' messages of this round, keyed by drone id in increasing order."""
         ...

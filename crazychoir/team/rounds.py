@@ -1,9 +1,13 @@
-"""The engine under the communicator: channels, arrivals, answers and resends, across the epochs of a team.
+"""The engine below the communicator: channels, arrivals,
+answers and resends, across the epochs of a team.
 
-Rounds need no acknowledgement: who waits for round k resends its own message of round k every RTO to those that
-it misses, and who gets such a repeated message answers with its own of that round. Where only one direction of an
-edge exists, the waiting side asks (WANT) and the reading side grants credit (CREDIT), so that a sender never runs
-further ahead than its history. So the answer of a round algorithm does not depend on the loss.
+Rounds need no acknowledgement. A drone that waits for round k resends its own message of round k
+every RTO to the neighbours that it misses. A drone that receives such a repeated message answers
+with its own message of that round.
+
+If an edge exists in one direction only, the waiting reader asks (WANT), and the reader grants
+credit (CREDIT), so that a sender is never further ahead than its history. Therefore the result of a
+round algorithm does not depend on message loss.
 """
 
 import asyncio
@@ -33,35 +37,56 @@ from crazychoir.team.graph import Graph
 from crazychoir.types import Failure
 
 DATA, REPEAT, AHEAD, WANT, CREDIT, FIN, FIN_TOO, GONE = range(8)
-"""Kinds: a round's message, from one who has finished all rounds before it; the same again, and I lack yours; a round's
-message that says nothing of its sender's progress; I lack yours; so far I am; I have finished; I have, have you?; I no
-longer have rounds before this one."""
+"""Kinds of messages.
+
+DATA: a round's message; the sender has finished all rounds before it
+REPEAT: the same message again; the sender lacks ours of this round
+AHEAD: a round's message that says nothing about the sender's progress
+WANT: the sender lacks our message of this round
+CREDIT: the sender has finished all rounds before this one
+FIN: the sender has finished the channel
+FIN_TOO: the sender has finished the channel and asks if we have too
+GONE: the sender no longer has the rounds before this one
+"""
 KIND_BITS: Final = 3
+"""Bits of the kind in a message's flags; the epoch is above them."""
 KINDS: Final = (1 << KIND_BITS) - 1
+"""Mask of the kind in the flags."""
 CREDIT_EVERY: Final = 16
+"""Rounds between two credits."""
 MAX_CHANNELS: Final = 256
+"""Most channels that are open at once."""
 MAX_EARLY: Final = 256
-"""Messages of channels and epochs that are not ours yet: later ones push out earlier ones."""
+"""Messages that are kept for channels and epochs that this drone does not have yet.
+
+Newer messages replace older ones.
+"""
 MAX_EARLY_BYTES: Final = 8192
-"""How large each of them may be; a larger one is resent until it counts."""
+"""Largest payload of such a message; a larger one is not kept, and its sender resends it."""
 MAX_ROUND: Final = 1 << 48
+"""First round number that is refused as malformed."""
 PUSH: Final = 1 << 20
-"""Attempts from here on are those that nobody asked for."""
+"""Attempt numbers from here on mark messages that no neighbour asked for."""
 FAILED: Final = "failed"
-"""The channel on which an agent says that it goes on no more, on any channel."""
+"""Channel on which an agent says that it stops on all channels."""
 SWEEP: Final = 5_000_000
-"""ns between two looks at those who wait; all drones of a process look at the same instants."""
+"""ns between two checks of the waiting channels.
+
+All drones of a process check at the same instants.
+"""
 
 
 class Membership(Protocol):
-    """Who of the neighbours is gone for good."""
+    """Knows which neighbours are gone for good."""
 
     def lost(self, j: int) -> bool:
-        """Whether j is LOST."""
+        """Return True if j is LOST."""
         ...
 
 
 class _Everybody:
+    """A membership without lost drones."""
+
     def lost(self, j: int) -> bool:
         return False
 
@@ -69,7 +94,14 @@ class _Everybody:
 class Rounds:
     """One drone's channels.
 
-    rounds: sent since the start;  ahead: messages dropped because they were too far ahead.
+    port: port of the drone on the bus
+    graph: communication graph, or a periodic sequence of graphs
+    membership: says which drones are lost; None if no drone is
+    deadline: default seconds to wait for a round
+
+    Attributes:
+    rounds: rounds sent since the start
+    ahead: messages dropped because their round was too far ahead
     """
 
     def __init__(
@@ -99,11 +131,11 @@ class Rounds:
         self._alarm: Alarm | None = None
         self._due_ns = 0
         port.handlers[ROUND.number] = self._arrived
-        self.open(FAILED, joinable=True)  # who goes on no more does so in no epoch
+        self.open(FAILED, joinable=True)  # a failed agent stops in every epoch
 
     @property
     def graph(self) -> AnyGraph:
-        """Who talks to whom in the newest epoch."""
+        """Communication graph of the newest epoch."""
         return self._epochs.graph
 
     @graph.setter
@@ -119,17 +151,25 @@ class Rounds:
         return self._epochs.epoch
 
     def silence(self, lost: Iterable[int]) -> float:
-        """s since the last message of any kind from any of these; of who was never heard since these rounds began."""
+        """Return the seconds since the last message of any kind from any of these drones.
+
+        For a drone without a message the time counts from the creation of these rounds.
+        """
         return (
             self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)
         ) / SECOND
 
-    # Channels and epochs --------------------------------------------------------------------------------------
+    # Channels and epochs --------------------------------------------------------------
 
     def open(self, channel: str, joinable: bool = False) -> Channel:
-        """Open (or find) a channel: an algorithm instance with rounds of its own.
+        """Return a channel, which is an algorithm instance with its own rounds.
 
-        A `joinable` one goes on across epochs; a new member begins with the first round of its epoch.
+        Create it if needed.
+
+        A `joinable` channel continues across epochs; a new member begins with the first round of
+        its epoch.
+        Raises ConfigError if the channel is already in use and not joinable, or if there are too
+        many channels.
         """
         ch = self._channels.get(channel)
         if ch is None:
@@ -147,7 +187,7 @@ class Rounds:
         return ch
 
     def follow(self, barrier: Barrier) -> None:
-        """Take part in the epochs of this barrier's rosters, from the first on."""
+        """Take part in all epochs of this barrier's rosters."""
         self.membership = barrier
         barrier.hold = self.hold
         barrier.listeners.append(self.adopt)
@@ -155,7 +195,10 @@ class Rounds:
             self.adopt(barrier.roster)
 
     def hold(self) -> int:
-        """Send no further round of a joinable channel until the next epoch; returns the first round that is held."""
+        """Send no further round of a joinable channel until the next epoch.
+
+        Returns the first held round.
+        """
         held = self._epochs.hold(
             [ch.sending for ch in self._channels.values() if ch.joinable]
         )
@@ -164,7 +207,7 @@ class Rounds:
         return held
 
     def adopt(self, roster: Roster) -> None:
-        """A roster is in force: joinable channels change to its graph at its first round."""
+        """Put a roster in force: joinable channels change to its graph at its first round."""
         before = self._epochs.members
         self._epochs.members = dict(roster.members)
         if self.id not in before:
@@ -192,7 +235,9 @@ class Rounds:
         graph: Graph | None = None,
         first_round: int = 0,
     ) -> None:
-        """The team has a new epoch: `joinable` channels go on with those who stay, the others raise RosterChanged."""
+        """Begin a new epoch: `joinable` channels continue with the
+        remaining members, others raise RosterChanged.
+        """
         self._epochs.begin(epoch, gone, joined, graph, first_round)
         self._flags = epoch << KIND_BITS
         for ch in list(self._channels.values()):
@@ -205,6 +250,7 @@ class Rounds:
     def _go_on(
         self, ch: Channel, gone: tuple[int, ...], joined: tuple[int, ...]
     ) -> None:
+        """Continue a joinable channel in a new epoch."""
         ch.until = 0
         ch.limit = ch.oldest
         ch.forget((*gone, *joined))
@@ -215,7 +261,11 @@ class Rounds:
         wake_if(ch.gate)
 
     def _restart(self, ch: Channel, error: RosterChanged) -> None:
-        """The channel is a new one; whoever was in the middle of the old one learns it now or at its next verb."""
+        """Replace the channel by a new one.
+
+        A verb that is waiting on the old channel gets the error now; otherwise the next verb raises
+        it.
+        """
         new = self._begin(ch.name, False)
         if ch.waiter is not None and not ch.waiter.done():
             fail(ch, error)
@@ -232,6 +282,7 @@ class Rounds:
         return ch
 
     def _make_room(self, channel: str) -> None:
+        """Remove a closed channel if there are too many; raise ConfigError if all are in use."""
         used = len(self._channels) - (FAILED in self._channels)
         if used >= MAX_CHANNELS:
             closed = next(
@@ -250,17 +301,19 @@ class Rounds:
             del self._channels[closed]
 
     def _absent(self, j: int) -> bool:
+        """Return True if j has left or is lost."""
         return j in self._epochs.gone or self.membership.lost(j)
 
-    # Sending --------------------------------------------------------------------------------------------------
+    # Sending --------------------------------------------------------------------------
 
     def _look(self, ch: Channel, k: int) -> None:
-        """Who are the neighbours in round k, and until which round."""
+        """Compute the neighbours in round k, and the round until which they are valid."""
         graph = self._epochs.at(ch.joinable, k)
         ch.ins, ch.outs = graph.in_neighbors(self.id), graph.out_neighbors(self.id)
         ch.until = self._epochs.until(ch.joinable, k)
 
     def _again(self, ch: Channel, k: int, j: int, attempt: int, kind: int) -> None:
+        """Resend our message of round k to j, if it is kept."""
         payload = ch.stored(k, j)
         if payload is not None:
             self.port.counters.resent += 1
@@ -271,9 +324,10 @@ class Rounds:
     def _control(
         self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0
     ) -> None:
+        """Send a message without content."""
         self.port.send(ROUND, to, b"", k, ch.name, self._flags | kind, attempt)
 
-    # Arriving -------------------------------------------------------------------------------------------------
+    # Arriving -------------------------------------------------------------------------
 
     def _arrived(
         self,
@@ -284,6 +338,7 @@ class Rounds:
         flags: int,
         age: float,
     ) -> None:
+        """Take a message of a neighbour: store it, answer it, and wake the waiting verb."""
         ch = self._channels.get(channel)
         kind = DATA
         if (
@@ -337,9 +392,11 @@ class Rounds:
         flags: int,
         age: float,
     ) -> bool:
-        """Whether a message counts that is no plain message of our epoch, or of nobody or no channel that we know.
+        """Return True if an unusual message counts.
 
-        One of a channel or an epoch that may be ours soon is kept; one of an earlier epoch never will.
+        The message is not a plain one of our epoch, from a known drone, on a known channel. If its
+        channel or its epoch may soon be ours, it is kept for later. A message of an earlier epoch
+        is dropped.
         """
         if number >= MAX_ROUND or source not in self._known:
             self.port.counters.malformed += 1
@@ -353,7 +410,7 @@ class Rounds:
         return False
 
     def _replay(self) -> None:
-        """What came before its channel or its epoch may count now."""
+        """Handle again the early messages: their channel or their epoch may exist now."""
         early = list(self._early)
         self._early.clear()
         for source, payload, number, channel, flags, born_ns in early:
@@ -361,9 +418,10 @@ class Rounds:
             self._arrived(source, payload, number, channel, flags, age)
 
     def _answer(self, ch: Channel, number: int, source: int) -> None:
-        """Source repeats a round: it lacks our message of it, or does not know that we have read its own.
+        """Answer a repeated round.
 
-        A round after our end it will never get: it is told that we have ended.
+        The source lacks our message of that round, or it does not know that we have read its own.
+        If the round comes after our end of the channel, answer that we have ended.
         """
         if number >= ch.sending:
             self._farewell(ch, number, source)
@@ -373,7 +431,11 @@ class Rounds:
             self._control(ch, CREDIT, (source,), ch.receiving, ch.answers)
 
     def _serve(self, ch: Channel, number: int, source: int) -> None:
-        """Say a round again. One that is no longer kept was read by all who were in the team then: it never comes."""
+        """Send a round again.
+
+        If it is no longer kept, all members of that time have read it, and it will never come:
+        answer GONE.
+        """
         ch.answers += 1
         if ch.joinable and number < ch.oldest:
             self._control(ch, GONE, (source,), ch.oldest, ch.answers)
@@ -381,7 +443,10 @@ class Rounds:
             self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
 
     def _skip(self, ch: Channel, number: int, source: int) -> None:
-        """Wait no longer for rounds of source before this one, in which it took us for lost: of earlier epochs only."""
+        """Stop waiting for the rounds of source before `number`.
+
+        The source considered us lost in these rounds. Only rounds of earlier epochs are skipped.
+        """
         first = ch.kept[source] = max(
             min(number, self._epochs.first), ch.kept.get(source, 0)
         )
@@ -391,12 +456,16 @@ class Rounds:
                 wake_if(ch.waiter)
 
     def _farewell(self, ch: Channel, number: int, source: int) -> None:
-        """Tell who asks for a round that comes after our end that we have ended; a question that no linger counts."""
+        """Answer FIN to a drone that asks for a round after our end.
+
+        Such an answer does not prolong the time for which `close` waits.
+        """
         if 0 <= ch.closed_at <= number and ch.closed_at >= ch.sending:
             ch.told += 1
             self._control(ch, FIN, (source,), ch.closed_at, PUSH + ch.told)
 
     def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
+        """Take a message without content: WANT, CREDIT, FIN, FIN_TOO or GONE."""
         if kind == GONE:
             self._skip(ch, number, source)
             return
@@ -413,12 +482,15 @@ class Rounds:
             self._serve(ch, number, source)
         wake_if(ch.gate)
 
-    # Looking after those who wait -----------------------------------------------------------------------------
+    # Waiting channels ----------------------------------------------------------------
 
     def _expect(
         self, ch: Channel, missing: dict[int, None], seconds: float
     ) -> "asyncio.Future[None]":
-        """Wait for the messages of these; `_expected` ends it."""
+        """Return a future for the messages of these neighbours; `_expected` ends the wait.
+
+        Raises ConfigError if another caller already waits on the channel.
+        """
         if ch.waiter is not None:
             where = f"drone {self.id}: channel {ch.name!r}"
             raise ConfigError(
@@ -449,7 +521,7 @@ class Rounds:
     def _expected(self, ch: Channel) -> None:
         ch.waiter = None
         if not ch.resend_ns:
-            ch.round_time *= 0.875  # quicker than a look
+            ch.round_time *= 0.875  # the round ended before the first sweep
         elif ch.attempt == 0:
             ch.round_time += 0.125 * (
                 (self._clock.now_ns() - ch.since_ns) / SECOND - ch.round_time
@@ -467,6 +539,9 @@ class Rounds:
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
 
     def _sweep(self) -> None:
+        """Check the waiting channels: fail those with a lost neighbour or
+        past their deadline, and resend for the others.
+        """
         self._alarm = None
         now_ns = self._clock.now_ns()
         for ch in self._waiting():
@@ -496,7 +571,7 @@ class Rounds:
             self._schedule(now_ns)
 
     def _failure(self, missing: Iterable[int]) -> Failure | None:
-        """What the first of these has said on FAILED, if any has."""
+        """Return the Failure that the first of these drones has sent on FAILED, or None."""
         said = self._channels[FAILED].latest
         for j in missing:
             if j in said:
@@ -506,7 +581,7 @@ class Rounds:
         return None
 
     def _waiting(self) -> list[Channel]:
-        """The channels on which somebody waits."""
+        """Return the channels on which a caller waits."""
         return [
             ch
             for ch in self._channels.values()
@@ -514,7 +589,11 @@ class Rounds:
         ]
 
     def _resend(self, ch: Channel, now_ns: int) -> None:
-        """Whoever is missing may have sent and lost its message of this round, or may lack ours of the one before."""
+        """Resend our message of this round and of the one before to every missing neighbour.
+
+        A missing neighbour may have sent its message of this round and lost it, or may lack ours of
+        the round before.
+        """
         ch.attempt += 1
         ch.resend_ns = now_ns + int(SECOND * ch.rto(ch.attempt))
         k = ch.receiving

@@ -1,4 +1,7 @@
-"""Drones under the same swarm's name whose swarm file or mission is another one: who of them is refused."""
+"""Strangers: drones of the same swarm name with another swarm file or mission.
+
+Decides which side is refused.
+"""
 
 from collections.abc import Collection, Sequence
 from typing import Final
@@ -6,17 +9,22 @@ from typing import Final
 from crazychoir.runtime.clock import SECOND, Clock
 
 SETTLE: Final = 2.0
-"""s after the first stranger until it is judged who is the minority, if not everybody has been heard before."""
+"""Seconds after the first stranger until the smaller group is decided.
+
+It comes earlier if all drones are known.
+"""
 
 COPY: Final = "Copy one swarm file and one mission to every host."
+"""Advice of the error text."""
 CODE: Final = "the text of the mission"
+"""Name of the last part of a mission hash, after the keys of the swarm file."""
 
 
 def difference(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
     """Return the keys of the swarm file in which two mission hashes differ.
 
-    keys: the keys that each hash holds two hex digits of, in their order.
-    Returns [] where a hash holds no keys, other keys, or agrees by chance.
+    keys: the keys for which each hash holds two hex digits, in their order
+    Returns [] if a hash holds no keys or other keys, or if the digits agree by chance.
     """
     (_, _, a), (_, _, b) = ours.partition(":"), theirs.partition(":")
     names = (*keys, CODE)
@@ -37,9 +45,10 @@ def _told(theirs: str, ours: str, keys: Sequence[str]) -> str:
 
 
 class Strangers:
-    """What drone `id`, one of `team` drones, has heard of other missions.
+    """The other missions from which drone `id`, one of `team` drones, has received heartbeats.
 
-    keys: keys of the swarm file that the mission hash holds one by one.
+    keys: keys of the swarm file that the mission hash holds one by one
+    missions: {drone id: mission hash} of the strangers
     """
 
     def __init__(
@@ -59,7 +68,7 @@ class Strangers:
         self._judge_ns = 0
 
     def heard(self, j: int, mission_hash: str) -> bool:
-        """Whether j is one, by what its heartbeat says."""
+        """Store the mission of j's heartbeat and return True if j is a stranger."""
         if mission_hash.partition(":")[0] == self.mission_hash.partition(":")[0]:
             self.missions.pop(j, None)
             return False
@@ -68,7 +77,11 @@ class Strangers:
         return True
 
     def are_more(self, ours: Collection[int]) -> bool:
-        """Whether another mission has more drones than we and `ours` are; among equals, the lowest id is right."""
+        """Return True if another mission has more drones than this drone and `ours` together.
+
+        Between groups of equal size, the group with the lowest id wins.
+        Returns False until all drones are known or SETTLE seconds have passed.
+        """
         missing = len(ours) + len(self.missions) < self.team - 1
         if not self.missions or (missing and self.clock.now_ns() < self._judge_ns):
             return False
@@ -82,7 +95,7 @@ class Strangers:
         )
 
     def text(self) -> str:
-        """What to tell the user of them, and in what they differ."""
+        """Return a text for the user that names the strangers and the differences."""
         ours = self.mission_hash
         whole = self.mission_hash.partition(":")[0]
         missions = sorted(self.missions.items())

@@ -1,7 +1,9 @@
-"""A simulated bad network between drones: loss, bursts, delay, jitter, duplicates, reordering, bandwidth, partitions.
+"""A simulated bad network between drones: loss, bursts, delay,
+jitter, duplicates, reordering, bandwidth, partitions.
 
-A verdict is a pure function of (seed, source, destination, channel, number, attempt), so it does not depend on
-processes, scheduling or the order of calls; only the queue of a bandwidth remembers what was sent before.
+A verdict is a pure function of (seed, source, destination, channel, number, attempt). Therefore it
+does not depend on processes, scheduling or the order of calls. Only the queue of a limited
+bandwidth depends on earlier messages.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -12,35 +14,44 @@ from typing import Any, NamedTuple
 from crazychoir.bus.impairment.random_draws import BLOCK, ONE, bad_states, draw, key
 from crazychoir.bus.impairment.rules import Link, Partition, Rule, changed, resolve
 
-_HALF = 1 << 32
-_LATENESS, _COPY = 0x3C6EF372FE94F82B, 0xA54FF53A5F1D36F1
+_HALF = 1 << 32  # half of a 64-bit draw: two draws of 32 bits
+_LATENESS = 0x3C6EF372FE94F82B  # salt of the draws of delays
+_COPY = 0xA54FF53A5F1D36F1  # salt of the draws of duplicates
 
 
 class Verdict(NamedTuple):
-    """What happens to a message: one delay in s for each time that it arrives; none, and it is lost."""
+    """The fate of a message."""
 
     deliveries: tuple[float, ...]
+    """Seconds of delay for each copy that arrives; empty if the message is lost."""
 
 
 @dataclass(slots=True)
 class EdgeCounters:
-    """Messages of one directed edge that a simulated network looked at; `lost` includes partitions and full queues."""
+    """Counts of the messages on one directed edge of a simulated network."""
 
     sent: int = 0
+    """Messages that the network handled."""
     lost: int = 0
+    """Lost messages, also by partitions and full queues."""
     duplicated: int = 0
+    """Messages that arrived twice."""
     delayed: int = 0
+    """Messages that arrived late."""
 
 
 LOST = Verdict(())
+"""The message is lost."""
 AT_ONCE = Verdict((0.0,))
+"""The message arrives without a delay."""
 
 
 class Impairment:
     """The simulated network of one process.
 
-    active: whether anything is set at all;  counters: by (source, destination), since the start;  began: when the
-    mission began, by the clock of `now`: partitions count from there, and cut nobody before.
+    active: True if any rule or partition is set
+    counters: counts by (source, destination), since the start
+    began: time of GO on the clock of `now`; partitions count from it, and cut no message before
     """
 
     def __init__(
@@ -57,28 +68,36 @@ class Impairment:
     def replace(
         self, rules: Iterable[Rule], partitions: Iterable[Partition] = ()
     ) -> None:
-        """From now on these rules and partitions, and no other; queues are empty."""
+        """Use these rules and partitions and no others from now on; queues become empty."""
         self.rules = tuple(rules)
         self.partitions = tuple(partitions)
         self.active = bool(self.rules or self.partitions)
         self._edges: dict[tuple[int, int], _Edge] = {}
 
     def update(self, changes: Mapping[str, Any]) -> None:
-        """Change a rule: {"loss": 0.3}, {"edge": [1, 2], "directed": true, "delay": 0.05}, {"drone": 3, "loss": None}.
+        """Change a rule, or the partitions.
 
-        The named fields of the rule of that scope change, None unsets one. {"clear": True} drops everything first;
-        {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]} sets the partitions, {"cut": {"a": [2]}} adds
-        one to them.
-        Raises ConfigError, and then nothing has changed.
+            {"loss": 0.3}
+            {"edge": [1, 2], "directed": true, "delay": 0.05}
+            {"drone": 3, "loss": None}
+
+        The named fields of the rule of that scope change; None unsets a field.
+        {"clear": True} drops everything first.
+        {"partitions": [{"since": 5, "until": 9, "a": [0, 1], "b": []}]} sets the partitions.
+        {"cut": {"a": [2]}} adds one.
+        Raises ConfigError, and then changes nothing.
         """
         self.replace(*changed(self.rules, self.partitions, changes))
 
     def begin(self, now: float, age: float = 0.0) -> None:
-        """GO: the mission is `age` s old. Of several sayings the oldest counts: the others were longer on their way."""
+        """Set the time of GO: the mission is `age` s old.
+
+        Of several calls the oldest GO counts, because the other messages were longer on their way.
+        """
         self.began = min(self.began, now - age)
 
     def age(self, now: float) -> float:
-        """s since GO; 0 before."""
+        """Return the seconds since GO; 0 before."""
         return max(0.0, now - self.began)
 
     def verdict(
@@ -91,7 +110,10 @@ class Impairment:
         size: int,
         now: float,
     ) -> Verdict:
-        """What happens to a message of `size` bytes; now: s by the sender's clock."""
+        """Return the fate of a message of `size` bytes.
+
+        now: seconds, sender's clock
+        """
         edge = self._edges.get((source, destination)) or self._edge(source, destination)
         lane = edge.lanes.get(channel) or edge.lane(channel)
         counters = edge.counters
@@ -106,7 +128,7 @@ class Impairment:
         return edge.late(lane.key, number, attempt, wait) if edge.slow else AT_ONCE
 
     def describe(self) -> dict[str, Any]:
-        """What is set, in the words of `update`; for people and for JSON."""
+        """Return the settings in the terms of `update`, for people and for JSON."""
         return {
             "seed": self.seed,
             "rules": [rule.describe() for rule in self.rules],
@@ -134,12 +156,16 @@ class Impairment:
 
 @dataclass(slots=True)
 class _Lane:
-    """One channel of an edge: its key, and the block of burst states that was asked for last."""
+    """One channel of an edge: its key, and the latest block of burst states."""
 
     key: int
+    """Key of its draws."""
     link: Link
+    """Effects on the edge."""
     block: int = -1
+    """Number of the block in `states`; -1 for none."""
     states: bytes = b""
+    """Burst states of the block, a byte each: 1 bad, 0 good."""
 
     def bad(self, index: int) -> bool:
         block, place = divmod(index, BLOCK)
@@ -156,17 +182,29 @@ class _Edge:
     """A directed edge: its link, with the probabilities as thresholds of draws."""
 
     link: Link
+    """Effects on the edge."""
     cuts: tuple[tuple[float, float], ...]
+    """(since, until) of the partitions that cut it, in s since GO."""
     counters: EdgeCounters
+    """Counts of its messages."""
     key_of: Callable[[int | str], int]
+    """Callable that returns the key of a channel."""
     lanes: dict[int | str, _Lane] = field(default_factory=dict)
+    """Its channels."""
     free_at: float = 0.0
+    """s, sender's clock: time at which the bandwidth is free again."""
     loss: int = 0
+    """Threshold of the draws that lose a message."""
     loss_bad: int = 0
+    """Threshold of the draws that lose a message in the bad state of the burst chain."""
     bursty: bool = False
+    """True if it has a burst chain."""
     slow: bool = False
+    """True if messages may be late or doubled."""
     stateful: bool = False
+    """True if a partition or a bandwidth acts on it."""
     affected: bool = False
+    """True if there is any effect."""
 
     def __post_init__(self) -> None:
         link = self.link
@@ -185,7 +223,10 @@ class _Edge:
         return lane
 
     def wait(self, size: int, now: float, age: float) -> float:
-        """Time in s until the last byte has left; -1 if a partition or a full queue stops the message."""
+        """Return the seconds until the last byte has left.
+
+        The result is -1 if a partition or a full queue stops the message.
+        """
         if any(since <= age < until for since, until in self.cuts):
             return -1.0
         if self.link.bandwidth <= 0.0:
@@ -197,7 +238,9 @@ class _Edge:
         return self.free_at - now
 
     def late(self, lane: int, number: int, attempt: int, wait: float) -> Verdict:
-        """Delay, jitter and reordering of a message that arrives, and of its copy."""
+        """Return the delays of a message that arrives, and of its
+        copy, by delay, jitter and reordering.
+        """
         link = self.link
         first, second = divmod(draw(lane ^ _LATENESS, number, attempt), _HALF)
         delay = wait + link.delay + link.jitter * (first / _HALF)

@@ -1,4 +1,5 @@
-"""Random numbers that are a pure function of a key and counters: any of them can be had in any order, anywhere.
+"""Random numbers as a pure function of a key and counters: any of
+them can be computed in any order, in any process.
 
 Source of the mixing function: Steele, Lea & Flood 2014, OOPSLA (SplitMix64).
 """
@@ -14,23 +15,26 @@ ONE: Final = 1 << 64
 BLOCK: Final = 256
 """States of a burst chain that are computed together."""
 LOOK_BACK: Final = 8
-"""Blocks before its own in which a state looks for its cause."""
+"""Earlier blocks that are searched for the draw that decided a state."""
 
 _MASK: Final = ONE - 1
-_NUMBER, _ATTEMPT = 0x9E3779B97F4A7C15, 0xD1342543DE82EF95
-_M1, _M2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
-_BURST, _START = 0x6A09E667F3BCC909, 0xBB67AE8584CAA73B
+_NUMBER = 0x9E3779B97F4A7C15  # SplitMix64 increment, times the number
+_ATTEMPT = 0xD1342543DE82EF95  # increment, times the attempt
+_M1 = 0xBF58476D1CE4E5B9  # first multiplier of SplitMix64
+_M2 = 0x94D049BB133111EB  # second multiplier of SplitMix64
+_BURST = 0x6A09E667F3BCC909  # salt of the burst chain
+_START = 0xBB67AE8584CAA73B  # salt of its stationary start
 
 
 def key(*parts: object) -> int:
-    """64-bit key of a tuple of numbers and strings; the same in every process."""
+    """Return the 64-bit key of numbers and strings, equal in every process."""
     return int.from_bytes(
         blake2b(repr(parts).encode(), digest_size=8).digest(), "little"
     )
 
 
 def draw(key: int, number: int, attempt: int) -> int:
-    """Uniform in 0 .. ONE - 1."""
+    """Return a uniform integer in 0 .. ONE - 1."""
     z = (key + number * _NUMBER + attempt * _ATTEMPT) & _MASK
     z = ((z ^ (z >> 30)) * _M1) & _MASK
     z = ((z ^ (z >> 27)) * _M2) & _MASK
@@ -38,13 +42,15 @@ def draw(key: int, number: int, attempt: int) -> int:
 
 
 def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bytes:
-    """States of the Gilbert-Elliott chain at BLOCK * block and the BLOCK - 1 indices after it: 1 bad, 0 good.
+    """Return BLOCK states of the Gilbert-Elliott chain from index BLOCK * block on: 1 bad, 0 good.
 
         u_t < p_gb: bad;   u_t >= 1 - p_bg: good;   else as at t - 1         (p_gb + p_bg <= 1)
 
-    u_t: the draw of index t. Good turns bad with p_gb and bad turns good with p_bg, and yet the state at t follows
-    from the last u that decided, so that nobody need walk from 0. Whoever finds none in LOOK_BACK blocks draws from
-    the stationary law, P(bad) = p_gb / (p_gb + p_bg).
+    u_t: the draw of index t
+
+    Good turns bad with p_gb, and bad turns good with p_bg. The state at t follows from the last
+    draw that decided, so no process needs to walk from 0. If no draw in the last LOOK_BACK blocks
+    decided, the state is drawn from the stationary law, P(bad) = p_gb / (p_gb + p_bg).
     """
     decided, bad = _decisions(key, block, p_good_bad, p_bad_good)
     cause = np.maximum.accumulate(np.where(decided, np.arange(BLOCK), -1))
@@ -68,14 +74,16 @@ def _state_before(key: int, block: int, p_good_bad: float, p_bad_good: float) ->
 def _decisions(
     key: int, block: int, p_good_bad: float, p_bad_good: float
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Which indices of a block decide the state, and which of them for bad."""
+    """Return two masks over a block: the indices that decide the
+    state, and the indices that decide for bad.
+    """
     u = _uniforms(key ^ _BURST, block * BLOCK)
     bad = u < p_good_bad
     return bad | (u >= 1.0 - p_bad_good), bad
 
 
 def _uniforms(key: int, first: int) -> npt.NDArray[np.float64]:
-    """The BLOCK draws from `first` on, in [0, 1)."""
+    """Return the BLOCK draws from `first` on, in [0, 1)."""
     start = np.uint64((key + first * _NUMBER) & _MASK)
     z = start + np.arange(BLOCK, dtype=np.uint64) * np.uint64(_NUMBER)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(_M1)

@@ -1,4 +1,4 @@
-"""What is wrong with the simulated network, and between whom: rules, partitions, and their changes."""
+"""The settings of the simulated network: effects on edges, partitions, and changes of both."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -22,45 +22,56 @@ LIMITS: Final = {
     "bandwidth": (0.0, inf, "bytes/s, 0 for no limit"),
     "queue": _SECONDS,
 }
-"""Of each effect: least, most, in words."""
+"""Least value, largest value, and description of each effect."""
 SCOPE: Final = ("drone", "edge", "directed")
+"""Keys that name the edges of a rule."""
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """All effects on one directed edge.
-
-    loss: probability, of each message by itself;  p_good_bad, p_bad_good: of the burst chain, a message;  loss_bad:
-    probability in its bad state;  delay: s;  jitter: s, uniform, on top;  duplicate: probability of a second
-    delivery;  reorder: probability of being late by reorder_delay s more;  bandwidth: bytes/s, 0 for no limit;
-    queue: s, the longest wait for it.
-    """
+    """All effects on one directed edge."""
 
     loss: float = 0.0
+    """Probability that a message is lost, independently of others."""
     p_good_bad: float = 0.0
+    """Probability, for each message, that the burst chain turns bad."""
     p_bad_good: float = 0.0
+    """Probability, for each message, that the burst chain turns good."""
     loss_bad: float = 1.0
+    """Probability that a message is lost in the bad state."""
     delay: float = 0.0
+    """s: delay of every message."""
     jitter: float = 0.0
+    """s: uniform, in addition to the delay."""
     duplicate: float = 0.0
+    """Probability of a second delivery."""
     reorder: float = 0.0
+    """Probability of an additional delay of reorder_delay."""
     reorder_delay: float = 0.05
+    """s: additional delay of a reordered message."""
     bandwidth: float = 0.0
+    """bytes/s; 0 for no limit."""
     queue: float = 0.5
+    """s: longest wait for the bandwidth."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Effects on all edges, on those of one drone, or on one edge (both ways, unless directed).
+    """Effects on all edges, on those of one drone, or on one edge.
 
-    effects: by the names of Link. Where rules meet, a directed edge outdoes an edge, that a drone, and that all;
-    among equals the later rule wins. Raises ConfigError.
+    If several rules cover an edge, a directed edge wins over an edge, an edge over a drone, and a
+    drone over all. Among equals the later rule wins.
+    Raises ConfigError for wrong values.
     """
 
     effects: Mapping[str, float] = field(default_factory=dict)
+    """{name of a field of Link: value}."""
     drone: int | None = None
+    """The drone, or None."""
     edge: tuple[int, int] | None = None
+    """The edge (source, destination), or None."""
     directed: bool = False
+    """True if the edge counts from source to destination only."""
 
     def __post_init__(self) -> None:
         _check_scope(self)
@@ -81,7 +92,7 @@ class Rule:
 
     @property
     def scope(self) -> tuple[object, ...]:
-        """Equal for rules on the same edges."""
+        """Value that is equal for rules on the same edges."""
         edge = (
             self.edge
             if self.edge is None or self.directed
@@ -90,7 +101,7 @@ class Rule:
         return (self.drone, edge, self.directed)
 
     def covers(self, source: int, destination: int) -> bool:
-        """Whether this rule is on that edge."""
+        """Return True if this rule is on that edge."""
         if self.drone is not None:
             return self.drone in (source, destination)
         if self.edge is None or self.edge == (source, destination):
@@ -98,7 +109,7 @@ class Rule:
         return not self.directed and self.edge == (destination, source)
 
     def describe(self) -> dict[str, Any]:
-        """The rule in the words of `Impairment.update`."""
+        """Return the rule in the terms of `Impairment.update`."""
         scope = {
             "drone": self.drone,
             "edge": self.edge,
@@ -111,15 +122,19 @@ class Rule:
 
 @dataclass(frozen=True)
 class Partition:
-    """Nothing passes between the drones in a and those in b (empty: everybody else), from since to until.
+    """A time in which no message passes between two groups of drones.
 
-    since, until: s since GO. Raises ConfigError.
+    Raises ConfigError for wrong values.
     """
 
     since: float
+    """s since GO: begin."""
     until: float
+    """s since GO: end."""
     a: tuple[int, ...]
+    """Drones of one group."""
     b: tuple[int, ...] = ()
+    """Drones of the other group; empty for all other drones."""
 
     def __post_init__(self) -> None:
         if not (
@@ -144,11 +159,11 @@ class Partition:
             )
 
     def cuts(self, source: int, destination: int) -> bool:
-        """Whether it separates these two."""
+        """Return True if it separates these two drones."""
         return self._between(source, destination) or self._between(destination, source)
 
     def describe(self) -> dict[str, Any]:
-        """The partition in the words of `Impairment.update`."""
+        """Return the partition in the terms of `Impairment.update`."""
         return asdict(self) | {"until": None if self.until == inf else self.until}
 
     def _between(self, i: int, j: int) -> bool:
@@ -156,7 +171,7 @@ class Partition:
 
 
 def resolve(rules: Iterable[Rule], source: int, destination: int) -> Link:
-    """The effects of all rules on one edge."""
+    """Return the effects of all rules on one edge."""
     effects: dict[str, float] = {}
     for rule in sorted(rules, key=lambda rule: rule.rank):
         if rule.covers(source, destination):
@@ -169,7 +184,10 @@ def changed(
     partitions: tuple[Partition, ...],
     changes: Mapping[str, Any],
 ) -> tuple[tuple[Rule, ...], tuple[Partition, ...]]:
-    """Rules and partitions after the changes that `Impairment.update` describes; raises ConfigError."""
+    """Return the rules and partitions after the changes that `Impairment.update` describes.
+
+    Raises ConfigError for wrong names or values.
+    """
     _check_names("impairment", changes, (*LIMITS, *SCOPE, "clear", "partitions", "cut"))
     if changes.get("clear"):
         rules = ()
@@ -202,6 +220,7 @@ def changed(
 def _merged(
     rules: tuple[Rule, ...], scope: Rule, effects: Mapping[str, Any]
 ) -> tuple[Rule, ...]:
+    """Return the rules after the effects of one scope have changed; None removes an effect."""
     before = next(
         (dict(rule.effects) for rule in rules if rule.scope == scope.scope), {}
     )
@@ -246,6 +265,7 @@ def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -
 
 
 def _check_scope(rule: Rule) -> None:
+    """Raise ConfigError if the drone or the edge of a rule is invalid."""
     if rule.drone is not None and (not _is_id(rule.drone) or rule.edge is not None):
         found = f"drone = {rule.drone!r}, edge = {rule.edge!r}"
         raise ConfigError(
@@ -276,6 +296,7 @@ def _check_effect(name: str, value: Any) -> None:
 
 
 def _check_burst(effects: Mapping[str, float]) -> None:
+    """Raise ConfigError if the probabilities of the burst chain do not fit together."""
     if ("p_good_bad" in effects) != ("p_bad_good" in effects):
         raise ConfigError(
             "impairment: burst",

@@ -1,7 +1,8 @@
-"""Who may say what: mutual TLS, Zenoh's access control by certificate, and what is checked of each message.
+"""Access rules: mutual TLS, Zenoh's access control by certificate, and checks of each message.
 
-Zenoh holds a host to the keys of its own frames and tokens, by the common name of the certificate on the connection;
-what is within a frame, a HELLO that claims drones and the commands of operators, is held against the swarm file here.
+Zenoh restricts a host to the keys of its own frames and tokens, by the common name of the
+certificate on the connection. This module checks the content of frames against the swarm file: a
+HELLO that claims drones, and the commands of operators.
 """
 
 from collections.abc import Mapping
@@ -14,61 +15,83 @@ from crazychoir.bus.port import BODIES, OBSERVER
 from crazychoir.bus.topics import ESTOP, REQUEST
 
 COMMANDS = (REQUEST.number, ESTOP.number)
+"""Topics that only operators may send."""
 OBSERVERS = "observer"
-"""How the processes of those begin who look on, before their host."""
+"""First part of the names of observing processes; their host follows."""
 LOOKING = 32
-"""Processes of a host that look on at once."""
+"""Most observing processes of a host at once."""
 _TALK = ["put", "delete", "declare_subscriber"]
+"""Zenoh's messages with data."""
 _TOKENS = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
+"""Zenoh's messages about tokens."""
 
 
 @dataclass(frozen=True)
 class Access:
-    """What the swarm file allows.
-
-    host: ours;  folder: with its certificate.pem, key.pem, authority.pem;  processes: of each host, how their names
-    begin;  holders: the host of each address of a drone, its body, its eyes;  operators: hosts that may command;
-    router: the host that passes on what all say: it holds each to its own name, and is itself believed.
-    """
+    """The rules of the swarm file."""
 
     swarm: str
+    """Name of the swarm."""
     host: str
+    """This host."""
     folder: Path
+    """Folder with its certificate.pem, key.pem and authority.pem."""
     processes: Mapping[str, tuple[str, ...]]
+    """{host: first parts of the names of its processes}."""
     holders: Mapping[int, str]
+    """{address of a drone, its body or its eyes: host}."""
     operators: tuple[str, ...]
+    """Hosts that may command."""
     router: str | None = None
+    """Host that passes all messages on.
+
+    It restricts each host to its own name, and is itself trusted.
+    """
 
     def may_hold(self, host: str, address: int) -> bool:
-        """Whether an address may be of a process of this host; those of observers may be anybody's."""
+        """Return True if a process of this host may have this address.
+
+        Any host may have observers.
+        """
         if OBSERVER <= address < BODIES:
             return True
         return self.holders.get(address) == host
 
     def may_be(self, host: str, process: str) -> bool:
-        """Whether a process of this name may be on a host: nobody takes the names of others."""
+        """Return True if a process of this name may be on a
+        host: no process takes another's name.
+        """
         return process.startswith(self._begins(host))
 
     def most(self, host: str) -> int:
-        """Processes of a host at once, where each is started again before it is seen that it has gone."""
+        """Return the most processes of a host at once.
+
+        Each process counts twice: it may be restarted before its end is noticed.
+        """
         return 2 * len(self.processes.get(host, ())) + LOOKING
 
     def _begins(self, host: str) -> tuple[str, ...]:
-        """How the names of its processes begin. No name of a host has a dot."""
+        """Return the first parts of the names of a host's processes.
+
+        No name of a host has a dot.
+        """
         return (
             *(f"{start}-" for start in self.processes.get(host, ())),
             f"{OBSERVERS}-{host}.",
         )
 
     def may_say(self, host: str, message: Envelope) -> bool:
-        """Whether a message counts from this host. A drone asks its own body what it needs, wherever that is."""
+        """Return True if a message counts from this host.
+
+        A drone may send requests to its own body on any host.
+        """
         own_body = message.topic == REQUEST.number and message.to == (
             BODIES + message.source,
         )
         return message.topic not in COMMANDS or host in self.operators or own_body
 
     def settings(self) -> dict[str, Any]:
-        """Zenoh's, by path."""
+        """Return Zenoh's settings, by path."""
         own = {
             "private_key": str(self.folder / "key.pem"),
             "certificate": str(self.folder / "certificate.pem"),
@@ -79,7 +102,8 @@ class Access:
             for key, path in own.items()
         }
         return {
-            # A certificate names a host, no address, and its host is held to the keys of that name.
+            # A certificate names a host and no address. Access control restricts the host to the
+            # keys with its name.
             "transport/link/tls": tls
             | {
                 "root_ca_certificate": str(self.folder / "authority.pem"),
@@ -91,7 +115,9 @@ class Access:
         }
 
     def _control(self) -> dict[str, Any]:
-        """Nothing is allowed to come in but what each host says of itself, and asks for itself."""
+        """Return Zenoh's access control: a host may only send under its
+        own name, and only subscribe to its own messages.
+        """
         top = f"choir/{self.swarm}"
         rules = [_rule("out", "egress", _TALK + _TOKENS, [f"{top}/**"])]
         policies: list[dict[str, Any]] = []

@@ -1,10 +1,12 @@
-"""A folder of keys: the authority of a swarm, and for each host a certificate that the authority has signed.
+"""A folder of keys: the authority of a swarm, and for each host
+a certificate that the authority has signed.
 
     keys/authority/   certificate.pem, key.pem                    stays on one machine
-    keys/<host>/      certificate.pem, key.pem, authority.pem     what the host needs, and nobody else
+    keys/<host>/      certificate.pem, key.pem, authority.pem     for this host only
 
-A certificate names its host (common name) and no address: hosts move without new keys. Who is taken out is refused
-because the others get a new authority, and with it new certificates: nothing that is revoked must be looked up.
+A certificate names its host (common name) and no address: a host may move without new keys.
+If a host is removed, the others get a new authority and new certificates. Therefore no list of
+revoked certificates is needed.
 X.509 (RFC 5280), keys on the curve P-256.
 """
 
@@ -27,10 +29,17 @@ from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import today
 
 AUTHORITY = "authority"
-CERTIFICATE, KEY, ROOT = "certificate.pem", "key.pem", "authority.pem"
+"""Name of the authority's folder."""
+CERTIFICATE = "certificate.pem"
+"""File with the certificate."""
+KEY = "key.pem"
+"""File with the private key."""
+ROOT = "authority.pem"
+"""File with the authority's certificate, in the folder of a host."""
 SLACK = datetime.timedelta(minutes=5)
-"""By which the clocks of two hosts may differ when a certificate is new."""
+"""Difference between the clocks of two hosts that a new certificate tolerates."""
 NAME = re.compile(r"[a-z0-9_-]{1,40}")
+"""Name of a host."""
 _AGAIN = "Copy the folder of this host again from the machine of the authority, or make it anew there."
 
 _ANEW = "crazychoir keys init, then crazychoir keys add HOST for each"
@@ -38,14 +47,19 @@ _ANEW = "crazychoir keys init, then crazychoir keys add HOST for each"
 
 @dataclass(frozen=True)
 class Holder:
-    """A host with a certificate: its name, and until when it is good."""
+    """A host with a certificate."""
 
     name: str
+    """Name of the host."""
     until: datetime.datetime
+    """End of its certificate's validity."""
 
 
 def init(folder: Path, days: int = CERTIFICATE_DAYS) -> Path:
-    """Make an authority; returns its certificate. Raises ConfigError if there is one."""
+    """Make an authority and return the path of its certificate.
+
+    Raises ConfigError if there is one.
+    """
     own = folder / AUTHORITY
     if own.exists():
         do = f"Add hosts to it (crazychoir keys add HOST), or remove {folder} and begin anew."
@@ -56,7 +70,10 @@ def init(folder: Path, days: int = CERTIFICATE_DAYS) -> Path:
 
 
 def add(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> Path:
-    """Give a host a certificate; returns the folder that belongs on it. Raises ConfigError."""
+    """Make a certificate for a host and return the folder to copy there.
+
+    Raises ConfigError for a wrong name, or if the host has a certificate.
+    """
     if not NAME.fullmatch(host) or host == AUTHORITY:
         raise ConfigError(
             "host", host, f"1 to 40 of a-z, 0-9, _ and -, but not {AUTHORITY}"
@@ -69,9 +86,10 @@ def add(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> Path:
 
 
 def revoke(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
-    """Take out a host: the others get a new authority and new certificates; returns their names. Raises ConfigError.
+    """Remove a host: the others get a new authority and new certificates. Return their names.
 
-    What was there is replaced as a whole: where it fails, all is as it was.
+    The folder is replaced as a whole: after an error it is as before.
+    Raises ConfigError if the host has no certificate.
     """
     names = [holder.name for holder in holders(folder)]
     if host not in names:
@@ -96,7 +114,10 @@ def revoke(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
 
 
 def holders(folder: Path) -> list[Holder]:
-    """The hosts that have a certificate, by name. Raises ConfigError where there is no authority."""
+    """Return the hosts with a certificate, by name.
+
+    Raises ConfigError if there is no authority.
+    """
     _authority(folder)
     found = sorted(
         path.parent
@@ -110,9 +131,10 @@ def holders(folder: Path) -> list[Holder]:
 
 
 def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Path:
-    """The folder of a host on itself, if all is there, belongs together, is good and is read by nobody else.
+    """Return the folder of a host if its keys are complete, consistent, valid and private.
 
-    Raises ConfigError. What others hold against its certificate, they say.
+    Other hosts check the certificate themselves and report their own reasons.
+    Raises ConfigError otherwise.
     """
     own = folder / host
     now = now or today()
@@ -175,11 +197,18 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
 
 
 def good_until(own: Path) -> datetime.datetime:
-    """When the first of the certificates of a host's folder ends. Raises ConfigError."""
+    """Return the earliest end of validity of the certificates in a host's folder.
+
+    Raises ConfigError if they cannot be read.
+    """
     return min(_read(own / name).not_valid_after_utc for name in (CERTIFICATE, ROOT))
 
 
 def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    """Return the certificate and the private key of the authority.
+
+    Raises ConfigError if they cannot be read.
+    """
     own = folder / AUTHORITY
     if not own.exists():
         do = "Make one, once for a lab: crazychoir keys init"
@@ -204,6 +233,10 @@ def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateK
 
 
 def _give(folder: Path, host: str, days: int) -> None:
+    """Make a certificate for a host, and copy the authority's certificate into its folder.
+
+    Raises ConfigError if the authority's certificate has expired.
+    """
     issuer = _authority(folder)
     until = issuer[0].not_valid_after_utc
     if until <= today():
@@ -228,7 +261,10 @@ def _issue(
     issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None,
     days: int,
 ) -> Path:
-    """A new key and its certificate, signed by an issuer, else by itself: then it is that of an authority."""
+    """Make a key and its certificate, and return the certificate's path.
+
+    issuer: certificate and key of the authority; None to make an authority, which signs itself
+    """
     key = ec.generate_private_key(ec.SECP256R1())
     now = today()
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
@@ -291,7 +327,11 @@ _OF_AUTHORITY: list[tuple[x509.ExtensionType, bool]] = [
 
 
 def _of_host(name: str) -> list[tuple[x509.ExtensionType, bool]]:
-    """Both ends of a connection show one; TLS wants an alternative name, though nobody looks at it."""
+    """Return the certificate extensions of a host.
+
+    Both ends of a connection show their certificate. TLS requires an alternative name, although no
+    peer checks it.
+    """
     both = x509.ExtendedKeyUsage(
         [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
     )
@@ -304,6 +344,7 @@ def _of_host(name: str) -> list[tuple[x509.ExtensionType, bool]]:
 
 
 def _read(path: Path) -> x509.Certificate:
+    """Return a certificate; raise ConfigError, with advice, if it cannot be read."""
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as error:

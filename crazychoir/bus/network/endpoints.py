@@ -1,4 +1,6 @@
-"""How a process is reached: endpoints, Zenoh's settings, and what is said when one cannot be used."""
+"""Endpoints of processes, Zenoh's settings for them, and the
+errors for endpoints that cannot be used.
+"""
 
 import ipaddress
 import re
@@ -8,40 +10,55 @@ from typing import Any
 from crazychoir.errors import ConfigError
 
 MAX_MESSAGE = 8 << 20
-"""Bytes that Zenoh puts together from fragments; more ends the link to the sender."""
+"""Bytes that Zenoh assembles from fragments; a larger message ends the link to its sender."""
 LOCAL_LEASE = 10.0
-"""s, where all processes are on one host: 4 keep-alives a lease and connection cost CPU."""
+"""s: least lease if all processes are on one host, because 4
+keep-alives for each lease and connection cost CPU time.
+"""
 BATCHES = 16
-"""Of 64 kB, that wait for the network, a class; Zenoh's most. As no put waits, a frame must fit into them.
+"""Batches of 64 kB, for each class, that may wait for the network; this is Zenoh's maximum.
 
-frames.MAX_FRAME is 10 of them: of 12 at once Zenoh drops some, also on an idle link.
+As no put waits, a frame must fit into them. frames.MAX_FRAME is 10 of them: of 12 at once Zenoh
+drops some, also on an idle link.
 """
 
 _ENDPOINT = re.compile(
     r"(tcp|udp|tls|quic|ws)/(\[(?P<ipv6>[^/\[\]\s]+)\]|(?P<host>[^/:\[\]\s]+)):(?P<port>\d{1,5})([?#]\S*)?"
     r"|unixsock-stream/\S+"
 )
+"""An endpoint in Zenoh's form."""
 _LABEL = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
+"""Part of a DNS name."""
 _NAME = re.compile(rf"{_LABEL}(\.{_LABEL}){{0,20}}")
-"""Of a host, as DNS has it."""
+"""DNS name of a host."""
 _PRIORITIES = (
     *("control", "real_time", "interactive_high", "interactive_low"),
     *("data_high", "data", "data_low", "background"),
 )
+"""Zenoh's priorities."""
 _CHUNK = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+"""Part of a Zenoh key without special letters."""
 _REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
+"""Reason within Zenoh's error text."""
 _DROP = "transport/link/tx/queue/congestion_control/drop"
+"""Path of Zenoh's settings for messages that find no room."""
 
 
 def settings(
     listen: list[str], connect: list[str], lease: float, mode: str = "peer"
 ) -> dict[str, Any]:
-    """Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait; raises ConfigError.
+    """Return Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait.
 
-    lease: s without a sign of another host before its tokens go; a process that dies here closes its connections,
-    so that on one host only a longer one is needed. Gossip: who is given the endpoints of only some processes learns
-    the others' from those, and has a link to each; without it, it would see no token but theirs. A client has one link,
-    to a router, over which all goes: Zenoh's routers pass nothing on between peers.
+    lease: seconds without a sign of another host before its tokens disappear; at least LOCAL_LEASE
+        on one host, where a process that dies closes its connections
+    mode: "peer", "client" or "router"
+
+    With gossip, a process that knows only some endpoints learns the others from those processes,
+    and connects to each. Without gossip it would see only the tokens of the processes that it
+    knows.
+    A client has one link, to a router, for all messages: Zenoh's routers pass nothing on between
+    peers.
+    Raises ConfigError for a malformed endpoint.
     """
     check(listen, connect)
     if are_local(listen + connect):
@@ -68,12 +85,15 @@ def settings(
 
 
 def of_router(listen: list[str], lease: float) -> dict[str, Any]:
-    """Those of a process that passes on what its clients say to each other; raises ConfigError."""
+    """Return the settings of a process that passes on the messages between its clients.
+
+    Raises ConfigError for a malformed endpoint.
+    """
     return settings(listen, [], lease, "router") | {"timestamping/enabled": False}
 
 
 def are_local(endpoints: Iterable[str]) -> bool:
-    """Whether all of them are this machine's own."""
+    """Return True if all endpoints are on this machine only."""
     return all(map(_is_local, endpoints))
 
 
@@ -87,7 +107,7 @@ def _is_local(endpoint: str) -> bool:
 
 
 def is_loopback(address: str) -> bool:
-    """Whether only this machine reaches the address of a host, without brackets."""
+    """Return True if only this machine reaches the address of a host, given without brackets."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -95,9 +115,10 @@ def is_loopback(address: str) -> bool:
 
 
 def address_fault(address: str) -> str:
-    """Return what to do about the address of a host in a file that all hosts read; empty for a good one.
+    """Return what to do about the address of a host in a file that all hosts read.
 
-    Good are an IPv4 address, an IPv6 address without brackets and without a zone, and a DNS name, all without a port.
+    The text is empty for a valid address: an IPv4 address, an IPv6 address without brackets and
+    zone, or a DNS name, all without a port.
     """
     bare, percent, zone = address.strip("[]").partition("%")
     if percent and _is_ip(bare):
@@ -133,7 +154,7 @@ def _is_ip(text: str) -> bool:
 
 
 def check(listen: Iterable[str], connect: Iterable[str]) -> None:
-    """Raises ConfigError for what is not an endpoint."""
+    """Raise ConfigError for a text that is not an endpoint."""
     for where, endpoints in (("listen", listen), ("connect", connect)):
         for endpoint in endpoints:
             found = _ENDPOINT.fullmatch(endpoint)
@@ -146,7 +167,10 @@ def check(listen: Iterable[str], connect: Iterable[str]) -> None:
 
 
 def _ipv6_fault(address: str) -> str:
-    """Return what to do about an address in brackets; empty for a good one. Zenoh takes the zone as a number alone."""
+    """Return what to do about an address in brackets; empty for a valid one.
+
+    Zenoh takes the zone only as a number.
+    """
     bare, percent, zone = address.partition("%")
     if ":" not in bare or not _is_ip(bare):
         return "Only an IPv6 address is in brackets."
@@ -156,12 +180,12 @@ def _ipv6_fault(address: str) -> str:
 
 
 def is_name(text: str) -> bool:
-    """Whether it can be part of a key, and means only itself there."""
+    """Return True if a text can be one part of a key, without a special meaning."""
     return _CHUNK.fullmatch(text) is not None
 
 
 def check_name(where: str, name: str) -> None:
-    """Raises ConfigError for a name that cannot be part of a key."""
+    """Raise ConfigError for a name that cannot be part of a key."""
     if not is_name(name):
         raise ConfigError(
             f"name of the {where}", name, "1 to 100 of A-Z, a-z, 0-9, _, . and -"
@@ -169,10 +193,11 @@ def check_name(where: str, name: str) -> None:
 
 
 _NOT_OURS = "Cannot assign requested address"
+"""Text of the error for an address of another host."""
 
 
 def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigError:
-    """What to tell the user of Zenoh's error."""
+    """Return the error for the user, from Zenoh's error text."""
     at_fault = next((endpoint for endpoint in listen if endpoint in error), "")
     reason = _REASON.search(error)
     said = (

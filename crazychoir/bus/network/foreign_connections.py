@@ -1,6 +1,7 @@
-"""Connections that show the certificate of a host, of programs that are no process of the swarm.
+"""Finds programs that connect with the certificate of a host but are no process of the swarm.
 
-Access control lets nothing of them through that the host may not say, and tells nobody: it is seen here.
+Access control passes only messages that the host may send, and reports nothing: this module reports
+such programs.
 """
 
 from collections import Counter
@@ -8,7 +9,7 @@ from collections.abc import Iterable
 
 
 class Connections:
-    """Looks, now and then, at who is connected, and at who has said that it is there."""
+    """Compares, now and then, the connections with the processes that have a token."""
 
     def __init__(self) -> None:
         self._silent: set[str] = set()
@@ -17,10 +18,11 @@ class Connections:
     def look(
         self, connected: Iterable[tuple[str | None, str]], known: Iterable[str]
     ) -> list[str]:
-        """Hosts with more programs than processes at two looks in a row, each of them told once.
+        """Return the hosts with more programs than processes at
+        two checks in a row, each host once.
 
-        connected: the name in the certificate, and who it is to Zenoh, of each link;  known: the host of each process
-        whose token is there.
+        connected: for each link, the name in the certificate and Zenoh's id of the program
+        known: for each process with a token, its host
         """
         programs = Counter(
             host for host, _ in dict.fromkeys(connected) if host is not None

@@ -1,8 +1,8 @@
-"""Connections that fail for a certificate: said in our log, once each.
+"""Logs connections that fail because of a certificate, once each.
 
-Zenoh tells of them in its own log alone, and writes that to standard output, where results belong. So standard output
-is taken from under it: what Python prints goes to a copy, and whatever else is written there is read here. What is not
-Zenoh's goes to standard error.
+Zenoh reports them only in its own log, on standard output, where results belong. Therefore this
+module replaces standard output: text that Python prints goes to a copy of it, and all other text is
+read here. Lines that are not Zenoh's go to standard error.
 """
 
 import logging
@@ -13,31 +13,37 @@ import threading
 
 log = logging.getLogger(__name__)
 WANTED = "zenoh::net::runtime::orchestrator=debug,zenoh_link_tls=warn,zenoh_link_quic=warn,zenoh_link_commons=warn"
-"""What Zenoh is to write."""
+"""Log levels of Zenoh."""
 STDOUT = 1
+"""File descriptor of standard output."""
 MOST = 64
-"""Different things that are said; an intruder may not fill the log."""
+"""Most different log lines, so that an intruder cannot fill the log."""
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+"""Escape sequence of a terminal."""
 _ZENOH = re.compile(
     r"^\S+Z +(?:WARN|INFO|DEBUG|ERROR) .*?(?P<module>zenoh\w*(?:::\w+)*): (?P<text>.*)$"
 )
+"""Line of Zenoh's log."""
 _TO_US = re.compile(r"^(?P<why>.*?)\.? Hint: ")
+"""Failed connection of another host to us."""
 _BY_US = re.compile(
     r"^Unable to connect to configured \w+ (?P<where>\S+)! (?P<why>.*?) at /"
 )
+"""Failed connection of ours to another host."""
 _CERTIFICATE = re.compile(
     r"certificate|alert|handshake|InvalidContentType", re.IGNORECASE
 )
+"""Text of an error that concerns certificates."""
 
 
 class Overheard:
-    """Reads what Zenoh writes, line by line, and says what concerns certificates."""
+    """Reads the lines of Zenoh's log and reports those about certificates."""
 
     def __init__(self) -> None:
         self._said: set[tuple[str, str]] = set()
 
     def line(self, text: str) -> bool:
-        """Hear one; False if it is not Zenoh's."""
+        """Handle a line; return False if it is not Zenoh's."""
         found = _ZENOH.match(_COLOUR.sub("", text))
         if found is None:
             return False
@@ -53,25 +59,29 @@ class Overheard:
         return True
 
     def _say(self, what: str, why: str, then: str) -> None:
-        told = (what, re.sub(r"\d+", "", why))  # the time of day may be in it
+        told = (what, re.sub(r"\d+", "", why))  # the text may contain the time of day
         if told not in self._said and len(self._said) < MOST:
             self._said.add(told)
             log.warning("%s: %s. %s", what, why, then)
 
 
 class _Listening:
-    """Whether this process does: it has one standard output."""
+    """The state of this process, which has only one standard output."""
 
     begun = False
 
 
 def overhear() -> None:
-    """Begin, once a process; not where standard output is not ours to take, or RUST_LOG asks for all of it."""
+    """Begin to read standard output, once for each process.
+
+    Nothing happens if standard output is not ours to replace, or if RUST_LOG asks for the whole
+    log.
+    """
     if _Listening.begun or "RUST_LOG" in os.environ:
         return
     try:
         ours = sys.stdout.fileno() == STDOUT
-    except (OSError, ValueError, AttributeError):  # a test's, say
+    except (OSError, ValueError, AttributeError):  # for example in a test
         return
     if not ours:
         return
@@ -90,7 +100,7 @@ def overhear() -> None:
 
 
 def overhears() -> bool:
-    """Whether what is written to standard output, by others than Python, is read here."""
+    """Return True if this process reads text on standard output that Python did not write."""
     return _Listening.begun
 
 

@@ -1,4 +1,7 @@
-"""What a process says of itself to every other process, and what of it is believed."""
+"""HELLO: a process describes itself to all other processes.
+
+Checks which parts of it are believed.
+"""
 
 from importlib.metadata import version
 from typing import Annotated, Any
@@ -12,15 +15,21 @@ from crazychoir.bus.port import BODIES, OBSERVER, Interest
 from crazychoir.errors import CodecError
 
 VERSION = version("crazychoir")
+"""Version of crazychoir."""
 MAX_ADDRESSES = 4096
+"""Most drones, and most observers, in a HELLO."""
 MAX_OBSERVERS = 16
-"""Of a process, that look on; beside the bodies and eyes of drones."""
+"""Most observers of a process, without the bodies and eyes of drones."""
 MAX_INTERESTS = 16_384
+"""Most interests in a HELLO."""
 MAX_AGREED = 32
-MIN_RATE, MAX_RATE = 1e-3, 1e6
-"""Hz, of an interest; 0 asks for everything."""
-TIE = 0.05
-"""s: more than a HELLO is on its way, so that two processes agree on who was there first."""
+"""Most digests in a HELLO."""
+MIN_RATE = 1e-3  # Hz
+"""Lowest rate of an interest; 0 asks for every value."""
+MAX_RATE = 1e6  # Hz
+"""Highest rate of an interest."""
+TIE = 0.05  # s
+"""Longer than a HELLO takes, so that two processes agree which of them started first."""
 
 _Name = Annotated[str, Meta(max_length=MAX_NAME)]
 _Drones = Annotated[
@@ -32,28 +41,40 @@ _Observers = Annotated[
 
 
 class Hello(msgspec.Struct, frozen=True):
-    """Sent when it changes and repeated; its envelope says how old it is, so that repeats are the same bytes.
+    """The description of a process, sent when it changes, and repeated.
 
-    incarnation: of the process;  version: of crazychoir;  uptime: s, when this was said;
-    heard: processes whose HELLO has arrived here;  stopped: an emergency stop is in force;  agreed: of the keys of its
-    swarm file that bodies and who flies them agree on, a digest each; none of who only looks on.
+    Its envelope has its age, so that repeats have the same bytes.
     """
 
     process: _Name
+    """Name of the process."""
     host: _Name
+    """Name of its host."""
     incarnation: Annotated[int, Meta(ge=0)]
+    """64 random bits, drawn when the process started."""
     version: _Name
+    """Version of crazychoir."""
     uptime: Annotated[float, Meta(ge=0.0, le=1e9)]
+    """Seconds since its start when the HELLO was made."""
     drones: _Drones
+    """Ids of its drones."""
     observers: _Observers
+    """Addresses of its other ports."""
     interests: Annotated[list[Interest], Meta(max_length=MAX_INTERESTS)]
+    """Topics that it wants from other processes."""
     heard: Annotated[list[_Name], Meta(max_length=MAX_ADDRESSES)]
+    """Processes with a HELLO that has arrived there."""
     stopped: bool
+    """True while an emergency stop is in force."""
     agreed: Annotated[dict[_Name, _Name], Meta(max_length=MAX_AGREED)] = {}
+    """Digest of each key of its swarm file that bodies and agents must agree on.
+
+    It is empty for an observer.
+    """
 
     @classmethod
     def of(cls, payload: bytes) -> "Hello":
-        """From the wire; raises CodecError."""
+        """Return the HELLO of a payload; raise CodecError if it is invalid."""
         value: Any = decode(payload)
         try:
             hello = msgspec.convert(value, cls)
@@ -67,16 +88,18 @@ class Hello(msgspec.Struct, frozen=True):
         return hello
 
     def payload(self) -> bytes:
-        """For the wire."""
+        """Return the payload."""
         return encode(msgspec.to_builtins(self))
 
     @property
     def addresses(self) -> list[int]:
-        """Ports of the process."""
+        """Addresses of all ports of the process."""
         return [*self.drones, *self.observers]
 
     def wants(self) -> list[Interest]:
-        """Its interests, without those for readers of others and those with senseless rates."""
+        """Return its interests, without those for readers of other
+        processes and those with invalid rates.
+        """
         own = frozenset(self.addresses)
         sensible = [
             one
@@ -86,5 +109,8 @@ class Hello(msgspec.Struct, frozen=True):
         return [one for one in sensible if one.reader in own]
 
     def precedes(self, process: str, lead: float) -> bool:
-        """Whether the sender, which is up for `lead` s longer, was there before `process`; the lesser name in a tie."""
+        """Return True if the sender started before `process`; in a tie the lesser name wins.
+
+        lead: seconds that the sender has been up longer
+        """
         return lead > 0.0 or (lead > -TIE and self.process < process)

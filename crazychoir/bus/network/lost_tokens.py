@@ -1,8 +1,11 @@
-"""Processes that hear us or are heard while the liveliness token of one of the two is lost.
+"""Connected processes after one has lost the liveliness token of the other.
 
-Zenoh 1.10 loses a token now and then when a link breaks and comes back on a busy machine: frames flow, the token never
-comes again, neither by asking nor if it is declared anew; one with another key comes. So who is heard without a token,
-or had one, is sent a HELLO now and then; who reads in those that it is not known declares one more token.
+Zenoh 1.10 sometimes loses a token when a link breaks and comes back on a busy machine. Frames then
+arrive, but the token never comes back, neither by a query nor if it is declared again. A token with
+another key does arrive.
+
+Therefore a process without a token that sends frames, or had a token before, gets a HELLO now and
+then. A process that is missing in the HELLOs that it receives declares one more token.
 """
 
 from itertools import islice
@@ -11,15 +14,17 @@ from typing import Final
 from crazychoir.bus.network.peers import MAX_PEERS
 
 PATIENCE: Final = 4
-"""HELLOs in which we are missing before we declare a token, and then twice as many each time."""
+"""HELLOs without us before we declare another token; then twice as many each time."""
 REMEMBERED: Final = 64
-"""Processes that went, the newest: their links may come back."""
+"""Departed processes that are remembered, the newest: their links may come back."""
 ANSWERS: Final = 64
-"""Strangers answered at once."""
+"""Most strangers that are answered at once."""
 
 
 class Estranged:
-    """Whom to send a HELLO though no token of it is there, and when to declare a token of ours. Pure."""
+    """Decides which processes without a token get a HELLO, and
+    when to declare another token of ours.
+    """
 
     def __init__(self) -> None:
         self._strangers: dict[str, None] = {}
@@ -27,24 +32,24 @@ class Estranged:
         self._missing: dict[str, int] = {}
 
     def came(self, process: str) -> None:
-        """A token of it is there."""
+        """Note that a token of the process exists."""
         self._strangers.pop(process, None)
         self._gone.pop(process, None)
 
     def went(self, process: str) -> None:
-        """Its last token has gone."""
+        """Note that its last token has disappeared."""
         self._missing.pop(process, None)
         self._gone[process] = None
         if len(self._gone) > REMEMBERED:
             del self._gone[next(iter(self._gone))]
 
     def heard(self, process: str) -> None:
-        """A frame has come from it, and no token."""
+        """Note that a frame of the process has arrived, but no token."""
         if len(self._strangers) < MAX_PEERS:
             self._strangers[process] = None
 
     def greeted(self, process: str, knows_us: bool) -> bool:
-        """A HELLO has come from it; returns whether a token of ours is to be declared once more."""
+        """Note that its HELLO has arrived; return True if we should declare another token."""
         if knows_us:
             self._missing.pop(process, None)
             return False
@@ -54,7 +59,10 @@ class Estranged:
         return count >= PATIENCE and count & (count - 1) == 0
 
     def due(self, gone_too: bool) -> list[str]:
-        """Who is to be sent a HELLO now; those that went are, if `gone_too`."""
+        """Return the processes to send a HELLO to now.
+
+        gone_too: True to add departed processes
+        """
         some = list(islice(self._strangers, ANSWERS))
         for process in some:
             del self._strangers[process]

@@ -1,6 +1,7 @@
-"""The other processes: whose token is there, what they have said, and which of them holds which address.
+"""The other processes: their tokens, their HELLOs, and the process that holds each address.
 
-Pure but for its callbacks: keys, tokens and bytes in. A HELLO counts only from a process of which a token is there.
+The module only handles keys, tokens and bytes; it acts through its callbacks. A HELLO counts only
+from a process with a token.
 """
 
 import logging
@@ -19,41 +20,52 @@ from crazychoir.runtime.clock import SECOND
 
 log = logging.getLogger(__name__)
 MAX_PEERS = 512
+"""Most peers."""
 MAX_TOKENS = 16
-"""Of a peer."""
+"""Most tokens of a peer."""
 
-NEW: Final = 10.0
-"""s that a process is up in which it ends if another one refuses it."""
+NEW: Final = 10.0  # s after its start in which a process ends if another one refuses it
 COPY: Final = "Copy one file to every host, and start both again."
+"""Advice of an error text."""
 
 OnToken = Callable[[list[int], bool], None]
-"""Called with the drones of a process whose token has gone (False), or is there and its HELLO has come (True)."""
+"""Callable for the drones of a process.
+
+It gets (drones, True) when the token of the process exists and its HELLO has arrived, and (drones,
+False) when the token has disappeared.
+"""
 OnRefused = Callable[[Refused], None]
-"""Called when another process had one of our drones before us."""
+"""Callable for the case that another process had one of our drones first."""
 
 
 @dataclass(slots=True, eq=False)
 class Peer:
-    """Another process, of which a liveliness token is there; without `hello` it is not yet, or not, talked to.
-
-    tokens: their keys;  since_ns: when it began, by our clock;  said: its last HELLO as it came;  refusal: why it was
-    not taken;  forbidden: whether it was said that it may not command;  offset: of its clock;  lanes: of the link.
-    """
+    """Another process with a liveliness token; without `hello` no messages go to it."""
 
     process: str
+    """Name of the process."""
     host: str
+    """Name of its host."""
     tokens: set[str]
+    """Keys of its tokens."""
     hello: Hello | None = None
+    """Its last accepted HELLO."""
     since_ns: int = 0
+    """ns, our clock: start of the process."""
     said: bytes | None = None
+    """Its last HELLO as received."""
     refusal: str = ""
+    """Reason why its HELLO was refused; empty if it was not."""
     forbidden: bool = False
+    """True if a forbidden command of it was logged."""
     offset: Offset = field(default_factory=Offset)
+    """Offset of its clock."""
     lanes: dict[Class, Any] = field(default_factory=dict)
+    """Lanes of the link, by class."""
 
 
 class Peers:
-    """What this process knows of the others, by name, and the way to each address."""
+    """The other processes by name, and the way to each address."""
 
     def __init__(
         self,
@@ -83,7 +95,7 @@ class Peers:
         self._payload = b""
 
     def came(self, host: str, process: str, token: str) -> Peer | None:
-        """A token is there; returns the peer if it is new."""
+        """Add a token and return the peer if it is new."""
         known = self.by_name.get(process)
         if known is not None and known.host == host and len(known.tokens) < MAX_TOKENS:
             known.tokens.add(token)
@@ -97,20 +109,23 @@ class Peers:
         return peer
 
     def may_be(self, host: str, process: str) -> bool:
-        """Whether it is a name, and one of its host's."""
+        """Return True if the process name is valid, and its host may use it."""
         return is_name(process) and (
             self.access is None or self.access.may_be(host, process)
         )
 
     def _room(self, host: str) -> bool:
-        """Whether there is room for one more process of a host."""
+        """Return True if there is room for one more process of a host."""
         there = sum(peer.host == host for peer in self.by_name.values())
         return len(self.by_name) < MAX_PEERS and (
             self.access is None or there < self.access.most(host)
         )
 
     def went(self, host: str, process: str, token: str) -> Peer | None:
-        """A token has gone; returns the peer whose last one it was. A drone that another process flies is not gone."""
+        """Remove a token and return the peer if it was its last one.
+
+        A drone that another process flies too stays.
+        """
         peer = self.by_name.get(process)
         if peer is None or peer.host != host:
             return None
@@ -129,11 +144,11 @@ class Peers:
         return peer
 
     def mutual(self, peer: Peer) -> bool:
-        """Whether HELLO has gone both ways."""
+        """Return True if HELLO has gone both ways."""
         return peer.hello is not None and self.bus.process in peer.hello.heard
 
     def hello(self) -> tuple[bytes, float]:
-        """What we say of ourselves, and for how many s we have been saying so."""
+        """Return our HELLO, and its age in seconds."""
         self._ports = list(self.bus.ports)
         uptime = self._uptime()
         said = self._said
@@ -143,6 +158,7 @@ class Peers:
         return self._payload, uptime - said.uptime
 
     def _hello(self, uptime: float) -> Hello:
+        """Return the HELLO of this process."""
         return Hello(
             process=self.bus.process,
             host=self.bus.host,
@@ -155,13 +171,16 @@ class Peers:
             heard=[
                 peer.process for peer in self.by_name.values() if peer.hello is not None
             ],
-            stopped=self.bus.stopped
-            and bool(self.bus.drones()),  # observers are not told when it is cleared
+            # An observer does not learn that a stop is cleared, so it does not report one.
+            stopped=self.bus.stopped and bool(self.bus.drones()),
             agreed=self.agreed,
         )
 
     def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:
-        """A HELLO has come, `age` s old; returns whether the peer needs ours. Raises CodecError."""
+        """Take a HELLO that is `age` seconds old, and return True if the peer needs ours.
+
+        Raises CodecError for an invalid HELLO, or in the name of another process.
+        """
         if payload == peer.said:
             return False
         hello = Hello.of(payload)
@@ -184,7 +203,7 @@ class Peers:
 
     @property
     def on_other_hosts(self) -> list[Peer]:
-        """Those whose clock is not ours, of whom HELLO has gone both ways."""
+        """Peers on other hosts, with other clocks, after HELLO has gone both ways."""
         return [
             peer
             for peer in self.by_name.values()
@@ -192,7 +211,7 @@ class Peers:
         ]
 
     def offsets(self) -> dict[str, Estimate]:
-        """Of the clock of each other host, the best that any of its processes tells."""
+        """Return the clock offset of each other host, the best of all its processes."""
         now_ns = self.bus.clock.now_ns()
         best = dict[str, Estimate]()
         for peer in self.on_other_hosts:
@@ -207,7 +226,7 @@ class Peers:
         return self.bus.clock.now() - self._born
 
     def offer_new_ports(self) -> None:
-        """Let ports that the others have been told of serve what they asked for before."""
+        """Let ports that the peers know from HELLO serve the interests from before."""
         if self._ports == self._offered:
             return
         self._offered = self._ports
@@ -221,13 +240,16 @@ class Peers:
         )
 
     def _reads(self, peer: Peer, address: int) -> bool:
-        """Whether an address that a peer claims reads what it asks for: not if it is another host's."""
+        """Return True if a peer may read at an address: no other host holds it."""
         return (
             self.access is None or self.directory.get(address, peer).host == peer.host
         )
 
     def _forbids(self, peer: Peer, hello: Hello) -> bool:
-        """Whether it claims what the swarm file gives to another host; said once."""
+        """Return True if a peer claims an address of another host, by the swarm file.
+
+        Log it once.
+        """
         others = [
             j
             for j in hello.addresses
@@ -246,7 +268,10 @@ class Peers:
         return True
 
     def _refusal(self, hello: Hello, uptime: float) -> tuple[str, str]:
-        """Why a process that is up for so many s is refused, and what the user is to do; or two empty texts."""
+        """Return the reason to refuse a process, and advice for the user, or two empty texts.
+
+        uptime: seconds since the start of the process
+        """
         who = f"process {hello.process} on host {hello.host}"
         since = f"and has done so for {uptime:.1f} s"
         stop = (
@@ -286,9 +311,11 @@ class Peers:
     def _refuse(
         self, peer: Peer, hello: Hello, refusal: str, do: str, uptime: float
     ) -> bool:
-        """Say so, once; of two that cannot both be there, the one that came later gives way, as long as it is new.
+        """Log a refusal once; return True the first time.
 
-        Later somebody may fly by it: a host that comes back, or says that it is up for long, ends nobody's flight.
+        Of two processes that exclude each other, the later one ends, if it is still new. A process
+        that is no longer new may have a flying drone. Therefore a host that comes back, or claims a
+        long uptime, cannot end a flight.
         """
         said = peer.refusal
         peer.refusal = refusal
@@ -306,6 +333,7 @@ class Peers:
         return True
 
     def _take_in(self, peer: Peer, hello: Hello) -> None:
+        """Accept a HELLO: update the way to its addresses, and serve its interests."""
         was_mutual = self.mutual(peer)
         previous = peer.hello
         peer.hello = hello
@@ -316,7 +344,7 @@ class Peers:
             self.bus.stopped = self.bus.stopped or hello.stopped
         if previous is None or previous.addresses != hello.addresses:
             self._route()
-        # Not before it knows us: it would take a latched value for a stranger's.
+        # Not before the peer knows us: it would drop a latched value as a stranger's.
         if self.mutual(peer) and not (
             was_mutual
             and previous is not None
@@ -332,7 +360,11 @@ class Peers:
             self.on_token(hello.drones, True)
 
     def _route(self) -> None:
-        """Who holds which address: of two that claim one, an operator, then the process that has been up for longer."""
+        """Find the process that holds each address.
+
+        If several processes claim an address, an operator wins, then the process that is up for the
+        longest time.
+        """
         operators = self.access.operators if self.access is not None else ()
         self.directory.clear()
         for peer in sorted(
@@ -344,7 +376,7 @@ class Peers:
 
 
 def _named(address: int) -> str:
-    """An address in words."""
+    """Return an address in words."""
     for base, what in (
         (EYES, "what cameras see of drone"),
         (BODIES, "the body of drone"),

@@ -1,4 +1,6 @@
-"""Decimated JSON copies of public topics under choir/<swarm>/drone/<id>/<topic>, for other Zenoh programs."""
+"""JSON copies of public topics at a lower rate, for other Zenoh
+programs, under choir/<swarm>/drone/<id>/<topic>.
+"""
 
 from typing import Any, Protocol
 
@@ -13,12 +15,13 @@ from crazychoir.runtime.mailbox import Latest
 
 
 class Announcer(Protocol):
-    """What this needs of the link."""
+    """The part of the link that the public copies need."""
 
     bus: Bus
+    """Bus of the process."""
 
     def announce(self, drone: int, topic: str, text: bytes) -> None:
-        """Put a text under the drone's public key, if anybody listens."""
+        """Put a text under the drone's public key."""
 
 
 class PublicCopies(Actor):
@@ -39,7 +42,7 @@ class PublicCopies(Actor):
                 link.bus.subscribe(topic, drone, drone, box)
 
     async def run(self) -> None:
-        """Put what is new, at each topic's public rate."""
+        """Put new values at the public rate of each topic."""
         fastest = max(topic.public for topic in self._boxes)
         sent = dict.fromkeys(self._boxes, 0)
         tick = 0
@@ -57,7 +60,10 @@ class PublicCopies(Actor):
 
 
 def by_name(value: msgspec.Struct) -> dict[str, Any]:
-    """The fields of a wire type, with a flat vector by its parts; whole where no parts are named, or not all."""
+    """Return the fields of a wire type by name, with a flat vector divided into its parts.
+
+    The vector stays whole if its parts have no names, or not all of them.
+    """
     fields = msgspec.structs.asdict(value)
     if "flat" not in fields:
         return fields
@@ -72,5 +78,9 @@ def by_name(value: msgspec.Struct) -> dict[str, Any]:
 
 
 def as_json(value: msgspec.Struct) -> bytes:
-    """The fields of a wire type by name, a flat vector by its parts; arrays as lists; what is not finite as null."""
+    """Return the fields of a wire type as JSON.
+
+    A flat vector is divided into its parts, arrays become lists, and numbers that are not finite
+    become null.
+    """
     return json_bytes(by_name(value), enc_hook=np.ndarray.tolist)

@@ -1,11 +1,13 @@
-"""Between processes: one Zenoh session, one wildcard subscriber, one put a (peer process, class, loop pass).
+"""The link to other processes: one Zenoh session, one wildcard
+subscriber, one put for each (peer process, class, loop pass).
 
     frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
-    tokens  choir/<swarm>/live/<host>/<process>[/<number>]    numbered ones: see estranged.py
+    tokens  choir/<swarm>/live/<host>/<process>[/<number>]    numbered ones: see lost_tokens.py
 
-Zenoh's threads hand bytes to the event loop through one deque and one wake-up a burst; every put is DROP and never
-waits. A peer is a process whose liveliness token is there; it is talked to when its HELLO has come, which both
-sides send until each has heard the other.
+Zenoh's threads hand bytes to the event loop through one deque, with one wake-up for each burst.
+Every put is DROP and never waits.
+A peer is a process with a liveliness token. Messages go to it after its HELLO has arrived. Both
+sides send HELLO until each has received the other's.
 """
 
 import asyncio
@@ -47,32 +49,43 @@ from crazychoir.runtime.clock import SECOND
 
 log = logging.getLogger(__name__)
 BACKLOG = 10_000
-"""Frames that wait for the event loop; the oldest go when it hangs."""
+"""Frames that may wait for the event loop; if it hangs, the oldest are dropped."""
 SLICE = 64
-"""Frames that are read in one pass of the event loop: ticks wait for no more."""
-SLICE_NS, SLICE_MOST_NS = SECOND // 500, SECOND // 50
-"""How long they are read for, beyond the one that is being read. Who is behind reads for as long as the loop did other
-things since it left frames unread, half of the time: the former at least, the latter at most.
+"""Most frames that are read in one pass of the event loop, so that ticks need not wait for more."""
+SLICE_NS = SECOND // 500
+"""ns: least time for reading frames in one pass of the event loop.
+
+If frames were left unread, the time is as long as the loop was busy elsewhere since then, so that
+reading gets half of the loop's time. A frame that is being read is always finished.
 """
-CLOSE_DEADLINE = 1.5
-"""s; within what a supervisor grants."""
+SLICE_MOST_NS = SECOND // 50
+"""ns: most time for reading frames in one pass."""
+CLOSE_DEADLINE = 1.5  # s
+"""Time to close the session; shorter than the time that a supervisor grants."""
 CLOSING = "zenoh close"
-"""The name of the thread that a session is left behind in, see launch/process/ending.py."""
+"""Name of the thread in which a session may be left behind, see launch/process/ending.py."""
 SETTLED = 5
-"""s during which a changed HELLO is repeated every second; then every so many s."""
+"""Seconds for which a changed HELLO is repeated every second.
+
+It is also the time between later repeats.
+"""
 RUNTIME = "(rx: (worker_threads: 64))"
-"""Zenoh's threads that receive. It closes the connection to a process that has vanished, as by a cut cable, in one of
-them, which waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718): with none left over, nobody is heard.
+"""Zenoh's receiving threads.
+
+If a process vanishes, for example by a cut cable, Zenoh closes its connection in one of these
+threads. The thread then waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718). If
+no thread is left, no message is received.
 """
 ASKING = 4
-"""HELLOs a second to a peer that is not yet talked to."""
+"""HELLOs a second to a peer until HELLO has gone both ways."""
 LOOKS = 2
-"""s between looks at who is connected."""
+"""Seconds between checks of the connections."""
 TOKENS = 8
-"""Of ours beyond the first, the newest."""
+"""Additional tokens of this process that are kept, the newest."""
 KEY_PARTS = 7
-"""Of the key of a frame."""
+"""Parts of the key of a frame."""
 OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
+"""Warning for a network that is neither encrypted nor closed."""
 _PRIORITY = {
     Class.ESTOP: zenoh.Priority.REAL_TIME,
     Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
@@ -80,9 +93,10 @@ _PRIORITY = {
     Class.RELIABLE: zenoh.Priority.DATA,
     Class.BULK: zenoh.Priority.DATA_LOW,
 }
+"""Zenoh's priority of each class."""
 
 Handler = Callable[[str, bytes, int], None]
-"""Called with (key, bytes, when they arrived in ns)."""
+"""Callable that gets (key, bytes, time of arrival in ns)."""
 
 
 @dataclass(slots=True, eq=False)
@@ -90,43 +104,64 @@ class Lane:
     """The messages of one class on their way to one peer."""
 
     buffer: FrameBuffer
+    """Messages for the next frame."""
     publisher: zenoh.Publisher
+    """Zenoh's publisher of the frames."""
 
 
 @dataclass
 class LinkCounters:
-    """What went over the network, and what was thrown away.
-
-    malformed, other_version: frames that could not be read;  strangers: frames and messages from those that have no
-    token (or whose HELLO overtook it), or speak for others;  forbidden: commands of who is no operator;
-    unsendable: messages that no frame takes;  dropped: messages for a peer that went away;  overflowed: frames that a
-    hung event loop did not take;  flooded: frames and tokens of hosts that send too many;  failed: frames whose handler
-    raised;  tokens: that were declared once more, since another process lost ours;  worst_put_s: s, the longest put.
-    """
+    """Counts of frames on the network, sent, received and dropped."""
 
     frames_sent: int = 0
+    """Frames sent."""
     frames_received: int = 0
+    """Frames received from peers."""
     bytes_sent: int = 0
+    """Bytes of the sent frames."""
     malformed: int = 0
+    """Frames and messages that could not be decoded."""
     other_version: int = 0
+    """Frames of another version of the format."""
     strangers: int = 0
+    """Frames and messages of processes without a token (or with a HELLO
+    that overtook it), or in the name of another process.
+    """
     forbidden: int = 0
+    """Commands of hosts that are not operators."""
     unsendable: int = 0
+    """Messages that fit into no frame."""
     dropped: int = 0
+    """Messages for a peer that went away."""
     overflowed: int = 0
+    """Frames dropped because the event loop hung."""
     flooded: int = 0
+    """Frames and tokens dropped because their host sends too many."""
     failed: int = 0
+    """Frames with a handler that raised an error."""
     put_errors: int = 0
+    """Frames that Zenoh refused to send."""
     tokens: int = 0
+    """Additional tokens, declared because another process lost ours."""
     worst_put_s: float = 0.0
+    """s: longest put."""
 
 
 class ZenohLink(Actor):
-    """This process on the network; the `Forwarder` of its bus. Raises ConfigError for a malformed endpoint.
+    """This process on the network; the `Forwarder` of its bus.
 
-    listen, connect: endpoints;  routers: one that passes everything on, instead of both;  lease: s without a sign of a
-    host before its tokens go;  access: who may say what, None for everybody all;  agreed: see Hello;  settings: of
-    Zenoh, by path.
+    listen: endpoints at which to listen
+    connect: endpoints to which to connect
+    routers: endpoint of a router that passes all messages on, instead of `listen` and `connect`
+    incarnation: 64 random bits, drawn when this process started
+    version: version of crazychoir
+    lease: seconds without a sign of a host before its tokens disappear
+    access: rules for hosts; None if every host may do everything
+    agreed: digests of keys of the swarm file, see Hello
+    settings: more settings of Zenoh, by path
+    on_token: called when the token of a process appears or disappears
+    on_refused: called when another process had one of our drones first
+    Raises ConfigError for a malformed endpoint.
     """
 
     name = "zenoh"
@@ -186,10 +221,13 @@ class ZenohLink(Actor):
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
 
-    # Opening and closing --------------------------------------------------------------------------------------
+    # Opening and closing --------------------------------------------------------------
 
     def open(self) -> None:
-        """Listen, connect, subscribe, and only then declare the token; raises ConfigError for a busy endpoint."""
+        """Listen, connect, subscribe, and only then declare the token.
+
+        Raises ConfigError if the session cannot be opened, for example for a busy endpoint.
+        """
         os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
         _tell_of_handshakes(self.access)
         if self.access is None and not endpoints.are_local(self.listen + self.connect):
@@ -217,8 +255,10 @@ class ZenohLink(Actor):
         self.bus.forwarder = self
 
     async def run(self) -> None:
-        """Repeat HELLO: often to those who have not heard it or whom we have not, seldom when all know all; ask other
-        hosts for their clocks.
+        """Repeat HELLO, and ask other hosts for their clocks.
+
+        HELLO is sent often to peers that have not received ours, or sent theirs, and seldom when
+        all are known.
         """
         tick = 0
         async for _ in self.bus.clock.ticks(ASKING * HELLO.rate):
@@ -238,7 +278,9 @@ class ZenohLink(Actor):
                 self._look_who_is_connected()
 
     async def on_stop(self) -> None:
-        """Send what is waiting and close the session, in a thread: it may take its time."""
+        """Send the waiting messages and close the session in a
+        thread, because closing may take long.
+        """
         self._flush()
         session = self._session
         self._session = None
@@ -270,11 +312,11 @@ class ZenohLink(Actor):
     def _on_loop(self, call: Callable[[], None]) -> bool:
         try:
             self._loop.call_soon_threadsafe(call)
-        except RuntimeError:  # the loop is closed: nobody is left to hear it
+        except RuntimeError:  # the event loop is closed: no work is left
             return False
         return True
 
-    # Sending --------------------------------------------------------------------------------------------------
+    # Sending --------------------------------------------------------------------------
 
     def forward(
         self,
@@ -287,7 +329,10 @@ class ZenohLink(Actor):
         flags: int,
         age: float,
     ) -> None:
-        """Put a message into the frame of each process that holds one of `to`; sent at the end of this loop pass."""
+        """Add a message to the frame of each process that holds an address of `to`.
+
+        Frames are sent at the end of this pass of the event loop.
+        """
         directory = self.directory
         groups: dict[Peer | None, list[int]] = {}
         if len(to) == 1:
@@ -314,16 +359,18 @@ class ZenohLink(Actor):
                 self._add(peer, topic.klass, message)
 
     def then(self, work: Callable[[], None]) -> None:
-        """Call it after the puts at the end of this loop pass: what others wait for does not wait for it."""
+        """Call `work` after the puts at the end of this loop pass, so
+        that other processes need not wait for it.
+        """
         self._after.append(work)
         self._schedule_flush()
 
     def interested(self) -> None:
-        """Our interests changed: tell everybody."""
+        """Send HELLO to all peers because our interests changed."""
         self.greet()
 
     def greet(self) -> None:
-        """HELLO to every peer, at the end of this loop pass."""
+        """Send HELLO to every peer at the end of this loop pass."""
         self._to_greet.update(dict.fromkeys(self.peers))
         self._schedule_flush()
 
@@ -337,9 +384,12 @@ class ZenohLink(Actor):
             self._say_time(peer, peer.offset.ask(self._now_ns()))
 
     def _look_who_is_connected(self) -> None:
+        """Warn about programs that connect with the certificate
+        of a host and are not in the swarm.
+        """
         session = self._session
         if session is None or self.access is None or self.access.router is not None:
-            return  # through a router come connections of all hosts
+            return  # through a router there are connections of all hosts
         links = [(link.auth_identifier, str(link.zid)) for link in session.info.links()]
         for host in self._connections.look(
             links, (peer.host for peer in self.peers.values())
@@ -356,6 +406,7 @@ class ZenohLink(Actor):
         )
 
     def _greet_estranged(self, gone_too: bool) -> None:
+        """Send HELLO to processes without a token, without the lanes of a peer."""
         session = self._session
         processes = self._estranged.due(gone_too)
         if session is None or not processes:
@@ -375,6 +426,10 @@ class ZenohLink(Actor):
             )
 
     def _declare_another_token(self, process: str) -> None:
+        """Declare one more token because `process` does not see ours.
+
+        Drop the oldest additional one.
+        """
         session = self._session
         if session is None:
             return
@@ -389,6 +444,7 @@ class ZenohLink(Actor):
             log.warning("a liveliness token could not be declared: %s", error)
 
     def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
+        """Add a message to the next frame for a peer and a class."""
         session = self._session
         if session is None:
             self.counters.dropped += 1
@@ -405,6 +461,7 @@ class ZenohLink(Actor):
         self._schedule_flush()
 
     def _lane(self, session: zenoh.Session, peer: Peer, klass: Class) -> Lane:
+        """Open the lane of a class to a peer."""
         publisher = session.declare_publisher(
             self._key(peer.process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -427,6 +484,9 @@ class ZenohLink(Actor):
             self._loop.call_soon(self._flush)
 
     def _flush(self) -> None:
+        """Send all frames at the end of a pass of the event loop,
+        then run the work that waits for that.
+        """
         if self._to_greet:
             self._say_hello()
         self._flushing = False
@@ -454,6 +514,7 @@ class ZenohLink(Actor):
                 self._add(self.peers[name], HELLO.klass, hello)
 
     def _put(self, put: Callable[[bytes], None], frame: bytes) -> None:
+        """Send a frame, and measure how long the put takes."""
         counters = self.counters
         began_ns = self._now_ns()
         try:
@@ -468,13 +529,16 @@ class ZenohLink(Actor):
         counters.bytes_sent += len(frame)
 
     def announce(self, drone: int, topic: str, text: bytes) -> None:
-        """A JSON text for other Zenoh programs, under the drone's public key."""
+        """Put a JSON text under the drone's public key, for other Zenoh programs."""
         if self._session is not None:
             key = f"choir/{self.swarm}/drone/{drone}/{topic}"
             self._session.put(key, text, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def alarm(self, drone: int, text: str) -> None:
-        """From any thread, while the event loop may hang: a log line to all who read the drone's, and a public copy."""
+        """Send a log line to all readers of the drone's log, and a public copy.
+
+        May be called from any thread, also while the event loop hangs.
+        """
         session = self._session
         if session is None:
             return
@@ -488,10 +552,10 @@ class ZenohLink(Actor):
                 )
                 session.put(self._key(peer.process, LOG.klass), frame)
 
-    # Receiving ------------------------------------------------------------------------------------------------
+    # Receiving ------------------------------------------------------------------------
 
     def _received(self, sample: zenoh.Sample) -> None:
-        """In Zenoh's thread: never blocks, runs no code of ours beyond the queue."""
+        """Take a frame in Zenoh's thread: add it to the queue, without blocking."""
         key = str(sample.key_expr)
         host, _ = _speaker(key)
         budget = self._budgets.of(host, now := self._now_ns())
@@ -501,7 +565,7 @@ class ZenohLink(Actor):
             self._flooded(budget, host)
 
     def _token(self, sample: zenoh.Sample) -> None:
-        """In Zenoh's other thread."""
+        """Take a change of a token in Zenoh's other thread."""
         there = sample.kind == zenoh.SampleKind.PUT
         key = str(sample.key_expr)
         host = key.split("/")[3]
@@ -512,7 +576,7 @@ class ZenohLink(Actor):
             self._flooded(budget, host)
 
     def _flooded(self, budget: Budget, host: str) -> None:
-        """Something is not read; it is said once."""
+        """Count a frame that is not read, and log the host once."""
         self.counters.flooded += 1
         if not budget.said:
             budget.said = True
@@ -535,7 +599,8 @@ class ZenohLink(Actor):
                 queue.clear()
 
     def _drain(self) -> None:
-        self._armed = False  # before the queue is read, else a wake-up is lost
+        """Read queued frames and tokens in the event loop, for a limited number and time."""
+        self._armed = False  # before reading, otherwise a wake-up is lost
         queue = self._queue
         now = self._now_ns()
         busy = now - self._behind_ns if self._behind_ns else 0
@@ -545,12 +610,10 @@ class ZenohLink(Actor):
             try:
                 handler(key, data, arrived_ns)
             except Exception as error:
-                self.counters.failed += (
-                    1  # whatever one frame breaks, the next one is read
-                )
-                if (
-                    self.counters.failed.bit_count() == 1
-                ):  # the first, the second, the fourth, ...
+                # An error in one frame must not stop the next one.
+                self.counters.failed += 1
+                if self.counters.failed.bit_count() == 1:
+                    # Log the first, the second, the fourth, ...
                     log.error(
                         "a frame at %s was not taken: %s", key, error, exc_info=error
                     )
@@ -580,6 +643,7 @@ class ZenohLink(Actor):
             lane.publisher.undeclare()
 
     def _frame(self, key: str, data: bytes, arrived_ns: int) -> None:
+        """Decode a frame, find its peer, and deliver its messages."""
         counters = self.counters
         try:
             frame = decode_frame(data)
@@ -598,7 +662,10 @@ class ZenohLink(Actor):
         self._distribute(peer, frame.envelopes, arrived_ns)
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
-        """The peer whose frame it is: key, token and frame must agree, since certificates guard only keys."""
+        """Return the peer that sent a frame.
+
+        Its key, its token and its content must agree, since certificates protect only keys.
+        """
         host, process = _speaker(key)
         peer = self.peers.get(process)
         return (
@@ -608,7 +675,10 @@ class ZenohLink(Actor):
         )
 
     def _stranger(self, key: str, frame: Frame) -> None:
-        """A frame without a token: its process is answered, unless its name is forged, known, ours, or none."""
+        """Handle a frame of a process without a token.
+
+        The process gets an answer, unless its name is forged, known, our own, or invalid.
+        """
         host, process = _speaker(key)
         known = process == self.bus.process or process in self.peers
         if known or process != frame.process or not self.table.may_be(host, process):
@@ -634,6 +704,7 @@ class ZenohLink(Actor):
     def _distribute(
         self, peer: Peer, messages: list[Envelope], arrived_ns: int
     ) -> None:
+        """Deliver the messages of a peer that it may send to the ports of this process."""
         directory = self.directory
         ports = self.bus.ports
         waited = (self._now_ns() - arrived_ns) / SECOND
@@ -666,7 +737,7 @@ class ZenohLink(Actor):
                         )
 
     def _forbid(self, peer: Peer) -> None:
-        """A command that is not obeyed; it is said once."""
+        """Count a command that is not executed, and log the process once."""
         self.counters.forbidden += 1
         if not peer.forbidden:
             peer.forbidden = True
@@ -677,7 +748,7 @@ class ZenohLink(Actor):
             )
 
     def _asked(self, peer: Peer, payload: bytes, arrived_ns: int) -> None:
-        """A question for our clock, or the answer to ours; of those that are talked to."""
+        """Handle a question for our clock, or the answer to ours, from a peer with a HELLO."""
         if peer.hello is None:
             return
         try:
@@ -701,9 +772,10 @@ class ZenohLink(Actor):
 
 @contextlib.contextmanager
 def routing(listen: list[str], lease: float, access: Access | None) -> Iterator[None]:
-    """Pass on what the processes of a swarm say to each other, while its `with` lasts.
+    """Pass on the messages between the processes of a swarm, while its `with` lasts.
 
-    lease: s without a sign of a host before its tokens go. Raises ConfigError where it cannot be opened.
+    lease: seconds without a sign of a host before its tokens disappear
+    Raises ConfigError if the session cannot be opened.
     """
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     _tell_of_handshakes(access)
@@ -726,9 +798,9 @@ def _tell_of_handshakes(access: Access | None) -> None:
 
 
 class Outside:
-    """A session with programs that are no part of a swarm, at an endpoint, while its `with` lasts.
+    """A session with programs outside of a swarm, at an endpoint, while its `with` lasts.
 
-    Raises ConfigError where it cannot be opened.
+    Raises ConfigError if the session cannot be opened.
     """
 
     def __init__(self, connect: str) -> None:
@@ -749,15 +821,15 @@ class Outside:
 
     @property
     def id(self) -> str:
-        """Of the session, hex without leading zeros."""
+        """Id of the session, hexadecimal without leading zeros."""
         return str(self._session.info.zid()).lstrip("0")
 
     def token(self, key: str) -> None:
-        """Declare that something is there, until the end."""
+        """Declare a liveliness token until the end of the session."""
         self._declared.append(self._session.liveliness().declare_token(key))
 
     def put(self, key: str, data: bytes, attachment: bytes) -> None:
-        """Say something to whoever listens; dropped where they are too slow."""
+        """Send data to all subscribers of a key; it is dropped if they are too slow."""
         drop = zenoh.CongestionControl.DROP
         self._session.put(key, data, attachment=attachment, congestion_control=drop)
 
@@ -775,7 +847,11 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
 
 
 def _speaker(key: str) -> tuple[str, str]:
-    """Host and process in the key of a frame: where access control looks for the host. Nobody, if it has more parts."""
+    """Return the host and the process in the key of a frame,
+    where access control looks for the host.
+
+    Returns two empty texts if the key does not have KEY_PARTS parts.
+    """
     parts = key.split("/")
     return (parts[4], parts[5]) if len(parts) == KEY_PARTS else ("", "")
 
