@@ -81,7 +81,7 @@ _NOTHING = encode(None)
 
 
 class RemoteLink:
-    """The link to a drone whose body is in another process, owned by the world or the radio dongle.
+    """The link to the body of a drone in another process, the owner of a world or of a radio dongle.
 
     Only the newest command counts and each tick of the pilot brings one, so none is resent. After a
     cut, each tick sends the cut instead, so a lost message delays it by a tick. An owner that falls
@@ -214,11 +214,11 @@ class RemoteLink:
 
 
 class OwnerWatch(Actor):
-    """Detects drones whose owner has gone; it waits for an owner that has not come yet.
+    """Detects that the owner of a drone has gone; it waits for an owner that has not come yet.
 
     clock: the clock of the process
     links: the links of the drones by id
-    gone: called once with each drone whose owner has gone
+    gone: called once with each drone after its owner has gone
     """
 
     name = "owner watch"

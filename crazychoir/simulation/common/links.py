@@ -9,7 +9,7 @@ from crazychoir.types import Command, State, Vec
 
 
 class Rated(Protocol):
-    """A world whose drones each obey four numbers."""
+    """A world in which each drone obeys four numbers."""
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
@@ -45,7 +45,7 @@ class SimulatedLink:
 
 
 class EulerRatesLink(SimulatedLink):
-    """A link to a world whose inputs are rates of the Euler angles, as in the paper.
+    """A link to a world with rates of the Euler angles as inputs, as in the paper.
 
     phi' = p + (q sin phi + r cos phi) tan theta
     theta' = q cos phi - r sin phi

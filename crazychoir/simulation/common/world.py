@@ -119,7 +119,7 @@ class World(Protocol):
     def see(self, i: int, pose: Pose) -> None:
         """Pass a camera pose of drone i to its estimator on board, as a radio would.
 
-        A world whose drones have no estimator does nothing.
+        A world without estimators on board does nothing.
         """
         ...
 

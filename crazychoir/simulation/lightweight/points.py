@@ -102,7 +102,7 @@ class RobotLink:
 
 
 class SingleIntegrators(Robots):
-    """Points whose velocity is the command.
+    """Points with the command as their velocity.
 
         p' = u,  psi' = r
 
@@ -121,7 +121,7 @@ class SingleIntegrators(Robots):
 
 
 class DoubleIntegrators(Robots):
-    """Points whose acceleration is the command.
+    """Points with the command as their acceleration.
 
         p'' = u
 
