@@ -212,7 +212,7 @@ class Recorder(Actor):
         flags: int,
         age: float,
     ) -> None:
-        """Count the messages of a topic that are missing before the one that has arrived.
+        """Count the messages of a topic that are missing before the message that has arrived.
 
         A latched value has no number. A number that begins anew is of an agent that was restarted.
         """

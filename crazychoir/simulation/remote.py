@@ -261,7 +261,9 @@ class Place(Protocol):
     """Questions about the body of a drone, answered by a simulated world or by a radio."""
 
     flies: tuple[str, ...]
+    """Kinds of commands that its drones obey, keys of KINDS."""
     command_timeout: float | None
+    """Seconds without a command before a flying drone gets no thrust; None: no such limit."""
 
     def resting(self, i: int) -> bool:
         """Return True if drone i stands on the floor."""
@@ -273,7 +275,7 @@ class Place(Protocol):
 
 
 class RemoteBody:
-    """The body's end: the body of one drone obeys the commands of its own agent only.
+    """The other end of a RemoteLink: a body that obeys only the commands of its own agent.
 
     An emergency stop is accepted from any operator, even without an agent.
 
@@ -338,8 +340,9 @@ class RemoteBody:
     def look(self) -> None:
         """Bring the drone down if its agent is gone or hangs.
 
-        With a planner on board the drone is told to land. Without a planner it gets no thrust
-        after the timeout of its world; if the world has no timeout, the engine decides.
+        With a planner on board the drone is told to land. Without a planner it gets the command
+        for no thrust and no speed after the timeout of its world. If the world has no timeout
+        either, its engine decides.
         """
         on_board = "xyz" in self.world.flies
         limit = (

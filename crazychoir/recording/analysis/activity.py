@@ -32,7 +32,7 @@ class Span:
     phase: str
     """Phase of flight."""
     task: str
-    """What the drone reported of its task."""
+    """Text of the drone about its task."""
 
 
 @dataclass(frozen=True)

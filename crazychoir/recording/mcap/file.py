@@ -61,9 +61,9 @@ class Entry:
     series: Series
     """The series that it belongs to."""
     came_ns: int
-    """When it came, ns."""
+    """Time of arrival, ns."""
     born_ns: int
-    """When it was born, ns."""
+    """Time of birth, ns."""
     data: bytes
     """Its bytes."""
 

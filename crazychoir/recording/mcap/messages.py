@@ -85,7 +85,7 @@ class Exchanged(NamedTuple):
 
 @dataclass(frozen=True)
 class Message:
-    """How the values of a type are written."""
+    """The written form of the values of one type."""
 
     name: str
     """Name of the ROS message."""

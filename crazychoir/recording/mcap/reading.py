@@ -58,7 +58,7 @@ class Recording:
     path: Path
     """The file."""
     about: dict[str, str] = field(default_factory=dict)
-    """What was flown, as texts."""
+    """Description of the flight, as texts."""
     swarm: str = ""
     """The swarm file, as text."""
     mission: str = ""
@@ -75,7 +75,7 @@ class Recording:
     chunks: int = 0
     """Count of whole chunks with messages."""
     fault: str = "not read"
-    """Where the file is cut off or damaged; empty if it was ended in order."""
+    """Place where the file is cut off or damaged; empty if it was ended in order."""
     topics: dict[tuple[int, str], Values] = field(default_factory=dict)
     """Values by (drone, topic)."""
 
@@ -86,7 +86,7 @@ class Recording:
 
     @property
     def lacks(self) -> dict[str, Any]:
-        """Whether it is complete, and its counts of lost and missed messages, for JSON."""
+        """Its completeness, and its counts of lost and missed messages, for JSON."""
         return {"complete": self.complete, "lost": self.lost, "missed": self.missed}
 
     @property
@@ -96,7 +96,7 @@ class Recording:
 
     @property
     def seconds(self) -> tuple[float, float]:
-        """When the first and the last message came, s."""
+        """Times of arrival of the first and the last message, s."""
         came = [values.came for values in self.topics.values()]
         return min(column[0] for column in came), max(column[-1] for column in came)
 

@@ -56,9 +56,9 @@ class Told:
     source: Source
     """Its channel."""
     came_ns: int
-    """When it came, ns."""
+    """Time of arrival, ns."""
     born_ns: int
-    """When it was born, ns."""
+    """Time of birth, ns."""
     data: bytes
     """Its bytes."""
 

@@ -106,7 +106,7 @@ def _layout(name: str, child: str, count: int | None = None) -> Layout:
     """Return the layout of a message in the world's frame.
 
     child: the child frame
-    count: length of a sequence of such messages, of which one is laid out; None for one message
+    count: None for the message alone; a number for a sequence with its count, one message here
     """
     constants = {"header.frame_id": "world", "child_frame_id": child}
     fields = list(leaves(name, ROS))

@@ -48,9 +48,9 @@ class Bag:
     channels: dict[str, Channel] = field(default_factory=dict)
     """Topics by name."""
     first_ns: int = 0
-    """When the first message came, in ns."""
+    """Time of arrival of the first message, ns."""
     last_ns: int = 0
-    """When the last message came, in ns."""
+    """Time of arrival of the last message, ns."""
     whole: bool = False
     """True after the bag is closed and completely written."""
 

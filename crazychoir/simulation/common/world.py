@@ -52,8 +52,7 @@ class WorldSetup:
     platforms: tuple[Platform, ...]
     """Platform of each drone."""
     options: Mapping[str, Any]
-    """Options of the engine: the tables [plant] or [motors], or [world.options] of another engine.
-    """
+    """Options of the engine: [plant] or [motors], for engines of others [world.options]."""
     wind: Position
     """Wind velocity in m/s, world."""
     seed: int

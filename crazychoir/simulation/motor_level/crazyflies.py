@@ -49,9 +49,9 @@ from crazychoir.simulation.motor_level.lanes import (
 ON_BOARD = ("vel", "xyz", "fullstate")
 """Kinds of commands for which the firmware controls position or velocity."""
 SELDOM = 7
-"""Of this many poses one is passed to the estimator if only rates are controlled on board.
+"""Number of poses for each pose that is passed to the estimator in rate control.
 
-With 100 poses a second the estimator then gets 14 a second.
+If only rates are controlled on board, the estimator gets 14 poses a second of 100.
 """
 
 

@@ -20,9 +20,9 @@ from crazychoir.simulation.onboard.record import (
     Record,
 )
 
-ATTITUDE_RATE = 500.0  # Hz
-POSITION_RATE = 100.0  # Hz
-POSITION_TICKS = 10  # ms
+ATTITUDE_RATE = 500.0  # Hz: attitude and rate PIDs
+POSITION_RATE = 100.0  # Hz: position and velocity PIDs
+POSITION_TICKS = 10  # ms: period of the position and velocity PIDs
 OVERHEAD = (
     1.1  # limits inside the position and velocity PIDs, relative to the parameters
 )

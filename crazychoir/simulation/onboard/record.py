@@ -96,14 +96,17 @@ mellinger_fields = np.dtype(
         "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh"
     )
 )
+"""Fields of Mellinger's controller: parameters; integrals and rates of the last pass."""
 lee_fields = np.dtype(
     _reals(
         "mass J_x J_y J_z Kpos_Px Kpos_Py Kpos_Pz Kpos_P_limit Kpos_Dx Kpos_Dy Kpos_Dz Kpos_D_limit Kpos_Ix Kpos_Iy "
         "Kpos_Iz Kpos_I_limit KR_x KR_y KR_z Kw_x Kw_y Kw_z KI_x KI_y KI_z ix iy iz irx iry irz"
     )
 )
+"""Fields of Lee's controller: parameters; integrals."""
 
 PIDS = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
+"""PIDs of controller 1: rates, attitude, velocity and position."""
 
 drone_fields = np.dtype(
     [
