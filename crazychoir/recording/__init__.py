@@ -1,1 +1,1 @@
-"""What a flight was, in a file: MCAP with ROS 2 messages, read back, measured and drawn."""
+"""Recordings of flights: MCAP files with ROS 2 messages, read back, measured and drawn."""

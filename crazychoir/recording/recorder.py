@@ -1,7 +1,8 @@
-"""The recorder of a flight: an actor that writes what the drones of a bus say into a file.
+"""The recorder of a flight: an actor that writes the messages of a bus into a file.
 
-It never holds the flight up: messages are packed as they come, written in batches away from the event loop, and let go
-when the disk cannot keep up. What fails in it ends the recording, with the reason, and nothing else.
+It never delays the flight. Messages are packed when they come, written in batches outside the
+event loop, and dropped when the disk is too slow. A failure ends the recording, with the reason
+in the log, and nothing else.
 """
 
 import asyncio
@@ -21,32 +22,46 @@ from crazychoir.runtime.mailbox import Call
 
 log = logging.getLogger(__name__)
 BATCHES = 4.0
-"""Hz: a program that is killed loses what came since the last batch."""
+"""Batches a second; a program that is killed loses the messages since its last batch."""
 MOST_WAITING = 64 << 20
-"""Bytes that wait for the disk; what comes then is lost."""
+"""Largest number of bytes that wait for the disk; further messages are lost."""
 
 
 @dataclass
 class Recorded:
-    """What came of a recording: messages in the file, and those that are not, as the disk was slow or full or no field
-    of a message holds them; missed: that were said to who looks on, and that the network did not bring, or too many at
-    once; error: why it ended before the flight, empty if it did not.
-    """
+    """Outcome of a recording."""
 
     file: str
+    """Path of the file."""
     messages: int
+    """Messages in the file."""
     lost: int
+    """Messages that came but are not in the file.
+
+    Reasons: the disk was slow or full, or no field of a message can hold a value.
+    """
     missed: int
+    """Messages that were published for the recorder but did not come.
+
+    The network lost them, or too many came at once.
+    """
     error: str
+    """Why the recording ended before the flight; empty if it did not."""
 
 
 class Recorder(Actor):
-    """Records observable topics of the drones `ids`, all if not said otherwise.
+    """Records observable topics of drones.
 
-    observer: an address on a bus without drones, which asks for everything over the network; None on the bus of the
-    drones themselves: then each drone reads its own topics, which no other drone and no count of messages notices.
-    source: the address that says a topic of drone i.  outcome: what the file says at its end of what came of it, beside
-    how many messages were lost, and why it ended: `ended`.
+    bus: the bus of the drones, or a bus without drones that observes them over the network
+    ids: the drones
+    file: the file to write
+    observer: address of the recorder on a bus without drones; it subscribes to the topics over the
+        network. None on the bus of the drones: then each drone reads its own topics, so the
+        recorder changes no other drone and no count of messages
+    source: returns the address that publishes a topic of drone i
+    outcome: returns further texts for the end of the file
+    topics: the topics to record
+    ended: why the recording ended, for the end of the file
     """
 
     name = "recorder"
@@ -84,14 +99,13 @@ class Recorder(Actor):
         bus.tap = self._rounds if observer is None else self._count
 
     async def run(self) -> None:
-        """Write what has come, a few times a second, until the recording ends."""
+        """Write the messages that have come, a few times a second, until the recording ends."""
         async for _ in self.clock.ticks(BATCHES):
             batch = self._waiting
             self._waiting = []
             self._bytes = 0
-            await asyncio.shield(
-                self.clock.compute(self.file.write, batch)
-            )  # who stops us loses no batch
+            # A cancellation of this task loses no batch.
+            await asyncio.shield(self.clock.compute(self.file.write, batch))
             if self.file.error:
                 log.warning(
                     "recording %s: %s: it ends here, the flight goes on",
@@ -101,7 +115,7 @@ class Recorder(Actor):
                 return
 
     async def on_stop(self) -> None:
-        """Write the rest and the index."""
+        """Write the remaining messages and the index."""
         await self.clock.compute(
             self._finish, self._waiting, {"ended": self.ended, **self._outcome()}
         )
@@ -111,14 +125,17 @@ class Recorder(Actor):
         self.file.close(outcome)
 
     def result(self) -> dict[str, Any]:
-        """What came of it."""
+        """Return the outcome of the recording as a dictionary."""
         file = self.file
         return asdict(
             Recorded(str(file.path), file.written, file.lost, file.missed, file.error)
         )
 
     def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
-        """The messages of one type under one topic: each type has a series of its own."""
+        """Open the series of one type of messages under one topic.
+
+        Each type has a series of its own.
+        """
         name = (
             topic.name
             if kind in (usual(topic), Exchanged)
@@ -132,7 +149,7 @@ class Recorder(Actor):
         return opened
 
     def _take(self, drone: int, topic: Topic, value: Any, age: float) -> None:
-        """A value has come. Who publishes it must not suffer from what is wrong here."""
+        """Pack a value that has come. An error here must not reach the publisher of the value."""
         if self.file.error:
             self.file.lost += 1
             return
@@ -144,7 +161,7 @@ class Recorder(Actor):
             )
             born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
             data = pack(value, born_ns)
-        except Exception as error:  # noqa: BLE001 - see above
+        except Exception as error:  # noqa: BLE001 - it must not reach the publisher
             self._lose(
                 f"{topic.name} of drone {drone}: {type(error).__name__}: {error}"
             )
@@ -176,7 +193,7 @@ class Recorder(Actor):
         flags: int,
         age: float,
     ) -> None:
-        """A message has arrived: one of a round is recorded under its sender."""
+        """Record a message of a round under its sender; other messages are recorded elsewhere."""
         if self._next is not None:
             self._next(to, topic, source, number, payload, channel, flags, age)
         if topic == ROUND.number:
@@ -195,9 +212,9 @@ class Recorder(Actor):
         flags: int,
         age: float,
     ) -> None:
-        """A message has arrived: those of a topic that came between it and the one before have not.
+        """Count the messages of a topic that are missing before the message that has arrived.
 
-        A latched value has no number, and one that begins anew is of an agent that was started again.
+        A latched value has no number. A number that begins anew is of an agent that was restarted.
         """
         if self._next is not None:
             self._next(to, topic, source, number, payload, channel, flags, age)

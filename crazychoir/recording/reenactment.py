@@ -1,4 +1,4 @@
-"""A recorded flight before MuJoCo's camera: the drones of its swarm file, in its scene, where they were."""
+"""A recorded flight in front of MuJoCo's camera: its drones, in its scene, at their places."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,14 +17,17 @@ from crazychoir.simulation.mujoco.shape import Colour, crazyflie, scaled, shape_
 from crazychoir.types import Mat, Vec
 
 POINTS = 25
-"""Of a trail."""
+"""Points of a trail."""
 
 
 class Reenactment:
-    """Where the drones of a flight were, and how they look.
+    """Places and shapes of the drones of a flight.
 
-    enlarge: by how much larger they are drawn, so that one sees them in a wide room;  trail: s of its way behind each.
-    scene: an MJCF instead of the swarm file's.
+    flight: the recorded flight
+    config: its swarm file
+    scene: an MJCF file that replaces the swarm file's
+    enlarge: factor of the drones' size, to see them in a wide room
+    trail: s: length of the trail behind each drone
     """
 
     def __init__(
@@ -57,7 +60,10 @@ class Reenactment:
         self.model = model_of(self.ids, rows, drawn, room)
 
     def film(self, width: int, height: int, camera: str = "") -> Film:
-        """The camera; raises ConfigError for one that cannot be."""
+        """Return the camera.
+
+        Raises ConfigError if there is no such camera or the size is wrong.
+        """
         places = np.vstack([track.p for track in self.tracks])
         return Film(
             self.model,
@@ -70,7 +76,7 @@ class Reenactment:
         )
 
     def picture(self, film: Film, t: float) -> Image:
-        """t s after the recording began."""
+        """Return the picture t s after the beginning of the recording."""
         moment = np.array([t])
         p = np.array([joined(track.t, track.p, moment)[0] for track in self.tracks])
         q = np.array([_turned(track, moment)[0] for track in self.tracks])
@@ -78,7 +84,7 @@ class Reenactment:
         return film.picture(p, q, tuple(self._trails(t)), self.colours)
 
     def pictures(self, film: Film, times: Vec) -> Iterator[Image]:
-        """One a time."""
+        """Yield one picture a time."""
         return (self.picture(film, float(t)) for t in times)
 
     def _trails(self, t: float) -> Iterator[Mat]:
@@ -92,14 +98,14 @@ class Reenactment:
 
 
 def _turned(track: Track, at: Vec) -> Mat:
-    """Attitudes between two that were recorded, which are close together."""
+    """Return attitudes at times `at`, interpolated between recorded attitudes close together."""
     q = joined(track.t, track.q, at)
     unit: Mat = q / np.linalg.norm(q, axis=1, keepdims=True)
     return unit
 
 
 def _colours(n: int) -> tuple[Colour, ...]:
-    """Those of the plots: told apart if there are few, else a scale."""
+    """Return the colours of the plots: distinct colours for few drones, a scale for many."""
     from matplotlib.colors import to_rgba
 
     return tuple(

@@ -1,7 +1,8 @@
-"""A world of drones that others fly, or have flown: their bodies go where recordings say, and obey nothing.
+"""A world of drones that follow recordings and obey no commands.
 
-uri = "replay://flight.mcap", a recording of a flight, of which the drone with the same id is taken, or, with ?drone=3
-at its end, drone 3;  uri = "replay://intruder.csv", samples t, x, y, z, yaw, ... of planning/trajectory_file.py.
+uri = "replay://flight.mcap" takes the drone with the same id from a recording of a flight;
+"replay://flight.mcap?drone=3" takes drone 3. uri = "replay://intruder.csv" takes samples
+t, x, y, z, yaw, ... as in planning/trajectory_file.py.
 """
 
 from pathlib import Path
@@ -20,11 +21,14 @@ from crazychoir.simulation.common.world import KINDS, Link, WorldSetup, not_flow
 from crazychoir.types import Command, Mat, Vec
 
 NEAR = 0.1
-"""m, of a drone's home from where its recording begins."""
+"""Largest distance in m from a drone's home to the place where its recording begins."""
 
 
 def engine(setup: WorldSetup) -> "ReplayWorld":
-    """The world of these drones; raises ConfigError for a file that cannot be read, or does not begin at home."""
+    """Make the world of these drones.
+
+    Raises ConfigError for a file that cannot be read, or a recording that does not begin at home.
+    """
     tables = []
     for i, uri, home in zip(setup.ids, setup.uris, setup.homes, strict=True):
         tables.append(states_of(uri, i, setup.dt))
@@ -41,7 +45,10 @@ def engine(setup: WorldSetup) -> "ReplayWorld":
 
 
 def states_of(uri: str, drone: int, dt: float) -> Mat:
-    """States (K, 13), rows as State.flat, every dt s from the begin of a recording; raises ConfigError."""
+    """Return the states (K, 13), rows as State.flat, every dt s from the beginning of a recording.
+
+    Raises ConfigError for a wrong uri or a file that cannot be read.
+    """
     name, _, number = uri.removeprefix(REPLAY).partition("?drone=")
     if number and not number.isdecimal():
         raise ConfigError(
@@ -60,7 +67,7 @@ def states_of(uri: str, drone: int, dt: float) -> Mat:
 
 
 def _of_samples(path: Path, dt: float) -> Mat:
-    """Level, with the yaw of the table."""
+    """Return level states with the positions and yaw of the table."""
     flight = read_samples(path)
     flat = flight.samples(
         np.append(np.arange(0.0, flight.duration, dt), flight.duration)
@@ -72,7 +79,10 @@ def _of_samples(path: Path, dt: float) -> Mat:
 
 
 def _of_flight(path: Path, drone: int, dt: float) -> Mat:
-    """The truth of one drone, from the begin of the recording: places by Hermite polynomials, attitudes by chords."""
+    """Return the recorded true states of one drone from the beginning of the recording.
+
+    Positions are interpolated by Hermite polynomials, attitudes by chords.
+    """
     recording = read(path, (TRUTH.name,))
     found = recording.of(drone, TRUTH.name)
     if len(found) < 2:
@@ -94,7 +104,7 @@ def _of_flight(path: Path, drone: int, dt: float) -> Mat:
     x = found.numbers[first]
     q = _one_way(x[:, 3:7])
     at = np.arange(0.0, t[-1], dt)
-    inside = np.maximum(at, t[0])  # before its first truth it stands there
+    inside = np.maximum(at, t[0])  # before its first true state the drone stands there
     curve = CubicHermiteSpline(t, x[:, 0:3], into_world(q, x[:, 7:10]))
     turned = _columns(inside, t, q)
     turned /= np.linalg.norm(turned, axis=1)[:, None]
@@ -104,7 +114,10 @@ def _of_flight(path: Path, drone: int, dt: float) -> Mat:
 
 
 def _one_way(q: Mat) -> Mat:
-    """The same attitudes, each with the sign of the one before: q and -q are one."""
+    """Return the attitudes with each sign chosen such that a quaternion is close to the previous.
+
+    q and -q are the same attitude.
+    """
     signs = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0))
     found: Mat = q * np.concatenate([[1.0], signs])[:, None]
     return found
@@ -115,9 +128,9 @@ def _columns(at: Vec, t: Vec, x: Mat) -> Mat:
 
 
 class ReplayWorld(Truth):
-    """Bodies that follow tables of states, a row a step, and stay where they end.
+    """Bodies that follow tables of states, one row a step, and stay at the last row.
 
-    They count as resting, wherever they are: nobody here has to bring them down.
+    They count as resting wherever they are, so no agent waits for them to land.
     """
 
     flies: tuple[str, ...] = tuple(KINDS)
@@ -133,7 +146,7 @@ class ReplayWorld(Truth):
         self._show()
 
     def step(self) -> None:
-        """On to the next row."""
+        """Advance to the next row."""
         self.tick += 1
         self._show()
 
@@ -144,17 +157,20 @@ class ReplayWorld(Truth):
                 self.states[row, 3:6] = self.states[row, 10:13] = 0.0
 
     def link(self, i: int, kind: str) -> Link:
-        """A way on which nothing arrives."""
+        """Return a link that discards all commands.
+
+        Raises ConfigError for an unknown kind of command.
+        """
         if kind not in self.flies:
             raise not_flown(i, kind, self.flies)
         return Deaf()
 
 
 class Deaf:
-    """The link of a body that obeys nothing."""
+    """The link of a body that obeys no commands."""
 
     def send(self, command: Command) -> None:
-        """Nothing."""
+        """Discard the command."""
 
     def cut(self) -> None:
-        """Nothing."""
+        """Do nothing."""

@@ -1,4 +1,7 @@
-"""A recorded flight said again, on the topics of its drones: at its own pace, faster, or step by step."""
+"""Publish a recorded flight again on the topics of its drones.
+
+The replay runs at the flight's own speed, faster, or step by step.
+"""
 
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -11,15 +14,20 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND
 
 Step = Callable[[], Awaitable[float]]
-"""Waits until the replay may go on, and says by how many s of the flight."""
+"""Waits until the replay may continue, and returns by how many seconds of the flight."""
 
 
 class Replayer(Actor):
-    """Says all that was recorded of the observable topics, each at the address where it was said.
+    """Publishes all recorded observable topics, each at its original address.
 
-    speed: how many times faster than it was;  step: asked for every part of the flight instead, which is then said at
-    once;  source: the address that says a topic of a drone. Raises ConfigError where a message is of another version.
-    said: messages so far;  at: s of the flight that are over.
+    bus: the bus to publish on
+    path: the recording
+    speed: factor of the flight's own speed
+    step: awaited before each part of the flight, which is then published at once; replaces speed
+    source: returns the address that publishes a topic of a drone
+    said: number of messages published so far
+    at: s: time of the flight that has been replayed
+    Raises ConfigError if a message is of another version.
     """
 
     name = "replay"
@@ -43,7 +51,7 @@ class Replayer(Actor):
         self._may = 0.0
 
     async def run(self) -> None:
-        """From the first message to the last."""
+        """Publish from the first message to the last."""
         values = Values(self.path)
         first_ns = -1
         began_ns = self.clock.now_ns()
@@ -67,7 +75,7 @@ class Replayer(Actor):
             self.said += 1
 
     async def _wait(self, at: float, began_ns: int) -> None:
-        """Until it is time for what came so many s after the first message."""
+        """Wait until a message that came `at` s after the first message is due."""
         if self.step is None:
             await self.clock.sleep_until(began_ns + round(at / self.speed * SECOND))
             return

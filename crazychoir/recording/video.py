@@ -1,4 +1,4 @@
-"""Pictures one after the other as a file: MP4 (with the library av, of the extra `mujoco`), GIF or WebP."""
+"""Write a sequence of pictures as MP4 (with the library av, of the extra `mujoco`), GIF or WebP."""
 
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
@@ -16,7 +16,7 @@ ENDINGS = (".mp4", ".gif", ".webp")
 
 
 def check_video(path: Path, width: int, height: int) -> None:
-    """Raise ConfigError for a file that cannot be written, before an hour of drawing."""
+    """Raise ConfigError for a file that cannot be written, before hours of drawing are lost."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise ConfigError(
@@ -34,7 +34,7 @@ def check_video(path: Path, width: int, height: int) -> None:
 
 
 def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
-    """Write the images (height, width, 3), of one size, at so many a second."""
+    """Write images of equal size (height, width, 3) as a video with `fps` pictures a second."""
     with written_file(path, "video") as place:
         if path.suffix.lower() == ".mp4":
             _write_mp4(place, images, fps)

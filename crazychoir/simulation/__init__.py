@@ -1,1 +1,1 @@
-"""Drones that are equations."""
+"""Simulated drones: worlds computed from equations of motion."""

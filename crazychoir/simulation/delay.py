@@ -1,4 +1,4 @@
-"""Commands on their way to drones that obey late, in whole steps of their world."""
+"""Delay of commands to drones, in whole steps of their world."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -9,24 +9,29 @@ from crazychoir.types import Command
 
 @dataclass
 class DelayedLink:
-    """The way to one drone: a command that is sent before step k acts from step k + steps on; a cut acts at once."""
+    """A link with a delay: a command sent before step k takes effect at step k + steps.
+
+    A cut takes effect at once.
+    """
 
     link: Link
+    """The link of the drone without delay."""
     steps: int
+    """Steps of the world between sending and effect."""
     _way: deque[tuple[int, Command]] = field(default_factory=deque)
     _step: int = 0
 
     def send(self, command: Command) -> None:
-        """On its way."""
+        """Put the command into the queue."""
         self._way.append((self._step + self.steps, command))
 
     def cut(self) -> None:
-        """Nothing that is on its way acts any more."""
+        """Discard all queued commands and stop the motors for good."""
         self._way.clear()
         self.link.cut()
 
     def advance(self) -> None:
-        """A step of the world begins: what is due arrives."""
+        """Begin a step of the world: deliver the commands that are due."""
         while self._way and self._way[0][0] <= self._step:
             self.link.send(self._way.popleft()[1])
         self._step += 1

@@ -1,4 +1,7 @@
-"""Which engine flies a drone: its uri says so. Engines are entry points, ours as well as those of other packages."""
+"""Choose the engine that simulates a drone by the uri of the drone.
+
+Engines are entry points: the built-in engines and those of other packages alike.
+"""
 
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
@@ -48,7 +51,7 @@ OURS = {
 
 
 def lightweight(setup: WorldSetup) -> World:
-    """The paper's integrator."""
+    """Make a world with the paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
     bodies = [
         scaled(row, setup.mass_error, setup.thrust_error) for row in setup.platforms
@@ -62,7 +65,7 @@ def lightweight(setup: WorldSetup) -> World:
 
 
 def motors(setup: WorldSetup) -> World:
-    """Rotors, batteries, sensors, air, and the firmware on board."""
+    """Make a world with rotors, batteries, sensors, air, and the firmware on board."""
     from crazychoir.simulation.motor_level.crazyflies import (
         CrazyflieWorld,  # kernels that a lightweight world does not need
     )
@@ -71,7 +74,10 @@ def motors(setup: WorldSetup) -> World:
 
 
 def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
-    """The worlds of these drones, one an engine; raises ConfigError for an engine that cannot be had."""
+    """Make the worlds of these drones, one world an engine.
+
+    Raises ConfigError if an engine is not available.
+    """
     together: dict[str, list[Drone]] = {}
     for drone in (config.drone(i) for i in ids):
         together.setdefault(_entry_point(drone.uri).name, []).append(drone)
@@ -79,7 +85,10 @@ def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
 
 
 def delay_steps(config: SwarmConfig, world: World) -> int:
-    """Steps by which commands of a world are late on their way; the lightweight one has that delay in its model."""
+    """Return the number of world steps by which commands arrive late.
+
+    It is 0 for the lightweight world, which has this delay in its own model.
+    """
     return (
         0
         if isinstance(world, CFIntegrator)
@@ -88,7 +97,7 @@ def delay_steps(config: SwarmConfig, world: World) -> int:
 
 
 def _entry_point(uri: str) -> EntryPoint:
-    """Of the engine of a uri that the swarm file may have."""
+    """Return the entry point of the engine for a uri that the swarm file allows."""
     uri = REPLAY if uri.startswith(REPLAY) else uri
     return (
         OURS[uri]
@@ -98,7 +107,10 @@ def _entry_point(uri: str) -> EntryPoint:
 
 
 def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
-    """One world of these drones, checked."""
+    """Make one world of these drones and check that it has the requested drones and step.
+
+    Raises ConfigError if the engine fails or makes a different world.
+    """
     uri = drones[0].uri
     ids = tuple(drone.id for drone in drones)
     entry = _entry_point(uri)
@@ -135,7 +147,7 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
 
 
 def _options(config: SwarmConfig, uri: str) -> dict[str, Any]:
-    """The tables of the swarm file that are for this engine."""
+    """Return the options of the swarm file that belong to the engine of this uri."""
     plant = config.plant
     motors = config.motors
     shapes = config.mujoco

@@ -1,4 +1,7 @@
-"""The owner of a simulated world: steps it, looks at it with simulated cameras, and hands poses to the drones."""
+"""The owner of a simulated world: it steps the world and publishes the poses of the drones.
+
+The poses come from simulated cameras.
+"""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -13,29 +16,38 @@ from crazychoir.simulation.telemetry import Telemetry
 from crazychoir.types import Body, Mat, Pose
 
 MOST_CATCH_UP = 20
-"""Steps of a world that was late: simulated drones go on falling while nobody computes."""
+"""Largest number of missed steps that a late world makes up for.
+
+Missed steps are computed because simulated drones continue to fall while no code runs.
+"""
 
 
 class Cameras(Protocol):
-    """What turns truth into poses."""
+    """Simulated cameras, which turn true states into poses."""
 
     def sample(self, x: Mat, k: int) -> list[Pose | None]:
-        """What arrives at tick k, row by row."""
+        """Return the poses that arrive at tick k, row by row; None where no pose arrives."""
         ...
 
 
 class Digest(Protocol):
-    """What a trace of all states is fed to."""
+    """A hash that takes the bytes of all states."""
 
     def update(self, data: bytes, /) -> None:
-        """Take these bytes in."""
+        """Add these bytes to the hash."""
         ...
 
 
 class WorldOwner(Actor):
-    """Steps the drones of one world, a step a tick.
+    """Steps the drones of one world, one step a tick.
 
-    rate: Hz, of the cameras;  base: the body of drone i speaks at base + i;  delay: steps by which commands are late.
+    bus: the bus that carries the messages
+    world: the simulated world
+    cameras: the simulated cameras
+    rate: Hz: frames of the cameras
+    trace: a hash of all states, None for no hash
+    base: the body of drone i uses the port base + i
+    delay: steps by which commands are late
     """
 
     name = "world"
@@ -63,21 +75,27 @@ class WorldOwner(Actor):
         self._body_every = max(1, round(1.0 / (world.dt * BODY.rate)))
         self._tick = 0
         self.looked_ns = 0
-        """When the cameras last looked, by the bus's clock."""
+        """Time of the last camera frame in ns, on the clock of the bus."""
         self.flying: Callable[[int], bool] = lambda i: False
-        """Whether commands of another process have brought drone i into the air."""
+        """Returns True if commands of another process have brought drone i into the air."""
         self.cut: Callable[[int], bool] = lambda i: False
-        """Whether another process has cut its motors."""
+        """Returns True if another process has cut the motors of drone i."""
 
     def link(self, i: int, kind: str) -> Link:
-        """The way to drone i, as long as its commands take; ConfigError for a kind that its world does not fly."""
+        """Return the link to drone i, with the delay of commands.
+
+        Raises ConfigError if the world of the drone does not obey this kind.
+        """
         link = self.world.link(i, kind)
         if self._delay:
             link = self._delayed[i] = DelayedLink(link, self._delay)
         return link
 
     async def run(self) -> None:
-        """One step a tick; late ticks of real time are made up for, up to a limit, before anybody looks."""
+        """Step the world once a tick.
+
+        Ticks missed in real time are made up for, up to MOST_CATCH_UP, before the cameras look.
+        """
         ticks = self.ticks
         missed = 0
         async for _ in ticks:
@@ -89,7 +107,11 @@ class WorldOwner(Actor):
             self.step((self.bus.clock.now_ns() - ticks.due_ns) / SECOND)
 
     def step(self, late: float = 0.0) -> None:
-        """Advance, look, publish. A tick `late` s shows the world as it was when it was due: so old are its poses."""
+        """Advance the world, take a camera frame if one is due, and publish.
+
+        late: s: delay of this tick. The world then shows the time at which the tick was due, so the
+            poses are older by this much.
+        """
         world = self.world
         self._advance()
         self._tick += 1

@@ -1,4 +1,7 @@
-"""A drone and its body in two processes: the link at the drone's end, and what obeys it at the other."""
+"""Links between a drone and its body in two processes.
+
+RemoteLink is the drone's end; RemoteBody obeys its commands at the other end.
+"""
 
 import asyncio
 import logging
@@ -43,37 +46,50 @@ SIZES: dict[type[Any], int] = {
     Acc: 3,
     Drive: 2,
 }
-"""Numbers in a command of each kind."""
+"""Count of numbers in a command of each kind."""
 THRUST = ("fpqr", "frpy")
-"""Kinds of commands that carry a drone."""
+"""Kinds of commands with a thrust: without them the drone falls."""
 GONE = 3.0
-"""s of silence after which a world's owner does not come back: all its drones have stopped their motors by then, or
-are landed by their firmware."""
+"""Seconds of silence after which a world's owner counts as gone for good.
+
+By then all its drones have stopped their motors or are landed by their firmware.
+"""
 HANDS_OVER = 0.4
-"""s without a command after which a drone that is streamed commands is told to land by itself, if its firmware can:
-before that would level it out (0.5 s), and let it fall (2 s)."""
+"""Seconds without a command before a drone with streamed commands is told to land.
+
+This applies if its firmware can land it. Without this command the firmware would level the drone
+after 0.5 s and let it fall after 2 s.
+"""
 LANDS = 1.0
-"""The same of one that is sent places, seldom, and would fly on for good."""
+"""Seconds without a command before a drone with "xyz" commands is told to land.
+
+Such a drone gets a goal seldom, and would hover forever after its last goal.
+"""
 STOOD_STILL = 1.0
-"""s between two looks at who is silent, of four a second, beyond which the silence may be our own."""
+"""Seconds between two checks of the silent owners beyond which this process itself may have hung.
+
+The checks run four times a second.
+"""
 ARMS = 3.0
-"""s for an answer of who was asked to arm a drone."""
+"""Seconds to wait for the answer to an arming request."""
 ASKS = 30.0
-"""s for which a drone asks for log variables until its world's owner answers."""
+"""Seconds to wait for the owner's answer to a request for log variables."""
 PATIENT = 5.0
-"""s after which a drone that waits for its world says so."""
+"""Seconds after which a drone that waits for its world logs a warning."""
 OFF = "its motors were cut: they stay off until its world is started again"
 _NOTHING = encode(None)
 
 
 class RemoteLink:
-    """The way to a drone whose body is in the process of an owner, of the world or of its dongle.
+    """The link to the body of a drone in another process, the owner of a world or of a radio dongle.
 
-    The newest command counts, and each tick of the pilot brings one, so none is resent. From a cut on the cut itself is
-    what goes out with each tick, so that a lost message delays it by a tick. An owner that falls silent may land the
-    drone meanwhile: no command leaves until it is heard again.
+    Only the newest command counts and each tick of the pilot brings one, so none is resent. After a
+    cut, each tick sends the cut instead, so a lost message delays it by a tick. An owner that falls
+    silent may land the drone meanwhile, so no command is sent until the owner is heard again.
 
-    gone: s of silence after which the owner does not come back.
+    port: the port of the drone
+    owner: name of the owner for messages
+    gone: s: silence after which the owner counts as gone for good
     """
 
     def __init__(
@@ -89,10 +105,13 @@ class RemoteLink:
         self._cut = self._heard = False
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
-        """Called if the body is in the air when it is heard first, or again after a silence: an agent before us flew
-        it, or its firmware is landing it."""
+        """Called if the body is in the air at the first report, also the first after a silence.
+
+        An earlier agent flew it, or its firmware is landing it.
+        """
         self.found_cut: Callable[[str], None] = lambda why: None
-        """Called, with the words, if its motors are found to be off for good, as an agent before us has cut them."""
+        """Called with the reason if the motors are off for good because an earlier agent cut them.
+        """
         self._condition: Latest[Body] = Latest(
             port.bus.clock, f"drone {port.address} body", BODY.max_age
         )
@@ -102,7 +121,7 @@ class RemoteLink:
         )
 
     def _begin(self, body: Body, age: float) -> None:
-        """Somebody says how it is: from now on commands leave."""
+        """Start to send commands: the first report of the body has arrived."""
         if not self._heard:
             self._heard = True
             if body.cut:
@@ -111,7 +130,11 @@ class RemoteLink:
                 self.found_flying()
 
     def send(self, command: Command) -> None:
-        """On its way; not before it is known whether the body flies already: the first command stops its motors."""
+        """Send the command, unless the body is silent.
+
+        No command is sent before the first report says whether the body flies, because the first
+        command stops its motors. After a cut, the cut is sent instead.
+        """
         if self._cut:
             self.cut()
         elif self._heard and not self.unheard():
@@ -120,16 +143,16 @@ class RemoteLink:
             self._heard = False
 
     def unheard(self) -> bool:
-        """Whether nobody says how the body is: commands may not arrive either."""
+        """Return True if no recent report of the body has arrived; commands may be lost as well."""
         return self.silence > BODY.max_age
 
     def flying(self) -> bool:
-        """Whether the body is in the air, as far as is known."""
+        """Return True if the body is in the air according to its last report."""
         body = self._condition.peek()
         return body is not None and body.flying and self.silence < self.gone
 
     def ask(self, names: tuple[str, ...], period: float) -> None:
-        """Let the body say these log variables; what it does not have is said in the log."""
+        """Ask the body to publish these log variables; a refusal is logged as an error."""
         asking = asyncio.get_running_loop().create_task(self._ask(names, period))
         self._asking.append(asking)
 
@@ -150,7 +173,10 @@ class RemoteLink:
             log.error("%s", answer.detail)
 
     async def arm(self) -> str:
-        """Let motors turn that wait for it; raises Refused with what its owner says."""
+        """Arm motors that need it, and return the owner's answer.
+
+        Raises Refused with the reason if the owner refuses or does not answer.
+        """
         try:
             answer = await self._commander.request(self._body, "arm", ARMS)
         except TimeoutError:
@@ -169,16 +195,16 @@ class RemoteLink:
 
     @property
     def silence(self) -> float:
-        """s since the world's owner has said how the body is; infinite before the first time."""
+        """Seconds since the owner's last report of the body; infinite before the first."""
         return self._condition.age()
 
     def problems(self) -> list[str]:
-        """Why its drone may not take off, as far as is known."""
+        """Return the reasons why the drone may not take off, according to the last report."""
         body = self._condition.peek()
         return [OFF] if body is not None and body.cut else []
 
     def harm(self) -> str:
-        """What has broken the body, or that nobody says how it is."""
+        """Return what broke the body, or a text that the owner is silent."""
         body = self._condition.fresh()
         if body is not None:
             return body.harm
@@ -188,9 +214,11 @@ class RemoteLink:
 
 
 class OwnerWatch(Actor):
-    """Says of which drones the world's owner has gone; it waits for one that has not come yet.
+    """Detects that the owner of a drone has gone; it waits for an owner that has not come yet.
 
-    gone: called with each of them, once.
+    clock: the clock of the process
+    links: the links of the drones by id
+    gone: called once with each drone after its owner has gone
     """
 
     name = "owner watch"
@@ -203,7 +231,11 @@ class OwnerWatch(Actor):
         self.gone = gone
 
     async def run(self) -> None:
-        """As often as a body says how it is; who stood still himself, as while he was stopped, hears first."""
+        """Check the silence of all owners at the rate of their reports.
+
+        If this process itself hung, for example because it was suspended, one check is skipped so
+        that waiting reports are read first.
+        """
         patient_until = self.clock.now() + PATIENT
         before = self.clock.now()
         async for _ in self.clock.ticks(BODY.rate):
@@ -226,28 +258,35 @@ class OwnerWatch(Actor):
 
 
 class Place(Protocol):
-    """What is asked about the body of a drone: of a simulated world, or of a radio."""
+    """Questions about the body of a drone, answered by a simulated world or by a radio."""
 
     flies: tuple[str, ...]
+    """Kinds of commands that its drones obey, keys of KINDS."""
     command_timeout: float | None
+    """Seconds without a command before a flying drone gets no thrust; None: no such limit."""
 
     def resting(self, i: int) -> bool:
-        """Does drone i stand on the floor?"""
+        """Return True if drone i stands on the floor."""
         ...
 
     def state(self, i: int) -> State:
-        """Where it is."""
+        """Return the state of drone i."""
         ...
 
 
 class RemoteBody:
-    """The other end: the body of one drone obeys what comes at its port from that drone, and nobody else.
+    """The other end of a RemoteLink: a body that obeys only the commands of its own agent.
 
-    But an emergency stop counts from any operator, whether the drone's agent is there or not.
+    An emergency stop is accepted from any operator, even without an agent.
 
-    link: of the world, for commands of this kind;  obeyed: called after each command that was;  flight: how one that is
-    left alone lands;  ask: lets the world's owner publish these log variables, every so many s;  arm: lets its
-    motors turn.
+    port: the port of the body
+    world: answers questions about the body
+    link: the link of the world for commands of this kind
+    kind: kind of command in the swarm file
+    obeyed: called after each command that was passed on
+    flight: height of the ground and landing speed for a drone without commands
+    ask: lets the owner publish these log variables, with this period in s
+    arm: arms the motors
     """
 
     def __init__(
@@ -274,7 +313,7 @@ class RemoteBody:
         self._clock = port.bus.clock
         self._commanded_ns: int | None = None
         self.was_cut = False
-        """Whether its motors were cut: they stay off until its world is started again."""
+        """True if the motors were cut: they stay off until the world is started again."""
         self._idle = False
         port.handlers[COMMAND.number] = self._commanded
         port.handlers[CUT.number] = self._cut
@@ -282,7 +321,7 @@ class RemoteBody:
 
     @property
     def silence(self) -> float:
-        """s since the last command; infinite before the first."""
+        """Seconds since the last command; infinite before the first."""
         return (
             math.inf
             if self._commanded_ns is None
@@ -291,7 +330,7 @@ class RemoteBody:
 
     @property
     def flying(self) -> bool:
-        """Whether commands have brought it into the air."""
+        """True if commands have brought the body into the air."""
         return (
             self._commanded_ns is not None
             and not self.was_cut
@@ -299,9 +338,11 @@ class RemoteBody:
         )
 
     def look(self) -> None:
-        """Nobody flies it any more, as its agent is gone or hangs: its planner on board lands it, if it has one.
+        """Bring the drone down if its agent is gone or hangs.
 
-        One that has none gets no thrust, as soon as its world says so; without that it is left to its engine.
+        With a planner on board the drone is told to land. Without a planner it gets the command
+        for no thrust and no speed after the timeout of its world. If the world has no timeout
+        either, its engine decides.
         """
         on_board = "xyz" in self.world.flies
         limit = (
@@ -333,18 +374,18 @@ class RemoteBody:
             )
 
     def abandon(self) -> None:
-        """It flies, and nobody has commanded it since its owner was started: it is landed."""
+        """Land a drone that flies without a command since its owner was started."""
         log.warning("drone %d: flies, and nobody commands it: landing", self.drone)
         self.link.send(self._down(False))
 
     def stop(self, reason: str) -> None:
-        """Motors off for good, whoever commands it."""
+        """Cut the motors for good, whichever agent commands the drone."""
         if not self.was_cut:
             log.error("drone %d: %s: motors cut", self.drone, reason)
             self._stop(True)
 
     def _nothing(self) -> Command:
-        """Neither thrust nor speed."""
+        """Return the command for no thrust and no speed."""
         kinds = KINDS[self.kind]
         stop: Command = (
             XYZ("stop", np.zeros(5))
@@ -354,7 +395,10 @@ class RemoteBody:
         return stop
 
     def _down(self, rests: bool) -> XYZ:
-        """To the ground by the planner on board, whose heading stays; one that rests stops its motors."""
+        """Return the command that lands the drone by its planner, or stops it if it is at rest.
+
+        The heading stays as it is.
+        """
         state = self.world.state(self.drone)
         flight = self.flight
         seconds = max(
@@ -397,7 +441,10 @@ class RemoteBody:
             self.obeyed()
 
     def _lands_by_itself(self, command: Any) -> bool:
-        """Whatever it is sent, its firmware can land it."""
+        """Return True for a landing command to a drone with a planner on board.
+
+        The planner can land the drone, whatever kind of command the swarm file names.
+        """
         return (
             isinstance(command, XYZ)
             and command.verb == "land"
@@ -405,7 +452,7 @@ class RemoteBody:
         )
 
     def _refuse(self, reason: str) -> None:
-        """Say so, once."""
+        """Count a refused command and log the first one."""
         self.refused += 1
         if self.refused == 1:
             log.error("%s", reason)
@@ -424,7 +471,10 @@ class RemoteBody:
             self._stop(True)
 
     def _stop(self, on: bool) -> None:
-        """Motors off for good: where the stop is cleared, they stay off until the world is started again."""
+        """Cut the motors for good if `on`; they stay off until the world is started again.
+
+        Clearing the emergency stop does not start them.
+        """
         if on:
             self.was_cut = True
             self.link.cut()
@@ -443,7 +493,10 @@ class RemoteBody:
 
 
 def _whole(command: Any) -> bool:
-    """Whether it has its kind's numbers, all of them finite: their sum is."""
+    """Return True if the command has the right count of numbers, all finite.
+
+    The sum is finite exactly if all numbers are, and is fast to test.
+    """
     flat = command.flat
     fits = flat.shape == (SIZES[type(command)],) and flat.dtype == np.float64
     return fits and math.isfinite(sum(flat.tolist()))

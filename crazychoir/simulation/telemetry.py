@@ -1,4 +1,4 @@
-"""Log variables of simulated drones, by the firmware's names: published as far as they are asked for."""
+"""Log variables of simulated drones under the firmware's names, published when requested."""
 
 import difflib
 from collections.abc import Iterable, Mapping
@@ -10,12 +10,12 @@ from crazychoir.errors import ConfigError
 from crazychoir.simulation.common.logs import LIGHT
 from crazychoir.simulation.common.world import World
 
-TICK, LONGEST = 0.01, 2.55
-"""s: periods of the firmware's log blocks are multiples of the first, at most the second."""
+TICK = 0.01  # s: periods of the firmware's log blocks are multiples of this
+LONGEST = 2.55  # s: longest period of a log block
 
 
 def names_of(uri: str) -> Iterable[str] | None:
-    """The variables of drones with this uri; None: only their world knows."""
+    """Return the log variables of drones with this uri; None if only their world knows them."""
     if uri == MOTORS:
         from crazychoir.simulation.onboard.logs import (
             TABLE,
@@ -26,7 +26,7 @@ def names_of(uri: str) -> Iterable[str] | None:
 
 
 def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
-    """Raise ConfigError for a name that is not there, with the nearest that are."""
+    """Raise ConfigError for an unknown variable name; the error lists the nearest known names."""
     there = tuple(known)
     for name in names:
         if name not in there:
@@ -59,20 +59,25 @@ def check_period(period: float, where: str) -> None:
 
 
 class Telemetry:
-    """The log variables that are asked of the drones of one world.
+    """The requested log variables of the drones of one world.
 
-    In each message of a drone: {name: [value, s of age]} of all that are asked; one is sent when one of them is due.
+    Each message of a drone is {name: [value, age in s]} with all its requested variables. A message
+    is sent when at least one variable is due.
     """
 
     def __init__(self, world: World, ports: Mapping[int, Port]) -> None:
         self.world = world
         self.ports = ports
         self.every: dict[int, dict[str, int]] = {}
-        """By drone and name: how many steps of the world from one value to the next."""
+        """Steps of the world from one value to the next, by drone and name."""
         self._found: dict[int, dict[str, tuple[float, int]]] = {}
 
     def ask(self, i: int, names: Iterable[str], period: float) -> None:
-        """From now on values of drone i every `period` s; the shortest that is asked counts. Raises ConfigError."""
+        """Publish these variables of drone i every `period` s from now on.
+
+        If a variable is requested several times, the shortest period counts.
+        Raises ConfigError for an unknown variable or an impossible period.
+        """
         where = f"drone {i}: log"
         wanted = tuple(names)
         check(wanted, names_of_world(self.world), where)
@@ -83,7 +88,10 @@ class Telemetry:
             every[name] = min(steps, every.get(name, steps))
 
     def step(self, tick: int, late: float) -> None:
-        """Publish what is due at this step; `late` s is how much older the world is than now."""
+        """Publish the variables that are due at this step.
+
+        late: s: how much older the world is than now
+        """
         for i, every in self.every.items():
             due = [name for name, steps in every.items() if tick % steps == 0]
             if not due:
@@ -99,9 +107,9 @@ class Telemetry:
 
 
 def names_of_world(world: World) -> Iterable[str]:
-    """The variables of a world's drones; none of an engine that does not say them.
+    """Return the log variables of the drones of a world; none if its engine has no log.
 
-    An engine that does has `variables`, names, and `log(i, name)`, the value of drone i now.
+    An engine with a log has `variables`, the names, and `log(i, name)`, the value of drone i now.
     """
     names: Iterable[str] = getattr(world, "variables", ())
     return names

@@ -1,4 +1,4 @@
-"""What a run in virtual time was, in 32 hex digits."""
+"""A fingerprint of a run in virtual time, 32 hexadecimal digits."""
 
 import hashlib
 import struct
@@ -24,17 +24,17 @@ class Trace:
         payload: bytes,
         *_: object,
     ) -> None:
-        """One message as it arrives; observers are no part of the run."""
+        """Add one message when it arrives; messages to observers are not part of the run."""
         if destination < OBSERVER:
             self._parts += (_HEAD.pack(destination, topic, source, number), payload)
 
     def update(self, part: bytes) -> None:
-        """One step of the world; all that was heard since the last one goes into the hash in one call."""
+        """Add one step of the world and hash it together with the messages since the last step."""
         self._parts.append(part)
         self._take()
 
     def digest(self) -> str:
-        """Hex digits."""
+        """Return the digest as hexadecimal digits."""
         self._take()
         return self._hash.hexdigest()
 

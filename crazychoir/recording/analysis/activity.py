@@ -1,4 +1,4 @@
-"""What the drones of a recorded flight were doing, and when: phases of flight, and the stops that they came to."""
+"""Activity of the drones of a recorded flight over time: phases of flight, and completed stops."""
 
 import json
 import re
@@ -11,52 +11,70 @@ from crazychoir.recording.mcap.sequence import told
 from crazychoir.runtime.clock import SECOND
 
 COUNT = re.compile(r"(\d+)(?:/\d+)? (?:stops|done)")
-"""How far a drone is, in what it says of its task: "1/4 stops", "3 stops done", "2 done, task 9"."""
-SIGNS = {"pickup": "+", "delivery": "\N{MINUS SIGN}"}
-ON_GROUND = "on ground"
+"""Pattern of the count of stops in a task's text: "1/4 stops", "3 stops done", "2 done, task 9"."""
+SIGNS = {
+    "pickup": "+",
+    "delivery": "\N{MINUS SIGN}",
+}  # before the task's number in a label
+ON_GROUND = "on ground"  # phase of flight
 
 
 @dataclass(frozen=True)
 class Span:
-    """From `begin` to `end` s a drone was in a phase of flight, and said so of its task."""
+    """An interval in which a drone was in one phase of flight and reported one task."""
 
     drone: int
+    """Id of the drone."""
     begin: float
+    """Beginning in s."""
     end: float
+    """End in s."""
     phase: str
+    """Phase of flight."""
     task: str
+    """Text of the drone about its task."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """At t s a drone was done with a stop: "+3" the pickup of task 3, "−3" its delivery, "3" task 3;
-    "(2)" its second one, where its result does not say which.
-    """
+    """A stop that a drone has completed."""
 
     drone: int
+    """Id of the drone."""
     t: float
+    """Seconds at which it was complete."""
     label: str
+    """Name of the stop.
+
+    "+3" is the pickup of task 3, "−3" its delivery, "3" task 3. "(2)" is the second stop of a
+    drone with a result that does not name its stops.
+    """
 
 
 @dataclass(frozen=True)
 class Work:
-    """Of all drones, each in order of time; as exact as the statuses come, four a second."""
+    """Activity of all drones, each in order of time.
+
+    Times are as exact as the statuses are frequent: four a second.
+    """
 
     spans: tuple[Span, ...]
+    """Phases of flight."""
     stops: tuple[Stop, ...]
+    """Completed stops."""
 
     @property
     def drones(self) -> list[int]:
-        """Those that have said anything."""
+        """The drones with at least one status."""
         return sorted({span.drone for span in self.spans})
 
     @property
     def flown(self) -> bool:
-        """Whether anybody left the ground."""
+        """True if at least one drone left the ground."""
         return any(span.phase != ON_GROUND for span in self.spans)
 
     def write(self, path: Path) -> None:
-        """A CSV file, a row a span, with the stops that were done in it."""
+        """Write a CSV file, one row a span, with the stops that were completed in it."""
         rows = ["drone,begin_s,end_s,phase,task,stops"]
         for span in self.spans:
             done = " ".join(
@@ -71,7 +89,10 @@ class Work:
 
 
 def work_of(path: Path, began: float) -> Work:
-    """The work of a recorded flight, in s after `began`; raises ConfigError for what is no recording."""
+    """Return the activity of a recorded flight, in s after `began`.
+
+    Raises ConfigError if the file is no recording.
+    """
     said: dict[int, list[tuple[float, str, str]]] = {}
     served: dict[int, list[str]] = {}
     for message in told(path, (STATUS.name, RESULT.name)):
@@ -92,7 +113,10 @@ def work_of(path: Path, began: float) -> Work:
 
 
 def _spans(drone: int, rows: list[tuple[float, str, str]]) -> list[Span]:
-    """Rows (t s, phase, task) in order of time, those that say the same joined."""
+    """Return the spans of rows (t s, phase, task) in order of time.
+
+    Equal rows in sequence become one span.
+    """
     begins = [k for k, row in enumerate(rows) if k == 0 or row[1:] != rows[k - 1][1:]]
     ends = [*begins[1:], len(rows) - 1]
     return [
@@ -102,7 +126,7 @@ def _spans(drone: int, rows: list[tuple[float, str, str]]) -> list[Span]:
 
 
 def _stops(drone: int, spans: tuple[Span, ...], served: list[str]) -> list[Stop]:
-    """A stop wherever the count of a drone rises."""
+    """Return the stops of a drone: one wherever its count rises."""
     found: list[Stop] = []
     for span in spans:
         if span.drone != drone:
@@ -117,9 +141,10 @@ def _stops(drone: int, spans: tuple[Span, ...], served: list[str]) -> list[Stop]
 
 
 def _labels(result: Any) -> list[str]:
-    """Of the stops of a drone's result, if it has any: of pickups and deliveries, or (task, ...) each.
+    """Return the labels of the stops in a drone's result; empty if it has none.
 
-    A mission of the user may say something else by the same names.
+    The result lists pickups and deliveries, or (task, ...) each. A user's mission may use the same
+    names for something else.
     """
     try:
         served = [

@@ -1,4 +1,4 @@
-"""What the drones of a recorded flight told each other: how many messages, and how their rounds came to agree."""
+"""Messages between the drones of a recorded flight: rates, and convergence of the rounds."""
 
 import json
 from collections.abc import Mapping
@@ -14,43 +14,55 @@ from crazychoir.routing.instance.vehicle import MAKESPAN
 from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Mat, Vec
 
-COUNTERS = ("sent", "lost", "resent")
+COUNTERS = ("sent", "lost", "resent")  # fields of a status
 STEP = 0.5
-"""s between two rates of messages."""
-WITH_CONTENT = ("data", "repeat", "ahead")
+"""Seconds between two values of the message rates."""
+WITH_CONTENT = ("data", "repeat", "ahead")  # kinds of round messages with a value
 
 
 @dataclass(frozen=True)
 class Channel:
-    """The rounds of one algorithm.
-
-    rounds: (n,), those of which something has arrived, in order;  different: (n,), how many different messages there
-    were in each, 1 if all said the same;  spread: (n,) max over drones and entries of |x_i - mean_j x_j|, where
-    messages are numbers of one shape; else None.
-    """
+    """The rounds of one algorithm."""
 
     name: str
+    """Name of the channel."""
     rounds: Vec
+    """(n,): the rounds with at least one message that arrived, in order."""
     different: Vec
+    """(n,): count of different messages in each round; 1 if all drones said the same."""
     spread: Vec | None
+    """(n,): max over drones and entries of |x_i - mean_j x_j| in each round.
+
+    None if messages are not numbers of one shape.
+    """
 
 
 @dataclass(frozen=True)
 class Talk:
-    """t: (n,) s;  rates: (n, 3) 1/s of messages between drones of the whole team, sent, lost, resent, on average since
-    the time before;  channels: in order of their first message;  history: by drone, (n, 3) = round, value of the
-    relaxation, cost of the best plan, whenever they changed, NaN as long as unknown, of who has planned routes.
-    unit: of these two: "m" of all routes, or "s" until the last drone is back, as the team has minimised.
-    """
+    """Messages between the drones of a recorded flight."""
 
     t: Vec
+    """(n,) s: times of the rates."""
     rates: Mat
+    """(n, 3) 1/s: messages sent, lost and resent between all drones, averaged since the time
+    before.
+    """
     channels: tuple[Channel, ...]
+    """Channels in order of their first message."""
     history: dict[int, Mat]
+    """Planning of each drone with planned routes, (n, 3).
+
+    A row has the round, the value of the relaxation and the cost of the best plan, for each
+    change; NaN while unknown.
+    """
     unit: str = "m"
+    """Unit of value and cost: "m" of all routes, or "s" until the last drone is back.
+
+    It is the objective of the team.
+    """
 
     def write(self, path: Path) -> None:
-        """The rates as a CSV file."""
+        """Write the rates as a CSV file."""
         header = ",".join(["t_s", *(f"{name}_1_s" for name in COUNTERS)])
         np.savetxt(
             path,
@@ -62,7 +74,7 @@ class Talk:
         )
 
     def write_rounds(self, path: Path) -> None:
-        """The rounds as a CSV file."""
+        """Write the rounds as a CSV file."""
         rows = ["channel,round,different_messages,spread"]
         for channel in self.channels:
             spread = (
@@ -78,7 +90,7 @@ class Talk:
         path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
     def write_history(self, path: Path) -> None:
-        """The planning of all drones as a CSV file."""
+        """Write the planning of all drones as a CSV file."""
         rows = [
             np.column_stack([np.full(len(own), i), own])
             for i, own in sorted(self.history.items())
@@ -90,7 +102,10 @@ class Talk:
 
 
 def talk_of(path: Path, began: float) -> Talk:
-    """The talk of a recorded flight, in s after `began`; raises ConfigError for what is no recording."""
+    """Return the messages of a recorded flight, in s after `began`.
+
+    Raises ConfigError if the file is no recording.
+    """
     counted: dict[int, list[tuple[float, ...]]] = {}
     said: dict[str, dict[int, dict[int, str]]] = {}
     history: dict[int, Mat] = {}
@@ -130,7 +145,10 @@ def talk_of(path: Path, began: float) -> Talk:
 
 
 def _planned(result: Any) -> Mat | None:
-    """The rows (n, 3) of Talk.history of a drone's result; None where it has none, or means something else by it."""
+    """Return the rows (n, 3) of Talk.history in a drone's result.
+
+    Return None if the result has none, or uses the name for something else.
+    """
     try:
         rows = np.array(result["history"], dtype=float)
     except (TypeError, KeyError, ValueError):
@@ -139,7 +157,11 @@ def _planned(result: Any) -> Mat | None:
 
 
 def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:
-    """From rows [t, counters] of each drone, which says them now and then: a drone that is not heard yet has none."""
+    """Return the times and the rates of the whole team from rows [t, counters] of each drone.
+
+    The drones report at different times. Before its first and after its last report a drone adds
+    no messages.
+    """
     if not counted:
         return np.zeros(0), np.zeros((0, len(COUNTERS)))
     first = min(rows[0, 0] for rows in counted)
@@ -154,7 +176,7 @@ def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:
 
 
 def _growing(rows: Mat) -> Mat:
-    """The same with counters that never fall: who says fewer than before was started anew, and counts from 0."""
+    """Make counters monotonic: if one falls, the drone was restarted and counts from 0."""
     steps = np.diff(rows[:, 1:], axis=0)
     anew = (steps < 0.0).any(axis=1)
     steps[anew] = rows[1:, 1:][anew]
@@ -177,7 +199,7 @@ def _channel(name: str, rounds: Mapping[int, Mapping[int, str]]) -> Channel:
 
 
 def _spread(messages: Mapping[int, str]) -> float | None:
-    """Of messages that are numbers of one shape; None of any others."""
+    """Return the spread of messages that are numbers of one shape; None for other messages."""
     values: list[Any] = [json.loads(text) for text in messages.values()]
     try:
         x = np.array(values, dtype=float)

@@ -1,4 +1,4 @@
-"""Where two recordings of what should be one flight first differ."""
+"""Find the first difference between two recordings of what should be the same flight."""
 
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -15,26 +15,28 @@ TIME = "the time of the message"
 
 @dataclass(frozen=True)
 class Difference:
-    """The first message that is not the same, t s after the recordings' zero.
-
-    topic: as `/drone3/state`;  field: of the message, or what else is another;  first, second: the values.
-    """
+    """The first message that differs between two recordings."""
 
     t: float
+    """Seconds after the recordings' zero."""
     topic: str
+    """Topic of the message, such as `/drone3/state`."""
     field: str
+    """The field of the message that differs, or another property, such as the time."""
     first: Any
+    """Value in the first recording."""
     second: Any
+    """Value in the second recording."""
 
     def __str__(self) -> str:
         return f"at {self.t:.3f} s in {self.topic}: {self.field}: {self.first} first, {self.second} then"
 
 
 def first_difference(one: Path, other: Path) -> Difference | None:
-    """The first difference of two recordings, None if there is none.
+    """Return the first difference of two recordings; None if there is none.
 
-    If the first one was cut off, or is spoilt, what the second one has beyond that is no difference.
-    Raises ConfigError for files that are no recordings.
+    If the first recording is truncated or damaged, further messages of the second are no
+    difference. Raises ConfigError if a file is no recording.
     """
     firsts = told(one)
     for first, second in zip_longest(firsts, told(other)):
@@ -58,12 +60,12 @@ def _same(a: Told, b: Told) -> bool:
 
 
 def _alone(there: Told, first: str, second: str) -> Difference:
-    """One of the recordings ends before the other."""
+    """Return the difference that one of the recordings ends before the other."""
     return Difference(there.came_ns / SECOND, there.source.name, "end", first, second)
 
 
 def _difference(a: Told, b: Told) -> Difference:
-    """What is another in two messages that stand at the same place."""
+    """Return the difference of two messages at the same place."""
     t = min(a.came_ns, b.came_ns) / SECOND
     if a.source != b.source:
         return Difference(
@@ -76,6 +78,6 @@ def _difference(a: Told, b: Told) -> Difference:
     first = a.values()
     second = b.values()
     for path, value in first.items():
-        if str(value) != str(second[path]):  # as texts: NaN is NaN
+        if str(value) != str(second[path]):  # as texts, in which NaN equals NaN
             return Difference(t, a.source.name, path, value, second[path])
     return Difference(t, a.source.name, "bytes", a.data.hex(), b.data.hex())

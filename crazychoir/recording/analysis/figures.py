@@ -1,4 +1,4 @@
-"""What a recording says of a flight, in numbers: where each drone was, where it was to be, how far they were apart."""
+"""Figures of a recorded flight: positions, references, errors, and distances between drones."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +14,9 @@ from crazychoir.types import Mat, Vec
 
 TOPICS = (TRUTH.name, STATE.name, REFERENCE.name)
 UNSEEN = "unseen"
-"""What a recording's `about` calls the drones that nobody sees from outside."""
+"""Key in a recording's `about` with the drones that no cameras see."""
 JOINED = 0.15
-"""s: places that are further apart in time are not joined by a line."""
+"""Seconds between two positions up to which they are joined by a line."""
 COLUMNS = (
     "t_s",
     "x_m",
@@ -42,40 +42,49 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Track:
-    """One drone, at the n times t at which it was somewhere.
-
-    source: what says where it was: `truth`, or its own `state`, of a drone that nobody sees or whose truth was not
-    recorded: then there is nothing to compare its estimate with.
-    t: (n,) s since the recording began;  p: (n, 3) m, world;  q: (n, 4);  v: (n, 3) m/s, world;  w: (n, 3) rad/s, body;
-    reference, estimate: (n, 3) m, world, NaN where there is none.
-    """
+    """One drone at the n times t with a known position."""
 
     drone: int
+    """Id of the drone."""
     source: str
+    """Topic of its positions: `truth`, or its own `state`.
+
+    It is `state` for a drone that no cameras see, or without recorded truth; then its estimate
+    cannot be compared with anything.
+    """
     t: Vec
+    """(n,) s since the recording began."""
     p: Mat
+    """(n, 3) m, world: position."""
     q: Mat
+    """(n, 4): attitude."""
     v: Mat
+    """(n, 3) m/s, world: velocity."""
     w: Mat
+    """(n, 3) rad/s, body: rates."""
     reference: Mat
+    """(n, 3) m, world: reference; NaN where there is none."""
     estimate: Mat
+    """(n, 3) m, world: estimated position; NaN where there is none."""
 
     @property
     def tracking(self) -> Vec:
-        """(n,) m: how far it was from its reference."""
+        """(n,) m: distance from its reference."""
         distance: Vec = np.linalg.norm(self.p - self.reference, axis=1)
         return distance
 
     @property
     def estimation(self) -> Vec:
-        """(n,) m: how far it was from where it thought it was."""
+        """(n,) m: distance from its own estimate."""
         distance: Vec = np.linalg.norm(self.p - self.estimate, axis=1)
         return distance
 
     def figures(self) -> dict[str, float | str | None]:
-        """Lengths in m; None where nothing can be compared.
+        """Return the figures of the track; lengths in m, None where nothing can be compared.
 
-        rmse = sqrt(mean(e^2)), e: tracking or estimation error at each time of the track that has one.
+            rmse = sqrt(mean(e^2))
+
+        e: tracking or estimation error at each time of the track with such an error
         """
         return {
             "source": self.source,
@@ -93,7 +102,7 @@ class Track:
         }
 
     def write(self, path: Path) -> None:
-        """A CSV file, a row a time, nan where there is nothing."""
+        """Write a CSV file, one row a time; nan where there is no value."""
         parts = (
             self.t,
             self.p,
@@ -116,16 +125,19 @@ class Track:
 
 @dataclass(frozen=True)
 class Flight:
-    """All drones of which it is known where they were; separation: (m,) m, the least distance of any two at the times
-    (m,) s; NaN: no two are known.
-    """
+    """All drones with known positions."""
 
     tracks: tuple[Track, ...]
+    """One track a drone."""
     times: Vec
+    """(m,) s since the recording began."""
     separation: Vec
+    """(m,) m: least distance between two drones at these times; NaN where fewer than two are
+    known.
+    """
 
     def figures(self) -> dict[str, Any]:
-        """Of the flight, and of each drone."""
+        """Return the figures of the flight and of each drone."""
         least = self.separation[np.isfinite(self.separation)]
         return {
             "min_separation_m": float(least.min()) if len(least) else None,
@@ -134,7 +146,7 @@ class Flight:
 
 
 def flight_of(recording: Recording) -> Flight:
-    """The flight of a recording, of drones whose truth or state was recorded."""
+    """Return the flight of a recording, with the drones that have a recorded truth or state."""
     sources = {i: _source(recording, i) for i in recording.drones}
     tracks = [_track(recording, i, source) for i, source in sources.items() if source]
     if not tracks:
@@ -153,11 +165,11 @@ def flight_of(recording: Recording) -> Flight:
 
 
 def joined(t: Vec, x: Mat, at: Vec) -> Mat:
-    """x (n, m), known at increasing times t (n,) s, at the times `at` (k,) s: (k, m).
+    """Interpolate x (n, m), known at increasing times t (n,) s, at the times `at` (k,) s: (k, m).
 
         x(s) = x_a + (s - t_a) / (t_b - t_a) (x_b - x_a),  t_a <= s <= t_b neighbours
 
-    NaN where t_b - t_a > JOINED, and outside of t.
+    The result is NaN where t_b - t_a > JOINED, and outside of t.
     """
     if len(t) < 2:
         return np.full((len(at), x.shape[1] if len(t) else 3), np.nan)
@@ -170,13 +182,16 @@ def joined(t: Vec, x: Mat, at: Vec) -> Mat:
 
 
 def rms(e: Vec) -> float | None:
-    """Root of the mean square of what is finite of e."""
+    """Return the root of the mean square of the finite entries of e; None if there are none."""
     e = e[np.isfinite(e)]
     return float(np.sqrt(np.mean(e**2))) if len(e) else None
 
 
 def _source(recording: Recording, i: int) -> str:
-    """The topic that says where it was, empty if none does. The truth of one that nobody sees is its own estimate."""
+    """Return the topic with the positions of drone i; empty if there is none.
+
+    The truth of a drone that no cameras see is its own estimate, so it is not used.
+    """
     unseen = str(i) in recording.about.get(UNSEEN, "").split(",")
     topics = [STATE.name] if unseen else [TRUTH.name, STATE.name]
     return next((name for name in topics if len(recording.of(i, name)) > 1), "")
@@ -199,13 +214,16 @@ def _track(recording: Recording, i: int, source: str) -> Track:
 
 
 def _in_order(values: Values, began: float) -> tuple[Vec, Mat]:
-    """Times of birth in s since `began`, increasing, and what was then: over a network one may overtake another."""
+    """Return the times of birth in s since `began`, increasing, and the numbers at these times.
+
+    Over a network one message may overtake another.
+    """
     t, first = np.unique(values.born - began, return_index=True)
     return t, values.numbers[first]
 
 
 def _nearest(places: Mat) -> float:
-    """m, the least distance of any two whose places are known; NaN if there are no two."""
+    """Return the least distance in m between two known positions; NaN if there are not two."""
     known = places[np.isfinite(places[:, 0])]
     return float(pdist(known).min()) if len(known) > 1 else float("nan")
 

@@ -1,4 +1,4 @@
-"""Pictures of a flight for a column of a paper: 3.5 inches wide, as PNG and PDF."""
+"""Pictures of a flight for one column of a paper: 3.5 inches wide, as PNG and PDF."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH = 3.5
-"""inches, of a column."""
+"""Width of a column in inches."""
 NAMED = len(COLOURS)
-"""Drones that a legend names; more of them are told by a scale of colours."""
+"""Largest number of drones that a legend names; more are shown by a scale of colours."""
 FORMATS = ("png", "pdf")
 STYLE: Any = {
     "font.size": 8,
@@ -43,15 +43,15 @@ STYLE: Any = {
     "pdf.fonttype": 42,
 }
 Pictures = dict[str, tuple[float, "Callable[[Figure], None]"]]
-"""By name: the height in inches, and what draws it."""
+"""Height in inches and the drawing function of each picture, by its name."""
 Reasons = dict[str, str]
-"""By the name of a picture: why it is not drawn."""
+"""Why a picture is not drawn, by its name."""
 BAND: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
-"""A broad band below the line of what was flown."""
+"""Style of a broad band below the line of what was flown."""
 
 
 def draw(pictures: Pictures, folder: Path) -> list[Path]:
-    """These pictures, into `folder`; returns their files."""
+    """Write these pictures into `folder`; return their files."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -69,7 +69,7 @@ def draw(pictures: Pictures, folder: Path) -> list[Path]:
 
 
 def of_flight(flight: Flight) -> tuple[Pictures, Reasons]:
-    """What is drawn of where drones were, and what cannot be."""
+    """Return the pictures of the drones' positions, and why others cannot be drawn."""
     all_pictures: Pictures = {
         "top": (3.3, partial(_draw_top, flight=flight)),
         "space": (3.2, partial(_draw_space, flight=flight)),
@@ -154,19 +154,19 @@ def _draw_separation(figure: "Figure", flight: Flight) -> None:
 
 
 def along_time(axes: Any, last: float, label: str) -> None:
-    """Time to the right, up to `last` s."""
+    """Set up the time axis from 0 to `last` s, and the label of the other axis."""
     axes.set_xlim(0.0, last)
     axes.set_xlabel("$t$ [s]")
     axes.set_ylabel(label)
 
 
 def lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
-    """How each drone's line looks, and the drone."""
+    """Return the line style of each drone with its track."""
     return list(zip(looks(len(flight.tracks)), flight.tracks, strict=True))
 
 
 def looks(n: int) -> list[dict[str, Any]]:
-    """Of the lines of n drones; dashes show what lies below a line."""
+    """Return the styles of the lines of n drones; dashes let a line below be seen."""
     told: Any = (
         zip(COLOURS[:n], cycle(DASHES), strict=False)
         if n <= NAMED
@@ -176,7 +176,7 @@ def looks(n: int) -> list[dict[str, Any]]:
 
 
 def scale(n: int) -> Mat:
-    """n colours, from dark to light."""
+    """Return n colours, from dark to light."""
     from matplotlib import colormaps
 
     colours: Mat = colormaps["viridis"](np.linspace(0.0, 0.92, n))
@@ -184,7 +184,7 @@ def scale(n: int) -> Mat:
 
 
 def _reference(flight: Flight) -> str:
-    """The name of the band, if there is one."""
+    """Return the name of the band; empty if there is no reference."""
     return (
         "reference"
         if any(np.isfinite(track.reference).any() for track in flight.tracks)
@@ -199,7 +199,10 @@ def name(
     started: bool = False,
     pad: float = 0.02,
 ) -> None:
-    """Say which line is which, and what the band is. Who is shown by its own state, not by truth, is marked."""
+    """Add a legend of the drones and of the band.
+
+    Drones without recorded truth are drawn from their own state and marked.
+    """
     own = [track.source == STATE.name for track in flight.tracks]
     marks = [" (state)" if one else "" for one in own]
     names = [
@@ -223,7 +226,7 @@ def name_drones(
     started: bool = False,
     pad: float = 0.02,
 ) -> None:
-    """By a legend above, or, of many, by a scale of colours with this label."""
+    """Add a legend above the picture, or for many drones a scale of colours with this label."""
     from matplotlib.lines import Line2D
 
     handles = []

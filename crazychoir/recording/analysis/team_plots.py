@@ -1,4 +1,4 @@
-"""Pictures of what a team has done together: who worked when, what was said, and how they came to agree."""
+"""Pictures of a team's work: activity over time, rates of messages, and convergence."""
 
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -33,23 +33,29 @@ PHASES = {
     "landing": "#009E73",
     "stopped": "#D55E00",
 }
-"""Okabe and Ito's, and a grey; in print they differ in lightness, too."""
+"""Colours of the phases: those of Okabe and Ito, and a grey.
+
+They also differ in lightness, for print without colours.
+"""
 MOST_LABELLED = 60
-"""Stops with their names beside the bars; more would cover each other."""
+"""Largest number of stops that are labelled; more labels would cover each other."""
 LETTER = 0.017
-"""Of the width of the picture, a letter of a stop's name."""
-MOST_CHANNELS = 4
+"""Width of a letter of a stop's name, as a share of the picture's width."""
+MOST_CHANNELS = 4  # channels drawn in one picture
 LEAST = 1e-6
-"""m, and in the units of messages: what is nearer is drawn there."""
+"""Least value on a logarithmic axis, in m or in the units of messages; smaller values are raised.
+"""
 END = 1.0
-"""s over which the place is averaged where a drone's law has ended."""
+"""Seconds at the end of a drone's law over which its final position is averaged."""
 SAID = {"lost": "lost (simulated)"}
-"""Counters that the legend calls otherwise: what a real network loses, no sender counts."""
+"""Names in the legend of counters that need another name; a real network's losses are not counted.
+"""
 PLANNED = {"m": "length of all routes [m]", "s": "time until all are back [s]"}
+"""Label of the cost, by its unit."""
 
 
 def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
-    """Those of which the recording has anything, and why not the others."""
+    """Return the pictures that the recording has data for, and why others cannot be drawn."""
     pictures: Pictures = {}
     missing: Reasons = {}
     if work.flown:
@@ -80,7 +86,7 @@ def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
 
 
 def law_times(work: Work) -> dict[int, tuple[float, float]]:
-    """s in which each drone flew by a law."""
+    """Return the interval in s in which each drone flew by a law."""
     spans = {
         i: [span for span in work.spans if span.drone == i and span.task == LAW]
         for i in work.drones
@@ -89,7 +95,7 @@ def law_times(work: Work) -> dict[int, tuple[float, float]]:
 
 
 def _draw_tasks(figure: "Figure", work: Work) -> None:
-    """A bar a drone, in the colours of its phases; a mark where it was done with a stop, with the stop's name."""
+    """Draw a bar a drone in the colours of its phases, and a labelled mark at each completed stop."""
     axes = figure.add_subplot()
     rows = {i: -k for k, i in enumerate(work.drones)}
     for span in work.spans:
@@ -122,7 +128,7 @@ def _draw_tasks(figure: "Figure", work: Work) -> None:
 
 
 def _name_stops(axes: Any, work: Work, rows: dict[int, int], last: float) -> None:
-    """Above the bar, or below it where the name before would be covered."""
+    """Write the stops' names above the bars, or below where the previous name would be covered."""
     ends: dict[int, float] = {}
     for stop in work.stops:
         row = rows[stop.drone]
@@ -163,7 +169,7 @@ def _draw_messages(figure: "Figure", talk: Talk) -> None:
 
 
 def _draw_history(figure: "Figure", talk: Talk) -> None:
-    """What each drone knew in each round: the value of the relaxation, and the cost of the best plan."""
+    """Draw what each drone knew in each round: value of the relaxation, cost of the best plan."""
     axes = figure.add_subplot()
     last = max(float(own[-1, 0]) for own in talk.history.values())
     for line, (_, own) in zip(
@@ -179,7 +185,7 @@ def _draw_history(figure: "Figure", talk: Talk) -> None:
 
 
 def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
-    """How far each drone is from where its law has ended, on a logarithmic axis."""
+    """Draw how far each drone is from its position at the end of its law, on a logarithmic axis."""
     axes = figure.add_subplot()
     times = law_times(work)
     last = 0.0
@@ -203,7 +209,10 @@ def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
 
 
 def _draw_rounds(figure: "Figure", talk: Talk) -> None:
-    """How messages of a round come to agree: by their spread, where all are numbers; else how many are different."""
+    """Draw how the messages of a round converge.
+
+    The quantity is their spread if all are numbers, else the count of different messages.
+    """
     axes = figure.add_subplot()
     chosen = sorted(talk.channels, key=lambda channel: -len(channel.rounds))[
         :MOST_CHANNELS

@@ -1,4 +1,4 @@
-"""What a swarm has flown, from above, as a picture: a mission's `picture` may be one line."""
+"""Pictures of a swarm's flight from above; with them, a mission's `picture` may be one line."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +13,8 @@ from crazychoir.types import Mat, Point, Vec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEADER, GREY = "#D55E00", "#909090"
+LEADER = "#D55E00"  # colour of leaders
+GREY = "#909090"
 Ways = Mapping[int, Sequence[Sequence[float]]]
 
 
@@ -26,12 +27,18 @@ def draw_tracks(
     marks: Mapping[str, Vec] | None = None,
     title: str = "",
 ) -> None:
-    """Write a PNG (or what the suffix of `path` says): the room from above, in m.
+    """Write a picture of the room from above, in m: a PNG, or what the suffix of `path` says.
 
-    results: of all drones, as `picture(config, results, path)` gets them: result["track"] is (n, 4) = t s, p m, world,
-    of who was seen;  leaders: drawn as squares, in another colour;  edges: thin lines between the ends;  marks: {name:
-    (k, 2) or (k, 3) m}, places of the mission, drawn as crosses.
-    Lines: what was flown;  empty circles: the starts;  filled: the ends, with the drones' numbers.
+    Lines are the flown tracks, empty circles the starts, filled circles the ends with the drones'
+    numbers.
+    results: results of all drones, as `picture(config, results, path)` gets them; result["track"]
+        is
+        (n, 4) = t s, p m, world, for a drone with a known track
+    path: the file to write
+    leaders: drones drawn as squares in another colour
+    edges: pairs of drones; their ends are joined by thin lines
+    marks: {name: (k, 2) or (k, 3) m}: places of the mission, drawn as crosses
+    title: title of the picture
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -93,7 +100,7 @@ def draw_tracks(
 def _name(
     axes: "Axes", leaders: Collection[int], tracks: Collection[int], marked: bool
 ) -> None:
-    """Say what the marks mean, above the picture."""
+    """Draw the legend above the picture."""
     from matplotlib.lines import Line2D
 
     def mark(label: str, kind: str, colour: str, fill: str | None = None) -> Line2D:
@@ -126,10 +133,16 @@ def draw_ways(
     seen: Ways | None = None,
     target: Point | None = None,
 ) -> None:
-    """Write a PNG (or what the suffix of `path` says).
+    """Write a picture of ways from above, and of a quantity beside it over time.
 
-    Left: ways, rows [t s, x, y, .. m], from their dots;  goals: crosses, (2,) m or more;  seen: ways of others, grey;
-    target: a star.  Right: beside, (T,) of each drone at the times of its way, with its label.
+    The file is a PNG, or what the suffix of `path` says.
+    path: the file to write
+    ways: rows [t s, x, y, .. m] of each drone, drawn from a dot at the start
+    beside: (T,): the quantity of each drone at the times of its way, drawn on the right
+    label: label of that quantity
+    goals: (2,) m or more: goal of each drone, drawn as a cross
+    seen: ways of others, drawn in grey
+    target: place drawn as a star
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,7 +1,9 @@
-"""ROS 2 message definitions as text, and values to bytes by them: CDR, little-endian, as every ROS 2 tool reads it.
+"""ROS 2 message definitions as text, and values as bytes: CDR, little-endian, as in ROS 2 tools.
 
-    message = 00 01 00 00, then the fields in order; a number lies at a multiple of its size, counted after these four
-    string = uint32 length with its NUL, UTF-8, NUL;   sequence = uint32 count, elements
+    message = 00 01 00 00, then the fields in order
+    number: at a multiple of its size, counted after these four bytes
+    string = uint32 length with its NUL, UTF-8, NUL
+    sequence = uint32 count, elements
 
 Source: OMG DDS-XTypes 1.3, section 7.4.1 (plain CDR, version 1).
 """
@@ -14,7 +16,7 @@ from itertools import takewhile
 from typing import Any, Final
 
 HEAD: Final = b"\x00\x01\x00\x00"
-"""Of every message: CDR, little-endian, no options."""
+"""First bytes of every message: CDR, little-endian, no options."""
 NUMBERS: Final = {
     "bool": "?",
     "uint8": "B",
@@ -25,30 +27,36 @@ NUMBERS: Final = {
     "float32": "f",
     "float64": "d",
 }
-"""Types of numbers, with their letters of `struct`."""
-RULE: Final = "=" * 80
+"""Types of numbers, with their letters in `struct`."""
+RULE: Final = "=" * 80  # line between the definitions in a schema
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])? +(\w+)")
 
 Definitions = Mapping[str, str]
-"""By `package/Name`: the text of a message, a field a line."""
+"""Text of each message by `package/Name`, a field a line."""
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """A field that is not a message itself: path with dots, type; count: 1, n of an array, None of a sequence."""
+    """A field that is not a message itself."""
 
     path: str
+    """Names of the fields that lead to it, joined by dots."""
     type: str
+    """Its type."""
     count: int | None = 1
+    """1 for a single value, n for an array, None for a sequence."""
 
     @property
     def fixed(self) -> bool:
-        """Whether it is as long in every message."""
+        """True if it has the same length in every message."""
         return self.type != "string" and self.count is not None
 
 
 def schema(name: str, definitions: Definitions) -> str:
-    """The text that makes a file self-describing: a message's definition, then of each message that it is made of."""
+    """Return the text that makes a file self-describing.
+
+    It is the definition of a message, followed by those of all messages that it contains.
+    """
     parts = [definitions[name]]
     parts += [
         f"{RULE}\nMSG: {other}\n{definitions[other]}"
@@ -58,14 +66,14 @@ def schema(name: str, definitions: Definitions) -> str:
 
 
 def definitions_of(name: str, text: str) -> Definitions:
-    """What such a text defines: the message of this name, and those that it is made of."""
+    """Return the definitions in such a text: of the named message and of the messages it contains."""
     first, *others = text.split(f"{RULE}\nMSG: ")
     pairs = (part.split("\n", 1) for part in others)
     return {name: first, **{other: own for other, own in pairs}}
 
 
 def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf]:
-    """The fields of a message and of the messages in it, in the order of their bytes."""
+    """Yield the fields of a message and of the messages in it, in the order of their bytes."""
     for kind, brackets, count, field in _fields(definitions[name]):
         if kind in definitions:
             yield from leaves(kind, definitions, f"{path}{field}.")
@@ -76,10 +84,12 @@ def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf
 
 
 class Layout:
-    """Where the values of one message type lie.
+    """Places of the values of one message type.
 
-    constants: by path, texts that are the same in every message, and None for numbers that are zero; their values are
-    not given. They stand before the first field whose length differs from message to message.
+    fields: fields in order
+    constants: by path, texts that are equal in every message, and None for numbers that are zero.
+        Their
+        values are not passed. They must stand before the first field of variable length.
     """
 
     def __init__(
@@ -91,9 +101,8 @@ class Layout:
         form = "<4s"
         end = 0
         count = 0
-        self._constants: list[
-            tuple[int, bytes]
-        ] = []  # what stands before the value of that number, the last one first
+        # (number of the value that follows, bytes of the constant), the last one first
+        self._constants: list[tuple[int, bytes]] = []
         for leaf in front:
             pad = -end % _width(leaf.type)
             width = _width(leaf.type)
@@ -121,8 +130,11 @@ class Layout:
         self._read = struct.Struct(re.sub(r"(\d+)s", r"\1x", form))
 
     def pack(self, values: Sequence[Any]) -> bytes:
-        """A message; one value a field, of an array in the front all its numbers.
+        """Return the bytes of a message.
 
+        values: one value a field; all numbers of an array that lies before the first field of
+            variable
+            length
         Raises struct.error or TypeError for a value that its field cannot hold.
         """
         n = self._values
@@ -138,14 +150,15 @@ class Layout:
         return bytes(message)
 
     def numbers(self, message: bytes) -> tuple[Any, ...]:
-        """The values before the first field whose length differs, without constants."""
+        """Return the values before the first field of variable length, without constants."""
         return self._read.unpack_from(message)
 
 
 def unpacked(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
-    """The values of a message by the paths of its fields, arrays and sequences as lists.
+    """Return the values of a message by the paths of its fields; arrays and sequences are lists.
 
-    Raises struct.error, IndexError or UnicodeDecodeError for one that is cut off or of other fields.
+    Raises struct.error, IndexError or UnicodeDecodeError if the message is cut off or has other
+    fields.
     """
     found: dict[str, Any] = {}
     at = len(HEAD)
@@ -162,7 +175,7 @@ def unpacked(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
 
 
 def _read(message: bytes, at: int, kind: str) -> tuple[Any, int]:
-    """The value at a place or after its padding, and where it ends."""
+    """Return the value at a place, after its padding, and the place where it ends."""
     width = _width(kind)
     at += -(at - len(HEAD)) % width
     if kind != "string":
@@ -174,7 +187,10 @@ def _read(message: bytes, at: int, kind: str) -> tuple[Any, int]:
 
 
 def _append(message: bytearray, leaf: Leaf, value: Any) -> None:
-    """A field whose place depends on what was before it. An empty sequence has no padding after its count."""
+    """Append a field after the first field of variable length.
+
+    An empty sequence has no padding after its count.
+    """
     if leaf.count is None:
         _number(message, "uint32", len(value))
     elif leaf.count != 1 and len(value) != leaf.count:
@@ -195,17 +211,17 @@ def _number(message: bytearray, kind: str, value: Any) -> None:
 
 
 def _content(text: str) -> bytes:
-    """Text, NUL; what is no character of UTF-8 as a question mark."""
+    """Return the text with NUL; a character that UTF-8 cannot encode becomes a question mark."""
     return text.encode(errors="replace") + b"\0"
 
 
 def _width(kind: str) -> int:
-    """Bytes of a number, or of the length before a text; it lies at a multiple of them."""
+    """Return the bytes of a number, or of the length before a text; they are also its alignment."""
     return 4 if kind == "string" else struct.calcsize(f"<{NUMBERS[kind]}")
 
 
 def _needed(name: str, definitions: Definitions) -> list[str]:
-    """The messages within a message, each once."""
+    """Return the messages within a message, each once."""
     found: dict[str, None] = {}
     for kind, *_ in _fields(definitions[name]):
         if kind in definitions:
@@ -214,7 +230,7 @@ def _needed(name: str, definitions: Definitions) -> list[str]:
 
 
 def _fields(text: str) -> list[tuple[str, str, str, str]]:
-    """(type, brackets, count, name) of each line."""
+    """Return (type, brackets, count, name) of each line."""
     lines = (line.split("#")[0].strip() for line in text.splitlines())
     found = [_FIELD.fullmatch(line) for line in lines if line]
     return [(m[1], m[2] or "", m[3] or "", m[4]) for m in found if m]

@@ -1,4 +1,4 @@
-"""Messages of a recording back as the values that drones have said."""
+"""Decode messages of a recording into the values that the drones published."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,21 +11,26 @@ from crazychoir.recording.mcap.reading import STAMP
 from crazychoir.recording.mcap.sequence import Source, Told
 
 NEEDLESS = ("header.", "child_frame_id", "pose.covariance", "twist.covariance")
-"""How the paths of fields begin that say nothing of a value."""
+"""Prefixes of the paths of fields that are no part of a value."""
 Reader = tuple[Layout | None, Callable[[Sequence[Any]], Any]]
-"""Where the numbers of a message lie, if they always lie there; and what makes a value of them."""
+"""Layout of a message's numbers if they have fixed places, and the function that makes the value.
+"""
 BY_TYPE = {message.type: message for message in MESSAGES.values()}
+"""Messages by their type in the notation of ROS 2."""
 
 
 class Values:
-    """What the messages of one recording say; path: named in errors."""
+    """Decodes the messages of one recording.
+
+    path: the recording, for error texts
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._known: dict[Source, Reader] = {}
 
     def of(self, message: Told) -> Any:
-        """The value of a message; raises ConfigError for one of another version."""
+        """Return the value of a message; raises ConfigError for a message of another version."""
         source = message.source
         layout, make = self._known.get(source) or self._find(source)
         if layout is not None:

@@ -1,4 +1,4 @@
-"""The texts of the ROS 2 messages in a recording."""
+"""Definitions of the ROS 2 messages in a recording."""
 
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -118,4 +118,4 @@ string kind
 string channel
 string json  # what was exchanged; empty where the kind has no content""",
 }
-"""Texts of the standard messages as ROS 2 Humble to Jazzy have them, without comments; and our own."""
+"""Definitions of standard messages as in ROS 2 Humble to Jazzy, without comments; and our own."""

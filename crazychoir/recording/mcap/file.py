@@ -1,9 +1,11 @@
-"""One MCAP file as it grows: what was written is whole chunks, so that it can be read whatever ends the program.
+"""One MCAP file while it grows: it consists of whole chunks, so it is readable after any failure.
 
-    magic, header, metadata, attachments (swarm file, mission), chunk, chunk, ..., metadata, index, footer, magic
+    magic, header, metadata, attachments (swarm file, mission),
+    chunk, chunk, ..., metadata, index, footer, magic
 
-A process that is killed leaves all chunks that it has written: they are the operating system's by then. A machine that
-loses its power leaves those that are on the disk: in real time, all but those of the last second or two.
+If the process is killed, all chunks that it has written remain, because the operating system holds
+them. If the machine loses power, the chunks on the disk remain: in real time, all but those of the
+last second or two.
 """
 
 import contextlib
@@ -24,46 +26,62 @@ from crazychoir.runtime.clock import SECOND
 ABOUT = "crazychoir"
 """Name of the record that says what was flown."""
 OUTCOME = "crazychoir outcome"
-"""Name of the record that says what came of it."""
+"""Name of the record with the outcome of the flight."""
 UNKNOWN = "nobody has said why"
-SWARM_FILE, MISSION_FILE = "swarm.json", "mission.py"
+SWARM_FILE = "swarm.json"  # name of the attachment
+MISSION_FILE = "mission.py"  # name of the attachment
 SUFFIX = ".mcap"
 LARGEST = 4 << 20
-"""Bytes of the messages of a chunk, before it is compressed."""
+"""Bytes of messages in a chunk after which it is closed, before compression."""
 
 
 @dataclass(eq=False)
 class Series:
-    """The messages of one topic of one drone; id: of its MCAP channel, 0 before its first message is written."""
+    """The messages of one topic of one drone."""
 
     drone: int
+    """Id of the drone."""
     topic: str
+    """Name of the topic."""
     message: Message
+    """Type of the messages."""
     id: int = 0
+    """Number of its MCAP channel; 0 before its first message is written."""
 
     @property
     def name(self) -> str:
-        """As tools show it."""
+        """Its name as tools show it."""
         return f"/drone{self.drone}/{self.topic}"
 
 
 @dataclass(slots=True)
 class Entry:
-    """One message on its way to the file: when it came and when it was born, in ns."""
+    """One message on its way to the file."""
 
     series: Series
+    """The series that it belongs to."""
     came_ns: int
+    """Time of arrival, ns."""
     born_ns: int
+    """Time of birth, ns."""
     data: bytes
+    """Its bytes."""
 
 
 class RecordingFile:
-    """A new file at `path`; raises ConfigError where there is one, or where none can be.
+    """A new file for a recording.
 
-    about: what was flown, as texts;  swarm: the swarm file;  durable: on the disk within a second or two, which a
-    thread should wait for;  mission: the text of its file. Later nothing raises: `error` says what ended the recording,
-    and the file keeps what it has.
-    `write` and `close` may be called from any thread.
+    Later failures raise nothing: `error` then says what ended the recording, and the file keeps
+    what it has. `write` and `close` may be called from any thread.
+
+    path: the file
+    about: what was flown, as texts
+    swarm: the swarm file
+    durable: True to have all on the disk within a second or two; writing then waits for the disk
+        and
+        should be done in a thread
+    mission: text of the mission's file
+    Raises ConfigError if the file exists already or cannot be made.
     """
 
     def __init__(
@@ -79,9 +97,9 @@ class RecordingFile:
         self.written = 0
         """Messages in the file."""
         self.lost = 0
-        """Messages that are not: what could not be written, and what who records them counts beside."""
+        """Messages that are not in the file: not written, or counted as lost by the recorder."""
         self.missed = 0
-        """Messages that did not come to who records, as he counts."""
+        """Messages that did not come to the recorder, which counts them."""
         self.error = ""
         self._fd = _create(path)
         self._turn = threading.Lock()
@@ -100,22 +118,24 @@ class RecordingFile:
             )
 
     def write(self, entries: Sequence[Entry]) -> None:
-        """Add these as chunks of their own; where that fails, and once it has failed, they are lost."""
+        """Add these messages as chunks of their own; after a failure they are lost."""
         with self._turn:
             before = self.written
             count = len(entries)
             if count and self._fd >= 0 and not self.error:
                 try:
                     self._add(entries)
-                except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
+                except Exception as error:  # noqa: BLE001 - reported; the flight goes on
                     self.error = f"{type(error).__name__}: {error}"
             if count and self.written == before:
                 self.lost += count
 
     def close(self, outcome: Mapping[str, str] | None = None) -> None:
-        """End the file with what came of it, and with its index; one without a message goes.
+        """End the file with the outcome and the index; a file without a message is removed.
 
-        outcome: texts, of which `ended` is why; how many messages were lost and missed is always said beside them.
+        outcome: texts; `ended` is the reason of the end. The counts of lost and missed messages
+            are
+            always added.
         """
         with self._turn:
             if self._fd < 0:
@@ -167,7 +187,11 @@ class RecordingFile:
         )
 
     def _put(self, sync: bool) -> bool:
-        """Hand over what is whole; what fits only in part is cut off again: the file ends with a whole chunk."""
+        """Write the bytes that are ready.
+
+        After a failure the file is truncated to its last whole chunk. Return False if writing has
+        failed.
+        """
         good = os.lseek(self._fd, 0, os.SEEK_CUR)
         left = memoryview(self._writer.take())
         try:
@@ -183,7 +207,7 @@ class RecordingFile:
 
 
 def check_path(path: Path) -> None:
-    """Refuse, before anything is done, a name that no reader would take."""
+    """Raise ConfigError for a file name that no reader would accept, before anything is done."""
     if path.suffix != SUFFIX:
         raise ConfigError(
             "--record",

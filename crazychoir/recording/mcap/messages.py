@@ -1,8 +1,9 @@
-"""The one table of what a recording holds: for each of our types a ROS 2 message, its values in the order of the
-fields, and what makes the value of them again. Standard messages where one fits, so that Foxglove, PlotJuggler and
-rosbags show them as they are.
+"""The only table of what a recording holds: a ROS 2 message for each type of value.
 
-A message with a header: header.stamp is when the value was born, header.frame_id "world".
+For each type it has the values in the order of the message's fields, and the function that makes
+the value of them again. Standard messages are used where they fit, so that Foxglove, PlotJuggler
+and rosbags show them as they are. In a message with a header, header.stamp is when the value was
+born and header.frame_id is "world".
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -53,7 +54,7 @@ from crazychoir.types import (
 )
 
 WAY = 25
-"""Numbers of a row of a plan's way."""
+"""Numbers in a row of a plan's way."""
 KIND_NAMES = {
     DATA: "data",
     REPEAT: "repeat",
@@ -64,38 +65,43 @@ KIND_NAMES = {
     FIN_TOO: "fin too",
     GONE: "gone",
 }
-"""What a message of a round says."""
+"""Names of the kinds of round messages."""
 
 
 class Exchanged(NamedTuple):
-    """One message of a round as it arrived at drone `to`; flags: epoch and kind;  payload: of the codec."""
+    """One message of a round as it arrived."""
 
     to: int
+    """The drone at which it arrived."""
     round: int
+    """Number of the round."""
     flags: int
+    """Epoch and kind."""
     channel: str
+    """Name of the channel."""
     payload: bytes
+    """Its bytes, of the codec."""
 
 
 @dataclass(frozen=True)
 class Message:
-    """How a type is written: the ROS message, and its values after the header's stamp, without constants.
-
-    value: what makes the value of these again; None: nobody replays it.
-    """
+    """The written form of the values of one type."""
 
     name: str
+    """Name of the ROS message."""
     values: Callable[[Any], Sequence[Any]]
+    """Returns the values of the fields after the header's stamp, without constants."""
     value: Callable[[Sequence[Any]], Any] | None = None
+    """Makes the value of these again; None if it is never replayed."""
 
     @property
     def type(self) -> str:
-        """As ROS 2 names it."""
+        """Its name in the notation of ROS 2."""
         return self.name.replace("/", "/msg/")
 
     @property
     def schema(self) -> str:
-        """Its text."""
+        """The text of its definition."""
         return schema(self.name, DEFINITIONS)
 
     @property
@@ -105,11 +111,11 @@ class Message:
 
     @property
     def stamped(self) -> bool:
-        """Whether it begins with a header."""
+        """True if it begins with a header."""
         return self.leaves[0].path == "header.stamp.sec"
 
     def layout(self, drone: int) -> Layout:
-        """Its bytes, of this drone."""
+        """Return the layout of its bytes for a drone."""
         return _layout(self, drone)
 
 
@@ -125,10 +131,11 @@ def _layout(message: Message, drone: int) -> Layout:
 
 
 Pack = Callable[[Any, int], bytes]
+"""Returns the message for a value and the time of its birth, ns."""
 
 
 def packer(message: Message, drone: int) -> Pack:
-    """The function that makes a message of a value of this drone that was born at that time, in ns."""
+    """Return the function that makes a message of a value of this drone and the time of its birth."""
     pack = message.layout(drone).pack
     values = message.values
     if not message.stamped:
@@ -137,12 +144,12 @@ def packer(message: Message, drone: int) -> Pack:
 
 
 def in_json(value: Any) -> str:
-    """A value of any kind, as a text."""
+    """Return a value of any kind as JSON."""
     return dumps(plain(value), default=str)
 
 
 def exchanged(message: Exchanged) -> tuple[Any, ...]:
-    """The fields of crazychoir_msgs/Round."""
+    """Return the fields of crazychoir_msgs/Round."""
     to, k, flags, channel, payload = message
     return (
         to,
@@ -177,12 +184,12 @@ def _plan(raw: Mapping[str, Any]) -> Plan:
 
 
 def _array(name: str, kind: Callable[[Vec], Any]) -> Message:
-    """Of a type that is one array."""
+    """Return the message of a type that is one array."""
     return Message(name, lambda value: value.flat.tolist(), lambda x: kind(_vec(x)))
 
 
 def _record(name: str, kind: Callable[..., Any]) -> Message:
-    """Of a type whose fields are the message's."""
+    """Return the message of a type with the same fields as the message."""
     return Message(
         name,
         lambda value: [getattr(value, n) for n in value.__struct_fields__],
@@ -227,9 +234,12 @@ MESSAGES: dict[Any, Message] = {
     dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),), _said),
     Exchanged: Message("crazychoir_msgs/Round", exchanged),
 }
-"""By the type of a value; any other value is written as a dictionary is."""
+"""Messages by the type of a value; any other value is written like a dictionary."""
 
 
 def usual(topic: Topic) -> Any:
-    """The type whose messages have the topic's name alone: its only one, or the first of several."""
+    """Return the type of messages that are recorded under the topic's name alone.
+
+    It is the only type of the topic, or the first of several.
+    """
     return (get_args(topic.type) or (topic.type,))[0]

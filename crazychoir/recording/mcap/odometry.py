@@ -1,4 +1,4 @@
-"""A State as nav_msgs/Odometry has it, with velocities in the frame of the body, and back."""
+"""Conversion of a State to nav_msgs/Odometry, with velocities in the frame of the body, and back."""
 
 from collections.abc import Sequence
 
@@ -8,11 +8,14 @@ from crazychoir.types import Mat, State
 
 
 def odometry(state: State) -> list[float]:
-    """p, q, v_b, w: nav_msgs/Odometry wants velocities in the frame of the body.
+    """Return p, q, v_b, w: nav_msgs/Odometry has velocities in the frame of the body.
 
         v_b = R(q)^T v = v - q_w t + u x t,  t = 2 u x v,  u = (q_x, q_y, q_z)
 
-    v_b: (3,) m/s, body;  v: (3,) m/s, world. Plain numbers: a compiled law takes longer to be called.
+    v_b: (3,) m/s, body
+    v: (3,) m/s, world
+    The formula is computed with plain numbers, because the call of a compiled function takes
+    longer.
     """
     x, y, z, vx, vy, vz, a, b, c, d, p, q, r = state.flat.tolist()
     tx = 2.0 * (b * vz - c * vy)
@@ -25,18 +28,20 @@ def odometry(state: State) -> list[float]:
 
 
 def state_of(x: Sequence[float]) -> State:
-    """The opposite of `odometry`; what the drone commanded is not recorded."""
+    """Return the State of the numbers of `odometry`; the drone's command is not recorded."""
     flat = np.array(x, dtype=float)
     v = into_world(flat[None, 3:7], flat[None, 7:10])[0]
     return State(np.concatenate([flat[0:3], v, flat[3:7], flat[10:13]]))
 
 
 def into_world(q: Mat, v_b: Mat) -> Mat:
-    """v = R(q) v_b, row by row.
+    """Return v = R(q) v_b, row by row.
 
         v = v_b + 2 q_w (u x v_b) + 2 u x (u x v_b),  u = (q_x, q_y, q_z)
 
-    q: (n, 4), unit;  v_b: (n, 3), body.  Returns (n, 3), world.
+    q: (n, 4): unit quaternions
+    v_b: (n, 3), body
+    Returns (n, 3), world.
     """
     u = q[:, :3]
     twice = 2.0 * np.cross(q[:, :3], v_b)

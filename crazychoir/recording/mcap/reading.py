@@ -1,4 +1,4 @@
-"""A recording read back, one that was cut off too: every whole chunk counts."""
+"""Read a recording; of a truncated file every whole chunk is read."""
 
 import mmap
 from array import array
@@ -29,21 +29,23 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Mat
 
 STAMP = 2
-"""Numbers of a header's stamp."""
+"""Count of numbers in a header's stamp."""
 FLIGHT = "a recording of a flight"
 
 
 @dataclass
 class Values:
-    """What was recorded of one topic of one drone, oldest first.
-
-    came, born: (n,) s, by the clock of the recording;  numbers: (n, m), the values of a message after its stamp, in the
-    order of its fields, as far as they are as long in every message.
-    """
+    """The recorded values of one topic of one drone, the oldest first."""
 
     came: Mat
+    """(n,) s: when each message came, by the recording's clock."""
     born: Mat
+    """(n,) s: when each value was born, by the recording's clock."""
     numbers: Mat
+    """(n, m): the values of a message after its stamp, in the order of its fields.
+
+    Fields from the first field of variable length on are left out.
+    """
 
     def __len__(self) -> int:
         return len(self.came)
@@ -51,55 +53,65 @@ class Values:
 
 @dataclass
 class Recording:
-    """A file of a flight.
-
-    about: what was flown;  swarm: the swarm file, as text;  mission: the text of the mission's file;  outcome: what
-    came of it, of a complete recording: why it `ended`, and of a flight in virtual time its `digest`;  lost: messages
-    that are not in it;  missed: that the network did not bring to who recorded it;  chunks: of messages, that are
-    whole;  fault: where it is cut off or spoilt, empty if it was ended in order;  topics: by (drone, topic).
-    """
+    """A file of a flight."""
 
     path: Path
+    """The file."""
     about: dict[str, str] = field(default_factory=dict)
+    """Description of the flight, as texts."""
     swarm: str = ""
+    """The swarm file, as text."""
     mission: str = ""
+    """Text of the mission's file."""
     outcome: dict[str, str] = field(default_factory=dict)
+    """Outcome of a complete recording.
+
+    `ended` says why it ended; a flight in virtual time has its `digest`.
+    """
     lost: int = 0
+    """Messages that came but are not in the file."""
     missed: int = 0
+    """Messages that the network did not bring to the recorder."""
     chunks: int = 0
+    """Count of whole chunks with messages."""
     fault: str = "not read"
+    """Place where the file is cut off or damaged; empty if it was ended in order."""
     topics: dict[tuple[int, str], Values] = field(default_factory=dict)
+    """Values by (drone, topic)."""
 
     @property
     def complete(self) -> bool:
-        """Whether it was ended in order, and all is there."""
+        """True if the file was ended in order and is whole."""
         return not self.fault
 
     @property
     def lacks(self) -> dict[str, Any]:
-        """Whether it is complete, and what it does not have, for JSON."""
+        """Its completeness, and its counts of lost and missed messages, for JSON."""
         return {"complete": self.complete, "lost": self.lost, "missed": self.missed}
 
     @property
     def drones(self) -> list[int]:
-        """Those of which there is anything."""
+        """The drones with at least one message."""
         return sorted({drone for drone, _ in self.topics})
 
     @property
     def seconds(self) -> tuple[float, float]:
-        """When the first and the last message came, s."""
+        """Times of arrival of the first and the last message, s."""
         came = [values.came for values in self.topics.values()]
         return min(column[0] for column in came), max(column[-1] for column in came)
 
     def of(self, drone: int, topic: str) -> Values:
-        """The values of a topic; none if it was not recorded."""
+        """Return the values of a topic; empty if it was not recorded."""
         return self.topics.get(
             (drone, topic), Values(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
         )
 
 
 def read(path: Path, topics: tuple[str, ...]) -> Recording:
-    """The recording of these topics; raises ConfigError for what is none, or has none of them."""
+    """Return the recording of these topics.
+
+    Raises ConfigError if the file is no recording, or has no message of these topics.
+    """
     recording = _whole(path, topics)
     if not recording.topics:
         raise ConfigError(
@@ -109,9 +121,9 @@ def read(path: Path, topics: tuple[str, ...]) -> Recording:
 
 
 def header(path: Path) -> Recording:
-    """A recording without its messages: what was flown, what came of it, and whether all its chunks are whole.
+    """Return a recording without its messages: what was flown, the outcome, and the fault.
 
-    Raises ConfigError for what is no recording, or has no message.
+    Raises ConfigError if the file is no recording, or has no message.
     """
     recording = _whole(path, ())
     if not recording.chunks:
@@ -141,7 +153,7 @@ def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
             _take(recording, found, opcode, body)
         except ConfigError:
             raise
-        except Exception:  # noqa: BLE001 - whatever is wrong with a record, what lies before it counts
+        except Exception:  # noqa: BLE001 - the records before a damaged record count
             whole.spoilt()
             break
     recording.topics = found.values()
@@ -175,7 +187,7 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
 
 
 class _Columns:
-    """Values of one topic of one drone as they are read: 8 bytes a number."""
+    """Values of one topic of one drone while they are read: 8 bytes a number."""
 
     def __init__(self) -> None:
         self._times, self._numbers = array("d"), array("d")
@@ -184,12 +196,12 @@ class _Columns:
         return len(self._times) // 2
 
     def add(self, came_ns: int, born_ns: int, numbers: Sequence[float]) -> None:
-        """A message; the same count of numbers in each."""
+        """Add a message; each must have the same count of numbers."""
         self._times.extend((came_ns / SECOND, born_ns / SECOND))
         self._numbers.extend(numbers)
 
     def values(self) -> Values:
-        """All of them; of at least one message."""
+        """Return all values; there must be at least one message."""
         times = np.frombuffer(self._times).reshape(-1, 2)
         n = len(self)
         return Values(
@@ -200,7 +212,7 @@ class _Columns:
 
 
 class _Series:
-    """What chunks hold of some topics."""
+    """Values of some topics, collected from chunks."""
 
     def __init__(self, path: Path, topics: tuple[str, ...]) -> None:
         self._path = path
@@ -211,7 +223,7 @@ class _Series:
         self._found: dict[int, _Columns] = {}
 
     def add(self, chunk: bytes) -> None:
-        """Take the records of a chunk."""
+        """Add the records of a chunk."""
         for opcode, body in records_of(chunk):
             match opcode:
                 case Opcode.MESSAGE:
@@ -223,7 +235,7 @@ class _Series:
                     self._open(Channel.read(stream(body)))
 
     def values(self) -> dict[tuple[int, str], Values]:
-        """By (drone, topic)."""
+        """Return the values by (drone, topic)."""
         return {
             self._keys[channel]: rows.values()
             for channel, rows in sorted(self._found.items())

@@ -1,4 +1,4 @@
-"""The records of an MCAP file one after the other; of one that was cut off, as far as they are whole."""
+"""The records of an MCAP file in order; of a truncated file, its whole records."""
 
 import contextlib
 import mmap
@@ -17,21 +17,20 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 
 DO = "Give it a file of `crazychoir run ... --record FILE`."
 MESSAGE = struct.Struct("<HIQQ")
-"""Before the data of a message: channel, sequence, when it came and when it was born, ns."""
+"""Numbers before the data of a message: channel, sequence, when it came, when it was born (ns)."""
 _RECORD = struct.Struct("<BQ")
 COMPRESSIONS = ("", "zstd", "lz4")
-"""Those of chunks that are read; "" is none."""
+"""Compressions of chunks that can be read; "" is none."""
 BARE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-"""Records that stand in a chunk, or, in a file that is not chunked, in the file itself."""
+"""Records that stand in a chunk, or directly in a file without chunks."""
 ENDS_RUN = (Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER)
-"""Before these, the bare records that have come are handed over."""
-LARGEST_RUN = 4 << 20  # bytes
-"""Of bare records that are handed over together."""
+"""Records before which the collected bare records are handed over."""
+LARGEST_RUN = 4 << 20  # bytes of bare records that are handed over together
 
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[mmap.mmap]:
-    """The bytes of an MCAP file; raises ConfigError for what is none."""
+    """Open an MCAP file and yield its bytes; raises ConfigError if it is no MCAP file."""
     try:
         with path.open("rb") as file:
             first = file.read(len(MCAP0_MAGIC))
@@ -52,7 +51,7 @@ def opened(path: Path) -> Iterator[mmap.mmap]:
 
 
 def of_another_program(path: Path) -> ConfigError:
-    """The error of an MCAP file that does not say what was flown."""
+    """Return the error for an MCAP file that does not say what was flown."""
     return ConfigError(
         str(path), "an MCAP file of another program", "one of crazychoir", DO
     )
@@ -61,7 +60,7 @@ def of_another_program(path: Path) -> ConfigError:
 def records(
     content: mmap.mmap | bytes, at: int = len(MCAP0_MAGIC)
 ) -> Iterator[tuple[int, bytes]]:
-    """(opcode, body) of every record that is whole."""
+    """Yield (opcode, body) of every whole record."""
     while at + _RECORD.size <= len(content):
         opcode, length = _RECORD.unpack_from(content, at)
         at += _RECORD.size
@@ -72,21 +71,24 @@ def records(
 
 
 def records_of(chunk: bytes) -> Iterator[tuple[int, bytes]]:
-    """The same of the content of a chunk."""
+    """Yield (opcode, body) of every whole record in a chunk."""
     return records(chunk, 0)
 
 
 class UnknownCompression(CrazyChoirError, ValueError):
-    """A chunk is compressed in a way that is not read."""
+    """The compression of a chunk is unknown."""
 
 
 class Records:
-    """(opcode, body) of the records of a recording, as far as they are whole; the body of a chunk: its own, unpacked.
+    """Iterates over the whole records of a recording as (opcode, body).
 
-    Schemas, channels and messages that stand in no chunk come as the body of one: a file that is not chunked reads as
-    one that is. Those of the summary, which repeat what was there, do not.
-    at: the byte at which the last one begins;  fault: why no more follow, empty after the footer of a recording that
-    was ended in order.
+    The body of a chunk is uncompressed. Schemas, channels and messages outside of chunks come as
+    the body of a chunk, so a file without chunks reads like a file with chunks. Those of the
+    summary, which repeat earlier records, are left out.
+
+    at: byte at which the last record begins
+    fault: why no more records follow; empty after the footer of a recording that was ended in
+        order
     """
 
     def __init__(self, content: mmap.mmap | bytes) -> None:
@@ -117,7 +119,7 @@ class Records:
             except UnknownCompression as error:
                 self.fault = f"{error}, at byte {self.at}"
                 return
-            except Exception:  # noqa: BLE001 - whatever is wrong with a chunk, what lies before it counts
+            except Exception:  # noqa: BLE001 - the records before a damaged chunk count
                 self.spoilt()
                 return
             yield opcode, content
@@ -129,12 +131,15 @@ class Records:
         self.fault = f"cut off at byte {after}"
 
     def spoilt(self) -> None:
-        """The last one cannot be read."""
+        """Set the fault: the last record cannot be read."""
         self.fault = f"spoilt at byte {self.at}"
 
 
 def _unpacked(chunk: bytes) -> bytes:
-    """The records of a chunk; raises what it likes where they are spoilt."""
+    """Return the records of a chunk.
+
+    Raises UnknownCompression, or any error if the chunk is damaged.
+    """
     packed = Chunk.read(stream(chunk))
     if packed.compression not in COMPRESSIONS:
         raise UnknownCompression(
@@ -145,5 +150,5 @@ def _unpacked(chunk: bytes) -> bytes:
 
 
 def stream(body: bytes) -> ReadDataStream:
-    """As the classes of mcap.records read it."""
+    """Return the body as the stream that the classes of mcap.records read."""
     return ReadDataStream(BytesIO(body))

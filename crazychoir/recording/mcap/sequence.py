@@ -1,4 +1,7 @@
-"""The messages of a recording in the order in which they came, each by what the file itself says of it."""
+"""The messages of a recording in the order in which they came.
+
+They are decoded by the definitions in the file itself.
+"""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -23,46 +26,55 @@ from crazychoir.recording.mcap.records import (
 
 @dataclass(frozen=True)
 class Source:
-    """A channel of a file: whose messages, of which topic, and what they are made of.
-
-    topic: as in the table of topics, or `command/vel`;  type: as ROS 2 names it;  schema: its definition.
-    """
+    """A channel of a file."""
 
     drone: int
+    """The drone that published its messages."""
     topic: str
+    """The topic as in the table of topics, or with a type of command, such as `command/vel`."""
     type: str
+    """Type of the messages in the notation of ROS 2."""
     schema: str
+    """Definition of the type."""
 
     @property
     def name(self) -> str:
-        """As tools show it."""
+        """Its name as tools show it."""
         return f"/drone{self.drone}/{self.topic}"
 
     @cached_property
     def fields(self) -> list[Leaf]:
-        """Of a message, in order."""
+        """Fields of a message in order."""
         name = self.type.replace("/msg/", "/")
         return list(leaves(name, definitions_of(name, self.schema)))
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """A message: when it came and when it was born, ns by the clock of the recording, and its bytes."""
+    """A message of a recording; times are by the recording's clock."""
 
     source: Source
+    """Its channel."""
     came_ns: int
+    """Time of arrival, ns."""
     born_ns: int
+    """Time of birth, ns."""
     data: bytes
+    """Its bytes."""
 
     def values(self) -> dict[str, Any]:
-        """By the path of each field."""
+        """Return its values by the path of each field."""
         return unpacked(self.source.fields, self.data)
 
 
 class Messages:
-    """The messages of all whole chunks, or those of some topics; raises ConfigError for a file that is no recording.
+    """Iterates over the messages of all whole chunks.
 
-    fault: when all were told, where the file is cut off or spoilt; empty if it was ended in order.
+    path: the file
+    topics: topics to read, None for all
+    fault: after the iteration, where the file is cut off or damaged; empty if it was ended in
+        order
+    Raises ConfigError if the file is no recording.
     """
 
     def __init__(self, path: Path, topics: Collection[str] | None = None) -> None:
@@ -83,7 +95,7 @@ class Messages:
     def _of_chunk(
         self, chunk: bytes, sources: dict[int, Source], schemas: dict[int, Schema]
     ) -> Iterator[Told]:
-        """What it tells, after those sources and schemas, to which it adds its own."""
+        """Yield the messages of a chunk, and add its sources and schemas to those known before."""
         for opcode, record in records_of(chunk):
             match opcode:
                 case Opcode.MESSAGE:
@@ -107,7 +119,7 @@ class Messages:
 
 
 def told(path: Path, topics: Collection[str] | None = None) -> Messages:
-    """The messages of a recording, or those of some topics."""
+    """Return the messages of a recording, or those of some topics."""
     return Messages(path, topics)
 
 

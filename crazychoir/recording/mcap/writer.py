@@ -1,6 +1,9 @@
-"""MCAP as bytes, for many messages at a time: a chunk is made in one go, with one record of an index a channel.
+"""MCAP as bytes, for many messages at a time.
 
-    file = magic, header, (metadata | attachment | chunk, message indexes)*, data end, summary, footer, magic
+A chunk is made in one go, with one index record a channel.
+
+    file = magic, header, (metadata | attachment | chunk, message indexes)*, data end, summary,
+           footer, magic
     chunk = schemas and channels that are new, messages;  compressed
 
 Source: the MCAP specification, version 0.
@@ -39,13 +42,13 @@ _REST = _MESSAGE.size - 9
 """Bytes of a message's record between its length and its data."""
 
 Timed = tuple[int, int, int, bytes]
-"""A message: channel, when it came and when it was born, ns, and its data."""
+"""A message: channel, when it came (ns), when it was born (ns), and its data."""
 
 
 class Writer:
-    """The bytes of a file, in the order of the calls; `take` hands over those that have come since it was last called.
+    """Makes the bytes of a file in the order of the calls.
 
-    The first is `begin`, the last `finish`.
+    `take` returns the bytes made since its last call. The first call is `begin`, the last `finish`.
     """
 
     def __init__(self) -> None:
@@ -60,24 +63,24 @@ class Writer:
         self._counts: dict[int, int] = {}
 
     def take(self) -> bytes:
-        """What was made since the last call."""
+        """Return the bytes made since the last call."""
         parts = self._parts
         self._parts = []
         return b"".join(parts)
 
     def begin(self, profile: str, library: str) -> None:
-        """Magic and header."""
+        """Write magic and header."""
         self._add(MCAP0_MAGIC)
         self._record(Header(profile, library))
 
     def metadata(self, name: str, texts: Mapping[str, str]) -> None:
-        """Named texts."""
+        """Write named texts."""
         at = self._end
         length = self._record(Metadata(name, dict(texts)))
         self._metadata.append(MetadataIndex(offset=at, length=length, name=name))
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """A file within the file."""
+        """Write a file within the file."""
         at = self._end
         length = self._record(Attachment(0, 0, name, media_type, data))
         self._attachments.append(
@@ -85,7 +88,7 @@ class Writer:
         )
 
     def schema(self, name: str, encoding: str, text: str) -> int:
-        """A type of messages; returns its number."""
+        """Write a type of messages; return its number."""
         schema = Schema(len(self._schemas) + 1, text.encode(), encoding, name)
         self._schemas.append(schema)
         schema.write(self._new)
@@ -94,14 +97,14 @@ class Writer:
     def channel(
         self, topic: str, encoding: str, schema: int, told: Mapping[str, str]
     ) -> int:
-        """A series of messages of a schema; returns its number."""
+        """Write a series of messages of a schema; return its number."""
         channel = Channel(len(self._channels) + 1, topic, encoding, dict(told), schema)
         self._channels.append(channel)
         channel.write(self._new)
         return channel.id
 
     def chunk(self, messages: Sequence[Timed]) -> None:
-        """These messages, at least one."""
+        """Write a chunk of these messages, at least one."""
         parts = [self._new.end()]
         at = len(parts[0])
         index = dict[int, list[int]]()
@@ -165,7 +168,7 @@ class Writer:
         )
 
     def finish(self) -> None:
-        """The end of the data, what is where in it, footer and magic."""
+        """Write the end of the data, the summary, footer and magic."""
         self._record(DataEnd(0))
         start = self._end
         summary = RecordBuilder()
@@ -210,7 +213,7 @@ class Writer:
         )
 
     def _record(self, record: McapRecord) -> int:
-        """Its length in the file."""
+        """Write a record; return its length in the file."""
         builder = RecordBuilder()
         record.write(builder)
         content = builder.end()

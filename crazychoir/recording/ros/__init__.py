@@ -1,1 +1,1 @@
-"""Recordings and live data in the forms that ROS 2 reads."""
+"""Recordings and live data in forms that ROS 2 can read."""

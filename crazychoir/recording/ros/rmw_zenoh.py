@@ -1,11 +1,13 @@
-"""What a program of ROS 2 that uses rmw_zenoh expects of a publisher: keys, tokens and attachments, as texts and bytes.
+"""Keys, tokens and attachments that rmw_zenoh of ROS 2 expects of a publisher.
 
-Experimental: tested against the written form and independent decoders, never against ROS itself.
+Experimental: tested against the written specification and independent decoders, never against ROS
+itself.
 
     data   <domain>/<topic>/<package>::msg::dds_::<Type>_/<hash>
     node   @ros2_lv/<domain>/<session>/0/0/NN/%/%/<name>
-    publisher @ros2_lv/<domain>/<session>/0/<number>/MP/%/%/<name>/<topic>/<type>/<hash>/<qos>      every / of a part: %
+    publisher @ros2_lv/<domain>/<session>/0/<number>/MP/%/%/<name>/<topic>/<type>/<hash>/<qos>
 
+Every / within a part is written as %.
 Source: the design document of rmw_zenoh, as of Jazzy to Kilted.
 """
 
@@ -20,30 +22,37 @@ HASHES = {
     "visualization_msgs/MarkerArray": "86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf",
     "tf2_msgs/TFMessage": "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
 }
-"""Of the definitions of the messages that are published, in ROS 2 Jazzy."""
+"""Hashes of the definitions of the published messages, in ROS 2 Jazzy."""
 QOS = "::,10:,:,:,,"
-"""Reliable, volatile, the last 10, no deadlines."""
-ALONE, EMPTY = "0/0", "%"
+"""Quality of service: reliable, volatile, the last 10 messages, no deadlines."""
+ALONE = "0/0"  # numbers in a node's token
+EMPTY = "%"  # an empty part of a token
 _ATTACHMENT = struct.Struct("<qqB16s")
-GID = 16
+GID = 16  # bytes of a publisher's id
 _INSTALL = "pip install 'crazychoir[ros2]'."
 
 
 def node_token(domain: int, session: str, name: str) -> str:
-    """Says that there is a node."""
+    """Return the token that announces a node."""
     return f"@ros2_lv/{domain}/{session}/{ALONE}/NN/{EMPTY}/{EMPTY}/{name}"
 
 
 @dataclass(frozen=True)
 class Publisher:
-    """One topic of the node `name`; session: the id of the Zenoh session, hex;  number: of all in it, from 1."""
+    """One topic of a node."""
 
     domain: int
+    """Number of the ROS domain."""
     session: str
+    """Id of the Zenoh session, hexadecimal."""
     name: str
+    """Name of the node."""
     number: int
+    """Number of the publisher in the session, from 1."""
     topic: str
+    """The topic."""
     type: str
+    """Type of its messages, such as "nav_msgs/Path"."""
 
     @property
     def _kind(self) -> str:
@@ -52,19 +61,23 @@ class Publisher:
 
     @property
     def key(self) -> str:
-        """Of its messages."""
+        """Key of its messages."""
         return f"{self.domain}/{self.topic.strip('/')}/{self._kind}"
 
     @property
     def token(self) -> str:
-        """Says that there is this publisher."""
+        """Token that announces this publisher."""
         topic = self.topic.replace("/", "%")
         own = f"{EMPTY}/{EMPTY}/{self.name}/{topic}/{self._kind}/{QOS}"
         return f"@ros2_lv/{self.domain}/{self.session}/0/{self.number}/MP/{own}"
 
     @property
     def gid(self) -> bytes:
-        """(16,) by which its messages name it: XXH3-128 of the token, its lower half first, little-endian."""
+        """(16,) Id of the publisher in its messages.
+
+        It is the XXH3-128 of the token, its lower half first, little-endian.
+        Raises ConfigError if the package xxhash is missing.
+        """
         try:
             import xxhash
         except ImportError as error:
@@ -78,5 +91,9 @@ class Publisher:
         return number.to_bytes(GID, "little")
 
     def attachment(self, number: int, born_ns: int) -> bytes:
-        """Beside its message of that number, from 1, which was born so many ns after 1970."""
+        """Return the attachment of a message.
+
+        number: number of the message, from 1
+        born_ns: ns since 1970 at which the message was born
+        """
         return _ATTACHMENT.pack(number, born_ns, GID, self.gid)

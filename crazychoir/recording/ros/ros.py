@@ -1,7 +1,8 @@
-"""What of a flight ROS 2 programs know as it is: messages of its standard packages, in CDR.
+"""Messages of a flight as standard messages of ROS 2, in CDR.
 
-What is already a standard message stays as it is; a reference is a PoseStamped; any other is a std_msgs/String with the
-fields as JSON; and where a drone was, in truth, else by its own estimate, is a transform on /tf: world -> drone3.
+A standard message stays as it is; a reference becomes a PoseStamped; any other message becomes a
+std_msgs/String with its fields as JSON. In addition, the position of a drone becomes a transform
+world -> drone3 on /tf: its true position, or its own estimate if the truth was not recorded.
 """
 
 import math
@@ -25,33 +26,42 @@ geometry_msgs/Transform transform""",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
 }
 STANDARD = ("std_msgs/", "geometry_msgs/", "nav_msgs/")
-REFERENCE, STATE_TYPE = MESSAGES[FullState].type, MESSAGES[State].type
-POSE, TEXT, TF = "geometry_msgs/PoseStamped", "std_msgs/String", "tf2_msgs/TFMessage"
+REFERENCE = MESSAGES[FullState].type
+STATE_TYPE = MESSAGES[State].type
+POSE = "geometry_msgs/PoseStamped"
+TEXT = "std_msgs/String"
+TF = "tf2_msgs/TFMessage"
 TF_TOPIC = "/tf"
 Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Said:
-    """A message for ROS 2: its topic, its type as in DEFINITIONS, its bytes."""
+    """A message for ROS 2."""
 
     topic: str
+    """Its topic."""
     name: str
+    """Its type as in DEFINITIONS."""
     data: bytes
+    """Its bytes."""
 
     @property
     def type(self) -> str:
-        """As ROS 2 names it."""
+        """Its type in the notation of ROS 2."""
         return self.name.replace("/", "/msg/")
 
     @property
     def schema(self) -> str:
-        """Its definition."""
+        """The definition of its type."""
         return schema(self.name, ROS)
 
 
 def for_ros(message: Told, truths: frozenset[int]) -> list[Said]:
-    """What a recorded message is for ROS 2; truths: drones whose truth was recorded."""
+    """Return the messages for ROS 2 that a recorded message becomes.
+
+    truths: drones with a recorded truth
+    """
     source = message.source
     name = source.type.replace("/msg/", "/")
     if name.startswith(STANDARD):
@@ -67,7 +77,7 @@ def for_ros(message: Told, truths: frozenset[int]) -> list[Said]:
 
 
 def pose(reference: Told) -> bytes:
-    """geometry_msgs/PoseStamped of a reference: its place, level, with its yaw."""
+    """Return a geometry_msgs/PoseStamped for a reference: its position, level, with its yaw."""
     x = _numbers(reference, MESSAGES[FullState].layout(reference.source.drone))
     return _layout(POSE, "").pack(
         (*x[:5], 0.0, 0.0, math.sin(0.5 * x[14]), math.cos(0.5 * x[14]))
@@ -75,7 +85,7 @@ def pose(reference: Told) -> bytes:
 
 
 def transform(odometry: Told) -> bytes:
-    """tf2_msgs/TFMessage of an Odometry: world -> drone."""
+    """Return a tf2_msgs/TFMessage for an Odometry: world -> drone."""
     x = _numbers(odometry, MESSAGES[State].layout(odometry.source.drone))
     return _layout(
         "geometry_msgs/TransformStamped", f"drone{odometry.source.drone}", 1
@@ -83,7 +93,7 @@ def transform(odometry: Told) -> bytes:
 
 
 def _numbers(message: Told, layout: Layout) -> Numbers:
-    """Seconds and nanoseconds of its stamp, and the rest."""
+    """Return the seconds and nanoseconds of its stamp, and its other numbers."""
     return layout.numbers(message.data)
 
 
@@ -93,7 +103,11 @@ def _text(text: str) -> bytes:
 
 @cache
 def _layout(name: str, child: str, count: int | None = None) -> Layout:
-    """Of a message in the world's frame; count: of a sequence of so many of them, one here."""
+    """Return the layout of a message in the world's frame.
+
+    child: the child frame
+    count: None for the message alone; a number for a sequence with its count, one message here
+    """
     constants = {"header.frame_id": "world", "child_frame_id": child}
     fields = list(leaves(name, ROS))
     return Layout(

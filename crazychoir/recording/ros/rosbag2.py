@@ -1,4 +1,7 @@
-"""A recording as a bag of ROS 2: a folder with an MCAP file of standard messages, and metadata.yaml."""
+"""Convert a recording to a bag of ROS 2.
+
+A bag is a folder with an MCAP file of standard messages, and metadata.yaml.
+"""
 
 import contextlib
 import json
@@ -18,30 +21,38 @@ from crazychoir.recording.ros.ros import Said, for_ros
 
 METADATA = "metadata.yaml"
 BAG_VERSION = 5
-"""Of the format of metadata.yaml: that of Humble, which later ones read too."""
+"""Version of the format of metadata.yaml: that of Humble, which later releases read too."""
 
 
 @dataclass
 class Channel:
-    """A topic of a bag: its number in the file, its type, its messages."""
+    """A topic of a bag."""
 
     id: int
+    """Its number in the file."""
     type: str
+    """Type of its messages."""
     count: int = 0
+    """Count of its messages."""
 
 
 @dataclass
 class Bag:
-    """A new bag in the folder; raises ConfigError where there is one already, or none can be made.
+    """A new bag in a folder.
 
-    whole: it is closed, and all is on the disk.
+    Raises ConfigError if the folder exists already or cannot be made.
     """
 
     folder: Path
+    """The folder."""
     channels: dict[str, Channel] = field(default_factory=dict)
+    """Topics by name."""
     first_ns: int = 0
+    """Time of arrival of the first message, ns."""
     last_ns: int = 0
+    """Time of arrival of the last message, ns."""
     whole: bool = False
+    """True after the bag is closed and completely written."""
 
     def __post_init__(self) -> None:
         made = False
@@ -63,12 +74,12 @@ class Bag:
 
     @property
     def path(self) -> Path:
-        """Its only file of messages."""
+        """Path of its only file of messages."""
         return self.folder / f"{self.folder.name}_0.mcap"
 
     @property
     def count(self) -> int:
-        """Its messages."""
+        """Count of its messages."""
         return sum(channel.count for channel in self.channels.values())
 
     def write(self, said: Said, came_ns: int, born_ns: int) -> None:
@@ -83,7 +94,7 @@ class Bag:
             self._flush()
 
     def close(self) -> None:
-        """Write the rest, the index, and the metadata."""
+        """Write the remaining messages, the index, and the metadata."""
         self._flush()
         self._writer.finish()
         self._file.write(self._writer.take())
@@ -92,8 +103,10 @@ class Bag:
         self.whole = True
 
     def discard(self) -> None:
-        """Remove it again."""
-        with contextlib.suppress(OSError):  # what it still holds may not fit
+        """Remove the folder."""
+        with contextlib.suppress(
+            OSError
+        ):  # the disk may have no room for buffered bytes
             self._file.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -117,7 +130,7 @@ class Bag:
             self._file.write(self._writer.take())
 
     def _metadata(self) -> str:
-        """JSON, which YAML is too."""
+        """Return the metadata as JSON, which is valid YAML."""
         times = {
             "duration": {"nanoseconds": self.last_ns - self.first_ns},
             "starting_time": {"nanoseconds_since_epoch": self.first_ns},
@@ -145,7 +158,10 @@ class Bag:
 
 
 def convert(path: Path, folder: Path) -> Bag:
-    """The bag of a recording; raises ConfigError for what is none, and where there is no room: no folder is left."""
+    """Convert a recording to a bag.
+
+    Raises ConfigError if the file is no recording or the disk is full; then no folder is left.
+    """
     truths = frozenset(message.source.drone for message in told(path, (TRUTH.name,)))
     bag = Bag(folder)
     try:

@@ -1,4 +1,4 @@
-"""What RViz shows of a swarm, as messages of ROS 2: poses, paths, a ball and a name a drone, transforms."""
+"""Messages for RViz about a swarm: poses, paths, transforms, and a ball and a name a drone."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -37,18 +37,23 @@ string mesh_filename
 uint8[] mesh_data
 bool mesh_use_embedded_materials""",
 }
-"""How the bytes lie; sequences of messages that stay empty stand as bytes."""
-SPHERE, TEXT = 2, 9
-ADD, DELETE = 0, 2
-BALL, LETTERS = 0.1, 0.12
-"""m: the size of a ball, and of a name above it."""
+"""Definitions of the messages by the layout of their bytes.
+
+Sequences of messages that stay empty are declared as bytes.
+"""
+SPHERE = 2  # type of a marker
+TEXT = 9  # type of a marker
+ADD = 0  # action of a marker
+DELETE = 2  # action of a marker
+BALL = 0.1  # m: diameter of a ball
+LETTERS = 0.12  # m: height of the name above it
 FRAME = "world"
 Places = Mapping[int, tuple[State, int]]
-"""By drone: its state, and when that was born, ns after 1970."""
+"""State of each drone by id, and the time of its birth in ns since 1970."""
 
 
 def pose(state: State, born_ns: int) -> bytes:
-    """geometry_msgs/PoseStamped."""
+    """Return a geometry_msgs/PoseStamped."""
     return _packed(
         "geometry_msgs/PoseStamped",
         [(*_header(born_ns), *state.p.tolist(), *state.q.tolist())],
@@ -56,7 +61,7 @@ def pose(state: State, born_ns: int) -> bytes:
 
 
 def path(places: Sequence[Vec], born_ns: int) -> bytes:
-    """nav_msgs/Path of places (3,) m, the oldest first."""
+    """Return a nav_msgs/Path of places (3,) m, the oldest first."""
     head = list(leaves("std_msgs/Header", ROS))
     poses = len(places) * list(leaves("geometry_msgs/PoseStamped", ROS))
     values = [(*_header(born_ns), *p.tolist(), 0.0, 0.0, 0.0, 1.0) for p in places]
@@ -65,7 +70,7 @@ def path(places: Sequence[Vec], born_ns: int) -> bytes:
 
 
 def transforms(places: Places) -> bytes:
-    """tf2_msgs/TFMessage: world -> drone3."""
+    """Return a tf2_msgs/TFMessage: world -> drone3 for each drone."""
     rows = [
         (*_header(ns), f"drone{i}", *x.p.tolist(), *x.q.tolist())
         for i, (x, ns) in sorted(places.items())
@@ -74,7 +79,10 @@ def transforms(places: Places) -> bytes:
 
 
 def markers(places: Places, gone: Iterable[int] = ()) -> bytes:
-    """visualization_msgs/MarkerArray: a ball where each drone is, and its number above; of who has gone no more."""
+    """Return a visualization_msgs/MarkerArray: a ball at each drone, and its number above it.
+
+    gone: drones that have left; their markers are deleted
+    """
     rows = []
     for i, (state, ns) in sorted(places.items()):
         rows.append(_marker(i, "drones", SPHERE, state.p, BALL, "", ns))
@@ -132,7 +140,7 @@ def _header(born_ns: int) -> tuple[int, int, str]:
 def _packed(
     name: str, rows: Sequence[Sequence[object]], counted: bool = False
 ) -> bytes:
-    """Messages of that name one after the other; counted: as a sequence."""
+    """Return messages of this type one after the other; counted: True to write them as a sequence."""
     fields = len(rows) * list(leaves(name, FORMS))
     values = [x for row in rows for x in row]
     if counted:

@@ -1,1 +1,1 @@
-"""What all simulated worlds share: the contract, true states, random draws and links."""
+"""Parts that all simulated worlds share: contract, true states, random draws and links."""

@@ -1,4 +1,4 @@
-"""The ways to a drone of the lightweight world, which is steered by its thrust and three rates."""
+"""Links to drones of the lightweight world, which obey a thrust and three rates."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from crazychoir.types import Command, State, Vec
 
 
 class Rated(Protocol):
-    """A world whose drones are steered by four numbers each."""
+    """A world in which each drone obeys four numbers."""
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
@@ -20,23 +20,23 @@ class Rated(Protocol):
         ...
 
     def state(self, i: int) -> State:
-        """The truth about drone i."""
+        """Return a copy of the true state of drone i."""
         ...
 
 
 class SimulatedLink:
-    """The way to one drone of a world in this process."""
+    """The link to one drone of a world in this process."""
 
     def __init__(self, world: Rated, drone: int) -> None:
         self.world = world
         self.drone = drone
 
     def send(self, command: Command) -> None:
-        """Held until the next one; it is an FPQR."""
+        """Let the drone hold this FPQR until the next command."""
         self.world.command(self.drone, self.inputs(command.flat))
 
     def inputs(self, flat: Vec) -> Vec | Sequence[float]:
-        """What the world takes, of thrust N and body rates rad/s."""
+        """Turn thrust N and body rates rad/s into the inputs that the world takes."""
         return flat
 
     def cut(self) -> None:
@@ -45,14 +45,18 @@ class SimulatedLink:
 
 
 class EulerRatesLink(SimulatedLink):
-    """For a world that is steered by the rates of its Euler angles, as the paper writes.
+    """A link to a world with rates of the Euler angles as inputs, as in the paper.
 
-    phi' = p + (q sin phi + r cos phi) tan theta,  theta' = q cos phi - r sin phi,
+    phi' = p + (q sin phi + r cos phi) tan theta
+    theta' = q cos phi - r sin phi
     psi' = (q sin phi + r cos phi) / cos theta
     """
 
     def inputs(self, flat: Vec) -> Vec | Sequence[float]:
-        """Turn body rates p, q, r into Euler-angle rates at the drone's present attitude."""
+        """Turn thrust and body rates p, q, r into thrust and Euler-angle rates.
+
+        The conversion uses the present attitude of the drone.
+        """
         thrust, p, q, r = flat.tolist()
         # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
         x, y, z = rotation(self.world.state(self.drone).q)[2].tolist()

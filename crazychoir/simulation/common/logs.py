@@ -1,4 +1,4 @@
-"""Log variables of lightweight drones."""
+"""Log variables of the drones of the lightweight world."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,10 @@ Read = Callable[[State], float]
 
 
 def _attitude(state: State) -> tuple[float, float, float]:
-    """Roll, pitch, yaw in degrees of R = Rz(yaw) Ry(-pitch) Rx(roll): the firmware's pitch is positive nose up."""
+    """Return roll, pitch and yaw in degrees, with R = Rz(yaw) Ry(-pitch) Rx(roll).
+
+    The sign of the pitch is the firmware's: positive with the nose up.
+    """
     r = rotation(state.q)
     roll = math.atan2(r[2, 1], r[2, 2])
     pitch = math.asin(min(1.0, max(-1.0, r[2, 0])))
@@ -42,4 +45,7 @@ LIGHT: dict[str, Read] = {
         for k, name in enumerate(("roll", "pitch", "yaw"))
     },
 }
-"""What a lightweight drone, which has no firmware, can say of itself, with the firmware's names and units."""
+"""Functions that compute each log variable of a lightweight drone from its state.
+
+The drone has no firmware; the names and units are nevertheless those of the firmware.
+"""

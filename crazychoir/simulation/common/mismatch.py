@@ -1,4 +1,4 @@
-"""Bodies that are not what their controllers believe: heavier than their platform, or with stronger rotors."""
+"""Bodies that differ from what their controllers assume: heavier, or with stronger rotors."""
 
 from dataclasses import replace
 
@@ -6,13 +6,17 @@ from crazychoir.platforms import Platform
 
 
 def built(platform: Platform, mass_error: float, thrust_error: float) -> Platform:
-    """The body of a drone with rotors, for the same commands of its firmware.
+    """Return the true platform of a drone with rotors, which gets unchanged motor commands.
 
         m = (1 + e_m) m_0,   f(r) = (1 + e_f) f_0(r),   P(r) = P_0(r)
 
-    A motor turns as fast as it would; its propeller pulls harder. So all that says which thrust a command makes grows:
-    the curves of the rotor over speed and over voltage, and the ends of the firmware's scale.
-    e_m, e_f: shares, above -1;  r: of a rotor;  P: what the battery gives for it, which goes with f^1.5.
+    A motor turns at its usual speed, but its propeller pulls harder. Therefore every quantity that
+    maps a command to a thrust is scaled: the curves of the rotor over speed and over voltage, and
+    both ends of the firmware's thrust scale.
+    mass_error: e_m, relative error of the mass, above -1
+    thrust_error: e_f, relative error of the thrust, above -1
+    r: speed of a rotor
+    P: power that the battery gives for a rotor, proportional to f^1.5
     """
     m = 1.0 + mass_error
     f = 1.0 + thrust_error
@@ -38,11 +42,15 @@ def built(platform: Platform, mass_error: float, thrust_error: float) -> Platfor
 
 
 def scaled(platform: Platform, mass_error: float, thrust_error: float) -> Platform:
-    """The body of a drone that makes the thrust u it is told, and flies as one that makes (1 + e_f) u.
+    """Return a platform that obeys the thrust u exactly and moves like the true drone.
 
-        m v' = -m g e3 + (1 + e_f) u R e3 - R A R^T v   has the solutions of   m/(1 + e_f), A/(1 + e_f), u
+    The true drone makes the thrust (1 + e_f) u.
 
-    m = (1 + e_m) m_0;  e_m, e_f: shares, above -1.
+        m v' = -m g e3 + (1 + e_f) u R e3 - R A R^T v
+        has the solutions of   m/(1 + e_f), A/(1 + e_f), u
+
+    mass_error: e_m, relative error of the mass in m = (1 + e_m) m_0, above -1
+    thrust_error: e_f, relative error of the thrust, above -1
     """
     f = 1.0 + thrust_error
     ax, ay, az = platform.drag

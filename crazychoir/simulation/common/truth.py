@@ -1,4 +1,4 @@
-"""What is true of all drones of a world, whichever engine moves them."""
+"""True states of all drones of a world, for every engine."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from crazychoir.types import Mat, Pose, State, Vec
 
 @kernel(matrix, memory)
 def _closest(x: Mat, best: Vec) -> None:
-    """The closest pair of drones: best (3,) = row, row, distance m."""
+    """Find the closest pair of drones: best (3,) = row, row, distance m."""
     best[2] = math.inf
     for i in range(x.shape[0]):
         for j in range(i):
@@ -30,11 +30,16 @@ def _closest(x: Mat, best: Vec) -> None:
 
 
 class Truth:
-    """The drones of a world, row by row, and what may be asked about them.
+    """True states of the drones of a world, one row a drone, and questions about them.
 
-    ids: the drones;  p0: (N, 3) m, where they start, not below the floor z = 0;  yaw0: (N,) rad;  platform: of all, or
-    one a drone;  dt: s, a step of the world.  states: (N, 13), rows laid out as State.flat;  impact: (N,) m/s, the
-    fastest touch-down;  limited: (N,) steps in which a command was beyond what the drone can do.
+    ids: the drones
+    p0: (N, 3) m: start positions; heights below the floor z = 0 are raised to it
+    yaw0: (N,) rad: start headings, zero if None
+    platform: one for all drones, or one a drone
+    dt: s: one step of the world
+    states: (N, 13): rows laid out as State.flat
+    impact: (N,) m/s: fastest touch-down of each drone
+    limited: (N,): number of steps in which a command exceeded what the drone can do
     """
 
     def __init__(
@@ -72,23 +77,23 @@ class Truth:
 
     @property
     def time(self) -> float:
-        """s since the start."""
+        """Seconds since the start."""
         return self.tick * self.dt
 
     def see(self, i: int, pose: Pose) -> None:
-        """Nothing: these drones estimate nothing themselves."""
+        """Do nothing: these drones run no estimator."""
 
     def state(self, i: int) -> State:
-        """The truth about drone i, a copy."""
+        """Return a copy of the true state of drone i."""
         return State(self.states[self.row[i]].copy())
 
     def resting(self, i: int) -> bool:
-        """Does drone i stand on the floor?"""
+        """Return True if drone i stands on the floor."""
         return bool(self._resting[self.row[i]])
 
     @property
     def crashed(self) -> list[int]:
-        """Drones that have touched something faster than their platform may."""
+        """The drones that touched something faster than their platform allows."""
         return [
             i
             for i, hit, most in zip(self.ids, self.impact, self._allowed, strict=True)
@@ -96,7 +101,7 @@ class Truth:
         ]
 
     def harm(self, i: int) -> str:
-        """What has broken drone i, and at which speed; empty if nothing has."""
+        """Return what broke drone i and at which speed; empty if it is not broken."""
         impact = self.impact[self.row[i]]
         allowed = self._allowed[self.row[i]]
         if not impact > allowed:
@@ -104,11 +109,11 @@ class Truth:
         return f"crashed: hit {self.struck(i)} at {impact:.2f} m/s, allowed {allowed:g} m/s"
 
     def struck(self, i: int) -> str:
-        """What drone i has hit fastest."""
+        """Return the name of the thing that drone i hit fastest."""
         return "the floor"
 
     def closest(self) -> tuple[int, int, float]:
-        """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""
+        """Return the two closest drones and their distance in m; (-1, -1, inf) for one drone."""
         best = np.full(3, -1.0)
         _closest(self.states, best)
         if best[0] < 0.0:
@@ -116,12 +121,12 @@ class Truth:
         return self.ids[int(best[0])], self.ids[int(best[1])], float(best[2])
 
     def min_separation(self) -> float:
-        """m, the smallest distance between two drones; inf for one drone."""
+        """Return the smallest distance between two drones in m; inf for one drone."""
         return self.closest()[2]
 
 
 def _standing(p0: Mat, yaw0: Vec) -> Mat:
-    """(N, 13) level states at rest at p0, not below the floor."""
+    """Return (N, 13) level states at rest at p0, raised to the floor where p0 is below it."""
     x = np.zeros((len(p0), 13))
     x[:, 0:3] = p0
     x[:, 2] = np.maximum(x[:, 2], 0.0)

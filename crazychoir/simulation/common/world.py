@@ -1,4 +1,4 @@
-"""What every engine of a simulated world can do, so that nobody who flies in it knows which one it is."""
+"""The contract of every engine, which lets the code above it work with any simulated world."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -29,39 +29,47 @@ KINDS: dict[str, tuple[type[Any], ...]] = {
     "acc": (Acc, XYZ),
     "drive": (Drive,),
 }
-"""What is sent for each `sender` of a swarm file: velocities, full states and accelerations end with the XYZ that
-stops; the last two are of robots that do not fly, whose uri says what they are sent."""
-Position = tuple[float, float, float]
+"""Command types that are sent for each `sender` of a swarm file.
+
+Streams of velocities, full states and accelerations end with the XYZ that stops the drone.
+"acc" and "drive" belong to robots that do not fly; their uri determines the command type.
+"""
+Position = tuple[float, float, float]  # m, world
 
 
 @dataclass(frozen=True)
 class WorldSetup:
-    """What an engine is asked for: a world of these drones, row by row.
-
-    homes: m, yaws: rad, where they stand;  uris: as in the swarm file, after whose scheme an engine may read what it
-    likes;  options: of the engine ([plant], [motors], for the engines of others [world.options]);  wind: m/s, world
-    frame;  seed: of every random draw;  dt: s, of one step;  mass_error, thrust_error: shares by which the bodies are
-    heavier and pull harder than their platforms.
-    """
+    """The world that an engine is asked to make: a set of drones, one row a drone."""
 
     ids: tuple[int, ...]
+    """Ids of the drones."""
     uris: tuple[str, ...]
+    """Uris as in the swarm file; an engine may interpret the part behind its scheme as it likes."""
     homes: tuple[Position, ...]
+    """Start position of each drone in m, world."""
     yaws: tuple[float, ...]
+    """Start heading of each drone in rad."""
     platforms: tuple[Platform, ...]
+    """Platform of each drone."""
     options: Mapping[str, Any]
+    """Options of the engine: [plant] or [motors], for engines of others [world.options]."""
     wind: Position
+    """Wind velocity in m/s, world."""
     seed: int
+    """Seed of every random draw."""
     dt: float
+    """Seconds of one step."""
     mass_error: float = 0.0
+    """Share by which each body is heavier than its platform."""
     thrust_error: float = 0.0
+    """Share by which each body's rotors pull harder than its platform says."""
 
 
 class Link(Protocol):
-    """The way to one drone."""
+    """The link to one drone."""
 
     def send(self, command: Command) -> None:
-        """Let the drone obey this until the next one."""
+        """Let the drone obey this command until the next one."""
         ...
 
     def cut(self) -> None:
@@ -70,27 +78,30 @@ class Link(Protocol):
 
 
 class World(Protocol):
-    """All drones that one engine simulates, advanced together by one `step` of dt.
-
-    ids: the drones, row by row;  states: (N, 13), rows laid out as State.flat, changed in place by `step`;
-    flies: kinds of commands that its drones obey, of KINDS;  command_timeout: s without a command after which a drone
-    that flies gets no thrust; None: its firmware knows what to do.
-    """
+    """All drones that one engine simulates; each `step` advances all of them by dt."""
 
     ids: tuple[int, ...]
+    """The drones, in the order of the rows."""
     dt: float
+    """Seconds of one step."""
     states: Mat
+    """(N, 13): rows laid out as State.flat, changed in place by `step`."""
     flies: tuple[str, ...]
+    """Kinds of commands that its drones obey, keys of KINDS."""
     command_timeout: float | None
+    """Seconds without a command before a flying drone gets no thrust.
+
+    None: the drone has firmware with its own rule for missing commands.
+    """
 
     @property
     def time(self) -> float:
-        """s since the start."""
+        """Seconds since the start."""
         ...
 
     @property
     def crashed(self) -> list[int]:
-        """Drones that are broken."""
+        """The broken drones."""
         ...
 
     def step(self) -> None:
@@ -98,36 +109,42 @@ class World(Protocol):
         ...
 
     def link(self, i: int, kind: str) -> Link:
-        """The way to drone i for commands of this kind; raises ConfigError for one that is not flown here."""
+        """Return the link to drone i for commands of this kind.
+
+        Raises ConfigError if the drones of this world do not obey this kind.
+        """
         ...
 
     def see(self, i: int, pose: Pose) -> None:
-        """The cameras have seen drone i: what its radio would tell its estimator; without one, nothing."""
+        """Pass a camera pose of drone i to its estimator on board, as a radio would.
+
+        A world without estimators on board does nothing.
+        """
         ...
 
     def state(self, i: int) -> State:
-        """The truth about drone i, a copy."""
+        """Return a copy of the true state of drone i."""
         ...
 
     def resting(self, i: int) -> bool:
-        """Does drone i stand on the floor?"""
+        """Return True if drone i stands on the floor."""
         ...
 
     def harm(self, i: int) -> str:
-        """What has broken drone i; empty if nothing has."""
+        """Return what broke drone i; empty if it is not broken."""
         ...
 
     def closest(self) -> tuple[int, int, float]:
-        """The closest two drones and their distance in m; (-1, -1, inf) for one drone."""
+        """Return the two closest drones and their distance in m; (-1, -1, inf) for one drone."""
         ...
 
     def min_separation(self) -> float:
-        """m, the smallest distance between two drones; inf for one drone."""
+        """Return the smallest distance between two drones in m; inf for one drone."""
         ...
 
 
 def not_flown(drone: int, kind: str, flies: tuple[str, ...]) -> ConfigError:
-    """The error for a kind of command that a drone's world does not fly."""
+    """Return the error for a command kind that the world of this drone does not obey."""
     do = "Set sender in [control] or in its [[roles]], or give it another uri."
     return ConfigError(
         f"drone {drone}: sender", kind, f"{', '.join(flies)}: what its world flies", do

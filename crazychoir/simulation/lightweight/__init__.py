@@ -1,1 +1,1 @@
-"""The lightweight world: drones as points with attitude, one integrator."""
+"""The lightweight world: drones as points with an attitude, moved by one integrator."""

@@ -1,4 +1,4 @@
-"""The lightweight world: the paper's quadrotor model, integrated by an explicit Runge-Kutta method of order 4."""
+"""The lightweight world: the paper's quadrotor model, integrated by Runge-Kutta of order 4."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -15,20 +15,25 @@ from crazychoir.simulation.common.truth import Truth
 from crazychoir.simulation.common.world import not_flown
 from crazychoir.types import Mat, Vec
 
-THRUST, MAX_THRUST, MASS = 0, 4, 0  # columns of a command and of Platform.flat
+THRUST = 0  # column of a command
+MAX_THRUST = 4  # column of Platform.flat
+MASS = 0  # column of Platform.flat
 SILENCE = 0.5
-"""s without a command after which a drone has no thrust: it has no firmware that would level it first."""
+"""Seconds without a command before a drone has no thrust; no firmware levels it first."""
 
 
 @kernel()
 def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
-    """Body rates of the inputs u[1:4]: themselves, or Euler-angle rates eta' turned into body axes.
+    """Return the body rates for the inputs u[1:4], which are body rates or Euler-angle rates eta'.
+
+    Body rates are returned unchanged. Euler-angle rates are converted:
 
         p = phi' - psi' sin(theta)
         q = theta' cos(phi) + psi' sin(phi) cos(theta)
         r = psi' cos(phi) cos(theta) - theta' sin(phi)
 
-    z_row: last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
+    z_row: last row of R = (-sin theta, sin phi cos theta, cos phi cos theta)
+    euler: True if the inputs are Euler-angle rates
     """
     if not euler:
         return u[1], u[2], u[3]
@@ -44,11 +49,14 @@ def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
 
 @kernel()
 def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
-    """The paper's dynamics, z up, quaternion attitude.
+    """Write the slope y' of the paper's dynamics to out: z up, quaternion attitude.
 
         p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v,  q' = 1/2 q (w, 0)
 
-    y: (10,) = p m, v m/s, q;  u: (4,) = thrust N, rates rad/s;  A = diag, kg/s.
+    y: (10,): p m, v m/s, q
+    u: (4,): thrust N, rates rad/s
+    platform: Platform.flat, with m in kg and the diagonal of A in kg/s
+    euler: True if the rates are Euler-angle rates
     """
     q = (y[6], y[7], y[8], y[9])
     bx, by, bz = columns(q)
@@ -70,9 +78,11 @@ def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
 
 @kernel()
 def _lagged(start: Vec, target: Vec, t: float, lags: Vec, out: Vec) -> None:
-    """First-order lag, exact: u(t) = target + (start - target) exp(-t / lag); lag 0 follows at once.
+    """Write the inputs after a first-order lag to out, exactly.
 
-    lags: (2,) s, of the thrust and of the rates.
+        u(t) = target + (start - target) exp(-t / lag),   lag 0 follows at once
+
+    lags: (2,) s: of the thrust and of the rates
     """
     for c in range(4):
         lag = lags[0] if c == THRUST else lags[1]
@@ -82,9 +92,12 @@ def _lagged(start: Vec, target: Vec, t: float, lags: Vec, out: Vec) -> None:
 
 @kernel()
 def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -> None:
-    """One step of the classical Runge-Kutta method of order 4; y is replaced.
+    """Make one step of the classical Runge-Kutta method of order 4; y is replaced.
 
-    u: (3, 4) inputs at the beginning, the middle and the end of the step;  k: (5, 10) room for the slopes.
+    y: (10,): state as in _slope
+    u: (3, 4): inputs at the beginning, the middle and the end of the step
+    h: s: length of the step
+    k: (5, 10): work space for the slopes
     """
     stage = k[4]
     _slope(y, u[0], platform, euler, k[0])
@@ -106,7 +119,7 @@ def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -
 
 @kernel()
 def _stays_down(y: Vec, u: Vec, platform: Vec) -> bool:
-    """Does the weight of a drone on the floor outweigh its thrust?"""
+    """Return True if the weight of a drone on the floor is at least its upward thrust."""
     upright = 1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7])
     lift: float = u[THRUST] * upright
     return lift <= float(platform[MASS]) * GRAVITY
@@ -114,7 +127,10 @@ def _stays_down(y: Vec, u: Vec, platform: Vec) -> bool:
 
 @kernel()
 def _put_down(x: Vec) -> None:
-    """Stop a drone on the floor: no slip, no bounce; upright it stands level, on its back it stays there."""
+    """Stop a drone on the floor without slip or bounce.
+
+    An upright drone then stands level; a drone on its back stays on its back.
+    """
     x[2] = 0.0
     for c in range(3):
         x[3 + c] = 0.0
@@ -128,7 +144,15 @@ def _put_down(x: Vec) -> None:
 def _admit(
     commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec
 ) -> None:
-    """Clip commands to the limits of platforms (N, 9), counting where needed; a command with a NaN repeats the last."""
+    """Clip commands to the limits of the platforms and count the clipped ones.
+
+    A command with a NaN repeats the previous command and is counted too.
+    commands: (N, 4): commands as sent
+    platforms: (N, 9): rows of Platform.flat
+    accepted: (N, 4): result
+    previous: (N, 4): accepted commands of the step before
+    counts: (N,): counters of limited commands
+    """
     for i in range(commands.shape[0]):
         for c in range(4):
             value = commands[i, c]
@@ -155,7 +179,19 @@ def _advance(
     impact: Vec,
     euler: float,
 ) -> None:
-    """Advance all drones by h with the held commands `target`; replaces x (N, 13) and inputs `actual` (N, 4)."""
+    """Advance all drones by h with the held commands `target`.
+
+    x: (N, 13): states, replaced
+    actual: (N, 4): inputs after the lag, replaced
+    target: (N, 4): commands
+    h: s: length of the step
+    platforms: (N, 9): rows of Platform.flat
+    lags: (2,) s: of the thrust and of the rates
+    alive: (N,): 1 until the motors are cut, then 0
+    resting: (N,): 1 on the floor, else 0
+    impact: (N,) m/s: fastest touch-down
+    euler: above 0 if the rates are Euler-angle rates
+    """
     k = np.empty((5, 10))
     u = np.empty((3, 4))
     y = np.empty(10)
@@ -190,13 +226,20 @@ def _advance(
 class CFIntegrator(Truth):
     """The paper's lightweight simulation: Runge-Kutta of order 4, one compiled pass for all drones.
 
-    ids: the drones, row by row;  p0: (N, 3) m;  yaw0: (N,) rad;  platform: of all, or one a drone;
-    dt: s;  inputs: "rates" (body) or "euler" (the paper's Euler-angle rates);  rate_lag, thrust_lag: s, first order,
-    exact;  command_delay: s, exact for any value: one that is no multiple of dt splits the step where the input
-    switches.
-
     The floor is z = 0: a drone rests on it without slipping until its thrust exceeds its weight.
-    A drone that starts on the floor has its motors stopped, one in the air hovers, until its first command arrives.
+    Until its first command arrives, a drone on the floor has its motors stopped and a drone in the
+    air hovers.
+
+    ids: the drones, in the order of the rows
+    p0: (N, 3) m: start positions
+    yaw0: (N,) rad: start headings
+    platform: one for all drones, or one a drone
+    dt: s: one step
+    rate_lag: s: first-order lag of the rates, exact
+    thrust_lag: s: first-order lag of the thrust, exact
+    command_delay: s: exact for any value; if it is no multiple of dt, the step is split at the time
+        at which the input switches
+    inputs: "rates" (body rates) or "euler" (the paper's Euler-angle rates)
     """
 
     flies: tuple[str, ...] = ("fpqr",)
@@ -232,7 +275,10 @@ class CFIntegrator(Truth):
         self._euler = float(inputs == "euler")
 
     def link(self, i: int, kind: str = "fpqr") -> SimulatedLink:
-        """The way to drone i: body rates in, whatever the inputs are; raises ConfigError for another kind."""
+        """Return the link to drone i; it takes body rates, whatever the inputs of the world are.
+
+        Raises ConfigError if the kind is not "fpqr".
+        """
         if kind not in self.flies:
             raise not_flown(i, kind, self.flies)
         return EulerRatesLink(self, i) if self._euler else SimulatedLink(self, i)
@@ -247,11 +293,11 @@ class CFIntegrator(Truth):
 
     @property
     def variables(self) -> Iterable[str]:
-        """What its drones log."""
+        """Names of the log variables of the drones."""
         return LIGHT
 
     def log(self, i: int, name: str) -> float:
-        """A log variable of drone i now, in the firmware's unit."""
+        """Return a log variable of drone i now, in the firmware's unit."""
         return LIGHT[name](self.state(i))
 
     def step(self) -> None:

@@ -1,4 +1,7 @@
-"""Worlds of robots that do not fly: single and double integrators, and unicycles; each for itself, without a floor."""
+"""Worlds of robots that do not fly: single integrators, double integrators and unicycles.
+
+The robots do not influence each other, and there is no floor.
+"""
 
 import math
 from abc import abstractmethod
@@ -12,17 +15,19 @@ from crazychoir.simulation.common.world import WorldSetup, not_flown
 from crazychoir.types import XYZ, Command, Vec
 
 SILENCE = 0.5
-"""s without a command after which such a robot stands still."""
+"""Seconds without a command before a robot stops."""
 STANDS = 1e-3
-"""m/s, below which it does."""
+"""Speed in m/s below which a robot counts as standing still."""
 STRAIGHT = 1e-9
-"""rad in a step, below which a unicycle goes straight on."""
+"""Half the turn of a step, in rad, up to which a unicycle is moved on a straight line."""
 
 
 class Robots(Truth):
-    """Robots that obey their last command exactly over each step.
+    """Robots that follow their last command exactly over each step.
 
-    inputs: (N, n), what they are commanded;  stands: (N,), who has its brakes on;  cut: (N,), who has them for good.
+    inputs: (N, n): the last command of each robot
+    stands: (N,): True for a robot that the last command stopped
+    cut: (N,): True for a robot that is stopped for good
     """
 
     kind: str
@@ -42,13 +47,16 @@ class Robots(Truth):
         self.stands, self.cut = np.zeros((2, len(self.ids)), dtype=bool)
 
     def link(self, i: int, kind: str) -> "RobotLink":
-        """The way to robot i; raises ConfigError for another kind than its own."""
+        """Return the link to robot i.
+
+        Raises ConfigError if the kind is not that of these robots.
+        """
         if kind != self.kind:
             raise not_flown(i, kind, self.flies)
         return RobotLink(self, self.row[i])
 
     def resting(self, i: int) -> bool:
-        """Does robot i stand still?"""
+        """Return True if robot i stands still."""
         return float(np.linalg.norm(self.states[self.row[i], 3:6])) < STANDS
 
     def step(self) -> None:
@@ -64,18 +72,24 @@ class Robots(Truth):
 
     @abstractmethod
     def move(self, x: Vec, u: Vec, h: float) -> None:
-        """Replace the state x (13,) by the one h s later, under the input u (n,)."""
+        """Replace the state x (13,) by the state h s later under the input u (n,)."""
 
 
 @dataclass
 class RobotLink:
-    """The way to one robot of a world in this process; a command that is not finite counts for nothing."""
+    """The link to one robot of a world in this process.
+
+    A command with a number that is not finite is ignored.
+    """
 
     world: Robots
     row: int
 
     def send(self, command: Command) -> None:
-        """Obeyed until the next one; the XYZ that stops puts the brakes on until then."""
+        """Follow the command until the next one.
+
+        An XYZ means stop: the robot stands still until the next command.
+        """
         if isinstance(command, XYZ):
             self.world.stands[self.row] = True
         elif np.all(np.isfinite(command.flat)):
@@ -83,58 +97,61 @@ class RobotLink:
             self.world.stands[self.row] = False
 
     def cut(self) -> None:
-        """It stands still, for good."""
+        """Stop the robot for good."""
         self.world.cut[self.row] = True
 
 
 class SingleIntegrators(Robots):
-    """Points that move as they are told.
+    """Points with the command as their velocity.
 
         p' = u,  psi' = r
 
-    u: m/s, r: rad/s, of Vel.
+    u: m/s, from Vel
+    r: rad/s, from Vel
     """
 
     kind = "vel"
     size = 4
 
     def move(self, x: Vec, u: Vec, h: float) -> None:
-        """One step."""
+        """Move the point by one step."""
         x[0:3] += h * u[0:3]
         x[3:6] = u[0:3]
         _turn(x, yaw_of(x[6:10]) + h * float(u[3]), float(u[3]))
 
 
 class DoubleIntegrators(Robots):
-    """Points with inertia.
+    """Points with the command as their acceleration.
 
         p'' = u
 
-    u: m/s2, of Acc.
+    u: m/s2, from Acc
     """
 
     kind = "acc"
     size = 3
 
     def move(self, x: Vec, u: Vec, h: float) -> None:
-        """One step."""
+        """Move the point by one step."""
         x[0:3] += h * x[3:6] + 0.5 * h * h * u
         x[3:6] += h * u
 
 
 class Unicycles(Robots):
-    """Wheels on one axle, in the plane of their homes.
+    """Robots with two wheels on one axle, in the horizontal plane of their start positions.
 
         x' = v cos psi,  y' = v sin psi,  psi' = w
 
-    v: m/s, w: rad/s, of Drive: over a step an arc of a circle, of the length v h.
+    In one step a robot moves on an arc of a circle of length v h.
+    v: m/s, from Drive
+    w: rad/s, from Drive
     """
 
     kind = "drive"
     size = 2
 
     def move(self, x: Vec, u: Vec, h: float) -> None:
-        """One step."""
+        """Move the robot by one step."""
         v, w = u.tolist()
         yaw = yaw_of(x[6:10])
         half = 0.5 * h * w
@@ -147,21 +164,21 @@ class Unicycles(Robots):
 
 
 def _turn(x: Vec, yaw: float, rate: float) -> None:
-    """Heading and turn rate of a level robot."""
+    """Set the heading and the turn rate of a level robot."""
     x[6:10] = 0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
     x[10:13] = 0.0, 0.0, rate
 
 
 def single_integrators(setup: WorldSetup) -> SingleIntegrators:
-    """The engine of sim://single."""
+    """Make the world of sim://single."""
     return SingleIntegrators(setup)
 
 
 def double_integrators(setup: WorldSetup) -> DoubleIntegrators:
-    """The engine of sim://double."""
+    """Make the world of sim://double."""
     return DoubleIntegrators(setup)
 
 
 def unicycles(setup: WorldSetup) -> Unicycles:
-    """The engine of sim://unicycle."""
+    """Make the world of sim://unicycle."""
     return Unicycles(setup)

@@ -1,4 +1,4 @@
-"""The air: wind with gusts, and the downwash of one drone on another."""
+"""The air: wind with gusts, and the downwash of each drone on the drones below it."""
 
 import math
 from dataclasses import dataclass
@@ -21,41 +21,54 @@ from crazychoir.simulation.motor_level.lanes import (
 
 Links = npt.NDArray[np.int64]
 
-WASH, WASH_LENGTH = 0.35, 0.339
-"""Share of the upper drone's thrust, and m: a Gaussian of the vertical distance through what was measured between two
-Crazyflies of 34 g, 10, 8, 6 and 4 g at 0.2, 0.3, 0.4 and 0.5 m (Shi, Hönig, Yue & Chung 2020, ICRA, Neural-Swarm)."""
+WASH = 0.35
+"""Share of the upper drone's thrust that pushes a drone straight below it down, at no distance.
+
+WASH and WASH_LENGTH are the Gaussian of the vertical distance through what was measured between
+two Crazyflies of 34 g: 10, 8, 6 and 4 g at 0.2, 0.3, 0.4 and 0.5 m (Shi, Hönig, Yue & Chung 2020,
+ICRA, Neural-Swarm).
+"""
+WASH_LENGTH = 0.339
+"""Standard deviation in m of that Gaussian."""
 SPREAD = 0.094
-"""By which the half-width of a round turbulent jet grows, m a m (Pope 2000, Turbulent Flows)."""
+"""Growth of the half-width of a round turbulent jet, m a m (Pope 2000, Turbulent Flows)."""
 BESIDE = 0.1
-"""m of vertical distance, over which the wash of a drone begins: one at the same height gets none."""
+"""Vertical distance in m over which the wash grows from none to its full strength.
+
+A drone at the same height gets none.
+"""
 WIDTHS = 3.5
-"""Standard deviations, after which the wash ends; what is cut off is less than 0.1 % of the thrust."""
-DEPTH = WIDTHS * WASH_LENGTH
+"""Standard deviations after which the wash ends; less than 0.1 % of the thrust is cut off."""
+DEPTH = WIDTHS * WASH_LENGTH  # m: vertical distance at which the wash ends
 
 
 @dataclass(frozen=True)
 class Wind:
-    """Wind of a room or a yard.
-
-    mean: m/s, world;  gust: m/s, standard deviation an axis;  time: s, for which a gust lasts: Dryden's length scale
-    over the mean wind's speed, so about 2 m over 1 m/s behind a fan, 100 m over 5 m/s outdoors.
-    """
+    """The wind in a room or a yard."""
 
     mean: Triple = (0.0, 0.0, 0.0)
+    """Mean wind in m/s, world."""
     gust: float = 0.0
+    """Standard deviation of the gusts in m/s, on each axis."""
     time: float = 2.0
+    """Seconds that a gust lasts.
+
+    It is Dryden's length scale divided by the speed of the mean wind: about 2 m over 1 m/s behind
+    a fan, 100 m over 5 m/s outdoors.
+    """
 
 
 @kernel()
 def blow(
     m: Vec, keys: Keys, tick: int, mean: Triple, gust: float, decay: float
 ) -> None:
-    """The wind at each drone of a block after a step of dt s, decay = exp(-dt / T).
+    """Compute the wind at each drone of a block after a step of dt s, with decay = exp(-dt / T).
 
         u <- mean + (u - mean) decay + gust sqrt(1 - decay^2) n
 
-    It is Dryden's first-order forming filter for the longitudinal gust (MIL-F-8785C), exact for any dt, with the
-    spectrum gust^2 2 T / (1 + (T w)^2), taken for all three axes; gusts of two drones are independent.
+    This is Dryden's first-order forming filter for the longitudinal gust (MIL-F-8785C), exact for
+    any dt, with the spectrum gust^2 2 T / (1 + (T w)^2), used for all three axes. Gusts of two
+    drones are independent.
     """
     b = gust * math.sqrt(1.0 - decay * decay)
     for k in range(LANES):
@@ -67,12 +80,15 @@ def blow(
 
 @kernel()
 def wash(down: float, aside2: float, radius: float) -> float:
-    """Force on a lower drone over the thrust of the upper one; both hover or fly slowly.
+    """Return the force on a lower drone divided by the thrust of the upper drone.
 
         F / T = WASH exp(-z^2 / (2 L^2)) exp(-r^2 / (2 s^2)) b(z / BESIDE)
         s = radius + SPREAD z,  b(x) = x^2 (3 - 2 x)
 
-    down: z, m;  aside2: r^2, m2;  radius: m, of the upper drone;  b = 1 from BESIDE on. The force points down.
+    Both drones hover or fly slowly. The force points down, and b = 1 from BESIDE on.
+    down: z, m: vertical distance
+    aside2: r^2, m2: square of the horizontal distance
+    radius: m: radius of the upper drone
     """
     s = radius + SPREAD * down
     x = clip(down / BESIDE, 0.0, 1.0)
@@ -82,7 +98,7 @@ def wash(down: float, aside2: float, radius: float) -> float:
 
 @kernel()
 def _bucket(i: int, j: int, mask: int) -> int:
-    """Where the column (i, j) of the room is kept."""
+    """Return the bucket of the hash table for the column (i, j) of the room."""
     return (i * 73856093 ^ j * 19349663) & mask
 
 
@@ -90,7 +106,7 @@ def _bucket(i: int, j: int, mask: int) -> int:
 def _from_above(
     n: int, x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links
 ) -> float:
-    """What drone n gets from the drones of its column and of the eight around it."""
+    """Return the force on drone n from the drones in its column and the eight columns around it."""
     force = 0.0
     for i in range(chain[n, 1] - 1, chain[n, 1] + 2):
         for j in range(chain[n, 2] - 1, chain[n, 2] + 2):
@@ -109,10 +125,16 @@ def _from_above(
 def downwash(
     x: Vec, lift: Vec, radius: Vec, heads: Links, chain: Links, out: Vec
 ) -> None:
-    """Force N downwards on every drone from all above it, in a time that grows with the number of neighbours.
+    """Compute the downward force on every drone from all drones above it.
 
-    x: (N, 13) states;  lift: (N,) N, thrusts;  radius: (N,) m;  out: (N,).  heads (2^k,) and chain (N, 3) are room for
-    the columns of the room: drones whose x and y lie in one square, as wide as the wash reaches, are in one list.
+    Drones with x and y in one square, as wide as the wash reaches, are in one list, so the time
+    grows with the number of neighbours.
+    x: (N, 13): states
+    lift: (N,) N: thrusts
+    radius: (N,) m: radii of the drones
+    heads: (2^k,): work space, first drone of each bucket
+    chain: (N, 3): work space, next drone of the bucket and column of each drone
+    out: (N,) N: result
     """
     width = WIDTHS * (radius.max() + SPREAD * DEPTH)
     mask = heads.shape[0] - 1

@@ -1,4 +1,4 @@
-"""The battery under load: its charge, its voltage, and the thrust that it still allows."""
+"""The battery under load: charge, voltage, and the largest thrust that it still allows."""
 
 import math
 
@@ -39,13 +39,20 @@ OPEN_CIRCUIT = (
     0.9167,
     1.0,
 )
-"""Voltage at rest between empty (0) and full (1), for each tenth of the charge: the firmware's table for a lithium
-polymer cell, 3.00 3.78 3.83 3.87 3.89 3.92 3.96 4.00 4.04 4.10 V (crazyflie-firmware, pm_stm32f4.c), and 4.2 V full."""
+"""Voltage at rest between empty (0) and full (1), for each tenth of the charge.
+
+The values are the firmware's table for a lithium polymer cell,
+3.00 3.78 3.83 3.87 3.89 3.92 3.96 4.00 4.04 4.10 V (crazyflie-firmware, pm_stm32f4.c),
+and 4.2 V for a full cell.
+"""
 
 
 @kernel()
 def open_circuit(charge: float) -> float:
-    """Voltage at rest between empty (0) and full (1) of a charge from 0 to 1, by straight lines."""
+    """Return the voltage at rest between empty (0) and full (1) for a charge from 0 to 1.
+
+    The table is interpolated by straight lines.
+    """
     x = 10.0 * clip(charge, 0.0, 1.0)
     n = min(int(x), 9)
     low: float = OPEN_CIRCUIT[n]
@@ -58,9 +65,10 @@ def drain(m: Vec, dt: float) -> None:
 
         P = a sum_n f_n^1.5,   V = E - R I,   I = P / V + I_idle,   Q' = -I
 
-    so V = (b + sqrt(b^2 - 4 R P)) / 2 with b = E - R I_idle. P is the power of an ideal rotor (momentum theory), a such
-    that it is the platform's hover power in hover. An empty cell is switched off by its protection: V = 0.
-    CEILING is the thrust of the platform's curve c0 + c1 V + c2 V^2 + c3 V^3 at full duty cycle.
+    and therefore V = (b + sqrt(b^2 - 4 R P)) / 2 with b = E - R I_idle. P is the power of an ideal
+    rotor (momentum theory); a is chosen such that P in hover is the platform's hover power. The
+    protection of a cell switches it off when it is empty: V = 0. CEILING is the thrust of the
+    platform's curve c0 + c1 V + c2 V^2 + c3 V^3 at full duty cycle.
     """
     for k in range(LANES):
         power = 0.0

@@ -1,7 +1,8 @@
-"""The body of a quadrotor with four rotors: forces and torques, integrated together; motor commands in.
+"""The body of a quadrotor: the wrench of its four rotors and the step of its equations of motion.
 
-Motors X: M1 front right, M2 back right, M3 back left, M4 front left. M1 and M3 turn counter-clockwise seen from above,
-so their drag turns the body clockwise. The drones lie in the blocks of `lanes`.
+The inputs are motor commands. Motors are arranged in an X: M1 front right, M2 back right, M3 back
+left, M4 front left. M1 and M3 turn counter-clockwise seen from above, so their drag turns the body
+clockwise. The drones lie in the blocks of `lanes`.
 """
 
 import math
@@ -92,16 +93,20 @@ from crazychoir.simulation.motor_level.lanes import (
 # isort: on
 
 ROTOR_HEIGHT = 0.025
-"""m, of the rotors of a drone that stands; the drone is 29 mm high in all (Bitcraze)."""
+"""Height in m of the rotors above the floor when the drone stands.
+
+The whole drone is 29 mm high (Bitcraze).
+"""
 
 
 @kernel()
 def obey(m: Vec) -> None:
-    """Goals of the rotors for the commands u: nothing below the least thrust, no more than the battery gives.
+    """Turn the commands u into goal thrusts of the rotors.
 
         f_c = min(u f_max, f(vbat)),  0 if u f_max < f_min or the motors are cut
 
-    The firmware divides its voltage by the battery's, so a thrust is what was asked for until the duty cycle is 1.
+    A goal below the least thrust is 0, and no goal exceeds what the battery gives. The firmware
+    divides its voltage by the battery's, so the thrust is as commanded until the duty cycle is 1.
     """
     for k in range(LANES):
         for n in range(0, 4 * LANES, LANES):
@@ -112,9 +117,11 @@ def obey(m: Vec) -> None:
 
 @kernel()
 def _lag(m: Vec, decay: int) -> None:
-    """Thrusts N and slopes S of the rotors when their lag has gone on by the decay in row `decay`.
+    """Write the thrusts N and slopes S of the rotors after their lag has decayed.
 
-    f(t) = f_c + (f(0) - f_c) exp(-t / lag),  S = df/dr = sqrt(c1^2 + 4 c2 f)
+        f(t) = f_c + (f(0) - f_c) exp(-t / lag),  S = df/dr = sqrt(c1^2 + 4 c2 f)
+
+    decay: row of the block with the decay exp(-t / lag), HALF or FULL
     """
     for k in range(LANES):
         c1 = m[CURVE1 + k]
@@ -127,16 +134,21 @@ def _lag(m: Vec, decay: int) -> None:
 
 @kernel()
 def _drag(m: Vec, k: int, s: float) -> tuple[float, float]:
-    """Speed in rpm and drag in N m of a rotor at the slope s: r = (s - c1) / (2 c2), t1 r + t2 r^2."""
+    """Return the speed in rpm and the drag in N m of a rotor at the slope s.
+
+    r = (s - c1) / (2 c2),   m = t1 r + t2 r^2
+    """
     r = (s - m[CURVE1 + k]) * m[SPEED + k]
     return r, r * (m[TORQUE1 + k] + m[TORQUE2 + k] * r)
 
 
 @kernel()
 def _push(m: Vec) -> None:
-    """What the four rotors together do to the body, about its axes.
+    """Write the force and torques of the four rotors together, about the body's axes.
 
-    LIFT = f1 + f2 + f3 + f4,   TX = arm (-f1 - f2 + f3 + f4),   TY = arm (-f1 + f2 + f3 - f4)
+    LIFT = f1 + f2 + f3 + f4
+    TX = arm (-f1 - f2 + f3 + f4)
+    TY = arm (-f1 + f2 + f3 - f4)
     TZ = -m1 + m2 - m3 + m4,   m = t1 r + t2 r^2 + J r',   r' = f' / S,   f' = (f_c - f) / lag
     SPIN = J (r1 - r2 + r3 - r4)
     """
@@ -153,7 +165,7 @@ def _push(m: Vec) -> None:
         r2, m2 = _drag(m, k, s2)
         r3, m3 = _drag(m, k, s3)
         r4, m4 = _drag(m, k, s4)
-        # r1' + r3' and r2' + r4' over one denominator: a division costs as much as all the rest.
+        # r1' + r3' and r2' + r4' share one denominator: a division costs as much as the rest.
         odd = ((m[G1 + k] - f1) * s3 + (m[G3 + k] - f3) * s1) * (s2 * s4)
         even = ((m[G2 + k] - f2) * s4 + (m[G4 + k] - f4) * s2) * (s1 * s3)
         m[LIFT + k] = (f1 + f2) + (f3 + f4)
@@ -169,11 +181,12 @@ def _push(m: Vec) -> None:
 
 @kernel()
 def near_floor(z: float, ground: float) -> float:
-    """By what factor a rotor's thrust grows near the floor.
+    """Return the factor by which a rotor's thrust grows near the floor.
 
         f / f_free = 1 / (1 - (R / (4 z))^2)
 
-    z: m, of the drone: its rotors are higher, so the factor has a bound;  ground: (R / 4)^2, m2, R the rotor's radius.
+    z: m, height of the drone; its rotors are higher, so the factor is bounded
+    ground: (R / 4)^2 in m2, R the radius of a rotor
     Source: Cheeseman & Bennett 1955, ARC R&M 3021.
     """
     h = max(z, 0.0) + ROTOR_HEIGHT
@@ -182,20 +195,23 @@ def near_floor(z: float, ground: float) -> float:
 
 @kernel()
 def _go(m: Vec, row: int, at: int, slope: float, ahead: float) -> None:
-    """Keep a slope, and put the next stage where it leads."""
+    """Store a slope and set the state of the next stage, `ahead` s along that slope."""
     m[at + row] = slope
     m[STAGE + row] = m[row] + ahead * slope
 
 
 @kernel()
 def _stage(m: Vec, at: int, ahead: float) -> None:
-    """One stage of the Runge-Kutta method: the wrench and the slopes at the stage's state.
+    """Compute one stage of the Runge-Kutta method: the forces and the slopes at the stage's state.
 
         p' = v,  v' = -g e3 + R s + F / m,  q' = 1/2 q (w, 0)
         m s = g(z) LIFT e3 - A R^T (v - wind),  J w' = tau - w x (J w + SPIN e3)
         tau = g(z) (TX, TY, 0) + (0, 0, TZ) + M
 
-    F, M: force N world and torque N m body from outside;  A = diag kg/s;  the specific force is s + R^T F / m.
+    F: N, world: external force
+    M: N m, body: external torque
+    A: kg/s: diagonal drag matrix
+    The specific force, which the accelerometer senses, is s + R^T F / m.
     """
     for k in range(LANES):
         s = STAGE + k
@@ -249,7 +265,10 @@ def _stage(m: Vec, at: int, ahead: float) -> None:
 
 @kernel()
 def _arrive(m: Vec, h: float) -> None:
-    """End a step: the state and the rotors' thrusts after it; a drone on the floor (FREE = 0) keeps its state."""
+    """End a step: write the new state and the new thrusts of the rotors.
+
+    A drone on the floor (FREE = 0) keeps its state.
+    """
     for k in range(LANES):
         for c in range(0, 13 * LANES, LANES):
             middle = m[SLOPE2 + c + k] + m[SLOPE3 + c + k]
@@ -271,9 +290,10 @@ def _arrive(m: Vec, h: float) -> None:
 
 @kernel()
 def fly(m: Vec, h: float) -> None:
-    """One step of h s by the classical Runge-Kutta method of order 4, the wrench computed anew at each stage.
+    """Make one step of h s by the classical Runge-Kutta method of order 4.
 
-    The rotors' lag is followed exactly: HALF and FULL must be the decays of h/2 and h.
+    The wrench is computed anew at each stage. The lag of the rotors is followed exactly: HALF and
+    FULL must be the decays of h/2 and h.
     """
     _push(m)
     _stage(m, SLOPE1, 0.5 * h)

@@ -1,4 +1,4 @@
-"""Whole Crazyflies: the motor-level world with the firmware on board of each drone, one compiled pass a step."""
+"""Whole Crazyflies: the motor-level world with firmware on board, one compiled pass a step."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -47,14 +47,17 @@ from crazychoir.simulation.motor_level.lanes import (
 # isort: on
 
 ON_BOARD = ("vel", "xyz", "fullstate")
-"""Kinds of commands for which position or velocity are controlled on board."""
+"""Kinds of commands for which the firmware controls position or velocity."""
 SELDOM = 7
-"""Poses of which the estimator is told one where they are not: 14 Hz of 100."""
+"""Number of poses for each pose that is passed to the estimator in rate control.
+
+If only rates are controlled on board, the estimator gets 14 poses a second of 100.
+"""
 
 
 @kernel()
 def _think(m: Vec, first: int, firmware: Fleet) -> None:
-    """One ms of the firmware of a block's drones: what the sensors say goes in, motor commands come out."""
+    """Run the firmware of a block's drones for 1 ms: sensor readings in, motor commands out."""
     for k in range(min(LANES, firmware.shape[0] - first)):
         fw = firmware[first + k]
         stabilize(
@@ -107,7 +110,7 @@ def _advance(
     options: Vec,
     firmware: Fleet,
 ) -> None:
-    """As `motors._advance`, with the firmware between the sensors and the motors in each step."""
+    """Advance all drones as `motors._advance`, with the firmware between sensors and motors."""
     normal = (options[0], options[1], options[2])
     for b in range(lanes.shape[0]):
         m = lanes[b].m
@@ -126,11 +129,16 @@ def _advance(
 
 
 class CrazyflieWorld(MotorWorld):
-    """MotorWorld whose drones carry their firmware.
+    """MotorWorld with firmware on board of each drone.
 
-    platform: for which the firmware is made;  bodies: what each drone really is, None for its platform.
-    onboard: by id, what a radio reaches of a drone: set-points, planner, parameters, logs, and the pose from outside.
-    options: MotorWorld's. Motors stand still until the firmware turns them, in the air too.
+    Motors stand still until the firmware turns them, also in the air.
+
+    platform: platform for which the firmware is made
+    bodies: true platform of each drone, None for the platform of the firmware
+    options: options of MotorWorld
+    onboard: firmware of each drone by id, with everything that a radio reaches: set-points,
+        planner,
+        parameters, logs and external poses
     """
 
     flies: tuple[str, ...] = tuple(CONTROLS)
@@ -162,7 +170,11 @@ class CrazyflieWorld(MotorWorld):
 
     @classmethod
     def of(cls, setup: WorldSetup, **more: Any) -> Self:
-        """The world of a swarm file, with its [motors] as options; more: of this class."""
+        """Make the world of a swarm file.
+
+        setup: what the swarm file asks for, with its table [motors] as options
+        more: further options of this class
+        """
         options = setup.options
         gusts = options["gusts"]
         noise = options["imu_noise"]
@@ -196,21 +208,27 @@ class CrazyflieWorld(MotorWorld):
         )
 
     def link(self, i: int, kind: str = "fpqr") -> CrazyflieLink:
-        """The way to drone i for commands of this kind; raises ConfigError for one that the firmware does not know."""
+        """Return the link to drone i for commands of this kind.
+
+        Raises ConfigError if the firmware does not know the kind.
+        """
         if kind not in self.flies:
             raise not_flown(i, kind, self.flies)
         self._told_every[i] = 1 if kind in ON_BOARD else SELDOM
         return CrazyflieLink(self.onboard[i], kind)
 
     def see(self, i: int, pose: Pose) -> None:
-        """Tell the estimator on board; seldom where only rates are controlled there, as a radio's time is short."""
+        """Pass a pose to the estimator on board of drone i.
+
+        If only rates are controlled on board, few poses are passed, because radio time is scarce.
+        """
         told = self._told[i] = self._told[i] + 1
         if told % self._told_every[i] == 0:
             self.onboard[i].external_pose(pose.p, pose.q)
 
     @property
     def failed(self) -> dict[int, str]:
-        """Drones of which something is no number any more, and what: no step mends that."""
+        """Drones with a number that is not finite, and where it was found; they cannot recover."""
         parts = {
             "the requests to its motors": self._firmware["request"],
             "the commands of its motors": self._firmware["motors"],
@@ -225,22 +243,25 @@ class CrazyflieWorld(MotorWorld):
         }
 
     def restore(self, i: int) -> None:
-        """As a MotorWorld does; its firmware is another's business."""
+        """Put the body of drone i back as MotorWorld does; the firmware is restarted elsewhere."""
         super().restore(i)
         row = self.row[i]
         self._firmware["vbat"][row] = self._firmware["vbat_low"][row] = self.vbat(i)
 
     @property
     def variables(self) -> Iterable[str]:
-        """What its drones log."""
+        """Names of the log variables of the drones."""
         return TABLE
 
     def log(self, i: int, name: str) -> float:
-        """A log variable of drone i now, in the firmware's unit."""
+        """Return a log variable of drone i now, in the firmware's unit."""
         return read(self._firmware, self.row[i], name)
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
-        """A set-point for drone i: u (4,) = thrust N, body rates rad/s; its firmware must be in rate mode."""
+        """Give drone i a set-point u (4,) = thrust N, body rates rad/s.
+
+        Its firmware must be in rate mode.
+        """
         self.onboard[i].fpqr(*u)
 
     def _run(self, time: int, steps: int) -> None:

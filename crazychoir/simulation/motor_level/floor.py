@@ -1,6 +1,7 @@
-"""The floor z = 0 under the drones of a block: standing, lifting off, touching down; no bounce.
+"""The floor z = 0 under the drones of a block: standing, lift-off and touch-down without bounce.
 
-A drone that stands slips about its z axis alone, when its rotors turn it harder than its feet hold it.
+A drone that stands can only turn about the vertical axis, when its rotors turn it with a larger
+torque than its feet can hold.
 """
 
 import math
@@ -47,18 +48,23 @@ from crazychoir.simulation.motor_level.lanes import (
 # isort: on
 
 SETTLING = 0.03
-"""s, in which a drone that has touched down tips onto its feet, or onto its back."""
+"""Seconds in which a drone that has touched down tips onto its feet or onto its back."""
 FRICTION = 0.3
-"""Chosen: of feet on a floor, force a force that presses them on it."""
+"""Friction coefficient between the feet and the floor; chosen."""
 STUCK = 5e-4
-"""N m, chosen: a smaller torque turns nobody, however light he is: so a drone that lifts off keeps its heading."""
+"""Torque in N m that always holds a standing drone, however light it is; chosen.
+
+Therefore a drone that lifts off keeps its heading.
+"""
 
 
 @kernel()
 def _turned(m: Vec, k: int, spin: float, h: float) -> float:
-    """rad/s about z of a drone that stands, after h s.
+    """Return the rate in rad/s about z of a standing drone after h s.
 
-    |TZ| > max(FRICTION (m g - LIFT) arm, STUCK):  it turns by what is more; else it is stopped
+        |TZ| > max(FRICTION (m g - LIFT) arm, STUCK)
+
+    If this holds, the excess torque turns the drone; otherwise friction stops it.
     """
     torque: float = m[TZ + k]
     held = max(FRICTION * (GRAVITY * m[MASS + k] - m[LIFT + k]) * m[ARM + k], STUCK)
@@ -71,11 +77,13 @@ def _turned(m: Vec, k: int, spin: float, h: float) -> float:
 
 @kernel()
 def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
-    """Turn a drone that stands until its z axis is normal to what it stands on, its heading kept but for a spin.
+    """Turn a standing drone until its z axis is normal to the surface below it.
 
-        w = (z_b x d) / SETTLING + spin z_b,  d = n for an upright drone and -n for one on its back
+        w = (z_b x d) / SETTLING + spin z_b
 
-    Its specific force is what carries its weight: R^T g e3.
+    with d = n for an upright drone and d = -n for a drone on its back.
+    The heading stays as it is, apart from the spin. The specific force carries the weight: R^T g
+    e3.
     """
     q = (m[QX + k], m[QY + k], m[QZ + k], m[QW + k])
     bx, by, bz = columns(q)
@@ -97,7 +105,10 @@ def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
 
 @kernel()
 def _lifts_off(m: Vec, k: int) -> bool:
-    """Does what pulls a standing drone up outweigh it? One on its back pushes itself down."""
+    """Return True if the upward forces on a standing drone exceed its weight.
+
+    The rotors of a drone on its back push it down.
+    """
     upright = 1.0 - 2.0 * (m[QX + k] ** 2 + m[QY + k] ** 2)
     lift: float = near_floor(0.0, m[GROUND + k]) * m[LIFT + k] * upright + m[EZ + k]
     return lift > GRAVITY * float(m[MASS + k])
@@ -105,9 +116,11 @@ def _lifts_off(m: Vec, k: int) -> bool:
 
 @kernel()
 def stand(m: Vec, normal: Triple, h: float) -> None:
-    """What the floor does to the drones of a block in h s.
+    """Apply the floor to the drones of a block for h s.
 
-    normal: of what is under each, a unit vector, world;  (0, 0, 0): there is no floor, or it is somebody else's.
+    normal: unit vector, world: normal of the surface below each drone; (0, 0, 0) if there is no
+        floor
+        or another part of the simulation computes it
     """
     if normal[2] == 0.0:
         return

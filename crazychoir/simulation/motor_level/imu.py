@@ -1,4 +1,7 @@
-"""The inertial sensors: gyroscope and accelerometer with noise and bias, drawn without a generator's state."""
+"""The inertial sensors: gyroscope and accelerometer with noise and bias.
+
+Their noise is drawn without the state of a generator.
+"""
 
 import math
 from dataclasses import dataclass
@@ -22,35 +25,44 @@ from crazychoir.simulation.motor_level.lanes import (
 )
 # isort: on
 
-GYRO_RANGE, ACC_RANGE = math.radians(2000.0), 24.0 * GRAVITY
+GYRO_RANGE = math.radians(2000.0)  # rad/s: largest rate that the gyroscope reports
+ACC_RANGE = 24.0 * GRAVITY  # m/s2: largest acceleration that the accelerometer reports
 
 
 @dataclass(frozen=True)
 class Imu:
-    """A BMI088, by its data sheet (Bosch Sensortec BST-BMI088-DS001): how noisy, and how far from zero at rest.
+    """Noise and bias of a BMI088, from its data sheet (Bosch Sensortec BST-BMI088-DS001).
 
-    gyro_noise: rad/s/sqrt(Hz);  acc_noise: m/s2/sqrt(Hz), the worst axis;  gyro_bias: rad/s, acc_bias: m/s2, bounds of
-    what is drawn for a drone's axis. The sheet allows the gyroscope 1 deg/s, which the firmware measures on the floor
-    and takes off: what is left is the sheet's 0.015 deg/s/K, for 5 K of warming up.
+    The sheet allows a bias of 1 deg/s for the gyroscope; the firmware measures it on the floor and
+    subtracts it. What is left is the sheet's 0.015 deg/s/K, for 5 K of warming up.
     """
 
     gyro_noise: float = math.radians(0.014)
+    """Noise density of the gyroscope in rad/s/sqrt(Hz)."""
     acc_noise: float = 190e-6 * GRAVITY
+    """Noise density of the accelerometer in m/s2/sqrt(Hz), for its worst axis."""
     gyro_bias: float = math.radians(0.075)
+    """Largest bias of an axis of the gyroscope, in rad/s."""
     acc_bias: float = 0.020 * GRAVITY
+    """Largest bias of an axis of the accelerometer, in m/s2."""
 
     def deviations(self, h: float) -> tuple[float, float]:
-        """rad/s and m/s2 of one sample every h s: white noise of density d has the deviation d sqrt(1 / (2 h))."""
+        """Return the standard deviations in rad/s and m/s2 of samples taken every h s.
+
+        White noise of density d has the deviation d sqrt(1 / (2 h)).
+        """
         return self.gyro_noise * math.sqrt(0.5 / h), self.acc_noise * math.sqrt(0.5 / h)
 
 
 @kernel()
 def measure(m: Vec, keys: Keys, tick: int, gyro: float, acc: float) -> None:
-    """What the sensors of a block say at a tick; gyro rad/s, acc m/s2: standard deviations.
+    """Write the readings of the sensors of a block at a tick.
 
         gyro = w + b + n,   acc = s + b + n,   s the specific force, body
 
-    What is drawn is a function of (seed, tick, drone, axis) alone.
+    The noise is a function of (seed, tick, drone, axis) alone.
+    gyro: rad/s: standard deviation of the gyroscope's noise
+    acc: m/s2: standard deviation of the accelerometer's noise
     """
     for k in range(LANES):
         for c in range(3):

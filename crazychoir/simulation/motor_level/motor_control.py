@@ -1,4 +1,4 @@
-"""From commands to the firmware on board: one class a kind of command, by the paper's names."""
+"""Commands as set-points of the firmware: one class a kind of command, with the paper's names."""
 
 from abc import ABC, abstractmethod
 from typing import Any
@@ -14,14 +14,14 @@ from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Vel
 
 
 class MotorCtrl(ABC):
-    """What all have: a drone's firmware, and the way to stop it."""
+    """Base of all kinds: the firmware of a drone, and how to cut its motors."""
 
     def __init__(self, onboard: Onboard) -> None:
         self.onboard = onboard
 
     @abstractmethod
     def send(self, command: Any) -> bool:
-        """Obey a command of this kind; False if it is not taken."""
+        """Give the firmware a command of this kind; return False if it is refused."""
 
     def cut(self) -> None:
         """Stop the motors for good."""
@@ -29,7 +29,7 @@ class MotorCtrl(ABC):
 
 
 class _Thrust(MotorCtrl):
-    """Set-points with a thrust: roll and pitch as rates or as angles."""
+    """Set-points with a thrust: roll and pitch as rates (angles = 0) or as angles (1)."""
 
     angles = 0
 
@@ -39,27 +39,27 @@ class _Thrust(MotorCtrl):
             onboard.set(f"flightmode.stabMode{axis}", mode)
 
     def unlock(self) -> None:
-        """The packet without thrust that the firmware wants first."""
+        """Send the packet without thrust that unlocks the thrust in the firmware, if it is locked."""
         if self.onboard.record["locked_thrust"]:
             self.onboard.rpyt_raw(0.0, 0.0, 0.0, 0.0)
 
 
 class MotorCtrlFPQR(_Thrust):
-    """Thrust and body rates, followed by the firmware's rate controller."""
+    """Thrust and body rates, followed by the rate controller of the firmware."""
 
     def send(self, command: FPQR) -> bool:
-        """Held until the next one, 0.5 s at most; False if it is not taken."""
+        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
         self.unlock()
         return self.onboard.fpqr(*command.flat.tolist())
 
 
 class MotorCtrlFRPY(_Thrust):
-    """Thrust, roll, pitch and yaw rate, followed by the firmware's attitude controller."""
+    """Thrust, roll, pitch and yaw rate, followed by the attitude controller of the firmware."""
 
     angles = 1
 
     def send(self, command: FRPY) -> bool:
-        """Held until the next one, 0.5 s at most; False if it is not taken."""
+        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
         self.unlock()
         return self.onboard.frpy(*command.flat.tolist())
 
@@ -68,7 +68,7 @@ class MotorCtrlVel(MotorCtrl):
     """Velocity in the world and yaw rate."""
 
     def send(self, command: Vel) -> bool:
-        """Held until the next one, 0.5 s at most; False if it is not taken."""
+        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
         return self.onboard.velocity(command.flat[0:3], float(command.flat[3]))
 
 
@@ -76,7 +76,7 @@ class MotorCtrlFullState(MotorCtrl):
     """A flat output, with the attitude and body rates that follow from it."""
 
     def send(self, command: FullState) -> bool:
-        """Held until the next one, 0.5 s at most; False if it is not taken."""
+        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
         s = command.flat
         a = tuple(s[6:9])
         j = tuple(s[9:12])
@@ -92,9 +92,10 @@ class MotorCtrlXYZ(MotorCtrl):
     """The planner on board: take-off, go_to, landing, stop."""
 
     def send(self, command: XYZ) -> bool:
-        """Fly it; False if the firmware refuses. It takes over from streamed set-points.
+        """Start the plan; return False if the firmware refuses.
 
-        duration 0: take-off and landing by the firmware's speeds.
+        The planner takes over from streamed set-points. A duration of 0 means the take-off and
+        landing speeds of the firmware.
         """
         onboard = self.onboard
         x, y, z, yaw, duration = command.flat.tolist()
@@ -119,7 +120,7 @@ CONTROLS: dict[str, type[MotorCtrl]] = {
     "xyz": MotorCtrlXYZ,
     "fullstate": MotorCtrlFullState,
 }
-"""By what a drone is sent, as a swarm file names it."""
+"""Class that controls a drone, by the kind of command in the swarm file."""
 TAKES: dict[str, type[Command]] = {
     "fpqr": FPQR,
     "frpy": FRPY,
@@ -128,16 +129,20 @@ TAKES: dict[str, type[Command]] = {
     "fullstate": FullState,
 }
 
+"""Command type of each kind of command."""
 
 BASE_THRUST = 0.8
-"""Of hovering, to which the firmware's control of climbs adds; about what its constant is for a bare Crazyflie. With
-more, the integral of the climb, which grows while the rotors spin up on the floor, throws the drone up."""
+"""Share of the hover thrust to which the climb control of the firmware adds.
+
+It is about what the firmware's constant is for a bare Crazyflie. With a larger share the integral
+of the climb control, which grows while the rotors spin up on the floor, throws the drone up.
+"""
 
 
 class CrazyflieLink:
-    """The way to one drone with firmware: commands of one kind, and those of its planner, which every drone takes.
+    """The link to one drone with firmware: commands of one kind, and those of its planner.
 
-    Motors that wait for it are armed by the first command that turns them.
+    The first command that turns the motors arms a drone that needs arming.
     """
 
     def __init__(self, onboard: Onboard, kind: str) -> None:
@@ -152,7 +157,10 @@ class CrazyflieLink:
             onboard.set("posCtlPid.thrustBase", base)
 
     def send(self, command: Command) -> None:
-        """Held until the next one; what the firmware refuses is not obeyed."""
+        """Pass the command to the firmware, which holds it until the next one.
+
+        A command that the firmware refuses has no effect.
+        """
         if self._arms and not self.onboard.record["armed"] and command.flat.any():
             self.onboard.arm()
         self._controls[type(command)].send(command)

@@ -1,4 +1,7 @@
-"""The motor-level world: rotors, bodies, air, batteries and inertial sensors at 1 kHz, one compiled pass a step."""
+"""The motor-level world: rotors, bodies, air, batteries and inertial sensors at 1 kHz.
+
+All drones advance in one compiled pass a step.
+"""
 
 import math
 from collections.abc import Sequence
@@ -61,11 +64,11 @@ from crazychoir.simulation.motor_level.lanes import (
 # isort: on
 
 H = 0.001
-"""s, one step of the motor-level model, as long as a tick of the firmware."""
+"""Seconds of one step of the motor-level model, as long as a tick of the firmware."""
 MOTORS = (ALIVE1, ALIVE2, ALIVE3, ALIVE4)
-"""Where it stands whether they turn."""
+"""Places in a block that say whether each motor may turn."""
 SENSORS, BIASES, GUSTS = range(3)
-"""What random numbers are drawn for."""
+"""Uses of random streams: noise of the sensors, their biases, and gusts of wind."""
 
 keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
 whole: Any = numba.int64
@@ -103,9 +106,10 @@ def _advance(
     steps: int,
     options: Vec,
 ) -> None:
-    """Advance all drones by `steps` of H s from step number `time`, block by block; replaces x (N, 13).
+    """Advance all drones by `steps` steps of H s from step number `time`, block by block.
 
-    options: (5,) normal of the floor, deviations of gyroscope and accelerometer.
+    x: (N, 13): states, replaced
+    options: (5,): normal of the floor, deviations of gyroscope and accelerometer
     """
     normal = (options[0], options[1], options[2])
     for b in range(lanes.shape[0]):
@@ -122,7 +126,11 @@ def _advance(
 
 @kernel(table, keys, whole, vector)
 def _blow(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
-    """The wind at all drones for the next step; wind: (5,) mean, gust, decay. It starts as it goes on on average."""
+    """Compute the wind at all drones for the next step.
+
+    At time 0 the wind is drawn from its stationary distribution.
+    wind: (5,): mean, gust, decay
+    """
     for b in range(blocks.shape[0]):
         blow(
             blocks[b],
@@ -135,17 +143,28 @@ def _blow(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
 
 
 class MotorWorld(Truth):
-    """Crazyflies with rotors that lag, batteries that sag and sensors that err, in air that moves.
+    """Crazyflies with rotors that lag, batteries that sag and sensors that err, in moving air.
 
-    ids, p0, yaw0, platform: as of Truth;  dt: s, of a step, a multiple of 1 ms;  seed: of everything that is drawn;
-    wind: None for still air;  imu: the sensors;  ground_effect, downwash: whether they act;  charge: of the batteries
-    at the start, 1 is full;  floor_normal: of what is under each drone, world; the floor itself is z = 0.
+    A drone stands without slipping until its rotors carry it. Until its first command arrives, a
+    drone on the floor has its motors stopped and a drone in the air has the motor commands of
+    hover. All random draws of a drone are functions of (seed, time, id) alone, so its flight
+    depends on the other drones by downwash only.
 
-    commands: (N, 4) shares of the firmware's greatest thrust, of motors 1 to 4;  force, torque: (N, 3) N world and N m
-    body, which push the drones from outside until they are changed.
-    A drone stands without slipping until its rotors carry it. One that starts on the floor has its motors stopped, one
-    in the air has those of hover, until its first command arrives. What is drawn for a drone is a function of
-    (seed, time, id) alone, so its flight depends on others by downwash only.
+    ids: the drones, in the order of the rows
+    p0: (N, 3) m: start positions
+    yaw0: (N,) rad: start headings
+    platform: one for all drones, or one a drone
+    dt: s: one step, a multiple of 1 ms
+    seed: of every random draw
+    wind: the wind, None for still air
+    imu: the inertial sensors
+    ground_effect: True to simulate the ground effect
+    downwash: True to simulate the downwash
+    charge: charge of the batteries at the start, 1 is full
+    floor_normal: world: normal of the surface below each drone; the floor itself is z = 0
+    commands: (N, 4): shares of the firmware's greatest thrust, for motors 1 to 4
+    force: (N, 3) N, world: external forces, held until they are changed
+    torque: (N, 3) N m, body: external torques, held until they are changed
     """
 
     def __init__(
@@ -194,13 +213,16 @@ class MotorWorld(Truth):
         self._began = self._blocks.copy()
 
     def _keys(self, seed: int, use: int) -> Keys:
-        """(blocks, LANES) the keys of the drones' streams; the last drone's where a lane is empty."""
+        """Return (blocks, LANES) keys of the drones' streams; empty lanes repeat the last drone's."""
         return in_lanes(np.array([stream(seed, use, i) for i in self.ids], np.uint64))
 
     def _fill(
         self, seed: int, sensors: Imu, ground_effect: bool, charge: float
     ) -> None:
-        """Everything that a block keeps; the empty lanes of the last block repeat its last drone, motors cut."""
+        """Fill the blocks with constants and initial values.
+
+        The empty lanes of the last block repeat its last drone, with the motors cut.
+        """
         rows = [constants(platform, H, ground_effect) for platform in self.platforms]
         for name in rows[0]:
             self._put(name, np.array([row[name] for row in rows]))
@@ -243,7 +265,10 @@ class MotorWorld(Truth):
         return float(self._blocks[block, name + lane])
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
-        """Hold u (4,), shares of the firmware's greatest thrust, for motors 1 to 4 of drone i from now on."""
+        """Hold the commands u (4,) for motors 1 to 4 of drone i from now on.
+
+        u: shares of the firmware's greatest thrust
+        """
         self.commands[self.row[i]] = u
 
     def cut(self, i: int) -> None:
@@ -251,17 +276,17 @@ class MotorWorld(Truth):
         self.turn(i, (False,) * len(MOTORS))
 
     def turn(self, i: int, motors: Sequence[bool]) -> None:
-        """Which of motors 1 to 4 of drone i turn when they are told to."""
+        """Set which of motors 1 to 4 of drone i obey commands; the others stand still."""
         block, lane = divmod(self.row[i], LANES)
         self._blocks[block, [motor + lane for motor in MOTORS]] = motors
 
     def charge_to(self, i: int, charge: float) -> None:
-        """Another battery for drone i, so full: 0 to 1."""
+        """Give drone i another battery with this charge, 0 to 1."""
         block, lane = divmod(self.row[i], LANES)
         self._blocks[block, CHARGE + lane] = charge
 
     def restore(self, i: int) -> None:
-        """Put drone i back where it began, as it was then, whatever has become of it; the others fly on."""
+        """Put drone i back to its start, in its initial condition; the others fly on."""
         row, (block, lane) = self.row[i], divmod(self.row[i], LANES)
         began = self._began[block, lane::LANES]
         self._blocks[block, lane::LANES] = began
@@ -276,31 +301,31 @@ class MotorWorld(Truth):
         )
 
     def vbat(self, i: int) -> float:
-        """V at the poles of drone i's battery, under load; 0 when it is empty."""
+        """Return the voltage of drone i's battery under load, in V; 0 when it is empty."""
         return self._of(i, VOLTAGE)
 
     def charge(self, i: int) -> float:
-        """What is left in drone i's battery, 1 is full."""
+        """Return the remaining charge of drone i's battery; 1 is full."""
         return self._of(i, CHARGE)
 
     def gyro(self, i: int) -> Vec:
-        """(3,) rad/s, body: what the gyroscope of drone i said last."""
+        """Return the last reading of drone i's gyroscope: (3,) rad/s, body."""
         return np.array([self._of(i, c) for c in (GYROX, GYROY, GYROZ)])
 
     def accelerometer(self, i: int) -> Vec:
-        """(3,) m/s2, body: the specific force by the accelerometer of drone i, as it said last."""
+        """Return the last reading of drone i's accelerometer: (3,) m/s2, body, the specific force."""
         return np.array([self._of(i, c) for c in (ACCX, ACCY, ACCZ)])
 
     def wind(self, i: int) -> Vec:
-        """(3,) m/s, world, at drone i."""
+        """Return the wind at drone i: (3,) m/s, world."""
         return np.array([self._of(i, c) for c in (AIRX, AIRY, AIRZ)])
 
     def below(self, i: int) -> float:
-        """N downwards, by which the wash of others pushes drone i."""
+        """Return the downward force in N on drone i from the downwash of other drones."""
         return float(self._below[self.row[i]])
 
     def step(self) -> None:
-        """Advance every drone by dt; the air is that of the beginning of the step."""
+        """Advance every drone by dt; the air is computed once, at the beginning of the step."""
         if self._wind is not None:
             wind = np.array(
                 [
@@ -342,18 +367,21 @@ class MotorWorld(Truth):
 
 
 def _slopes(platform: Platform, f: Vec) -> Vec:
-    """(4,) N/rpm: how the thrusts f (4,) of the rotors change with their speed."""
+    """Return the change of the rotors' thrusts f (4,) with their speed: (4,) N/rpm."""
     c1, c2 = platform.rotor.thrust
     return np.sqrt(c1 * c1 + 4.0 * c2 * f)
 
 
 def _buckets(n: int) -> int:
-    """A power of two, about twice n."""
+    """Return a power of two, two to four times n."""
     return 1 << max(2 * n - 1, 1).bit_length()
 
 
 def _upwards(normal: Triple) -> Triple:
-    """A unit vector along the normal of a floor; ConfigError if it does not point upwards."""
+    """Return the unit vector along the normal of a floor.
+
+    Raises ConfigError if the normal does not point upwards.
+    """
     length = math.sqrt(sum(c * c for c in normal))
     if not math.isfinite(length) or not normal[2] > 0.5 * length:
         raise ConfigError(
@@ -365,7 +393,7 @@ def _upwards(normal: Triple) -> Triple:
 
 
 def _tilted(q: Mat, normal: Triple) -> Mat:
-    """Level attitudes (N, 4) turned by the shortest way so that their z axis is the normal."""
+    """Turn level attitudes (N, 4) the shortest way until their z axis is the normal."""
     s = math.hypot(normal[0], normal[1])
     a = math.atan2(s, normal[2]) / s if s > 0.0 else 0.0
     turned = exponential(-a * normal[1], a * normal[0], 0.0)

@@ -1,4 +1,4 @@
-"""Pictures of a swarm, off-screen: MuJoCo's model at given places, seen by a camera of its own or of the scene."""
+"""Off-screen pictures of a swarm: MuJoCo's model with the drones at given places."""
 
 import importlib
 import math
@@ -16,20 +16,26 @@ from crazychoir.types import Mat, Vec
 
 Image = npt.NDArray[np.uint8]
 AWAY = -1000.0
-"""m, height of a drone whose place is not known."""
-AZIMUTH, ELEVATION = 60.0, -28.0
-"""Degrees, of the camera that sees the whole flight."""
+"""Height in m at which a drone with an unknown place is hidden."""
+AZIMUTH = 60.0  # deg: azimuth of the camera that shows the whole flight
+ELEVATION = -28.0  # deg: its elevation
 TRAIL = 2.0
-"""Pixels, width of the line behind a drone."""
+"""Width in pixels of the line behind a drone."""
 MOST = 20_000
-"""Geoms in one picture."""
+"""Largest number of geoms in one picture."""
 
 
 class Film:
-    """A camera before drones that are put where they were.
+    """A camera that takes pictures of drones at given places.
 
-    ids: the drones of the model, row by row;  camera: of the scene, by name; empty: one that sees all from `low` to
-    `high`, corners (3,) m of where they fly.  Raises ConfigError where there is no way to draw off-screen.
+    model: the model with all drones
+    ids: the drones of the model, in the order of the rows
+    width: pixels
+    height: pixels
+    low: (3,) m: lower corner of the space in which the drones fly
+    high: (3,) m: upper corner of that space
+    camera: name of a camera of the scene; empty: a camera that shows the whole space
+    Raises ConfigError for a wrong size or camera, or if off-screen drawing is not possible.
     """
 
     def __init__(
@@ -49,7 +55,7 @@ class Film:
         self.model, self.data = model, mujoco.MjData(model)
         self.width = width
         self.height = height
-        # Light and shadow are spread over where the drones fly; air is clear.
+        # The extent sets the range of light and shadow: the space in which the drones fly.
         model.stat.center, model.stat.extent = 0.5 * (low + high), _radius(low, high)
         self._rows = [int(model.joint(body_name(i)).qposadr[0]) for i in ids]
         self._camera = self._named(camera) if camera else self._overview(low, high)
@@ -62,7 +68,7 @@ class Film:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
 
     def _overview(self, low: Vec, high: Vec) -> mujoco.MjvCamera:
-        """Far enough away that the sphere around the flight fills the picture."""
+        """Return a camera so far away that the sphere around the flight fills the picture."""
         camera = mujoco.MjvCamera()
         view = math.radians(self.model.vis.global_.fovy)
         narrow = min(
@@ -105,9 +111,12 @@ class Film:
         trails: tuple[Mat, ...] = (),
         colours: tuple[Colour, ...] = (),
     ) -> Image:
-        """The drones at p (N, 3) m, from the floor to their centres of mass, and q (N, 4); NaN: not to be seen.
+        """Draw the drones and return the picture (height, width, 3).
 
-        trails: of each drone the places (k, 3) m where it was, drawn as a line.  Returns (height, width, 3).
+        p: (N, 3) m: from the floor to the centre of mass of each drone; NaN to hide it
+        q: (N, 4): attitude of each drone; NaN to hide it
+        trails: (k, 3) m: earlier places of each drone, drawn as a line
+        colours: colour of each trail
         """
         for at, place, turn in zip(self._rows, p, q, strict=True):
             known = bool(np.isfinite(place).all() and np.isfinite(turn).all())
@@ -133,7 +142,7 @@ class Film:
         return self._read()
 
     def _draw(self, trail: Mat, colour: Colour) -> None:
-        """A line through the places, fainter the older."""
+        """Draw a line through the places, the fainter the older."""
         scene = self._scene
         line = mujoco.mjtGeom.mjGEOM_LINE
         n = max(len(trail) - 1, 1)
@@ -156,7 +165,7 @@ class Film:
         return image[::-1]
 
     def close(self) -> None:
-        """Give the graphics back."""
+        """Free the graphics context."""
         self._mjr.free()
         self._gl.free()
 
@@ -168,12 +177,15 @@ class Film:
 
 
 def _radius(low: Vec, high: Vec) -> float:
-    """m, of a sphere around the room from low to high, with room for a drone."""
+    """Return the radius in m of a sphere around the box from low to high, with room for a drone."""
     return 0.5 * float(np.linalg.norm(high - low)) + 0.15
 
 
 def _context(width: int, height: int) -> Any:
-    """Where to draw without a window: EGL on Linux, with or without a graphics card."""
+    """Return a context to draw without a window: EGL on Linux, with or without a graphics card.
+
+    Raises ConfigError if there is none.
+    """
     try:
         if sys.platform == "linux":
             return importlib.import_module("mujoco.egl").GLContext(width, height)

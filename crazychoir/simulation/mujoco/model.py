@@ -1,4 +1,7 @@
-"""One MuJoCo model of a whole swarm: floor, light, the user's scene, a free body a drone with its sensors."""
+"""One MuJoCo model of a whole swarm: floor, light, the user's scene, and a free body a drone.
+
+Each drone has its sensors.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,28 +16,36 @@ from crazychoir.simulation.mujoco.shape import Shape
 
 FLOOR = "floor"
 SCENE = "scene/"
-"""Before the names of what comes from a user's scene."""
+"""Prefix of the names from a user's scene."""
 BOUNCE = (0.004, 0.6)
-"""s and damping ratio of a contact with a drone (solref): it comes back with about a fifth of its speed; chosen."""
+"""Time constant in s and damping ratio of a contact with a drone (solref); chosen.
+
+A drone bounces back with about a fifth of its speed.
+"""
 FRICTION = (0.8, 0.005, 0.0001)
-"""Sliding, torsional, rolling; chosen."""
-ACCELEROMETER, GYRO, POSITION = "accelerometer", "gyro", "position"
+"""Friction coefficients of a drone: sliding, torsional, rolling; chosen."""
+ACCELEROMETER = "accelerometer"
+GYRO = "gyro"
+POSITION = "position"
 SENSORS = {
     ACCELEROMETER: mujoco.mjtSensor.mjSENS_ACCELEROMETER,
     GYRO: mujoco.mjtSensor.mjSENS_GYRO,
     POSITION: mujoco.mjtSensor.mjSENS_FRAMEPOS,
 }
-"""What each drone has: m/s2 and rad/s body, m world; without noise."""
-SEEN, HIDDEN = 1, 3
-"""Groups of geoms: cameras show the first."""
-WIDEST, HIGHEST = 3840, 2160
-"""Pixels of the largest picture."""
+"""Sensors of each drone, without noise.
+
+The accelerometer reports m/s2 body, the gyroscope rad/s body, the position is in m world.
+"""
+SEEN = 1  # group of geoms that cameras show
+HIDDEN = 3  # group of geoms that cameras do not show
+WIDEST = 3840  # pixels: width of the largest picture
+HIGHEST = 2160  # pixels: height of the largest picture
 
 Point = tuple[float, float, float]
 
 
 def body_name(i: int) -> str:
-    """Of drone i in the model."""
+    """Return the name of drone i in the model."""
     return f"cf{i}"
 
 
@@ -44,9 +55,14 @@ def model_of(
     shapes: Sequence[Shape],
     scene: Path | None = None,
 ) -> mujoco.MjModel:
-    """The compiled model; masses and inertias are those of the platforms, whatever the shapes are.
+    """Return the compiled model of a swarm.
 
-    scene: a user's MJCF, whose bodies, geoms, lights and cameras are added. Raises ConfigError.
+    Masses and inertias are those of the platforms, whatever the shapes are.
+    ids: the drones
+    platforms: one a drone
+    shapes: one a drone
+    scene: a user's MJCF file; its bodies, geoms, lights and cameras are added
+    Raises ConfigError if the scene cannot be read or the model does not compile.
     """
     spec = mujoco.MjSpec()
     spec.option.timestep = H
@@ -78,7 +94,7 @@ def model_of(
 
 
 def _room(spec: mujoco.MjSpec) -> None:
-    """The floor z = 0, light, and a sky."""
+    """Add the floor z = 0, light, and a sky."""
     texture = mujoco.mjtTexture
     builtin = mujoco.mjtBuiltin
     spec.add_texture(
@@ -145,7 +161,7 @@ def _add_scene(spec: mujoco.MjSpec, path: Path) -> None:
 
 
 def _add_meshes(spec: mujoco.MjSpec, shape: Shape, prefix: str) -> list[str]:
-    """Once for all drones of this shape: that they share them makes a model quick to compile."""
+    """Add the meshes of a shape once; drones share them, so that the model compiles quickly."""
     names = []
     for k, (vertices, faces) in enumerate(shape.meshes):
         names.append(f"{prefix}-{k}")
@@ -166,7 +182,7 @@ def _add_drone(
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint(name=name)
     body.add_site(name=name, group=HIDDEN)
-    # All of it: what is left out is not zero, but taken from the body's place.
+    # MuJoCo takes each value that is not set here from the place of the body, so all are set.
     body.explicitinertial = True
     body.ipos = [0.0, 0.0, 0.0]
     body.iquat = [1.0, 0.0, 0.0, 0.0]

@@ -1,4 +1,4 @@
-"""What a drone looks like and what it touches others with: our own of primitives, or what a user's file holds."""
+"""Shape of a drone for pictures and contacts: built from primitives, or read from a user's file."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,18 +13,16 @@ from crazychoir.simulation.motor_level.body import ROTOR_HEIGHT
 from crazychoir.types import Mat, Vec
 
 HEIGHT = 0.029
-"""m, of a drone that stands (Bitcraze's data sheet)."""
+"""Height in m of a drone that stands (Bitcraze's data sheet)."""
 CENTRE = 0.0125
-"""m, of its centre of mass above the floor: between battery and board; chosen."""
-SMALLEST, LARGEST = 0.01, 1.0
-"""m, from the origin to the farthest point of what may be a drone."""
+"""Height in m of its centre of mass above the floor, between battery and board; chosen."""
+SMALLEST = 0.01  # m: least distance from the origin to the farthest point of a shape
+LARGEST = 1.0  # m: greatest distance from the origin to the farthest point of a shape
 MESHES = (".stl", ".obj", ".msh")
 MODELS = (".xml", ".mjcf", ".urdf")
-DARK, GREY, FRONT = (
-    (0.13, 0.14, 0.16, 1.0),
-    (0.55, 0.57, 0.60, 1.0),
-    (0.90, 0.25, 0.15, 1.0),
-)
+DARK = (0.13, 0.14, 0.16, 1.0)  # red, green, blue, opacity
+GREY = (0.55, 0.57, 0.60, 1.0)
+FRONT = (0.90, 0.25, 0.15, 1.0)  # colour of the part that shows the front
 
 Geom = mujoco.mjtGeom
 Colour = tuple[float, float, float, float]
@@ -32,41 +30,46 @@ Colour = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Part:
-    """One geom, in the drone's frame: origin in its centre of mass, x forward, z up.
-
-    kind: of MuJoCo;  size: half-lengths, radii m;  p: (3,) m;  q: (4,), [w, x, y, z] as MuJoCo has them;
-    solid: whether it touches others;  mesh: its number among the meshes of the shape.
-    """
+    """One geom in the drone's frame: origin in its centre of mass, x forward, z up."""
 
     kind: int
+    """MuJoCo's type of the geom."""
     size: Vec
+    """Half-lengths or radii in m."""
     p: Vec
+    """(3,) m: position."""
     q: Vec
+    """(4,): attitude, [w, x, y, z] as in MuJoCo."""
     colour: Colour
+    """Red, green, blue, opacity, each 0 to 1."""
     solid: bool = False
+    """True if the part can touch other geoms."""
     mesh: int = -1
+    """Index of its mesh in the meshes of the shape; -1 for a primitive."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """All parts of a drone;  meshes: (vertices (n, 3) m, faces (m, 3)) of those that are no primitives of MuJoCo."""
+    """All parts of a drone."""
 
     parts: tuple[Part, ...]
+    """The geoms."""
     meshes: tuple[tuple[Mat, Mat], ...] = ()
+    """(vertices (n, 3) m, faces (m, 3)) of each mesh."""
 
     @property
     def solid(self) -> "Shape":
-        """Only what touches: all that a simulation needs."""
+        """The shape with only the parts that can touch: all that a simulation needs."""
         return Shape(tuple(part for part in self.parts if part.solid), self.meshes)
 
     @property
     def lowest(self) -> float:
-        """m, of the lowest point that touches, from the centre of mass, in level attitude: negative."""
+        """Height in m of the lowest solid point above the centre of mass, level: negative."""
         return min(self._lowest(part) for part in self.parts if part.solid)
 
     @property
     def reach(self) -> float:
-        """m from the origin to the farthest point, or a little more."""
+        """Distance in m from the origin to the farthest point, or a little more."""
         return max(
             float(np.linalg.norm(part.p)) + self._radius(part) for part in self.parts
         )
@@ -96,9 +99,10 @@ class Shape:
 
 
 def crazyflie(platform: Platform, colour: Colour = GREY) -> Shape:
-    """A Crazyflie of a dozen primitives by the lengths of its platform; it touches with one cylinder around it all.
+    """Return a Crazyflie of a dozen primitives, from the lengths of its platform.
 
-    That cylinder has the platform's radius: two drones touch where a run counts them as touching.
+    Its only solid part is a cylinder around the drone with the platform's radius, so two drones
+    touch at the distance at which a run counts them as touching.
     """
     arm = platform.arm
     rotor = platform.rotor.radius
@@ -154,7 +158,7 @@ def _part(
 
 
 def _arm(half: float, yaw: float) -> Part:
-    """A bar of the frame through the centre, to two motors."""
+    """Return a bar of the frame through the centre, which carries two motors."""
     bar = _part(Geom.mjGEOM_BOX, (half, 0.0022, 0.001), (0, 0, -0.0045), DARK)
     return replace(
         bar, q=np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
@@ -162,9 +166,14 @@ def _arm(half: float, yaw: float) -> Part:
 
 
 def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
-    """The geoms of a user's STL, OBJ, URDF or MJCF, in their places at rest; of its masses and joints nothing.
+    """Return the geoms of a user's STL, OBJ, URDF or MJCF file in their places at rest.
 
-    body: of the file, if it has several;  scale: of its lengths, 0.001 for millimetres. Raises ConfigError.
+    Masses and joints of the file are ignored.
+
+    path: the file
+    body: name of the drone's body, if the file has several
+    scale: factor of all lengths, 0.001 for a file in millimetres
+    Raises ConfigError if the file cannot be read, has no solid geom, or has a wrong size.
     """
     where = f"mujoco.model {path}"
     model = _compiled(path, where)
@@ -189,7 +198,7 @@ def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
 
 
 def _compiled(path: Path, where: str) -> mujoco.MjModel:
-    """The file as a model of its own."""
+    """Compile the file as a model of its own."""
     suffix = path.suffix.lower()
     if suffix not in MESHES + MODELS:
         raise ConfigError(
@@ -206,9 +215,8 @@ def _compiled(path: Path, where: str) -> mujoco.MjModel:
         spec = (
             _of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))
         )
-        spec.compiler.fusestatic = (
-            False  # else the first link of a URDF is a part of the world
-        )
+        # With fusestatic the first link of a URDF would become part of the world.
+        spec.compiler.fusestatic = False
         return spec.compile()
     except ValueError as error:
         raise ConfigError(
@@ -229,7 +237,11 @@ def _of_mesh(path: Path) -> mujoco.MjSpec:
 
 
 def _root(model: mujoco.MjModel, body: str, where: str) -> int:
-    """The body that is the drone: the named one, the only one, or the world where there is none (a mesh)."""
+    """Return the drone's body: the named body or the only body.
+
+    A file with a mesh alone has no body; then it is the world, 0.
+    Raises ConfigError if there is no body of that name, or several bodies and no name.
+    """
     tops = [k for k in range(1, model.nbody) if model.body_parentid[k] == 0]
     names = {model.body(k).name: k for k in range(1, model.nbody)}
     if body:
@@ -255,7 +267,10 @@ def _root(model: mujoco.MjModel, body: str, where: str) -> int:
 
 
 def _parts(model: mujoco.MjModel, root: int) -> Shape:
-    """All geoms of a body and what hangs on it, in its frame; planes are the floor of somebody's scene."""
+    """Return all geoms of a body and its children, in its frame.
+
+    Planes are left out: they are the floor of the file's scene.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     turned = data.xmat[root].reshape(3, 3)
@@ -298,7 +313,7 @@ def _mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
 
 
 def scaled(shape: Shape, scale: float) -> Shape:
-    """All lengths so many times larger."""
+    """Return the shape with all lengths multiplied by scale."""
     parts = tuple(
         replace(part, size=scale * part.size, p=scale * part.p) for part in shape.parts
     )

@@ -1,4 +1,7 @@
-"""The world mujoco://: Crazyflies whose bodies, contacts and sensors are MuJoCo's; rotors, air, firmware are ours."""
+"""The world mujoco://: Crazyflies with bodies, contacts and sensors of MuJoCo.
+
+Rotors, air and firmware are those of the motor-level world.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,19 +30,23 @@ from crazychoir.simulation.mujoco.wrench import impel, place, settle, touch
 from crazychoir.types import Mat, Vec
 
 SLOW = 0.05
-"""m/s: one that touches something and is slower stands."""
+"""Speed in m/s below which a drone that touches something counts as standing."""
 
 
 class MujocoWorld(CrazyflieWorld):
-    """CrazyflieWorld whose bodies are free bodies of one MuJoCo model, with contacts.
+    """CrazyflieWorld with free bodies of one MuJoCo model, which can touch each other.
 
-    shapes: of all, or one a drone; None: our own;  scene: a user's MJCF that stands in the room;  options, platform,
-    bodies: CrazyflieWorld's.  model, data: MuJoCo's.
+    In each millisecond the motor-level model computes how rotors, air and weight would change the
+    velocities of drones that touch nothing. MuJoCo gets this change as the mean wrench of the
+    millisecond, adds the contacts, and returns the velocities. So drones in free flight fly as in
+    CrazyflieWorld. The acceleration that the accelerometers sense, with contacts, is MuJoCo's;
+    noise and bias are those of the motor-level world.
 
-    In each millisecond the motor-level model says how rotors, air and weight would change the velocities of drones that
-    touch nothing. MuJoCo gets that as the mean wrench of the millisecond, adds what contacts do, and says what the
-    velocities are. So drones in free flight fly as in CrazyflieWorld. What the accelerometers feel, contacts too, is
-    MuJoCo's; noise and bias are ours.
+    shapes: one for all drones, or one a drone; None: a Crazyflie of primitives
+    scene: a user's MJCF file with the objects in the room
+    options: options of CrazyflieWorld, with platform and bodies
+    model: MuJoCo's model
+    data: MuJoCo's data
     """
 
     def __init__(
@@ -61,12 +68,14 @@ class MujocoWorld(CrazyflieWorld):
         self, seed: int, sensors: Imu, ground_effect: bool, charge: float
     ) -> None:
         super()._fill(seed, sensors, ground_effect, charge)
-        self._options[:3] = 0.0  # the floor is MuJoCo's, nobody stands by itself
+        self._options[:3] = (
+            0.0  # the floor is MuJoCo's, not that of the motor-level world
+        )
         self._blocks[:, FREE : FREE + LANES] = self._blocks[:, ALIVE1 : ALIVE1 + LANES]
         self._build()
 
     def _build(self) -> None:
-        """The model, and where in its arrays the drones are."""
+        """Build the model, and find the places of the drones in its arrays."""
         n = len(self.ids)
         ids = self.ids
         shapes = self._shapes
@@ -137,7 +146,7 @@ class MujocoWorld(CrazyflieWorld):
         np.copyto(self._resting, np.where(slow, self._touching, 0.0))
 
     def _touch(self) -> None:
-        """Note who touches what."""
+        """Find the drones that touch something."""
         data = self.data
         model = self.model
         self._touching[:] = 0.0
@@ -158,14 +167,14 @@ class MujocoWorld(CrazyflieWorld):
             )
 
     def sensed(self, i: int) -> dict[str, Vec]:
-        """What MuJoCo's sensors of drone i said last, without noise: SENSORS."""
+        """Return the last readings of drone i's SENSORS in MuJoCo, without noise."""
         return {
             name: self.data.sensor(f"{body_name(i)}/{name}").data.copy()
             for name in SENSORS
         }
 
     def struck(self, i: int) -> str:
-        """What drone i has hit fastest."""
+        """Return the name of the thing that drone i hit fastest."""
         geom = self.model.geom(int(self._against[self.row[i]]))
         body = int(geom.bodyid[0])
         other = int(self._drone_of[body])
@@ -176,7 +185,10 @@ class MujocoWorld(CrazyflieWorld):
 
 
 def engine(setup: WorldSetup) -> MujocoWorld:
-    """The world of a swarm file; options: those of [motors], and of [mujoco]."""
+    """Make the world of a swarm file; its options are the tables [motors] and [mujoco].
+
+    Raises ConfigError for a tilted floor.
+    """
     options = setup.options
     if any(options["floor_tilt"]):
         do = "Leave it out; a plate that is tilted goes into a scene."

@@ -1,7 +1,7 @@
-"""Between the motor-level world and MuJoCo: what the drones' rotors and the air do goes there, what came of it back.
+"""Exchange between the motor-level world and MuJoCo: wrenches of rotors and air, resulting states.
 
-MuJoCo has [w, x, y, z] in the places of joints, and counts heights of centres of mass from the floor; a world's states
-count heights from where a drone stands.
+MuJoCo has quaternions [w, x, y, z] in the places of joints, and measures the height of the centre
+of mass from the floor. The states of a world measure the height from where a drone stands.
 """
 
 import math
@@ -34,9 +34,11 @@ body_numbers = numba.types.Array(numba.int32, 1, "C", readonly=True)
 def place(
     x: Mat, stands: Vec, places: Rows, speeds: Rows, qpos: Vec, qvel: Vec
 ) -> None:
-    """The states x (N, 13) as places and speeds of MuJoCo's free joints, which begin at these rows of qpos and qvel.
+    """Write the states x (N, 13) as positions and velocities of MuJoCo's free joints.
 
-    stands: (N,) m, of the centre of mass above the floor of a drone that stands.
+    stands: (N,) m: height of the centre of mass above the floor when the drone stands
+    places: (N,): rows of qpos where the joints begin
+    speeds: (N,): rows of qvel where the joints begin
     """
     for n in range(x.shape[0]):
         a = places[n]
@@ -52,12 +54,19 @@ def place(
 
 @kernel(matrix, matrix, matrix, numbers, numba.float64, table)
 def impel(x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat) -> None:
-    """The wrenches by which bodies that touch nothing come from the velocities of x0 to those of x1 in h s.
+    """Write the wrenches that change the velocities of x0 into those of x1 in h s.
+
+    The bodies touch nothing.
 
         F = m (v1 - v0) / h + m g e3,   tau = R0 (J (w1 - w0) / h + w0 x J w0)
 
-    They are the means of what rotors and air do in that time. x0, x1: (N, 13);  inertia: (N, 4) m kg, diagonal of J
-    kg m2;  bodies: rows of applied (n, 6), N and N m in the world, at the centre of mass.
+    They are the means of the wrenches of rotors and air in that time.
+    x0: (N, 13): states before
+    x1: (N, 13): states after
+    inertia: (N, 4): m in kg, diagonal of J in kg m2
+    bodies: (N,): rows of the drones in applied
+    h: s
+    applied: (n, 6): N and N m, world, at the centre of mass; result
     """
     for n in range(x0.shape[0]):
         b = bodies[n]
@@ -79,12 +88,15 @@ def impel(x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat) 
 def settle(
     x0: Mat, qvel: Vec, speeds: Rows, h: float, forces: Vec, x: Mat, lanes: Blocks
 ) -> None:
-    """The states x (N, 13) after a step of h s, by the velocities that MuJoCo has found for its end.
+    """Write the states x (N, 13) after a step of h s, with the velocities that MuJoCo has found.
 
         p = p0 + h (v0 + v) / 2,   q = q0 exp(h (w0 + w) / 2)
 
-    MuJoCo's own step goes on with v alone, which leads by half a step. forces: (3 N,) m/s2 body, what the
-    accelerometers say, for the inertial sensors on board.
+    MuJoCo's own step uses v alone, which leads by half a step.
+    x0: (N, 13): states before
+    qvel: velocities of MuJoCo's joints
+    speeds: (N,): rows of qvel where the joints begin
+    forces: (3 N,) m/s2, body: accelerometer readings, passed to the sensors on board
     """
     for n in range(x.shape[0]):
         b = speeds[n]
@@ -105,7 +117,12 @@ def settle(
 
 @kernel()
 def _velocity(body: int, p: Triple, twists: Mat, centres: Mat, roots: Rows) -> Triple:
-    """m/s, world, of the point p of a body; twists: (n, 6) as MuJoCo's cvel, about the centres of the bodies' trees."""
+    """Return the velocity of the point p of a body in m/s, world.
+
+    twists: (n, 6): MuJoCo's cvel, about the centres of the bodies' trees
+    centres: (n, 3) m: these centres
+    roots: (n,): root of the tree of each body
+    """
     o = roots[body]
     r = (p[0] - centres[o, 0], p[1] - centres[o, 1], p[2] - centres[o, 2])
     w = (twists[body, 0], twists[body, 1], twists[body, 2])
@@ -142,12 +159,18 @@ def touch(
     impact: Vec,
     against: Rows,
 ) -> None:
-    """Which drones touch something, and how fast the fastest has hit what.
+    """Find the drones that touch something, and the geom that each hit fastest.
 
         speed = n . (v_1 - v_2),  n from geom 1 to geom 2
 
-    geoms: (k, 2), points: (k, 3), frames: (k, 9), whose first row is n: the contacts;  body_of: of a geom;  drone_of:
-    row of a body, -1 for none;  touching: (N,) 0 or 1;  impact: (N,) m/s, against: (N,) the geom: replaced by worse.
+    geoms: (k, 2): geoms of each contact
+    points: (k, 3) m: point of each contact
+    frames: (k, 9): frame of each contact, with n as its first row
+    body_of: body of each geom
+    drone_of: row of the drone of each body, -1 for none
+    touching: (N,): 1 for a drone that touches something
+    impact: (N,) m/s: fastest hit, replaced by a faster hit
+    against: (N,): the geom of that hit
     """
     for c in range(geoms.shape[0]):
         one = body_of[geoms[c, 0]]

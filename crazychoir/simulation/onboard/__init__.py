@@ -1,4 +1,5 @@
-"""What a Crazyflie computes on board: estimator, commander, planner, supervisor, controllers, power distribution.
+"""Firmware of a Crazyflie: estimator, commander, planner, supervisor, controllers, mixing.
 
-Derived anew from the firmware's equations and figures (crazyflie-firmware, August 2026), not from its code.
+Derived anew from the firmware's equations and figures (crazyflie-firmware, August 2026), not from
+its code.
 """

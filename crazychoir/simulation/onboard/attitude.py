@@ -1,4 +1,4 @@
-"""What the geometric controllers share: a set-point's errors by its modes, wanted attitude and rates."""
+"""Common parts of the geometric controllers: errors of a set-point, wanted attitude and rates."""
 
 import math
 
@@ -7,19 +7,21 @@ from crazychoir.numerics.math3d import Triple, clip, columns, dot, flat_attitude
 from crazychoir.simulation.onboard.record import ABSOLUTE, DISABLE, VELOCITY, Record
 
 Axes = tuple[Triple, Triple, Triple]
-LEAST_COSINE = 0.2  # of the tilt by which the vertical force is divided
-DT = 0.002  # s, at 500 Hz
+LEAST_COSINE = (
+    0.2  # lower bound of the tilt's cosine, by which the vertical force is divided
+)
+DT = 0.002  # s: period of the controllers at 500 Hz
 
 
 @kernel()
 def clamp(value: float, limit: float) -> float:
-    """value, between -limit and limit."""
+    """Return the value limited to -limit..limit."""
     return clip(value, -limit, limit)
 
 
 @kernel()
 def shortened(x: float, y: float, z: float, limit: float) -> Triple:
-    """The vector, not longer than the limit."""
+    """Return the vector, shortened to the limit if it is longer."""
     n = math.sqrt(x * x + y * y + z * z)
     f = 1.0 if n <= limit else limit / n
     return x * f, y * f, z * f
@@ -27,7 +29,7 @@ def shortened(x: float, y: float, z: float, limit: float) -> Triple:
 
 @kernel()
 def errors(fw: Record, sp: Record) -> tuple[Triple, Triple]:
-    """Position and velocity errors, world; 0 on an axis whose mode does not ask for them."""
+    """Return the position and velocity errors, world; 0 on an axis without such a mode."""
     c = math.cos(math.radians(fw.yaw))
     s = math.sin(math.radians(fw.yaw))
     vx = sp.vx * c - sp.vy * s if sp.body_velocity else sp.vx
@@ -47,7 +49,7 @@ def errors(fw: Record, sp: Record) -> tuple[Triple, Triple]:
 
 @kernel()
 def heading(fw: Record, sp: Record) -> float:
-    """The wanted yaw, rad; in rate mode the present one."""
+    """Return the wanted yaw in rad; in rate mode it is the present yaw."""
     if sp.mode_yaw == ABSOLUTE or sp.mode_quat == ABSOLUTE:
         return math.radians(sp.yaw)
     return math.radians(fw.yaw)
@@ -55,7 +57,7 @@ def heading(fw: Record, sp: Record) -> float:
 
 @kernel()
 def by_angles(fw: Record, sp: Record) -> Axes:
-    """Body axes of the wanted roll and pitch; an axis in rate mode keeps its present angle."""
+    """Return the body axes of the wanted roll and pitch; an axis in rate mode keeps its angle."""
     roll = fw.roll if sp.mode_roll == VELOCITY else sp.roll
     pitch = fw.pitch if sp.mode_pitch == VELOCITY else sp.pitch
     phi = 0.5 * math.radians(roll)
@@ -79,9 +81,11 @@ def by_angles(fw: Record, sp: Record) -> Axes:
 
 @kernel()
 def wanted(fw: Record, sp: Record, f: Triple) -> tuple[Axes, float]:
-    """Wanted body axes, and the force along the present thrust axis, for a wanted force f in N, world.
+    """Return the wanted body axes, and the force along the present thrust axis.
 
-    Without horizontal modes the angles lead, and the force is as long as its vertical part needs.
+    If x and y are disabled, the angles of the set-point count, and the force is as long as its
+    vertical part needs.
+    f: N, world: wanted force
     """
     z = columns((fw.qx, fw.qy, fw.qz, fw.qw))[2]
     if sp.mode_x == DISABLE and sp.mode_y == DISABLE:
@@ -92,14 +96,18 @@ def wanted(fw: Record, sp: Record, f: Triple) -> tuple[Axes, float]:
 
 @kernel()
 def rates(sp: Record) -> Triple:
-    """Wanted body rates, rad/s: of a full state or the planner, or commanded ones, whose pitch is nose up."""
+    """Return the wanted body rates in rad/s.
+
+    A commanded pitch rate is positive nose up; the rates of full states and of the planner are
+    not.
+    """
     q = -sp.pitch_rate if sp.mode_pitch == VELOCITY else sp.pitch_rate
     return math.radians(sp.roll_rate), math.radians(q), math.radians(sp.yaw_rate)
 
 
 @kernel()
 def error(d: Axes, fw: Record) -> Triple:
-    """e = (Rd^T R - R^T Rd)^v, not halved; d: columns of Rd."""
+    """Return e = (Rd^T R - R^T Rd)^v, not halved; d: columns of Rd."""
     x, y, z = columns((fw.qx, fw.qy, fw.qz, fw.qw))
     return (
         dot(d[2], y) - dot(z, d[1]),

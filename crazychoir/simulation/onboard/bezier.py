@@ -1,4 +1,4 @@
-"""Compressed trajectories: Bezier segments of 16-bit control points, as pieces that the planner flies."""
+"""Compressed trajectories: Bezier segments of 16-bit control points, turned into planner pieces."""
 
 import math
 
@@ -7,21 +7,26 @@ import numpy.typing as npt
 
 from crazychoir.simulation.onboard.record import PIECE
 
-AXES, MILLI, DECI = 4, 1e-3, math.radians(0.1)
-"""x, y, z in mm, the heading in tenths of a degree."""
+AXES = 4  # x, y, z and the heading
+MILLI = 1e-3  # m a unit of x, y and z (mm); s a unit of duration (ms)
+DECI = math.radians(0.1)  # rad a unit of the heading (tenths of a degree)
 DEGREES = (0, 1, 3, 7)
-"""Of a segment's axis, by its two bits: as many control points follow, behind the end of the segment before."""
+"""Degree of an axis of a segment, by its two bits.
+
+It is also the count of control points that follow; the first point is the end of the segment
+before.
+"""
 _HEAD = 3
-"""Bytes of a segment before its points: the kinds of its axes, its duration in ms."""
+"""Bytes of a segment before its points: the degrees of its axes, its duration in ms."""
 
 
 def expanded(memory: npt.NDArray[np.uint8], segments: int) -> npt.NDArray[np.float32]:
-    """(n, 33) pieces of what lies at the beginning of the memory: a start, then at most so many segments.
+    """Return the (n, 33) pieces at the beginning of the memory: a start, then at most `segments`.
 
         x(t) = sum_i B_i,n(t / T) P_i = sum_j c_j t^j
         c_j = n! / (n - j)! / T^j sum_i (-1)^(i + j) P_i / (i! (j - i)!)
 
-    A segment without duration, or what does not fit into the memory, ends it.
+    The first segment without duration, or beyond the end of the memory, ends the trajectory.
     """
     raw = memory.tobytes()
     at = 2 * AXES
@@ -57,7 +62,11 @@ def expanded(memory: npt.NDArray[np.uint8], segments: int) -> npt.NDArray[np.flo
 def power_basis(
     points: npt.NDArray[np.float64], duration: float
 ) -> npt.NDArray[np.float64]:
-    """Coefficients c_0 to c_n of the Bezier curve with n + 1 control points over so many s, see `expanded`."""
+    """Return the coefficients c_0 to c_n of a Bezier curve, see `expanded`.
+
+    points: (n + 1,): control points
+    duration: s
+    """
     n = len(points) - 1
     c = np.zeros(n + 1)
     for j in range(n + 1):

@@ -1,6 +1,7 @@
 """Controller 1 of the firmware: position, velocity, attitude and rate PIDs in a cascade.
 
-Degrees, and pitch positive nose up, as in the firmware: the body's rate about y is negated.
+Angles are in degrees with the pitch positive nose up, as in the firmware, so the body's rate about
+y is negated.
 """
 
 import math
@@ -19,15 +20,20 @@ from crazychoir.simulation.onboard.record import (
     Record,
 )
 
-ATTITUDE_RATE, POSITION_RATE, POSITION_TICKS = 500.0, 100.0, 10  # Hz, Hz, ms
-OVERHEAD = 1.1  # of the limits inside the position and velocity PIDs
-THRUST_SCALE, MOST_THRUST = 1000.0, 65535.0
-SLOWEST_CLIMB = 0.5  # m/s, the least that the limit of the vertical speed is
+ATTITUDE_RATE = 500.0  # Hz: attitude and rate PIDs
+POSITION_RATE = 100.0  # Hz: position and velocity PIDs
+POSITION_TICKS = 10  # ms: period of the position and velocity PIDs
+OVERHEAD = (
+    1.1  # limits inside the position and velocity PIDs, relative to the parameters
+)
+THRUST_SCALE = 1000.0  # thrust command a unit of the vertical velocity PID
+MOST_THRUST = 65535.0  # greatest thrust command
+SLOWEST_CLIMB = 0.5  # m/s: lower bound of the limit of the vertical speed
 
 
 @kernel()
 def modes(sp: Record) -> int:
-    """The seven modes as one number, to see that one has changed."""
+    """Return the seven modes as one number, to detect that one has changed."""
     key = 0
     for mode in (
         sp.mode_x,
@@ -64,7 +70,7 @@ def _reset_position(fw: Record) -> None:
 
 @kernel()
 def reset(fw: Record) -> None:
-    """All PIDs forget; the heading to hold is the present one."""
+    """Reset all PIDs; the heading to hold is the present one."""
     _reset_attitude(fw)
     _reset_position(fw)
     fw.target_yaw = fw.yaw
@@ -72,7 +78,7 @@ def reset(fw: Record) -> None:
 
 @kernel()
 def position(fw: Record, sp: Record) -> None:
-    """Position PIDs to velocities, in axes turned by the yaw alone; at 100 Hz."""
+    """Run the position PIDs, which give velocities in axes turned by the yaw alone; at 100 Hz."""
     c = math.cos(math.radians(fw.yaw))
     s = math.sin(math.radians(fw.yaw))
     fw.x_pid.limit = OVERHEAD * fw.x_vel_max
@@ -101,9 +107,16 @@ def position(fw: Record, sp: Record) -> None:
 def velocity(
     fw: Record, ahead: float, aside: float, climb: float, c: float, s: float
 ) -> None:
-    """Velocity PIDs to roll, pitch and thrust.
+    """Run the velocity PIDs, which give roll, pitch and thrust.
 
-    pitch = -PID(v ahead), roll = -PID(v left), thrust = 1000 PID(v up) + base; no compensation of the tilt.
+        pitch = -PID(v ahead), roll = -PID(v left), thrust = 1000 PID(v up) + base
+
+    The tilt is not compensated.
+    ahead: m/s: wanted velocity along the heading
+    aside: m/s: wanted velocity to its left
+    climb: m/s: wanted velocity upwards
+    c: cosine of the yaw
+    s: sine of the yaw
     """
     fw.vx_pid.limit = OVERHEAD * fw.pitch_limit
     fw.vy_pid.limit = OVERHEAD * fw.roll_limit
@@ -120,7 +133,7 @@ def velocity(
 
 @kernel()
 def _heading(fw: Record, sp: Record) -> None:
-    """The heading to hold: a yaw rate is integrated."""
+    """Update the heading to hold; a yaw rate is integrated."""
     if sp.mode_yaw == VELOCITY:
         yaw = fw.target_yaw + sp.yaw_rate / ATTITUDE_RATE
         if fw.yaw_max_delta > 0.0:
@@ -133,7 +146,7 @@ def _heading(fw: Record, sp: Record) -> None:
 
 @kernel()
 def _attitude(fw: Record, sp: Record) -> None:
-    """Attitude PIDs to rates; an axis in rate mode takes the set-point's."""
+    """Run the attitude PIDs, which give rates; an axis in rate mode takes the set-point's rate."""
     if sp.mode_roll == VELOCITY:
         fw.target_roll_rate = sp.roll_rate
         pid.reset(fw.roll_pid)
@@ -155,15 +168,16 @@ def _attitude(fw: Record, sp: Record) -> None:
 
 @kernel()
 def _whole(value: float) -> float:
-    """What a 16-bit integer keeps of a command."""
+    """Return the command as a 16-bit integer keeps it."""
     return float(np.trunc(clip(value, -MOST_TURN, MOST_TURN)))
 
 
 @kernel()
 def control(fw: Record, sp: Record) -> None:
-    """One pass at 500 Hz: writes thrust 0..65535 and roll, pitch, yaw commands -32767..32767.
+    """Make one pass at 500 Hz: write thrust 0..65535 and roll, pitch, yaw -32767..32767.
 
-    A change of any mode, and no thrust, reset all PIDs. Chosen: the position part runs at once after such a change.
+    A change of any mode, or no thrust, resets all PIDs.
+    Chosen: the position part runs at once after a change of mode.
     """
     key = modes(sp)
     changed = key != fw.modes

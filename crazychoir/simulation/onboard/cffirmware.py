@@ -1,4 +1,4 @@
-"""The real firmware's controllers as laws on board, where its Python bindings `cffirmware` are installed."""
+"""The real firmware's controllers as laws, if its Python bindings `cffirmware` are installed."""
 
 import importlib
 import math
@@ -20,9 +20,12 @@ CONTROLLERS = ("Pid", "Mellinger", "Lee")
 
 
 class FirmwareLaw:
-    """A law that calls controller<name> of the bindings, e.g. `onboard.register("real", FirmwareLaw("Mellinger"))`.
+    """A law that calls controller<name> of the bindings.
 
-    name: Pid, Mellinger or Lee;  thrust_max: N a motor, of the command 65535.
+    Example: `onboard.register("real", FirmwareLaw("Mellinger", thrust_max))`.
+    name: Pid, Mellinger or Lee
+    thrust_max: N: thrust of a motor at the command 65535
+    Raises ConfigError for another name, or if the bindings are missing.
     """
 
     def __init__(self, name: str, thrust_max: float) -> None:
@@ -46,7 +49,7 @@ class FirmwareLaw:
     def __call__(
         self, setpoint: Setpoint, estimate: State, gyro: Vec, dt: float = PERIOD
     ) -> Answer:
-        """One pass of the firmware's controller."""
+        """Run one pass of the firmware's controller."""
         self._tell_setpoint(setpoint)
         self._tell_state(estimate)
         _vector(self._sensors.gyro, [math.degrees(w) for w in gyro])
@@ -107,7 +110,11 @@ def _bindings() -> Any:
 
 
 def _entry(firmware: Any, name: str) -> Callable[..., None]:
-    """Initialise the controller; its function with the memory of this drone, where the bindings have one a drone."""
+    """Initialise the controller and return its function.
+
+    Some bindings keep the memory of a controller in an argument; this drone then has its own
+    memory.
+    """
     step: Callable[..., None] = getattr(firmware, f"controller{name}")
     memory = getattr(firmware, f"controller{name}_t", None)
     if memory is None:

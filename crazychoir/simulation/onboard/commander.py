@@ -1,6 +1,7 @@
-"""Set-points: who may give them, how old they are, and what each kind means.
+"""Set-points: their priorities, their age, and the meaning of each kind.
 
-Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them; pitch positive nose up, except full states.
+Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them. The pitch is positive nose
+up, except in full states.
 """
 
 import math
@@ -17,15 +18,19 @@ from crazychoir.simulation.onboard.record import (
 )
 from crazychoir.types import Vec
 
-NOBODY, HIGH_LEVEL, CRTP, EXTERNAL = 0, 1, 2, 3
-"""Priorities of who gives set-points: nobody, the planner, the radio, an external receiver."""
-LEAST_THRUST, MOST_THRUST = 1000.0, 60000.0
-PLANNER_IDLE = 0
+# Priorities of the sources of set-points.
+NOBODY = 0  # no source is in control
+HIGH_LEVEL = 1  # the planner
+CRTP = 2  # the radio
+EXTERNAL = 3  # an external receiver
+LEAST_THRUST = 1000.0  # thrust command; a smaller one is none
+MOST_THRUST = 60000.0  # thrust command; a larger one is reduced to this
+PLANNER_IDLE = 0  # state of the planner without a plan
 
 
 @kernel()
 def clear(sp: Record) -> None:
-    """The null set-point: all modes disabled, no thrust."""
+    """Write the null set-point: all modes disabled, no thrust."""
     sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_roll = sp.mode_pitch = sp.mode_yaw = (
         sp.mode_quat
     ) = DISABLE
@@ -42,10 +47,11 @@ def clear(sp: Record) -> None:
 
 @kernel()
 def accept(fw: Record, priority: int) -> bool:
-    """May somebody of this priority give a set-point? Then he has control, and above the planner he stops its plan.
+    """Give control to a source of this priority; return False if a higher priority is in control.
 
-    Since crazyflie-firmware 2023.11 the planner is idle then: as soon as it is in control again, without a new plan, it
-    switches the motors off.
+    A source above the planner stops the planner's plan. Since crazyflie-firmware 2023.11 the
+    planner is idle then: when it is in control again without a new plan, it switches the motors
+    off.
     """
     if priority < fw.priority:
         return False
@@ -59,14 +65,14 @@ def accept(fw: Record, priority: int) -> bool:
 
 @kernel(rows, whole)
 def relax(fleet: Fleet, i: int) -> None:
-    """notify_setpoint_stop: the planner may take over again."""
+    """Let the planner take over again (notify_setpoint_stop)."""
     fw = fleet[i]
     fw.priority = HIGH_LEVEL
 
 
 @kernel()
 def _turn_axes(fw: Record, roll: float, pitch: float) -> None:
-    """Roll and pitch as angles or as rates, by flightmode.stabModeRoll and .stabModePitch."""
+    """Write roll and pitch as angles or rates, by flightmode.stabModeRoll and .stabModePitch."""
     sp = fw.wanted
     if fw.rate_roll_mode:
         sp.mode_roll = ABSOLUTE
@@ -92,10 +98,11 @@ def rpyt(
     thrust: float,
     priority: float,
 ) -> bool:
-    """Roll, pitch, yaw (angles or rates) and thrust, as an RPYT packet.
+    """Accept an RPYT packet: roll, pitch, yaw (angles or rates) and thrust.
 
-    Thrust is locked until a packet without thrust comes, again after nobody was in control.  Below 1000 it is none,
-    above 60000 it is 60000.  A yaw rate has the other sign here, and here only.
+    Thrust is locked until a packet without thrust arrives, and locked again after a time without a
+    source in control. A thrust below 1000 counts as none, above 60000 as 60000. The yaw rate has
+    inverted sign in this kind of packet only.
     """
     fw = fleet[i]
     if fw.priority == NOBODY:
@@ -119,7 +126,7 @@ def rpyt(
 
 @kernel(rows, whole, real)
 def nothing(fleet: Fleet, i: int, priority: float) -> bool:
-    """Generic 0, stop: the null set-point."""
+    """Accept generic packet 0, stop: the null set-point."""
     fw = fleet[i]
     return accept(fw, int(priority))
 
@@ -134,7 +141,7 @@ def velocity(
     yaw_rate: float,
     priority: float,
 ) -> bool:
-    """Generic 8: velocity in the world, yaw rate."""
+    """Accept generic packet 8: velocity in the world, yaw rate."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -157,7 +164,7 @@ def z_distance(
     z: float,
     priority: float,
 ) -> bool:
-    """Generic 9: roll, pitch, yaw rate and height."""
+    """Accept generic packet 9: roll, pitch, yaw rate and height."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -181,7 +188,7 @@ def altitude_hold(
     vz: float,
     priority: float,
 ) -> bool:
-    """Generic 4: roll, pitch, yaw rate and speed upwards."""
+    """Accept generic packet 4: roll, pitch, yaw rate and speed upwards."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -205,7 +212,7 @@ def hover(
     z: float,
     priority: float,
 ) -> bool:
-    """Generic 10: velocity ahead and to the left, yaw rate and height."""
+    """Accept generic packet 10: velocity ahead and to the left, yaw rate and height."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -224,7 +231,7 @@ def hover(
 def position(
     fleet: Fleet, i: int, x: float, y: float, z: float, yaw: float, priority: float
 ) -> bool:
-    """Generic 7: position and heading."""
+    """Accept generic packet 7: position and heading."""
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -248,7 +255,10 @@ def manual(
     rate: float,
     priority: float,
 ) -> bool:
-    """Generic 11: roll, pitch (rates, if `rate`), yaw rate, thrust; chosen: no thrust lock, the yaw rate as it is."""
+    """Accept generic packet 11: roll, pitch (rates if `rate` is above 0), yaw rate, thrust.
+
+    Chosen: there is no thrust lock, and the sign of the yaw rate is not inverted.
+    """
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -269,7 +279,11 @@ def manual(
 
 @kernel(rows, whole, vector, real)
 def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
-    """Generic 6: s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body; rates not nose-up here."""
+    """Accept generic packet 6, a full state.
+
+    s: (16,): p m, v m/s, a m/s2 world, q body to world, w rad/s body; the pitch rate is not nose
+        up
+    """
     fw = fleet[i]
     if not accept(fw, int(priority)):
         return False
@@ -303,7 +317,10 @@ def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
 
 @kernel()
 def leveled(fw: Record) -> None:
-    """What is flown when set-points have ended: level, no yaw rate, height and thrust as before."""
+    """Write the set-point that is flown after set-points have ended.
+
+    It is level without a yaw rate; height and thrust stay as before.
+    """
     sp = fw.level
     old = fw.wanted
     clear(sp)

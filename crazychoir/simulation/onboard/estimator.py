@@ -1,7 +1,8 @@
-"""The state on board: gyroscope and accelerometer integrated, corrected by poses from outside.
+"""The state estimator on board: integrated gyroscope and accelerometer, corrected by poses.
 
-Chosen in place of the firmware's Kalman filter with 9 states: two scalar-update filters that do not know of each other,
-one of position and velocity an axis, one of the attitude, with the firmware's noise figures.
+Chosen in place of the firmware's Kalman filter with 9 states: two independent filters with scalar
+updates, one for position and velocity on each axis, one for the attitude, with the firmware's
+noise figures.
 """
 
 import math
@@ -20,13 +21,12 @@ from crazychoir.numerics.math3d import (
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 from crazychoir.types import Vec
 
-INITIAL_XY, INITIAL_Z, INITIAL_V, INITIAL_ATTITUDE = (
-    100.0,
-    1.0,
-    0.01,
-    0.01,
-)  # standard deviations: m, m, m/s, rad
-MS = 1e-3
+# Standard deviations of the initial state.
+INITIAL_XY = 100.0  # m
+INITIAL_Z = 1.0  # m
+INITIAL_V = 0.01  # m/s
+INITIAL_ATTITUDE = 0.01  # rad
+MS = 1e-3  # s
 
 
 @kernel()
@@ -37,7 +37,10 @@ def _clear(fw: Record) -> None:
 
 @kernel()
 def _angles(fw: Record) -> None:
-    """Roll, pitch, yaw in deg of the quaternion; pitch positive nose up, as the firmware logs it."""
+    """Compute roll, pitch, yaw in deg from the quaternion.
+
+    The pitch is positive nose up, as the firmware logs it.
+    """
     x = fw.qx
     y = fw.qy
     z = fw.qz
@@ -53,7 +56,7 @@ def _angles(fw: Record) -> None:
 
 @kernel()
 def begin(fw: Record) -> None:
-    """Begin at the initial position and heading, at rest and level, with the initial uncertainty."""
+    """Start at the initial position and heading, at rest and level, with the initial uncertainty."""
     fw.x = fw.initial_x
     fw.y = fw.initial_y
     fw.z = fw.initial_z
@@ -74,7 +77,7 @@ def begin(fw: Record) -> None:
 
 @kernel()
 def collect(fw: Record) -> None:
-    """Add the filtered sensors of this ms to the sums that the next prediction takes."""
+    """Add the filtered sensors of this ms to the sums for the next prediction."""
     fw.p_sum += fw.gx
     fw.q_sum += fw.gy
     fw.r_sum += fw.gz
@@ -98,7 +101,7 @@ def _grown(
 
 @kernel()
 def _lost(fw: Record) -> bool:
-    """Is the estimate out of bounds, or not a number?"""
+    """Return True if the estimate is out of bounds or not finite."""
     p = max(abs(fw.x), max(abs(fw.y), abs(fw.z)))
     v = max(abs(fw.vx), max(abs(fw.vy), abs(fw.vz)))
     known = math.isfinite(fw.x + fw.y + fw.z + fw.vx + fw.vy + fw.vz + fw.qw)
@@ -107,13 +110,16 @@ def _lost(fw: Record) -> bool:
 
 @kernel()
 def predict(fw: Record) -> None:
-    """Forward by the sums, from the last prediction or correction to now.
+    """Predict the state from the sums since the last prediction or correction.
 
         q <- q exp(w dt),  a = R f - g e3,  p <- p + v dt + a dt^2 / 2,  v <- v + a dt
-        P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = n^2 [dt^4/4 dt^3/2; dt^3/2 dt^2],  P_att <- P_att + (n_gyro dt)^2
+        P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = n^2 [dt^4/4 dt^3/2; dt^3/2 dt^2]
+        P_att <- P_att + (n_gyro dt)^2
 
-    f: specific force, m/s2 body, turned by the attitude at the middle;  n: noise of the acceleration, m/s2.  In flight
-    rotors push along the body's z alone, and so does f: the accelerometer's bias across would count as much as drag.
+    f: m/s2, body: specific force, turned by the attitude at the middle of the interval
+    n: m/s2: noise of the acceleration
+    In flight the rotors push along the body's z axis only, so only the z component of f is used:
+    the accelerometer's bias across would count as much as drag.
     """
     if fw.samples == 0:
         return
@@ -179,13 +185,13 @@ def _locate(fw: Record, x: float, y: float, z: float) -> None:
 
 @kernel(rows, whole)
 def reset(fleet: Fleet, i: int) -> None:
-    """Begin again."""
+    """Start the estimate anew."""
     begin(fleet[i])
 
 
 @kernel(rows, whole, vector)
 def see_position(fleet: Fleet, i: int, p: Vec) -> None:
-    """Correct by a position (3,) m. What is not a number is passed over."""
+    """Correct by a position (3,) m; a position that is not finite is ignored."""
     fw = fleet[i]
     if finite(p):
         predict(fw)
@@ -199,8 +205,9 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
         K = P_pp / (P_pp + R),  p <- p + K (p_ext - p),  v <- v + P_pv / (P_pp + R) (p_ext - p)
         q <- q exp(K_att log(q^-1 q_ext)),  K_att = P_att / (P_att + R_att)
 
-    R, R_att: squares of locSrv.extPosStdDev and locSrv.extQuatStdDev.  The sensors' sums are taken in first, so that
-    the pose meets an estimate of its time.  What is not a number, or has no direction, is passed over.
+    R, R_att: squares of locSrv.extPosStdDev and locSrv.extQuatStdDev
+    The sensors' sums are used first, so that the estimate belongs to the time of the pose. A pose
+    that is not finite, or with a quaternion far from unit length, is ignored.
     """
     fw = fleet[i]
     n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
@@ -220,9 +227,13 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
 
 @kernel(rows, whole, vector, real)
 def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
-    """Correct by a velocity (3,) m/s, world, of standard deviation std m/s an axis: as of a flow deck, chosen.
+    """Correct by a velocity, as from a flow deck; chosen.
 
-    K = P_vv / (P_vv + std^2),  v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v)
+        K = P_vv / (P_vv + std^2)
+        v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v)
+
+    v: (3,) m/s, world
+    std: m/s: standard deviation of an axis
     """
     fw = fleet[i]
     if not finite(v):

@@ -1,4 +1,4 @@
-"""A user's own controller on board: what it is told and what it may answer."""
+"""Interface of a user's own controller on board: its inputs and its answers."""
 
 import math
 from collections.abc import Callable
@@ -13,12 +13,15 @@ from crazychoir.types import State, Vec
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
 PERIOD = 0.002
-"""s, between two calls of a law."""
+"""Seconds between two calls of a law."""
 
 
 @dataclass(frozen=True)
 class Modes:
-    """What a set-point asks of each axis: 0 nothing, 1 a value, 2 its rate (of x, y, z: a velocity)."""
+    """Mode of each axis of a set-point: 0 nothing, 1 a value, 2 a rate.
+
+    For x, y and z the rate is a velocity. quat is the attitude as a quaternion.
+    """
 
     x: int
     y: int
@@ -28,59 +31,79 @@ class Modes:
     yaw: int
     quat: int
     body_velocity: bool
+    """True if the velocity is along the heading instead of along the world's axes."""
 
 
 @dataclass(frozen=True)
 class Setpoint:
-    """What the commander asks for, SI.
-
-    p m, v m/s, a m/s2, j m/s3: (3,) world (v along the heading with modes.body_velocity);  q: (4,) body to world;
-    roll, pitch, yaw: rad, of R = Rz(yaw) Ry(pitch) Rx(roll);  w: (3,) rad/s body;  thrust: N, where modes.z is 0.
-    """
+    """A set-point of the commander, in SI units."""
 
     modes: Modes
+    """Mode of each axis."""
     p: Vec
+    """(3,) m, world: position."""
     v: Vec
+    """(3,) m/s, world: velocity; along the heading if modes.body_velocity is True."""
     a: Vec
+    """(3,) m/s2, world: acceleration."""
     j: Vec
+    """(3,) m/s3, world: jerk."""
     q: Vec
+    """(4,): attitude, body to world."""
     roll: float
+    """Roll in rad, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
     pitch: float
+    """Pitch in rad."""
     yaw: float
+    """Yaw in rad."""
     w: Vec
+    """(3,) rad/s, body: rates."""
     thrust: float
+    """Thrust in N; valid where modes.z is 0."""
 
 
 class ForceTorque(NamedTuple):
-    """An answer: force N along the body's z, torque N m about the body axes."""
+    """An answer of a law: a force along the body's z axis and torques about the body axes."""
 
     force: float
+    """N, along the body's z axis."""
     x: float
+    """Torque about the body's x axis, N m."""
     y: float
+    """Torque about the body's y axis, N m."""
     z: float
+    """Torque about the body's z axis, N m."""
 
 
 class MotorForces(NamedTuple):
-    """An answer: N of each motor: front right, back right, back left, front left."""
+    """An answer of a law: the thrust of each motor."""
 
     m1: float
+    """N, front right."""
     m2: float
+    """N, back right."""
     m3: float
+    """N, back left."""
     m4: float
+    """N, front left."""
 
 
 class Legacy(NamedTuple):
-    """An answer in the firmware's numbers: thrust 0..65535, roll, pitch (nose up), yaw -32767..32767."""
+    """An answer of a law in the firmware's numbers."""
 
     thrust: float
+    """0..65535."""
     roll: float
+    """-32767..32767."""
     pitch: float
+    """-32767..32767, positive nose up."""
     yaw: float
+    """-32767..32767."""
 
 
 Answer = ForceTorque | MotorForces | Legacy
 Law = Callable[[Setpoint, State, Vec, float], Answer]
-"""law(setpoint, estimate, gyro (3,) rad/s body, dt s), called every 2 ms."""
+"""A law is called every 2 ms as law(setpoint, estimate, gyro (3,) rad/s body, dt s)."""
 
 
 def _vector(sp: Record, names: str) -> Vec:
@@ -88,7 +111,10 @@ def _vector(sp: Record, names: str) -> Vec:
 
 
 def setpoint_of(sp: Record, thrust_max: float) -> Setpoint:
-    """The record in SI; thrust_max: N a motor."""
+    """Convert a set-point record to SI units.
+
+    thrust_max: N: greatest thrust of a motor
+    """
     x, y, z, roll, pitch, yaw, quat = (int(sp[f"mode_{axis}"]) for axis in AXES)
     modes = Modes(x, y, z, roll, pitch, yaw, quat, bool(sp["body_velocity"]))
     nose_up = -1.0 if modes.pitch == 2 else 1.0
@@ -109,7 +135,10 @@ def setpoint_of(sp: Record, thrust_max: float) -> Setpoint:
 
 
 def write_answer(fw: Record, name: str, answer: object) -> None:
-    """Hand a law's answer to the power distribution; what is not a number stops the motors."""
+    """Pass a law's answer to the power distribution; a number that is not finite stops the motors.
+
+    Raises ConfigError if the answer has another type.
+    """
     if not isinstance(answer, ForceTorque | MotorForces | Legacy):
         raise ConfigError(
             f"controller {name!r}: its answer",

@@ -15,19 +15,24 @@ from crazychoir.simulation.onboard.attitude import (
 )
 from crazychoir.simulation.onboard.record import DISABLE, FORCE_TORQUE, Record
 
-LEAST_THRUST = 1000.0  # of a commanded thrust: below it the motors stand and the integrals are forgotten
+LEAST_THRUST = (
+    1000.0  # thrust command; below it the motors stop and the integrals are reset
+)
 
 
 @kernel()
 def reset(fw: Record) -> None:
-    """Forget the integrals."""
+    """Reset the integrals."""
     m = fw.lee
     m.ix = m.iy = m.iz = m.irx = m.iry = m.irz = 0.0
 
 
 @kernel()
 def _force(fw: Record, sp: Record) -> Triple:
-    """F = m (a + KP e_p + KD e_v + KI int e_p + g e3), N, world; each vector not longer than its limit."""
+    """Return F = m (a + KP e_p + KD e_v + KI int e_p + g e3), N, world.
+
+    Each vector is shortened to its limit.
+    """
     m = fw.lee
     p, v = errors(fw, sp)
     m.ix, m.iy, m.iz = shortened(
@@ -45,7 +50,7 @@ def _force(fw: Record, sp: Record) -> Triple:
 
 @kernel()
 def _turned(fw: Record, d: Axes, w: Triple) -> Triple:
-    """R^T Rd w: body rates of the wanted attitude, in the present body axes."""
+    """Return R^T Rd w: the rates w of the wanted attitude in the present body axes."""
     x, y, z = columns((fw.qx, fw.qy, fw.qz, fw.qw))
     u = (
         d[0][0] * w[0] + d[1][0] * w[1] + d[2][0] * w[2],
@@ -57,13 +62,15 @@ def _turned(fw: Record, d: Axes, w: Triple) -> Triple:
 
 @kernel()
 def control(fw: Record, sp: Record) -> None:
-    """One pass at 500 Hz: writes force N and torque N m.
+    """Make one pass at 500 Hz: write force N and torque N m.
 
-        f = F . z_b,  tau = -KR e_R - Kw e_w - KI int e_R + w x J w,  e_R = 1/2 (Rd^T R - R^T Rd)^v,
-        e_w = w - R^T Rd w_d
+        f = F . z_b,  tau = -KR e_R - Kw e_w - KI int e_R + w x J w
+        e_R = 1/2 (Rd^T R - R^T Rd)^v,  e_w = w - R^T Rd w_d
 
-    The integral of e_R is unbounded.  Chosen: w_d is the set-point's, as the planner computes it from its jerk; the
-    feed-forward of w_d's derivative is left out; a commanded thrust is 65535 = 4 thrust_max.
+    The integral of e_R is unbounded.
+    Chosen: w_d is the set-point's, as the planner computes it from its jerk; the feed-forward of
+        w_d's
+    derivative is left out; a commanded thrust is 65535 = 4 thrust_max.
     Source: Lee, Leok & McClamroch 2010, CDC; gains: controller_lee of the firmware.
     """
     m = fw.lee

@@ -1,4 +1,4 @@
-"""The firmware's log variables by name, in its units; pitch positive nose up."""
+"""The firmware's log variables by name, in its units; the pitch is positive nose up."""
 
 import difflib
 import math
@@ -22,12 +22,12 @@ def _field(name: str, factor: float = 1.0) -> Read:
 
 
 def whole(value: float, low: float, high: float) -> int:
-    """Cut to an integer, at the ends of a range where it is beyond them; 0 for what is not a number."""
+    """Truncate to an integer within a range; 0 for a value that is not a number."""
     return 0 if math.isnan(value) else int(min(max(value, low), high))
 
 
 def _whole(name: str, factor: float = 1.0) -> Read:
-    """As a 16-bit integer of thousandths."""
+    """Return a reader of a field, scaled by factor and limited to a 16-bit integer."""
     return lambda rows, i: float(
         whole(float(rows[name][i]) * factor, -32768.0, 32767.0)
     )
@@ -77,7 +77,7 @@ VARIANCES = {
     "PY": "xy_vv",
     "PZ": "z_vv",
 }
-"""Of the firmware's names: X is a position, PX a velocity."""
+"""Fields of the firmware's variances by its names: X is a position, PX a velocity."""
 _supervisor = entries(supervisor)
 TABLE: dict[str, Read] = {
     **{f"stateEstimate.{name}": _field(name) for name in STATE},
@@ -120,7 +120,10 @@ TABLE: dict[str, Read] = {
 
 
 def read(rows: Fleet, row: int, name: str) -> float:
-    """The variable now; ConfigError names the nearest."""
+    """Return a log variable now.
+
+    Raises ConfigError with the nearest names if there is no such variable.
+    """
     if name in TABLE:
         return TABLE[name](rows, row)
     near = difflib.get_close_matches(name, TABLE, n=3) or sorted(TABLE)[:3]

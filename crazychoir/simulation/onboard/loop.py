@@ -24,12 +24,13 @@ from crazychoir.simulation.onboard.record import (
     whole,
 )
 
-# Ticks of 1 ms: attitude and rate at 500 Hz, estimator, position and planner at 100 Hz, supervisor at 25 Hz.
-ATTITUDE, POSITION, SUPERVISOR = 2, 10, 40
+ATTITUDE = 2  # ms: period of attitude and rate control, 500 Hz
+POSITION = 10  # ms: period of estimator, position control and planner, 100 Hz
+SUPERVISOR = 40  # ms: period of the supervisor, 25 Hz
 
 
 def _butterworth(hertz: float) -> tuple[float, float, float]:
-    """b0, a1, a2 of a low-pass of order 2 at 1 kHz (b1 = 2 b0, b2 = b0)."""
+    """Return b0, a1, a2 of a low-pass of order 2 at 1 kHz (b1 = 2 b0, b2 = b0)."""
     c = math.tan(math.pi * hertz / 1000.0)
     n = 1.0 / (1.0 + math.sqrt(2.0) * c + c * c)
     return c * c * n, 2.0 * (c * c - 1.0) * n, (1.0 - math.sqrt(2.0) * c + c * c) * n
@@ -37,16 +38,15 @@ def _butterworth(hertz: float) -> tuple[float, float, float]:
 
 GYRO_B, GYRO_A1, GYRO_A2 = _butterworth(80.0)
 ACC_B, ACC_A1, ACC_A2 = _butterworth(30.0)
-SETTLED, STANDING = (
-    100,
-    200,
-)  # ms after power-on, and samples: when and how long the firmware weighs itself
-DEGREES, PER_G = 180.0 / math.pi, 1.0 / GRAVITY
+SETTLED = 100  # ms after power-on before the firmware weighs itself
+STANDING = 200  # samples of the accelerometer for that
+DEGREES = 180.0 / math.pi  # deg a rad
+PER_G = 1.0 / GRAVITY  # g a m/s2
 
 
 @kernel()
 def _gyro(fw: Record, k: int, raw: float) -> float:
-    """The low-pass of 80 Hz, of the gyroscope's axis k."""
+    """Filter the gyroscope's axis k with a low-pass of 80 Hz; return deg/s."""
     d = fw.delays
     value = raw * DEGREES
     y: float = GYRO_B * value + d[2 * k]
@@ -57,7 +57,7 @@ def _gyro(fw: Record, k: int, raw: float) -> float:
 
 @kernel()
 def _acc(fw: Record, k: int, raw: float) -> float:
-    """The low-pass of 30 Hz, of the accelerometer's axis k."""
+    """Filter the accelerometer's axis k with a low-pass of 30 Hz; return g."""
     d = fw.delays
     value = raw * PER_G
     i = 6 + 2 * k
@@ -69,7 +69,10 @@ def _acc(fw: Record, k: int, raw: float) -> float:
 
 @kernel()
 def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
-    """After power-on, once it stands with its motors off: the mean of STANDING samples is 1 g, whatever they say."""
+    """Calibrate the accelerometer: scale the mean of STANDING samples to 1 g.
+
+    The samples are taken some time after power-on, while the drone stands with its motors off.
+    """
     m = fw.request
     if fw.tick < SETTLED or max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
         return
@@ -83,7 +86,10 @@ def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
 
 @kernel(rows, whole)
 def settle(fleet: Fleet, i: int) -> None:
-    """Power-on: filters as if the drone had stood level for long, estimate at its initial place."""
+    """Initialise the firmware after power-on.
+
+    The filters start as after a long time level, the estimate at the initial place.
+    """
     fw = fleet[i]
     fw.delays[10] = 1.0 - ACC_B
     fw.delays[11] = ACC_B - ACC_A2
@@ -93,7 +99,10 @@ def settle(fleet: Fleet, i: int) -> None:
 
 @kernel()
 def _control(fw: Record) -> None:
-    """The chosen controller, at 500 Hz; one that is not ours has written what it wants since the last pass."""
+    """Run the chosen controller and the mixing of motors, at 500 Hz.
+
+    A user's law is only marked as due here; it has written its output since the last pass.
+    """
     sp = fw.level if fw.state == supervisor.LEVEL_OUT else fw.wanted
     if fw.state == supervisor.LEVEL_OUT:
         leveled(fw)
@@ -112,10 +121,13 @@ def _control(fw: Record) -> None:
 def stabilize(
     fw: Record, gx: float, gy: float, gz: float, ax: float, ay: float, az: float
 ) -> None:
-    """Advance the drone's firmware by 1 ms; then fw.motors are the shares of the full thrust of its four motors.
+    """Advance the drone's firmware by 1 ms and write its motor commands.
 
-    gx, gy, gz: rad/s, body;  ax, ay, az: specific force, m/s2, body;  before: fw.vbat, V.
-    Where fw.law_due is 1 afterwards, `Onboard.obey_law` runs the user's controller before the next ms.
+    fw.motors are the shares of the full thrust of the four motors. If fw.law_due is 1 afterwards,
+    `Onboard.obey_law` must run the user's controller before the next ms.
+    fw: memory of the drone, with its battery voltage in fw.vbat, V
+    gx, gy, gz: rad/s, body: readings of the gyroscope
+    ax, ay, az: m/s2, body: specific force
     """
     fw.gx, fw.gy, fw.gz = _gyro(fw, 0, gx), _gyro(fw, 1, gy), _gyro(fw, 2, gz)
     if fw.acc_count < STANDING:
@@ -138,7 +150,7 @@ def stabilize(
 
 @kernel(rows, whole)
 def forget(fleet: Fleet, i: int) -> None:
-    """All controllers begin anew, without thrust until their next pass."""
+    """Reset all controllers; there is no thrust until their next pass."""
     fw = fleet[i]
     cascade.reset(fw)
     mellinger.reset(fw)
@@ -161,7 +173,7 @@ def run(
     ay: float,
     az: float,
 ) -> None:
-    """Every drone for some ms with the same held sensors: on a bench, without a plant."""
+    """Run every drone for some ms with constant sensor readings, as on a test bench."""
     for i in range(fleet.shape[0]):
         for _ in range(int(ms)):
             stabilize(fleet[i], gx, gy, gz, ax, ay, az)

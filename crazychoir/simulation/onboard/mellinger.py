@@ -1,4 +1,4 @@
-"""Controller 2 of the firmware: Mellinger's, with integrals; outputs in the firmware's thrust units."""
+"""Controller 2 of the firmware: Mellinger's, with integrals, in the firmware's thrust units."""
 
 import math
 
@@ -14,12 +14,12 @@ from crazychoir.simulation.onboard.attitude import (
 )
 from crazychoir.simulation.onboard.record import DISABLE, LEGACY, Record
 
-MOST_MOMENT = 32000.0
+MOST_MOMENT = 32000.0  # limit of the roll, pitch and yaw commands
 
 
 @kernel()
 def reset(fw: Record) -> None:
-    """Forget the integrals and the last rates."""
+    """Reset the integrals and the rates of the last pass."""
     m = fw.mellinger
     m.ix = m.iy = m.iz = m.imx = m.imy = m.imz = 0.0
     m.fresh = 0.0
@@ -27,7 +27,7 @@ def reset(fw: Record) -> None:
 
 @kernel()
 def _force(fw: Record, sp: Record) -> tuple[float, float, float]:
-    """F = m (a + g e3) + kp e_p + kd e_v + ki int e_p, N, world."""
+    """Return F = m (a + g e3) + kp e_p + kd e_v + ki int e_p, N, world."""
     m = fw.mellinger
     p, v = errors(fw, sp)
     m.ix = clamp(m.ix + p[0] * DT, m.i_range_xy)
@@ -44,7 +44,7 @@ def _force(fw: Record, sp: Record) -> tuple[float, float, float]:
 def _damping(
     m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """d(w_d - w)/dt of roll and pitch, rad/s2; 0 at the first pass."""
+    """Return d(w_d - w)/dt of roll and pitch, rad/s2; 0 at the first pass."""
     x = m.fresh * ((wd[0] - m.wx_set) - (w[0] - m.wx)) / DT
     y = m.fresh * ((wd[1] - m.wy_set) - (w[1] - m.wy)) / DT
     m.wx = w[0]
@@ -57,13 +57,17 @@ def _damping(
 
 @kernel()
 def control(fw: Record, sp: Record) -> None:
-    """One pass at 500 Hz: writes thrust 0..65535 and roll, pitch, yaw commands -32000..32000.
+    """Make one pass at 500 Hz: write thrust 0..65535 and roll, pitch, yaw -32000..32000.
 
-        T = massThrust F . z_b,  M = -kR e_R + kw (w_d - w) - ki_m int e_R + kd_omega d(w_d - w)/dt
+        T = massThrust F . z_b
+        M = -kR e_R + kw (w_d - w) - ki_m int e_R + kd_omega d(w_d - w)/dt
 
-    e_R = (Rd^T R - R^T Rd)^v, not halved.  No thrust resets the integrals.
-    Chosen: modes other than position and full state act as their names say; w_d is the set-point's, not rotated.
-    Source: Mellinger & Kumar 2011, ICRA; gains and integrals: controller_mellinger of the firmware.
+    e_R = (Rd^T R - R^T Rd)^v, not halved. A thrust of 0 resets the integrals.
+    Chosen: modes other than position and full state act as their names say; w_d is the
+        set-point's,
+    not rotated.
+    Source: Mellinger & Kumar 2011, ICRA; gains and integrals: controller_mellinger of the
+        firmware.
     """
     m = fw.mellinger
     axes, force = wanted(fw, sp, _force(fw, sp))

@@ -1,6 +1,7 @@
-"""Power distribution: what a controller wants, as four motors, at the battery's present voltage.
+"""Power distribution: the controller's output as four motors, at the present battery voltage.
 
-Motors in a cross: 0 front right, 1 back right, 2 back left, 3 front left; 0 and 2 push the body to a negative yaw.
+Motors in a cross: 0 front right, 1 back right, 2 back left, 3 front left. Motors 0 and 2 turn the
+body towards a negative yaw.
 """
 
 import numpy as np
@@ -8,15 +9,20 @@ import numpy as np
 from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, Record
 
-FULL = 65535.0
+FULL = 65535.0  # greatest request of a motor
 PER_FULL = 1.0 / FULL
-LOW_PASS = 0.01  # of the battery's voltage, a ms
-STEADY = 1e-9  # relative, of the battery against its low-pass
+LOW_PASS = 0.01  # share of a new battery voltage in its low-pass, each ms
+STEADY = (
+    1e-9  # relative difference of battery and low-pass below which they count as equal
+)
 
 
 @kernel()
 def _legacy(fw: Record) -> None:
-    """m = T -/+ roll/2 +/- pitch/2 +/- yaw, with halves cut to integers; pitch positive nose up."""
+    """Mix the legacy output: m = T -/+ roll/2 +/- pitch/2 +/- yaw; pitch positive nose up.
+
+    The halves are truncated to integers.
+    """
     r = float(np.trunc(0.5 * fw.roll_out))
     p = float(np.trunc(0.5 * fw.pitch_out))
     t = fw.thrust
@@ -29,7 +35,11 @@ def _legacy(fw: Record) -> None:
 
 @kernel()
 def _force_torque(fw: Record) -> None:
-    """f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0; a: arm along x, m; k: torque of 1 N, m."""
+    """Mix force and torques: f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0.
+
+    a: m: arm along x
+    k: m: torque of a thrust of 1 N
+    """
     per_newton = FULL / fw.thrust_max
     t = 0.25 * fw.force
     r = 0.25 * fw.torque_x / fw.arm
@@ -43,7 +53,10 @@ def _force_torque(fw: Record) -> None:
 
 @kernel()
 def _cap(fw: Record) -> None:
-    """Take the excess of the highest over 65535 from all, so that the torques stay; then none below idle."""
+    """Reduce all motors by the excess of the highest over 65535, so that the torques stay.
+
+    Then raise motors below idle to idle.
+    """
     m = fw.request
     excess = max(max(max(m[0], m[1]), max(m[2], m[3])) - FULL, 0.0)
     for i in range(4):
@@ -52,7 +65,7 @@ def _cap(fw: Record) -> None:
 
 @kernel()
 def _wish(fw: Record, allowed: bool) -> None:
-    """What the controller requests; all 0 where the supervisor does not allow motors."""
+    """Write the motor requests of the controller; all are 0 if the supervisor forbids motors."""
     if not allowed:
         for i in range(4):
             fw.request[i] = 0.0
@@ -69,7 +82,10 @@ def _wish(fw: Record, allowed: bool) -> None:
 
 @kernel()
 def distribute(fw: Record, allowed: bool) -> None:
-    """The request of each motor, 0..65535; motorPowerSet has the last word, whoever allows what."""
+    """Write the request of each motor, 0..65535.
+
+    The parameters motorPowerSet override it, even if the supervisor forbids motors.
+    """
     _wish(fw, allowed)
     if fw.power_set == 1:
         fw.request[0], fw.request[1], fw.request[2], fw.request[3] = (
@@ -85,16 +101,17 @@ def distribute(fw: Record, allowed: bool) -> None:
 
 @kernel()
 def _thrust(fw: Record, v: float) -> float:
-    """N of one motor at v V: c0 + c1 v + c2 v^2 + c3 v^3."""
+    """Return the thrust in N of one motor at v V: c0 + c1 v + c2 v^2 + c3 v^3."""
     f: float = fw.c0 + v * (fw.c1 + v * (fw.c2 + v * fw.c3))
     return f
 
 
 @kernel()
 def _voltage(fw: Record, v: float, request: float) -> float:
-    """V that make the requested N, thrust_min at least: a pass of Newton's method from v, the last answer.
+    """Return the voltage for the requested thrust, at least thrust_min.
 
-    Its error counts by the battery's distance from its low-pass only. The curve rises everywhere.
+    It makes one pass of Newton's method from v, the last result. The curve rises everywhere, and
+    the remaining error only matters where the battery differs from its low-pass.
     """
     f: float = max(request * (fw.thrust_max * PER_FULL), fw.thrust_min)
     slope: float = fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3)
@@ -103,7 +120,10 @@ def _voltage(fw: Record, v: float, request: float) -> float:
 
 @kernel()
 def _share(fw: Record, v: float, request: float, ratio: float) -> float:
-    """Share of the full thrust of a motor that v V would make give its request, at `ratio` times that voltage."""
+    """Return the share of the full thrust of a motor at `ratio` times the voltage v V.
+
+    At v the motor would give its request.
+    """
     f = request * (fw.thrust_max * PER_FULL)
     e = ratio - 1.0
     more = (
@@ -121,12 +141,17 @@ def _share(fw: Record, v: float, request: float, ratio: float) -> float:
 
 @kernel()
 def compensate(fw: Record) -> None:
-    """Share of the full thrust that each motor gives.
+    """Write the share of the full thrust that each motor gives.
 
-        f = request / 65535 thrust_max, 0 below thrust_min;  duty = V(f) / v_low <= 1;  share = F(duty v) / thrust_max
+        f = request / 65535 thrust_max, 0 below thrust_min
+        duty = V(f) / v_low <= 1
+        share = F(duty v) / thrust_max
 
-    V inverts F, the curve of the motor;  v: the battery's voltage, v_low: low-passed.
-    All four are computed before one is written, without branches: none waits for another.
+    F: N: thrust of the motor at a voltage; V is its inverse
+    v: V: voltage of the battery
+    v_low: V: low-passed voltage of the battery
+    All four motors are computed before one is written, and without branches, so that none waits
+    for another.
     """
     r = fw.request
     v = fw.volts

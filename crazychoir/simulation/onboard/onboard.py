@@ -1,4 +1,4 @@
-"""One drone's firmware: the commands that it takes, in SI, its parameters and its logs."""
+"""The firmware of one drone: its commands in SI units, its parameters and its logs."""
 
 import math
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from crazychoir.simulation.onboard.units import (
 from crazychoir.types import State, Vec
 
 CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
-MOST_PIECES = MEMORY // PIECE
+MOST_PIECES = MEMORY // PIECE  # pieces that fit into the memory for trajectories
 _commander = entries(commander)
 _planner = entries(planner)
 _supervisor = entries(supervisor)
@@ -50,13 +50,17 @@ _loop = entries(loop)
 
 
 class Onboard:
-    """The firmware of one drone: a view of its row in the array of all drones, which the plant steps.
+    """The firmware of one drone: a view of its row in the array of all drones.
 
-    platform: what the firmware is compiled for;  rows, row: where its memory lies (none: an array of its own).
+    The simulation steps all rows of the array. Arguments are SI, in the world (z up) or in the
+    body (forward, left, up). A set-point method returns True if the commander has accepted the
+    set-point; it is refused if its priority is too low or a number is not finite. A planner method
+    returns the firmware's answer: 0 done, 1 refused in this state, 8 no such trajectory, 16 the
+    supervisor does not allow flight.
 
-    Arguments are SI, in the world (z up) or in the body (forward, left, up). A set-point method returns whether the
-    commander has taken it: False for a lower priority and for what is not a number. A planner method returns the
-    firmware's answer: 0 done, 1 refused in this state, 8 no such trajectory, 16 the supervisor does not let it fly.
+    platform: platform for which the firmware is made
+    rows: memory of all drones, None for an array of its own
+    row: row of this drone
     """
 
     def __init__(
@@ -72,44 +76,56 @@ class Onboard:
         _loop.settle(self.rows, self.row)
 
     def restart(self) -> None:
-        """Power-on again: all that it has been told is forgotten, the battery is as it was. Raises nothing."""
+        """Restart the firmware: everything in it is reset, only the battery voltage stays."""
         vbat = float(self.record["vbat"])
         self.rows[self.row : self.row + 1] = fleet(1, self.platform)
         self.record["vbat"] = self.record["vbat_low"] = vbat
         _loop.settle(self.rows, self.row)
 
     def place(self, p: Vec | Sequence[float], yaw: float) -> None:
-        """Where it is switched on: p (3,) m world, heading rad. The estimate begins there."""
+        """Set the place where the drone is switched on, and start the estimate there.
+
+        p: (3,) m, world
+        yaw: rad: heading
+        """
         fw = self.record
         fw["initial_x"], fw["initial_y"], fw["initial_z"] = p
         fw["initial_yaw"] = yaw
         _estimator.reset(self.rows, self.row)
         _planner.tell_state(self.rows, self.row)
 
-    # What is measured outside and sent to it
+    # Measurements from outside
 
     def external_pose(self, p: Vec, q: Vec) -> None:
-        """A pose from motion capture: p (3,) m world, q (4,) body to world."""
+        """Correct the estimate by a pose from motion capture.
+
+        p: (3,) m, world
+        q: (4,): body to world
+        """
         _estimator.see_pose(self.rows, self.row, p, q)
 
     def external_position(self, p: Vec) -> None:
-        """A position alone: p (3,) m world. Nothing corrects the attitude then."""
+        """Correct the estimate by a position p (3,) m, world; the attitude is not corrected."""
         _estimator.see_position(self.rows, self.row, p)
 
     def measured_velocity(self, v: Vec, std: float) -> None:
-        """By a deck on board: v (3,) m/s world, std m/s an axis."""
+        """Correct the estimate by a velocity that a deck on board has measured.
+
+        v: (3,) m/s, world
+        std: m/s: standard deviation of an axis
+        """
         _estimator.see_velocity(self.rows, self.row, v, std)
 
     @property
     def estimate(self) -> State:
-        """What it believes, a copy; rates are the filtered gyroscope's."""
+        """A copy of the estimated state; the rates are those of the filtered gyroscope."""
         fw = self.record
         names = ["x", "y", "z", "vx", "vy", "vz", "qx", "qy", "qz", "qw"]
         return State(np.array([*(fw[name] for name in names), *self.gyro]))
 
     @property
     def gyro(self) -> Vec:
-        """(3,) rad/s, body, filtered."""
+        """Filtered reading of the gyroscope: (3,) rad/s, body."""
         fw = self.record
         return np.radians([fw["gx"], fw["gy"], fw["gz"]])
 
@@ -118,19 +134,35 @@ class Onboard:
     def rpyt_raw(
         self, roll: float, pitch: float, yaw: float, thrust: float, priority: int = CRTP
     ) -> bool:
-        """As an RPYT packet carries it: deg (or deg/s), pitch nose up, yaw rate inverted, thrust 0..65535."""
+        """Give a set-point with the numbers of an RPYT packet.
+
+        roll: deg or deg/s
+        pitch: deg or deg/s, positive nose up
+        yaw: deg, or deg/s with inverted sign
+        thrust: 0..65535
+        """
         ok = math.isfinite(roll + pitch + yaw + thrust)
         return ok and bool(
             _commander.rpyt(self.rows, self.row, roll, pitch, yaw, thrust, priority)
         )
 
     def fpqr(self, thrust: float, p: float, q: float, r: float) -> bool:
-        """Thrust N and body rates rad/s: needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0."""
+        """Give a set-point of thrust N and body rates rad/s.
+
+        It needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0.
+        """
         roll, pitch, yaw = roll_pitch_yaw_rate_raw(p, q, r)
         return self.rpyt_raw(roll, pitch, yaw, self._thrust(thrust))
 
     def frpy(self, thrust: float, roll: float, pitch: float, yaw_rate: float) -> bool:
-        """Thrust N, roll and pitch rad (positive pitch: nose down), yaw rate rad/s: needs flightmode's 1, 1, 0."""
+        """Give a set-point of thrust, roll, pitch and yaw rate.
+
+        It needs flightmode.stabModeRoll = .stabModePitch = 1 and .stabModeYaw = 0.
+        thrust: N
+        roll: rad
+        pitch: rad, positive nose down
+        yaw_rate: rad/s
+        """
         return self.rpyt_raw(
             *roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), self._thrust(thrust)
         )
@@ -140,13 +172,13 @@ class Onboard:
         return min(max(raw, 0.0), FULL) if math.isfinite(raw) else math.nan
 
     def stop_setpoint(self, priority: int = CRTP) -> bool:
-        """No thrust, no modes."""
+        """Give the null set-point: no thrust, all modes disabled."""
         return bool(_commander.nothing(self.rows, self.row, priority))
 
     def velocity(
         self, v: Vec | Sequence[float], yaw_rate: float, priority: int = CRTP
     ) -> bool:
-        """v (3,) m/s world, yaw rate rad/s."""
+        """Give a set-point of velocity v (3,) m/s, world, and yaw rate rad/s."""
         x, y, z = v
         ok = math.isfinite(x + y + z + yaw_rate)
         return ok and bool(
@@ -158,7 +190,13 @@ class Onboard:
     def hover(
         self, ahead: float, left: float, yaw_rate: float, z: float, priority: int = CRTP
     ) -> bool:
-        """Velocities m/s along the heading and to its left, yaw rate rad/s, height m world."""
+        """Give a set-point of horizontal velocity along the heading, yaw rate and height.
+
+        ahead: m/s, along the heading
+        left: m/s, to the left of the heading
+        yaw_rate: rad/s
+        z: m, world
+        """
         ok = math.isfinite(ahead + left + yaw_rate + z)
         return ok and bool(
             _commander.hover(
@@ -169,7 +207,13 @@ class Onboard:
     def z_distance(
         self, roll: float, pitch: float, yaw_rate: float, z: float, priority: int = CRTP
     ) -> bool:
-        """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, height m world."""
+        """Give a set-point of roll, pitch, yaw rate and height.
+
+        roll: rad
+        pitch: rad, positive nose down
+        yaw_rate: rad/s
+        z: m, world
+        """
         ok = math.isfinite(roll + pitch + yaw_rate + z)
         r = math.degrees(roll)
         p = -math.degrees(pitch)
@@ -186,7 +230,13 @@ class Onboard:
         climb: float,
         priority: int = CRTP,
     ) -> bool:
-        """Roll, pitch rad (positive pitch: nose down), yaw rate rad/s, speed upwards m/s."""
+        """Give a set-point of roll, pitch, yaw rate and vertical speed.
+
+        roll: rad
+        pitch: rad, positive nose down
+        yaw_rate: rad/s
+        climb: m/s, upwards
+        """
         ok = math.isfinite(roll + pitch + yaw_rate + climb)
         r = math.degrees(roll)
         p = -math.degrees(pitch)
@@ -204,7 +254,13 @@ class Onboard:
         rates: bool = False,
         priority: int = CRTP,
     ) -> bool:
-        """Thrust N, roll and pitch rad (or their rates), yaw rate rad/s, without the thrust lock."""
+        """Give a set-point of thrust, roll, pitch and yaw rate without the thrust lock.
+
+        thrust: N
+        roll: rad, or rad/s if rates is True
+        pitch: rad, or rad/s if rates is True
+        yaw_rate: rad/s
+        """
         ok = math.isfinite(thrust + roll + pitch + yaw_rate)
         r = math.degrees(roll)
         p = -math.degrees(pitch)
@@ -217,7 +273,7 @@ class Onboard:
     def position(
         self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP
     ) -> bool:
-        """p (3,) m world, heading rad."""
+        """Give a set-point of position p (3,) m, world, and heading rad."""
         x, y, z = p
         ok = math.isfinite(x + y + z + yaw)
         return ok and bool(
@@ -227,19 +283,19 @@ class Onboard:
         )
 
     def full_state(self, s: Vec, priority: int = CRTP) -> bool:
-        """s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body."""
+        """Give a full state s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body."""
         ok = math.isfinite(float(np.sum(s)))
         return ok and bool(_commander.full_state(self.rows, self.row, s, priority))
 
     def notify_setpoint_stop(self) -> None:
-        """Set-points have ended: the planner may take over, from the present estimate."""
+        """End streamed set-points: the planner may take over, from the present estimate."""
         _commander.relax(self.rows, self.row)
         _planner.tell_state(self.rows, self.row)
 
     # The planner on board
 
     def _flight(self, *numbers: float) -> int:
-        """Why a plan cannot begin, 0 if it can."""
+        """Return why a plan cannot begin; 0 if it can."""
         if not math.isfinite(sum(numbers)):
             return planner.REFUSED
         return planner.OK if _supervisor.can_fly(self.rows, self.row) else planner.BUSY
@@ -247,7 +303,12 @@ class Onboard:
     def take_off(
         self, height: float, duration: float | None = None, yaw: float | None = None
     ) -> int:
-        """Rise to the height m world in duration s (none: by hlCommander.vtoff), to a heading rad (none: keep it)."""
+        """Start to rise to a height.
+
+        height: m, world
+        duration: s; None: from the speed hlCommander.vtoff
+        yaw: rad: heading at the end; None: keep the heading
+        """
         t = -1.0 if duration is None else duration
         psi = 0.0 if yaw is None else yaw
         refused = self._flight(height, t, psi)
@@ -262,7 +323,12 @@ class Onboard:
         duration: float | None = None,
         yaw: float | None = None,
     ) -> int:
-        """Sink to the height m world in duration s (none: by hlCommander.vland); then the motors stop."""
+        """Start to descend to a height; the motors stop at the end.
+
+        height: m, world
+        duration: s; None: from the speed hlCommander.vland
+        yaw: rad: heading at the end; None: keep the heading
+        """
         t = -1.0 if duration is None else duration
         psi = 0.0 if yaw is None else yaw
         refused = self._flight(height, t, psi)
@@ -277,7 +343,14 @@ class Onboard:
         relative: bool = False,
         linear: bool = False,
     ) -> int:
-        """To p (3,) m world and heading rad in duration s; relative: p and yaw are added to the present set-point."""
+        """Start to fly to a place and a heading.
+
+        p: (3,) m, world
+        yaw: rad
+        duration: s
+        relative: True to add p and yaw to the present set-point
+        linear: True for a straight line at constant speed
+        """
         x, y, z = p
         flags = float(relative), float(linear)
         refused = self._flight(x, y, z, yaw, duration)
@@ -295,7 +368,16 @@ class Onboard:
         sideways: bool = False,
         clockwise: bool = False,
     ) -> int:
-        """Through an angle rad about a point at r0 m, to r1 m, climbing by climb m, in duration s."""
+        """Start to fly a spiral through an angle about a point.
+
+        angle: rad
+        r0: m: radius at the beginning
+        r1: m: radius at the end
+        climb: m: change of the height
+        duration: s
+        sideways: True if the point lies ahead, False if it lies to the side
+        clockwise: True to turn clockwise
+        """
         refused = self._flight(angle, r0, r1, climb, duration)
         flags = float(sideways), float(clockwise)
         return refused or int(
@@ -310,7 +392,7 @@ class Onboard:
         relative_yaw: bool = False,
         reverse: bool = False,
     ) -> int:
-        """Fly an uploaded trajectory; timescale 2 takes twice the time."""
+        """Start to fly an uploaded trajectory; a timescale of 2 takes twice the time."""
         refused = self._flight(timescale) or self._unpack(slot, timescale, reverse)
         flags = float(relative), float(relative_yaw), float(reverse)
         return refused or int(
@@ -318,7 +400,7 @@ class Onboard:
         )
 
     def stop(self) -> None:
-        """The planner's stop: motors off while it is in control."""
+        """Stop the plan: the motors stop while the planner is in control."""
         _planner.stop(self.rows, self.row)
 
     @property
@@ -330,7 +412,12 @@ class Onboard:
     def define_trajectory(
         self, slot: int, offset: int, pieces: int, compressed: bool = False
     ) -> int:
-        """Name what lies in the memory: offset in bytes, a multiple of 4 if not compressed; 8 if it does not fit."""
+        """Define a trajectory in the memory; return 8 if it does not fit.
+
+        slot: number of the trajectory
+        offset: bytes from the beginning of the memory, a multiple of 4 if not compressed
+        pieces: count of its pieces
+        """
         words = offset // 4
         placed = (
             offset < self.memory.size
@@ -346,8 +433,9 @@ class Onboard:
         return planner.OK
 
     def _unpack(self, slot: int, timescale: float, reverse: bool) -> int:
-        """Make a compressed trajectory ready to be flown, at its own pace and forwards: 8 otherwise, 0 if all is well.
+        """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
 
+        It can only be flown forwards with a timescale of 1; otherwise 8 is returned.
         Chosen: at most EXPANDED pieces are flown.
         """
         plan = self.record["planner"]
@@ -363,9 +451,12 @@ class Onboard:
         return planner.OK
 
     def upload(self, slot: int, pieces: npt.ArrayLike) -> None:
-        """Write a trajectory behind those of the other slots and name it.
+        """Write a trajectory behind those of the other slots and define it.
 
-        pieces: (n, 33) = coefficients c0 to c7 of x, y, z m and yaw rad, in s, and the piece's duration s.
+        pieces: (n, 33): coefficients c0 to c7 of x, y, z in m and of yaw in rad, time in s; then
+            the
+            duration of the piece in s
+        Raises ConfigError for a wrong slot, shape or number, and if the memory is full.
         """
         rows = np.asarray(pieces, dtype=np.float32)
         where = f"trajectory {slot}"
@@ -407,7 +498,10 @@ class Onboard:
     # The supervisor
 
     def arm(self, armed: bool = True) -> bool:
-        """Ask for armed motors, which the checks before flight must have allowed; or disarm, in the air too."""
+        """Request armed motors, or disarm them, also in the air.
+
+        Return False if the checks before flight do not allow it.
+        """
         fw = self.record
         if armed and not fw["armed"] and not _supervisor.can_arm(self.rows, self.row):
             return False
@@ -417,34 +511,36 @@ class Onboard:
         return True
 
     def emergency_stop(self) -> None:
-        """Motors off at once and for good."""
+        """Stop the motors at once and for good."""
         self.record["estop"] = 1
 
     def emergency_stop_watchdog(self) -> None:
-        """From the first call on: an emergency stop when it is not repeated within 1 s."""
+        """Feed the watchdog; after the first call, 1 s without a call triggers an emergency stop."""
         _supervisor.feed_watchdog(self.rows, self.row)
 
     def recover(self) -> bool:
-        """After a crash, standing upright again: begin anew."""
+        """Return to normal after a crash if the drone stands upright; return False if it cannot."""
         return bool(_supervisor.recover(self.rows, self.row))
 
     @property
     def state(self) -> str:
-        """The supervisor's state, in words."""
+        """The supervisor's state in words."""
         return supervisor.STATES[int(self.record["state"])]
 
     @property
     def info(self) -> int:
-        """The supervisor's bits, as supervisor.info logs them."""
+        """The supervisor's bits, as in the log variable supervisor.info."""
         return int(_supervisor.information(self.rows, self.row))
 
     # Controllers, parameters, logs
 
     def register(self, name: str, law: laws.Law) -> None:
-        """Offer a controller of the user's own, to be chosen by `set("stabilizer.controller", name)`.
+        """Offer a user's own controller, selected by `set("stabilizer.controller", name)`.
 
-        law(setpoint, estimate, gyro, dt) -> ForceTorque, MotorForces or Legacy, called every 2 ms, on the ground too:
-        where setpoint.modes ask for nothing and there is no thrust, it is to answer none, or the motors turn on.
+        The law is called every 2 ms, also on the ground: law(setpoint, estimate, gyro, dt) returns
+        ForceTorque, MotorForces or Legacy. If setpoint.modes are all 0 and the thrust is 0, it
+        must answer no thrust, or the motors turn on. Raises ConfigError if the name is taken or
+        the law cannot be called.
         """
         if name in CONTROLLERS or not callable(law):
             taken = ", ".join(CONTROLLERS)
@@ -456,7 +552,10 @@ class Onboard:
         self.laws[name] = law
 
     def obey_law(self) -> None:
-        """Run the user's controller; the plant calls it where record["law_due"] is 1, between two ms."""
+        """Run the user's controller.
+
+        The simulation calls this between two ms when record["law_due"] is 1.
+        """
         fw = self.record
         fw["law_due"] = 0
         leveling = fw["state"] == supervisor.LEVEL_OUT
@@ -490,7 +589,10 @@ class Onboard:
         self.record["controller"] = code
 
     def set(self, name: str, value: str | float) -> None:
-        """Write a parameter by the firmware's name; the controller by number or by name."""
+        """Write a parameter by the firmware's name; the controller by number or by name.
+
+        Raises ConfigError for an unknown parameter or controller, or a number that is not finite.
+        """
         if name == "stabilizer.controller":
             self._choose(value)
             return

@@ -1,4 +1,4 @@
-"""The firmware's parameters by name: where each lies in a drone's record."""
+"""The parameters of the firmware by name, with their places in a drone's record."""
 
 import difflib
 
@@ -9,7 +9,12 @@ Path = tuple[str, ...]
 
 
 def _gains(group: str, names: dict[str, str], gains: str) -> dict[str, Path]:
-    """Four gains a PID; names: prefix of a parameter -> PID;  gains: their names for kp, ki, kd, kff."""
+    """Return the places of the four gains of each PID, by parameter name.
+
+    group: group of the parameters
+    names: {prefix of a parameter: PID}
+    gains: the group's names for kp, ki, kd and kff
+    """
     fields = tuple(zip(gains.split(), ("kp", "ki", "kd", "kff"), strict=True))
     return {
         f"{group}.{prefix}{gain}": (f"{pid}_pid", field)
@@ -73,11 +78,14 @@ TABLE: dict[str, Path] = {
     "supervisor.tmblChckEn": ("tumble_check",),
 }
 RESET_ESTIMATION = "kalman.resetEstimation"
-"""Not a place: writing 1 resets the estimator."""
+"""A parameter without a place: writing 1 resets the estimator."""
 
 
 def path(name: str) -> Path:
-    """Where the parameter lies; ConfigError names the nearest."""
+    """Return the place of a parameter.
+
+    Raises ConfigError with the nearest names if there is no such parameter.
+    """
     if name in TABLE:
         return TABLE[name]
     near = (

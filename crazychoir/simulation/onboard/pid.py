@@ -1,4 +1,4 @@
-"""The firmware's PID: proportional to the error, derivative of the measurement, a clamped integral."""
+"""The PID of the firmware: the derivative is of the measurement, and the integral is clamped."""
 
 import math
 
@@ -6,20 +6,19 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
 from crazychoir.simulation.onboard.record import Record
 
-# Butterworth low-pass of order 2, 20 Hz at 100 Hz: b0, b1 = 2 b0, b2 = b0; a1, a2.
+# Butterworth low-pass of order 2, 20 Hz at 100 Hz. Numerator: b0, b1 = 2 b0, b2 = b0. Denominator:
+# a1, a2.
 _C = math.tan(math.pi * 20.0 / 100.0)
 _N = 1.0 / (1.0 + math.sqrt(2.0) * _C + _C * _C)
-B0, A1, A2 = (
-    _C * _C * _N,
-    2.0 * (_C * _C - 1.0) * _N,
-    (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N,
-)
-TURN = 1.0 / 360.0
+B0 = _C * _C * _N
+A1 = 2.0 * (_C * _C - 1.0) * _N
+A2 = (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N
+TURN = 1.0 / 360.0  # turns a degree
 
 
 @kernel()
 def wrap_degrees(angle: float) -> float:
-    """The same angle in [-180, 180)."""
+    """Return the angle shifted by whole turns to [-180, 180) degrees."""
     if -180.0 <= angle < 180.0:  # nearly always, and faster
         return angle
     return angle - 360.0 * math.floor((angle + 180.0) * TURN)
@@ -27,7 +26,7 @@ def wrap_degrees(angle: float) -> float:
 
 @kernel()
 def reset(pid: Record) -> None:
-    """Forget: no integral, and the next measurement has no predecessor."""
+    """Reset the integral and the filter; the next measurement has no derivative."""
     pid.integral = 0.0
     pid.previous = math.nan
     pid.d1 = 0.0
@@ -36,7 +35,7 @@ def reset(pid: Record) -> None:
 
 @kernel()
 def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -> float:
-    """P, D, then the integral with this error, then what the set-point feeds forward."""
+    """Return the sum of P, D, the integral including this error, and the feed-forward."""
     pid.integral += error * (1.0 / rate)
     if pid.i_limit > 0.0:
         pid.integral = clip(pid.integral, -pid.i_limit, pid.i_limit)
@@ -46,7 +45,7 @@ def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -
 
 @kernel()
 def _change(pid: Record, measured: float) -> float:
-    """How much the measurement has changed; nothing after a reset."""
+    """Return the change of the measurement since the last step; 0 after a reset."""
     change = 0.0 if math.isnan(pid.previous) else measured - pid.previous
     pid.previous = measured
     return change
@@ -54,25 +53,31 @@ def _change(pid: Record, measured: float) -> float:
 
 @kernel()
 def follow(pid: Record, desired: float, measured: float, rate: float) -> float:
-    """One step.
+    """Make one step of the PID.
 
-        e = desired - measured,  I += e dt, |I| <= i_limit,  u = kp e - kd d(measured)/dt + ki I + kff desired
+        e = desired - measured,  I += e dt, |I| <= i_limit
+        u = kp e - kd d(measured)/dt + ki I + kff desired
 
-    The integral is clamped before it is multiplied by ki, and u by `limit`; a limit of 0 is none.  rate: 1/dt, Hz.
+    The integral is clamped before it is multiplied by ki, and u is clamped by `limit`. A limit of
+    0 means no limit.
+    rate: 1/dt, Hz
     """
     return _sum(pid, desired, desired - measured, _change(pid, measured) * rate, rate)
 
 
 @kernel()
 def follow_angle(pid: Record, desired: float, measured: float, rate: float) -> float:
-    """One step of `follow` for an angle in deg, the short way."""
+    """Make one step of `follow` for an angle in deg, the short way round."""
     error = wrap_degrees(desired - measured)
     return _sum(pid, desired, error, wrap_degrees(_change(pid, measured)) * rate, rate)
 
 
 @kernel()
 def follow_smooth(pid: Record, desired: float, measured: float, rate: float) -> float:
-    """One step of `follow` at 100 Hz with the derivative low-passed at 20 Hz (Butterworth, order 2)."""
+    """Make one step of `follow` at 100 Hz with a low-passed derivative.
+
+    The low-pass is a Butterworth filter of order 2 at 20 Hz.
+    """
     raw = _change(pid, measured) * rate
     slope = B0 * raw + pid.d1
     pid.d1 = 2.0 * B0 * raw - A1 * slope + pid.d2

@@ -1,4 +1,7 @@
-"""The high-level commander: take-off, landing, go_to, spiral and uploaded trajectories, in 32-bit floats."""
+"""The high-level commander: take-off, landing, go_to, spiral and uploaded trajectories.
+
+It computes in 32-bit floats.
+"""
 
 import math
 
@@ -32,26 +35,39 @@ from crazychoir.simulation.onboard.record import (
     whole,
 )
 
-IDLE, FLYING, LANDING = 0, 1, 2
-OK, REFUSED, UNKNOWN, BUSY = 0, 1, 8, 16
-"""Answers: done; not in this state; no such trajectory; the supervisor does not let it fly."""
-SECONDS = F(1e-3)
-SHORTEST, LONGEST = F(1e-3), F(1e5)
-"""s that a plan takes, chosen: a shorter one is at its end at once, as one of 0 s; of a longer one the powers of degree
-7 leave 32 bits."""
+# States of the planner.
+IDLE = 0
+FLYING = 1
+LANDING = 2
+# Answers of the planner.
+OK = 0  # done
+REFUSED = 1  # not possible in this state
+UNKNOWN = 8  # no such trajectory
+BUSY = 16  # the supervisor does not allow flight
+SECONDS = F(1e-3)  # s a tick
+SHORTEST = F(1e-3)
+"""Shortest duration of a plan in s; chosen. A shorter plan is at its end at once, as one of 0 s."""
+LONGEST = F(1e5)
+"""Longest duration of a plan in s; chosen.
+
+For a longer plan the powers of degree 7 exceed 32 bits.
+"""
 MOST = F(1e18)
-"""m, rad and their derivatives, chosen: what a plan asks for stays below it, so that nobody who follows overflows."""
+"""Upper bound in m and rad for a plan and its derivatives; chosen.
+
+Below it no controller that follows the plan overflows.
+"""
 
 
 @kernel()
 def _now(fw: Record) -> Single:
-    """s since power-on: as a 32-bit float, so that its steps grow with the uptime."""
+    """Return the seconds since power-on, a 32-bit float with steps that grow with the uptime."""
     return F(fw.tick) * SECONDS
 
 
 @kernel()
 def _memory_piece(fw: Record, slot: int, k: int) -> Single:
-    """Piece k of an uploaded trajectory."""
+    """Return piece k of an uploaded trajectory."""
     start = fw.planner.offset[slot] + k * PIECE
     return fw.memory[start : start + PIECE]
 
@@ -72,7 +88,7 @@ def _piece(fw: Record, k: int) -> Single:
 
 @kernel()
 def _total(fw: Record) -> Single:
-    """s, of all pieces, stretched."""
+    """Return the duration of all pieces in s, with the time scale."""
     total = ZERO
     for k in range(_count(fw)):
         total += duration(_piece(fw, k)) * fw.planner.timescale
@@ -81,7 +97,10 @@ def _total(fw: Record) -> Single:
 
 @kernel()
 def _find(fw: Record, t: Single) -> Single:
-    """Evaluate the coefficients at t s from their beginning, stretched; after the end, its last point at rest."""
+    """Evaluate the coefficients t s after the beginning, with the time scale.
+
+    Return True while the trajectory lasts; after its end the last point is evaluated.
+    """
     plan = fw.planner
     last = _count(fw) - 1
     for k in range(last + 1):
@@ -97,7 +116,7 @@ def _find(fw: Record, t: Single) -> Single:
 
 @kernel()
 def _stretch(fw: Record, moving: bool) -> None:
-    """Derivatives by the time scale, and backwards; none after the end."""
+    """Apply the time scale and the direction to the derivatives; all are 0 after the end."""
     out = fw.planner.out
     s = fw.planner.timescale
     sign = -ONE if fw.planner.reversed else ONE
@@ -109,7 +128,7 @@ def _stretch(fw: Record, moving: bool) -> None:
 
 @kernel()
 def _move(fw: Record) -> None:
-    """From the trajectory's own start to where it was started: turned about z, then shifted."""
+    """Move the point from the trajectory's own start to its start in flight: turn about z, shift."""
     plan = fw.planner
     out = plan.out
     turn = plan.shift[3] - plan.origin[3]
@@ -131,11 +150,13 @@ def _move(fw: Record) -> None:
 
 @kernel()
 def sample(fw: Record) -> bool:
-    """The flat output now, into planner.out; returns whether the plan has not ended.
+    """Write the flat output at this moment to planner.out; return False if the plan has ended.
 
-        x(t) = S + Rz(Y) (c((t - t0) / k) - c(0)),  v = x'/k, a = x''/k^2;  reversed: c at the end minus t
+        x(t) = S + Rz(Y) (c((t - t0) / k) - c(0)),  v = x'/k, a = x''/k^2
+        reversed: c at the end minus t
 
-    k: time scale;  S, Y: shift of a relative trajectory (position, heading), else that of c itself.
+    k: time scale
+    S, Y: position and heading at the start of a relative trajectory, else those of c itself
     """
     plan = fw.planner
     t = _now(fw) - plan.begin
@@ -150,16 +171,22 @@ def sample(fw: Record) -> bool:
 
 @kernel()
 def finished(fw: Record) -> bool:
-    """Is nothing being flown?"""
+    """Return True if no plan is being flown."""
     ended: bool = fw.planner.state == IDLE or _now(fw) - fw.planner.begin > _total(fw)
     return ended
 
 
 @kernel()
 def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
-    """Body rates of a flat output, rad/s: h = (j - (j . z_b) z_b) / |a + g e3|, w = (-h . y_b, h . x_b, z_b_z yaw').
+    """Return the body rates of a flat output, rad/s.
 
-    a: m/s2, j: m/s3, world.  Source: Mellinger & Kumar 2011, ICRA.
+        h = (j - (j . z_b) z_b) / |a + g e3|,   w = (-h . y_b, h . x_b, z_b_z yaw')
+
+    a: m/s2, world
+    j: m/s3, world
+    yaw: rad
+    yaw_rate: yaw', rad/s
+    Source: Mellinger & Kumar 2011, ICRA.
     """
     f = (a[0], a[1], a[2] + GRAVITY)
     x, y, z = flat_attitude(f, yaw)
@@ -177,7 +204,7 @@ def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
 
 @kernel()
 def _emit(fw: Record) -> None:
-    """The evaluation as a set-point: positions and heading, with rates."""
+    """Write the evaluated point as a set-point: position and heading, with rates."""
     sp = fw.wanted
     out = fw.planner.out
     clear(sp)
@@ -208,7 +235,7 @@ def _emit(fw: Record) -> None:
 
 @kernel()
 def take_state(fw: Record) -> None:
-    """Go on from the estimate: what the next plan starts from."""
+    """Start the next plan from the present estimate."""
     plan = fw.planner
     plan.last[0] = F(fw.x)
     plan.last[1] = F(fw.y)
@@ -222,7 +249,10 @@ def take_state(fw: Record) -> None:
 
 @kernel()
 def update(fw: Record) -> None:
-    """At 100 Hz: the plan's set-point, or the null set-point while it is idle; silent while others are in control."""
+    """Update the set-point at 100 Hz: the plan's, or the null set-point while the planner is idle.
+
+    Nothing is written while another source is in control.
+    """
     plan = fw.planner
     own = fw.priority <= HIGH_LEVEL
     if plan.state == IDLE:
@@ -244,27 +274,27 @@ def update(fw: Record) -> None:
 
 @kernel(rows, whole)
 def tell_state(fleet: Fleet, i: int) -> None:
-    """Go on from the estimate."""
+    """Start the next plan from the present estimate."""
     take_state(fleet[i])
 
 
 @kernel(rows, whole)
 def stop(fleet: Fleet, i: int) -> None:
-    """Forget the plan: motors off while the planner is in control."""
+    """Discard the plan: the motors are off while the planner is in control."""
     fw = fleet[i]
     fw.planner.state = IDLE
 
 
 @kernel()
 def _lasts(t: Single) -> bool:
-    """Can a plan take t s?"""
+    """Return True if a plan may last t s."""
     can: bool = SHORTEST <= t <= LONGEST
     return can
 
 
 @kernel()
 def _bounded(c: Single, timescale: Single) -> bool:
-    """Do a piece and its derivatives stay below MOST? sum |c_n| T^n is a bound of them all."""
+    """Return True if a piece and its derivatives stay below MOST: sum |c_n| T^n bounds them all."""
     bound = np.empty(PIECE, np.float32)
     out = np.empty(16, np.float32)
     for n in range(PIECE):
@@ -293,7 +323,10 @@ def _start(fw: Record, state: int) -> None:
 
 @kernel()
 def _fly(fw: Record, state: int, piece: Single) -> int:
-    """Begin with one piece; chosen: 1 where no drone can follow it, and what was flown goes on."""
+    """Begin a plan of one piece.
+
+    Chosen: return 1 if no drone can follow it; the plan before then continues.
+    """
     t = duration(piece)
     if not ((t == ZERO or _lasts(t)) and _bounded(piece, ONE)):
         return REFUSED
@@ -304,7 +337,7 @@ def _fly(fw: Record, state: int, piece: Single) -> int:
 
 @kernel()
 def _here(fw: Record) -> None:
-    """Evaluate where the plan is now; from the last set-point or state where there is no plan."""
+    """Evaluate the present point of the plan; without a plan, the last set-point or state."""
     plan = fw.planner
     if plan.state == FLYING or plan.state == LANDING:
         sample(fw)
@@ -316,7 +349,7 @@ def _here(fw: Record) -> None:
 
 @kernel()
 def _span(t: float) -> float:
-    """s that a plan takes which is to take t s."""
+    """Return the duration of a plan in s; a requested duration below SHORTEST becomes 0."""
     return 0.0 if t < SHORTEST else t
 
 
@@ -345,7 +378,7 @@ def _to(
 def _vertical(
     fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float
 ) -> int:
-    """From the last set-point, at rest, to the height above the same place."""
+    """Begin a plan from the last set-point, at rest, to the height above the same place."""
     plan = fw.planner
     piece = np.zeros(PIECE, np.float32)
     t = _span(t)
@@ -372,7 +405,13 @@ def _vertical(
 def take_off(
     fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float
 ) -> int:
-    """Rise to the height, m world, in t s; only from idle, 1 otherwise. t < 0: by hlCommander.vtoff."""
+    """Rise to a height; return 1 if the planner is not idle.
+
+    height: m, world
+    t: s; below 0: from the speed hlCommander.vtoff
+    yaw: rad: heading at the end
+    keep_yaw: above 0 to keep the heading
+    """
     fw = fleet[i]
     if fw.planner.state != IDLE:
         return REFUSED
@@ -391,9 +430,14 @@ def take_off(
 def land(
     fleet: Fleet, i: int, height: float, t: float, yaw: float, keep_yaw: float
 ) -> int:
-    """Sink to the height in t s, then idle; 1 where it is landing. t < 0: by hlCommander.vland.
+    """Descend to a height, then be idle; return 1 if the drone is already landing.
 
-    From idle too: whoever was sent set-points is told to land, and then that they have ended.
+    It is possible from idle too: a drone that followed streamed set-points is told to land first,
+    and then that the set-points have ended.
+    height: m, world
+    t: s; below 0: from the speed hlCommander.vland
+    yaw: rad: heading at the end
+    keep_yaw: above 0 to keep the heading
     """
     fw = fleet[i]
     if fw.planner.state == LANDING:
@@ -421,9 +465,13 @@ def go_to(
     relative: float,
     linear: float,
 ) -> int:
-    """From the present set-point, with its velocity and acceleration, to a place and heading, at rest.
+    """Fly from the present set-point, with its velocity and acceleration, to a place at rest.
 
-    linear: with the constant velocity of the straight line at both ends.
+    x, y, z: m, world
+    yaw: rad
+    t: s
+    relative: above 0 to add x, y, z, yaw to the present set-point
+    linear: above 0 for a straight line with constant velocity, also at both ends
     """
     fw = fleet[i]
     _here(fw)
@@ -457,11 +505,22 @@ def spiral(
     sideways: float,
     clockwise: float,
 ) -> int:
-    """One piece of degree 7 from the radius r0 to r1 through an angle, rad, about a point beside or before the nose.
+    """Fly one piece of degree 7 from radius r0 to r1 through an angle about a point.
 
-    Chosen, as the ends of the spiral of constant speed: at both ends the place, velocity and acceleration of
-    r(s) = r0 + (r1 - r0) s, phi(s) = +-angle s, s = t/T; the heading turns with it.  In between the piece is not a
-    circle: it is meant for angles up to half a turn.  sideways: the point lies ahead, else to the side.
+    Chosen, as the ends of the spiral of constant speed: at both ends the place, velocity and
+    acceleration are those of
+
+        r(s) = r0 + (r1 - r0) s,  phi(s) = +-angle s,  s = t/T
+
+    and the heading turns with it. In between, the piece is not a circle; it is meant for angles up
+    to half a turn.
+    angle: rad
+    r0: m: radius at the beginning
+    r1: m: radius at the end
+    climb: m: change of the height
+    t: s
+    sideways: above 0 if the point lies ahead, else it lies to the side
+    clockwise: above 0 to turn clockwise
     """
     fw = fleet[i]
     _here(fw)
@@ -499,7 +558,10 @@ def spiral(
 
 @kernel()
 def _possible(fw: Record, k: int, timescale: Single) -> bool:
-    """Can a drone follow the pieces of slot k, so many times as slow? Who uploads them may write anything."""
+    """Return True if a drone can follow the pieces of slot k at this time scale.
+
+    An upload may contain any numbers.
+    """
     total = ZERO
     for n in range(fw.planner.pieces[k]):
         c = _memory_piece(fw, k, n)
@@ -520,9 +582,13 @@ def start_trajectory(
     relative_yaw: float,
     backwards: float,
 ) -> int:
-    """Fly an uploaded trajectory; 8 where there is none, and, chosen, 1 where no drone can follow it.
+    """Fly an uploaded trajectory; return 8 if there is none.
 
-    relative: shifted to the present set-point;  relative_yaw: turned to its heading about its start (chosen).
+    Chosen: return 1 if no drone can follow it.
+    timescale: 2 takes twice the time
+    relative: above 0 to shift it to the present set-point
+    relative_yaw: above 0 to turn it to the present heading about its start (chosen)
+    backwards: above 0 to fly it from its end to its start
     """
     fw = fleet[i]
     plan = fw.planner

@@ -11,21 +11,29 @@ import numpy.typing as npt
 from crazychoir.platforms import Platform
 
 Record = Any
-"""One drone's row: numpy's record in Python, a numba record in a kernel."""
+"""The row of one drone: a numpy record in Python, a numba record in a kernel."""
 Fleet = npt.NDArray[np.void]
 
 # Modes of one axis of a set-point.
-DISABLE, ABSOLUTE, VELOCITY = 0, 1, 2
+DISABLE = 0  # the axis is not controlled
+ABSOLUTE = 1  # a value
+VELOCITY = 2  # a rate
 
-# stabilizer.controller
-PID, MELLINGER, LEE, OUT_OF_TREE = 1, 2, 5, 6
+# Values of the parameter stabilizer.controller.
+PID = 1
+MELLINGER = 2
+LEE = 5
+OUT_OF_TREE = 6  # a user's law
 
-# Which numbers a controller has written.
-LEGACY, FORCE_TORQUE, MOTORS = 0, 1, 2
+# Kinds of output of a controller.
+LEGACY = 0  # thrust, roll, pitch, yaw
+FORCE_TORQUE = 1
+MOTORS = 2  # four thrusts
 
-TRAJECTORIES, MEMORY = 31, 1024  # slots; float32 of 4096 bytes
+TRAJECTORIES = 31  # slots for trajectories
+MEMORY = 1024  # float32 in the memory for trajectories, 4096 bytes
 PIECE = 33  # float32 of one piece: 4 axes of 8 coefficients and a duration
-EXPANDED = 64  # pieces behind that memory: a compressed trajectory, as it is flown
+EXPANDED = 64  # pieces behind that memory: a compressed trajectory after its expansion
 
 
 def _reals(names: str) -> list[tuple[str, type]]:
@@ -37,7 +45,7 @@ def _wholes(names: str) -> list[tuple[str, type]]:
 
 
 pid_fields = np.dtype(_reals("kp ki kd kff i_limit limit integral previous d1 d2"))
-"""A PID: gains; limits of the integral and of the output (0: none); memory."""
+"""Fields of a PID: gains; limits of the integral and of the output (0: none); memory."""
 
 setpoint_fields = np.dtype(
     [
@@ -49,46 +57,33 @@ setpoint_fields = np.dtype(
         ),
     ]
 )
-"""What a controller follows, in the firmware's units: m, m/s, m/s2, m/s3, deg, deg/s, thrust 0..65535.
+"""Fields of a set-point, in the firmware's units: m, m/s, m/s2, m/s3, deg, deg/s, thrust 0..65535.
 
-pitch is positive nose up; rates of a full state and of the planner are those of the body, forward-left-up.
+pitch is positive nose up. The rates of a full state and of the planner are those of the body,
+forward-left-up.
 """
 
 planner_fields = np.dtype(
     [
         ("state", np.int64),
-        (
-            "slot",
-            np.int64,
-        ),  # of the trajectory flown, -1: the one piece of a take-off, landing or go_to
+        # slot of the flown trajectory; -1: the one piece of a take-off, landing or go_to
+        ("slot", np.int64),
         ("reversed", np.int64),
         ("begin", np.float32),  # s
         ("timescale", np.float32),
-        (
-            "origin",
-            np.float32,
-            (4,),
-        ),  # of a relative trajectory: where it starts by its coefficients, m, rad
-        ("shift", np.float32, (4,)),  # where it starts now
+        # start of a relative trajectory by its coefficients, m, rad
+        ("origin", np.float32, (4,)),
+        ("shift", np.float32, (4,)),  # its start in this flight
         ("piece", np.float32, (PIECE,)),
-        (
-            "out",
-            np.float32,
-            (16,),
-        ),  # p, yaw, v, yaw', a, yaw'', j, yaw''' of the last evaluation
-        (
-            "last",
-            np.float32,
-            (4,),
-        ),  # p, yaw of the last set-point, or of the state while idle
+        # p, yaw, v, yaw', a, yaw'', j, yaw''' of the last evaluation
+        ("out", np.float32, (16,)),
+        # p, yaw of the last set-point, or of the state while idle
+        ("last", np.float32, (4,)),
         ("last_v", np.float32, (4,)),
         ("offset", np.int64, (TRAJECTORIES,)),  # float32 from the start of the memory
         ("pieces", np.int64, (TRAJECTORIES,)),  # 0: not defined
-        (
-            "packed",
-            np.int64,
-            (TRAJECTORIES, 2),
-        ),  # of a compressed one: its first byte, its segments (0: it is not)
+        # first byte and segments of a compressed trajectory; 0 segments: not compressed
+        ("packed", np.int64, (TRAJECTORIES, 2)),
         ("take_off_speed", np.float64),
         ("landing_speed", np.float64),
     ],
@@ -101,27 +96,29 @@ mellinger_fields = np.dtype(
         "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh"
     )
 )
+"""Fields of Mellinger's controller: parameters; integrals and rates of the last pass."""
 lee_fields = np.dtype(
     _reals(
         "mass J_x J_y J_z Kpos_Px Kpos_Py Kpos_Pz Kpos_P_limit Kpos_Dx Kpos_Dy Kpos_Dz Kpos_D_limit Kpos_Ix Kpos_Iy "
         "Kpos_Iz Kpos_I_limit KR_x KR_y KR_z Kw_x Kw_y Kw_z KI_x KI_y KI_z ix iy iz irx iry irz"
     )
 )
+"""Fields of Lee's controller: parameters; integrals."""
 
 PIDS = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
+"""PIDs of controller 1: rates, attitude, velocity and position."""
 
 drone_fields = np.dtype(
     [
         ("tick", np.int64),  # ms
-        # what the plant reads and writes
+        # written and read by the simulation
         ("motors", np.float64, (4,)),  # share of firmware.thrust_max
         ("vbat", np.float64),  # V
         # sensors
-        ("delays", np.float64, (12,)),  # of the low-pass filters
+        ("delays", np.float64, (12,)),  # memory of the low-pass filters
         *_reals("gx gy gz ax ay az"),  # filtered: deg/s, g
-        *_reals(
-            "acc_sum acc_count acc_scale"
-        ),  # m/s2; samples; what makes the weight of a drone that stands 1 g
+        # sum in m/s2 and count of the samples at rest; scale that makes their mean 1 g
+        *_reals("acc_sum acc_count acc_scale"),
         # estimator
         *_reals("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
@@ -145,28 +142,26 @@ drone_fields = np.dtype(
         # controllers
         ("controller", np.int64),
         ("law_due", np.int64),
-        ("modes", np.int64),  # of the set-point that the controller followed last
+        ("modes", np.int64),  # modes of the last set-point that the controller followed
         *[(f"{name}_pid", pid_fields) for name in PIDS.split()],
         *_reals("x_vel_max y_vel_max z_vel_max roll_limit pitch_limit"),
         *_reals("thrust_base thrust_minimum yaw_max_delta"),
         *_reals("target_vx target_vy target_vz position_thrust"),
         *_reals("target_roll target_pitch target_yaw"),
         *_reals("target_roll_rate target_pitch_rate target_yaw_rate"),
-        # what the controller wants
+        # output of the controller
         ("output", np.int64),
         *_reals("thrust roll_out pitch_out yaw_out"),  # legacy
         *_reals("force torque_x torque_y torque_z"),  # N, N m
-        ("law_motors", np.float64, (4,)),  # 0..65535, of a user's law
+        ("law_motors", np.float64, (4,)),  # 0..65535, output of a user's law
         # power distribution
         ("request", np.float64, (4,)),  # 0..65535
         ("volts", np.float64, (4,)),
-        (
-            "power_set",
-            np.int64,
-        ),  # motorPowerSet.enable: 1 each motor by its own of the next, 2 all by the first
+        # motorPowerSet.enable: 1 sets each motor by its own power, 2 sets all motors by power_1
+        ("power_set", np.int64),
         *_reals("power_1 power_2 power_3 power_4"),  # 0..65535
         *_reals("vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"),
-        # What is not needed in each ms lies behind what is, so that of a thousand drones this fits into a cache.
+        # Fields not needed in each ms are last, so that the others of 1000 drones fit into a cache.
         ("level", setpoint_fields),
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
@@ -176,16 +171,17 @@ drone_fields = np.dtype(
     align=True,
 )
 drone: Any = numba.from_dtype(drone_fields)
-"""One drone, as the type of a kernel's argument."""
+"""Type of one drone for kernels."""
 rows: Any = drone[::1]
-"""Those of many drones."""
+"""Type of an array of drones for kernels."""
 whole: Any = numba.int64
 
 
 def entries(module: ModuleType) -> Any:
-    """The laws of a module that are compiled for a drone, for Python: called without a look at their arguments' types.
+    """Return the kernels of a module that are compiled for a drone, to be called from Python.
 
-    They take the array and the row: to hand over one record of so many fields takes 60 us, this 0.3 us.
+    They are called without a check of the types of their arguments. They take the array and the
+    row: passing one record of so many fields takes 60 us, this takes 0.3 us.
     """
     laws = {
         name: law
@@ -200,7 +196,8 @@ def entries(module: ModuleType) -> Any:
     )
 
 
-# pid_rate, pid_attitude, velCtlPid, posCtlPid: kp, ki, kd, limit of the integral (chosen for velocity and position)
+# Gains kp, ki, kd and limit of the integral (chosen for velocity and position) of pid_rate,
+# pid_attitude, velCtlPid and posCtlPid.
 CRAZYFLIE = {
     "roll_rate": (250.0, 500.0, 2.5, 33.3),
     "pitch_rate": (250.0, 500.0, 2.5, 33.3),
@@ -299,7 +296,7 @@ SCALARS: dict[str, float] = {
 
 
 def fleet(n: int, platform: Platform) -> Fleet:
-    """The records of n drones of this platform, as they are after power-on."""
+    """Return the records of n drones of this platform, as they are after power-on."""
     rows = np.zeros(n, drone_fields)
     firmware = platform.firmware
     gains = BRUSHLESS if firmware.needs_arming else CRAZYFLIE

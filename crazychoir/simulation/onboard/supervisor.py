@@ -1,4 +1,4 @@
-"""The supervisor: whether motors may turn, what happens when set-points end, when the drone lies on its back."""
+"""The supervisor: permission for motors, missing set-points, and tumbled drones."""
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.commander import HIGH_LEVEL, NOBODY
@@ -21,14 +21,23 @@ STATES = (
     "locked",
     "crashed",
 )
-LEVEL_OUT_AFTER, FREE_FALL_AFTER, WATCHDOG, STILL = 500, 2000, 1000, 2000  # ms
-UPRIGHT, ON_ITS_BACK, FALLING = 0.5, -0.2, 0.1  # g
-TILTED_FOR, ON_ITS_BACK_FOR = 1000, 100  # ms
+LEVEL_OUT_AFTER = 500  # ms without a set-point before a flying drone levels out
+FREE_FALL_AFTER = 2000  # ms without a set-point before its motors are cut
+WATCHDOG = 1000  # ms without a feed before the watchdog stops the motors
+STILL = 2000  # ms with the motors at idle before a drone no longer counts as flying
+UPRIGHT = 0.5  # g along z: at least this much means upright
+ON_ITS_BACK = -0.2  # g along z: less means on its back
+FALLING = 0.1  # g on every axis: less means free fall
+TILTED_FOR = 1000  # ms not upright before a drone counts as tumbled
+ON_ITS_BACK_FOR = 100  # ms on its back before a drone counts as tumbled
 
 
 @kernel()
 def _see_tumbling(fw: Record) -> None:
-    """Tumbled: less than 0.5 g along z for 1 s, or less than -0.2 g for 0.1 s; free fall says nothing."""
+    """Detect tumbling: below 0.5 g along z for 1 s, or below -0.2 g for 0.1 s.
+
+    Free fall restarts both times, because it says nothing about the attitude.
+    """
     if max(abs(fw.ax), max(abs(fw.ay), abs(fw.az))) < FALLING:
         fw.upright_at = fw.not_upside_at = fw.tick
     if fw.az >= UPRIGHT:
@@ -44,7 +53,7 @@ def _see_tumbling(fw: Record) -> None:
 
 @kernel()
 def _see_flying(fw: Record) -> None:
-    """Flying: a motor above idle in the last 2 s."""
+    """Detect flight: a motor was above idle in the last 2 s."""
     m = fw.request
     if max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
         fw.stopping_at = fw.tick
@@ -58,7 +67,7 @@ def _enter(fw: Record, state: int) -> None:
     if state in (RESET, NOT_PASSED, LOCKED, CRASHED):
         fw.armed = 0
         fw.arm_requested = 0
-        fw.planner.state = IDLE  # who may not fly has no plan either
+        fw.planner.state = IDLE  # a drone that may not fly has no plan either
     if state == FREE_FALL:
         fw.priority = NOBODY
 
@@ -111,11 +120,13 @@ def _down(fw: Record, waited: int) -> None:
 
 @kernel()
 def update(fw: Record) -> None:
-    """At 25 Hz: at most one change of state.
+    """Update the supervisor at 25 Hz: at most one change of state.
 
-    Chosen: a flying drone whose motors rest has landed, also under level-out; after landing a new take-off is allowed
-    for landedTimeout; free fall ends at once in locked, both cut the motors, and nobody is in control then; there is no
-    check of the motors' speeds, so arming succeeds at its next pass.
+    Chosen: a flying drone with resting motors has landed, also under level-out. After landing a
+        new
+    take-off is allowed for landedTimeout. Free fall becomes locked at the next pass; both cut the
+    motors, and no source of set-points is in control then. The speeds of the motors are not
+    checked, so arming succeeds at its next pass.
     """
     _see_tumbling(fw)
     _see_flying(fw)
@@ -138,32 +149,34 @@ def update(fw: Record) -> None:
 
 @kernel()
 def may_fly(fw: Record) -> bool:
-    """Does the supervisor let motors turn? An emergency stop counts at once."""
+    """Return True if the supervisor allows motors; an emergency stop counts at once."""
     return not fw.estop and fw.state in (READY, FLYING, LANDED, LEVEL_OUT)
 
 
 @kernel()
 def may_arm(fw: Record) -> bool:
-    """Would an arming request succeed? Where the checks before flight are passed."""
+    """Return True if an arming request would succeed: the checks before flight are passed."""
     return not fw.estop and fw.state >= PASSED and fw.state <= READY
 
 
 @kernel(rows, whole)
 def can_fly(fleet: Fleet, i: int) -> bool:
-    """Does the supervisor let motors turn?"""
+    """Return True if the supervisor allows motors."""
     return may_fly(fleet[i])
 
 
 @kernel(rows, whole)
 def can_arm(fleet: Fleet, i: int) -> bool:
-    """Would an arming request succeed?"""
+    """Return True if an arming request would succeed."""
     return may_arm(fleet[i])
 
 
 @kernel(rows, whole)
 def information(fleet: Fleet, i: int) -> int:
-    """Bits: 0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
-    8 planner in control, 9 plan ended; never: 10 planner disabled, 11 a fault of a deck.
+    """Return the bits of supervisor.info.
+
+    0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
+    8 planner in control, 9 plan ended. Never set: 10 planner disabled, 11 a fault of a deck.
     """
     fw = fleet[i]
     ended = finished(fw)
@@ -187,7 +200,10 @@ def information(fleet: Fleet, i: int) -> int:
 
 @kernel(rows, whole)
 def recover(fleet: Fleet, i: int) -> bool:
-    """A crashed drone that stands upright again begins anew; True also where nothing has crashed, False if locked."""
+    """Reset a crashed drone that stands upright again.
+
+    Return True also if nothing has crashed, False if the drone is locked.
+    """
     fw = fleet[i]
     if fw.state == CRASHED and not fw.tumbled and fw.az >= UPRIGHT:
         _enter(fw, RESET)
@@ -197,7 +213,7 @@ def recover(fleet: Fleet, i: int) -> bool:
 
 @kernel(rows, whole)
 def feed_watchdog(fleet: Fleet, i: int) -> None:
-    """Repeat within 1 s, from the first time on, or the drone is stopped for good."""
+    """Feed the watchdog; after the first call, 1 s without a call stops the drone for good."""
     fw = fleet[i]
     fw.watchdog = 1
     fw.watchdog_at = fw.tick

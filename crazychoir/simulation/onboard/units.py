@@ -1,28 +1,30 @@
-"""SI to the firmware's units and signs, and back: the one place."""
+"""The only place that converts between SI and the units and signs of the firmware."""
 
 import math
 
 from crazychoir.platforms import Firmware
 
 FULL = 65535.0
-"""The command of thrust_max newtons a motor."""
+"""Thrust command at which each motor gives thrust_max newtons."""
 
 
 def thrust_raw(newtons: float, firmware: Firmware) -> float:
-    """The thrust command of a total thrust in N: 65535 = 4 thrust_max, linear."""
+    """Return the thrust command for a total thrust in N; linear, 65535 = 4 thrust_max."""
     return newtons * FULL / (4.0 * firmware.thrust_max)
 
 
 def thrust_newtons(raw: float, firmware: Firmware) -> float:
-    """N, all motors, of a thrust command."""
+    """Return the thrust of all motors in N for a thrust command."""
     return raw * 4.0 * firmware.thrust_max / FULL
 
 
 def roll_pitch_yaw_rate_raw(
     roll: float, pitch: float, yaw_rate: float
 ) -> tuple[float, float, float]:
-    """Roll, pitch rad and yaw rate rad/s of the body (forward, left, up) as an RPYT packet carries them.
+    """Convert roll, pitch in rad and yaw rate in rad/s to the numbers of an RPYT packet.
 
-    In deg and deg/s; there pitch is positive nose up, and the firmware turns the yaw rate's sign. Rates likewise.
+    The arguments are of the body (forward, left, up). The packet has deg and deg/s, with the pitch
+    positive nose up and the sign of the yaw rate inverted by the firmware. Roll and pitch rates in
+    rad/s are converted in the same way.
     """
     return math.degrees(roll), -math.degrees(pitch), -math.degrees(yaw_rate)
