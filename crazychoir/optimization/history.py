@@ -67,8 +67,7 @@ class History:
         """Computing time in s if each agent had a processor of its own.
 
         It is the sum over the rounds of the slowest agent's time. For agents with different numbers
-        of
-        steps, it is the time of the slowest agent.
+        of steps, it is the time of the slowest agent.
         """
         steps = list(self.cpu.values())
         if len({len(cpu) for cpu in steps}) == 1:
@@ -97,8 +96,8 @@ class History:
         """Return max_i |x_i - mean_j x_j| at the end.
 
         Returns inf if an entry is not finite. Returns None if each agent has an x of its own, or if
-        the
-        values are not arrays of one shape.
+        the values
+        are not arrays of one shape.
         """
         if name == "x" and not self.common:
             return None
@@ -145,12 +144,13 @@ class History:
     def save(self, path: str | Path) -> None:
         """Write the series to a file; the suffix of `path` decides the format.
 
-        .csv: one row for each agent and round
-        .json: all series as lists
-        .npz: arrays named x_3, time_3, ...
+        - .csv: one row for each agent and round
+        - .json: all series as lists
+        - .npz: arrays named x_3, time_3, ...
+
         A value that an agent does not have, for example because others have more entries, is an
-        empty
-        cell of a .csv. The results are in the last row of each agent, or in result_3, with one part
+        empty cell of a .csv.
+        The results are in the last row of each agent, or in result_3, with one part
         each, result.x_3. A part that is not numbers is written as JSON.
         Raises ConfigError for another suffix, and for a .npz of values that change their shape.
         """

@@ -22,9 +22,12 @@ LEAST = 1e-12
 class Prediction:
     """The model, the limits and the costs of a robot over the next T steps.
 
-    min  sum_t=0..T-1 (x_t' Q x_t + u_t' R u_t) + x_T' P x_T
-    s.t. x_t+1 = A x_t + B u_t,   G u_t <= h,   E x_t <= f for t = 1..T,   Z x_T = 0
-    and after T steps  u = K x
+    The robot solves this quadratic program, from its state x_0:
+
+        min  sum_t=0..T-1 (x_t' Q x_t + u_t' R u_t) + x_T' P x_T
+        s.t. x_t+1 = A x_t + B u_t,   G u_t <= h,   E x_t <= f for t = 1..T,   Z x_T = 0
+
+    After T steps it continues with u = K x.
     """
 
     A: Mat
@@ -262,8 +265,7 @@ class SequentialMPC:
     If the news comes too late, or the problem is infeasible, the robot continues with its last
     plan, which all neighbours know. If plans end in a set that K keeps (for example Z x = 0 with
     K = 0), that always fits, whatever is lost. A robot never waits. Messages may come late, twice
-    or
-    never.
+    or never.
     If nothing fits, because a robot was pushed away, the plan exceeds the reach as little as
     possible.
     Source: Richards & How 2007, "Robust distributed model predictive control", Int. Journal of

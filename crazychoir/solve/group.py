@@ -34,9 +34,8 @@ class Group:
 
     The last other line of each program is kept, for error texts.
     A program ends when its standard input ends. So no program outlives this process, however this
-    process ends. At the end of the `with` all programs are killed, with the processes that they
-    have
-    started.
+    process ends. At the end of the `with` all programs are killed, with the processes
+    that they have started.
     """
 
     def __init__(self, commands: list[list[str]]) -> None:

@@ -204,8 +204,7 @@ class BasisExchange:
         """(m,) y, the prices of the first cost.
 
         If no other row holds an artificial column, y'A <= 0 for all columns with first cost 0, and
-        y'b
-        is the sum of what remains. This proves that the remaining rows cannot be met.
+        y'b is the sum of what remains. This proves that the remaining rows cannot be met.
         """
         return np.asarray(self.basis.prices[0] * self._sign)
 

@@ -61,10 +61,9 @@ class TaskAssignment:
         min  sum_ik c_ik x_ik   s.t.  sum_k x_ik = 1 (each robot)
              sum_i x_ik = 1 (each task),  x >= 0
 
-    There is an x_ik only if robot i may do task k. If there are fewer tasks than robots, the
-    robots'
-    rows are "<= 1": all tasks are done, at the least cost. If there are more tasks than robots, the
-    tasks' rows are "<= 1": all robots have a task.
+    There is an x_ik only if robot i may do task k. If there are fewer tasks than robots, the rows
+    of the robots are "<= 1": all tasks are done, at the least cost. If there are more tasks than
+    robots, the rows of the tasks are "<= 1": all robots have a task.
     The optimal basis of this program is integral. Costs stay with the robots, except those of a
     basis, which has at most N + M columns and travels.
     If not all can be served (a task that no robot may do, or two robots that may do only the same
@@ -151,8 +150,7 @@ class TaskAssignment:
         """Return the label, the flag of the last table, the tasks, and the basis.
 
         The tasks are included only for the first D rounds of a table. After the agreement the
-        message
-        is the label alone.
+        message is the label alone.
         """
         if self._table is None:
             return None

@@ -135,7 +135,9 @@ def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> i
 def _exclude(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
     """Set u (m,) to the proof that row p and the active rows exclude each other.
 
-    K A'u = 0,   slack'u < 0
+    The proof is:
+
+        K A'u = 0,   slack'u < 0
     """
     u[:] = 0.0
     for i in range(count):

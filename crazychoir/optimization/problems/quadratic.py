@@ -262,8 +262,7 @@ class QuadraticProgram:
         """Return True if it is certain that no x meets all of these rows.
 
         The singular vector of the smallest singular value is the proof, if that value is zero
-        within
-        PARALLEL and not just small.
+        within PARALLEL and not just small.
         """
         lengths = np.linalg.norm(self._free[rows], axis=1)
         left, sizes, _ = np.linalg.svd(self._free[rows] / lengths[:, None])

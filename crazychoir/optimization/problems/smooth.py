@@ -37,8 +37,7 @@ class Smooth:
         """Return the value (S,) and the derivative (S, n) at x.
 
         Raises ConfigError for wrong shapes and SolverError for numbers that are not finite. The
-        errors
-        name the entry and the row.
+        errors name the entry and the row.
         """
         value = np.atleast_1d(np.asarray(self.value(x), float))
         derivative = np.atleast_2d(np.asarray(self.derivative(x), float))
