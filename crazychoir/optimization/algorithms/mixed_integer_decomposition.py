@@ -53,8 +53,8 @@ class MixedIntegerSolution:
     lower_bound: float
     """Lower bound of the cost of all solutions.
 
-    It is sum_i min over X_i of (c_i + A_i'pi)'x - pi'b, or -inf if the agents' pi differed. But for
-    rounding it is at most cost - pi'left. If a resource is exceeded within the tolerance, the bound
+    It is sum_i min over X_i of (c_i + A_i'pi)'x - pi'b, or -inf if the agents' pi differed. Except
+    for rounding it is at most cost - pi'left. If a resource is exceeded within the tolerance, the bound
     may be above the cost by the value of the excess.
     """
     restricted: bool

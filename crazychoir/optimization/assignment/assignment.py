@@ -58,8 +58,8 @@ class Outcome:
 class TaskAssignment:
     """Robot i's part of the assignment problem, for one table after the other: a Round.
 
-        min  sum_ik c_ik x_ik   s.t.  sum_k x_ik = 1 (each robot)
-             sum_i x_ik = 1 (each task),  x >= 0
+        min  sum_ik c_ik x_ik
+        s.t. sum_k x_ik = 1 (each robot),  sum_i x_ik = 1 (each task),  x >= 0
 
     There is an x_ik only if robot i may do task k. If there are fewer tasks than robots, the rows
     of the robots are "<= 1": all tasks are done, at the least cost. If there are more tasks than

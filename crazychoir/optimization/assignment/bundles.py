@@ -19,7 +19,7 @@ from crazychoir.optimization.rounds.stillness import Stillness
 from crazychoir.types import Vec
 
 NOBODY: Final = -1
-"""Winner of a task that no robot can do."""
+"""Winner of a task without a bid."""
 ROUNDS = 10_000
 """Largest number of rounds of CBBA."""
 Path = TypeVar("Path")

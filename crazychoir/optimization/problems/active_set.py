@@ -70,7 +70,8 @@ def _divide(factor: Mat, s: Vec, count: int) -> None:
 def _resume(gram: Mat, free: Vec, u: Vec, rows: Rows, factor: Mat, s: Vec) -> int:
     """Start from the rows that were active in the last solve; return their number.
 
-    Starts from no rows, and returns 0, if one of their multipliers is not positive now.
+    Starts from no rows, and returns 0, if these rows are dependent or one of their
+    multipliers is not positive now.
     """
     count = 0
     for p in range(len(u)):

@@ -20,7 +20,7 @@ MOST_NODES: Final = 100_000
 WORDS = {
     highspy.HighsModelStatus.kInfeasible: "infeasible",
     highspy.HighsModelStatus.kUnbounded: "unbounded",
-    highspy.HighsModelStatus.kUnboundedOrInfeasible: "infeasible",  # or unbounded: see `solve`
+    highspy.HighsModelStatus.kUnboundedOrInfeasible: "infeasible",  # `_minimise` tests for unbounded
     highspy.HighsModelStatus.kIterationLimit: "too many iterations",
     highspy.HighsModelStatus.kSolutionLimit: "too many nodes",
 }
