@@ -30,7 +30,7 @@ A constraint that is missed by more will not be met.
 MOST_STEPS: Final = 5_000
 """Largest number of steps of an agent in an epoch."""
 Heard = tuple[int, bytes, Vec, Vec, float]
-"""Message of a neighbour: epoch, bits of the logical and, x_j, nu_ji, rho_ji."""
+"""Message of a neighbour: epoch, bits of the logical AND, x_j, nu_ji, rho_ji."""
 
 
 class ASYMM:
@@ -46,7 +46,7 @@ class ASYMM:
                  + 1/(2 s_i) sum_r [ max(0, m_ir + s_i g_ir(x))^2 - m_ir^2 ]
 
     It stops its steps when |grad L_i| <= e. The epoch ends when all agents have been there (a
-    distributed logical and), or when a neighbour is in the next epoch. Then the agent computes its
+    distributed logical AND), or when a neighbour is in the next epoch. Then the agent computes its
     multipliers for the next epoch, and waits for those of its neighbours:
 
         nu_ij <- nu_ij + rho_ij (x_i - x_j),   l_i <- l_i + s_i h_i(x_i)
@@ -54,7 +54,7 @@ class ASYMM:
 
     rho_ij and s_i grow by the factor `growth` if the violation they penalise has not fallen to
     `shrink` of its last value and is larger than e explains. e falls by the factor `sharpen`.
-    After the last epoch no agent makes another step, and a second logical and tells when all agents
+    After the last epoch no agent makes another step, and a second logical AND tells when all agents
     have ended. So no agent is done while another agent may still fail.
     Each message contains the full state, so a later message replaces all lost ones. There is no
     step size.
@@ -158,7 +158,7 @@ class ASYMM:
         return self.epoch >= self.epochs and self._flags.agreed
 
     def message(self) -> PerNeighbor:
-        """Return [epoch, bits of the logical and, x_i, nu_ij, rho_ij] for each neighbour."""
+        """Return [epoch, bits of the logical AND, x_i, nu_ij, rho_ij] for each neighbour."""
         bits = self._flags.message()
         return PerNeighbor(
             {

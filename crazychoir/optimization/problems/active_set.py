@@ -216,7 +216,9 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
 def minimise(
     inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Vec, u: Vec, x: Vec
 ) -> int:
-    """x = argmin 1/2 x'Px + q'x  s.t.  A x <= b,  E x = e, by the dual active-set method.
+    """Solve a quadratic program by the dual active-set method.
+
+        x = argmin 1/2 x'Px + q'x  s.t.  A x <= b,  E x = e
 
         x = K (q + A'u) + k,   w = b - A x = (b - A k) - A K q + D u >= 0
         u >= 0,   u'w = 0,   D = -A K A'

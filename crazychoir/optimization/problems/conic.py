@@ -30,7 +30,9 @@ WORDS = {
 
 
 class ConicProgram:
-    """min f(x) + p'x + rho/2 |x|^2  s.t.  x in X, for many p; f and X are cvxpy expressions.
+    """A convex program of cvxpy expressions, solved for many linear costs p.
+
+        min f(x) + p'x + rho/2 |x|^2  s.t.  x in X
 
     Canonical form: z = (x, further variables),  min 1/2 z'Pz + q'z  s.t.  b - A z in a product of
     cones. Only q changes with p, so that cvxpy is used once. The penalty rho is fixed when the

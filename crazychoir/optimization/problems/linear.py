@@ -51,7 +51,9 @@ def quiet_highs(seed: int = 0) -> highspy.Highs:
 
 
 class LinearProgram:
-    """min c'x + p'x  s.t.  A x <= b,  E x = e,  low <= x <= high, some x_k integer, for many p.
+    """A linear program, perhaps with integers, solved for many linear costs p.
+
+        min c'x + p'x  s.t.  A x <= b,  E x = e,  low <= x <= high,  x_k integer where `integer`
 
     c: (n,)
     rows: A (m, n), b (m,)

@@ -138,7 +138,7 @@ class MixedIntegerBlock:
         return x, np.maximum(self.A @ x - y, 0.0)
 
     def tightening(self) -> Vec:
-        """Return (S,): the change of each resource use that may be needed to make x a point of X_i.
+        """Return the change (S,) of each resource use that may make x a point of X_i.
 
             min(U - L, r 1),   L, U = min, max of A x over X_i
             r = min r s.t. A x <= L + r 1, x in X_i, r >= 0

@@ -152,7 +152,9 @@ class AffineHull:
 
 @dataclass
 class QuadraticProgram:
-    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p.
+    """A strictly convex quadratic program, solved for many linear costs p.
+
+        min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e
 
         K = -N (N'PN)^-1 N',   k = x_0 + K P x_0,   E x_0 = e
 
@@ -278,7 +280,9 @@ class QuadraticProgram:
 
 @dataclass
 class MovingProgram(QuadraticProgram):
-    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p, b and e.
+    """A quadratic program, solved for many linear costs p and right-hand sides b and e.
+
+        min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e
 
         k = (I + K P) E^+ e,   so that only the right-hand sides change
 

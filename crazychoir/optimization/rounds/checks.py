@@ -21,7 +21,7 @@ ROUNDS = (0, 1, 10, 1000)
 def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
     """Raise ConfigError unless the agents fit the graph and each other.
 
-    There must be one agent a node. These attributes of an agent are checked, where it has them:
+    There must be one agent for each node. These attributes of an agent are checked, where it has them:
 
     - `weights`: rows for exactly the agents that it hears
     - `shares`: rows for exactly the agents that hear it

@@ -152,7 +152,7 @@ class Mixing(Iteration):
         """Compute the equation of round k with the weights and the payloads of the neighbours."""
 
     def message(self) -> Any:
-        """Return the payload; in the first round of a row, add the neighbour's weight to it."""
+        """Return the payload; in the first round of a row, send [w_ij, payload] to each j."""
         payload = self.payload()
         if self.k >= len(self.weights) or not self.doubly_stochastic:
             return payload
@@ -209,7 +209,7 @@ def team(
     make: Callable[[int, tuple[Row, ...]], T],
     rule: Callable[[Graph], Weights] = metropolis,
 ) -> dict[int, T]:
-    """Make one agent a node.
+    """Make one agent for each node of the graph.
 
     make: called with (i, weights); the weights are the rows of agent i
     rule: rule of graph.py that gives the weights

@@ -6,7 +6,7 @@ from crazychoir.optimization.rounds.stopping import Flags
 
 
 class Stillness:
-    """Detects that the team has not changed for so long that nothing can change any more.
+    """Detect that the team has not changed for so long that nothing can change any more.
 
     The flag of an agent is up while the agent has not changed for D + 1 rounds. D rounds later all
     agents know whether all flags were up. So the team ends 2 D + 1 rounds after the last change.
@@ -15,7 +15,7 @@ class Stillness:
     again.
 
     diameter: D, the diameter of a graph, or the longest time of a flood in a sequence of graphs
-    Source: the rule of Notarstefano & Bullo 2011, IEEE TAC 56(10), 2247-2261; the logical and:
+    Source: the rule of Notarstefano & Bullo 2011, IEEE TAC 56(10), 2247-2261; the logical AND:
     see Flags.
     """
 

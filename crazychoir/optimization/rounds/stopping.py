@@ -1,4 +1,4 @@
-"""Stop a team when the criteria of all agents hold, by a distributed logical and."""
+"""Stop a team when the criteria of all agents hold, by a distributed logical AND."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ NEVER: Final = 1 << 62
 
 
 class Flags:
-    """One agent's part of a distributed logical and over a graph of diameter D.
+    """One agent's part of a distributed logical AND over a graph of diameter D.
 
     The states s_i^0, ..., s_i^D are the bits of one integer.
 
@@ -220,7 +220,7 @@ class Riding(Generic[A]):
 class Until(Riding[A]):
     """Run any algorithm until a criterion holds at all agents.
 
-    A logical and travels with the messages: one byte for 8 hops.
+    A logical AND travels with the messages: one byte for 8 hops.
     A synchronous team stops in one round, D rounds after the criteria of all agents held together.
     An asynchronous agent stops when it knows that each criterion held once.
     The end of the algorithm itself also ends it.
@@ -271,7 +271,7 @@ class Until(Riding[A]):
         return [self._steps, bits] if self.asynchronous else bits
 
     def hear(self, words: dict[int, Any]) -> None:
-        """Evaluate the criterion, and advance the logical and."""
+        """Evaluate the criterion, and advance the logical AND."""
         self._steps += 1
         if not self.asynchronous:
             self._flags.step(self.criterion(self.algorithm), words)
