@@ -6,7 +6,7 @@ from crazychoir.optimization.rounds.stopping import Flags
 
 
 class Stillness:
-    """Detect that the team has not changed for so long that nothing can change any more.
+    """The test for a team in which nothing can change any more.
 
     The flag of an agent is up while the agent has not changed for D + 1 rounds. D rounds later all
     agents know whether all flags were up. So the team ends 2 D + 1 rounds after the last change.
