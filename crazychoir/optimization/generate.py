@@ -1,4 +1,7 @@
-"""Random problems of a team, with their solutions where those are known by construction; the same for the same seed."""
+"""Random problems of a team, repeatable by their seed.
+
+The solution is included if it is known by construction.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,13 +14,12 @@ from crazychoir.types import Mat, Vec
 
 @dataclass(frozen=True, eq=False)
 class Quadratics:
-    """f_i(x) = 1/2 x'P_i x + q_i'x, P_i positive definite.
-
-    p: (N, n, n);  q: (N, n).
-    """
+    """The costs f_i(x) = 1/2 x'P_i x + q_i'x of a team."""
 
     p: Mat
+    """(N, n, n) P_i, positive definite."""
     q: Mat
+    """(N, n) q_i."""
 
     @property
     def optimum(self) -> Vec:
@@ -30,16 +32,19 @@ class Quadratics:
         return float(np.linalg.eigvalsh(self.p).max())
 
     def cost(self, x: Vec) -> float:
-        """sum_i f_i(x)."""
+        """Return sum_i f_i(x)."""
         return float(0.5 * x @ self.p.sum(axis=0) @ x + self.q.sum(axis=0) @ x)
 
     def gradient(self, i: int) -> Callable[[Vec], Vec]:
-        """Of f_i."""
+        """Return the gradient of f_i as a function."""
         return lambda x: self.p[i] @ x + self.q[i]
 
 
 def random_quadratics(agents: int, n: int, seed: int = 0) -> Quadratics:
-    """Quadratic costs of N agents in n variables: P_i = R R' + I/2, entries of R and q_i/2 standard normal."""
+    """Return quadratic costs of N agents in n variables.
+
+    P_i = R R' + I/2, where the entries of R and q_i/2 are standard normal.
+    """
     chance = _chance(seed, agents=agents, n=n)
     roots = chance.normal(size=(agents, n, n))
     return Quadratics(
@@ -50,30 +55,42 @@ def random_quadratics(agents: int, n: int, seed: int = 0) -> Quadratics:
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram:
-    """min c'x subject to A x <= b, or, in standard form, A x = b, x >= 0; with its unique solution.
+    """A linear program with its unique solution.
 
-    c: (n,);  a: (m, n);  b: (m,);  x: (n,), the solution;  dual: (m,), its multipliers: c + A'dual = 0 with dual >= 0
-    of the inequalities, A'dual <= c in standard form;  parts: whose rows of A, or, in standard form, whose columns.
+    Inequality form: min c'x subject to A x <= b. Standard form: min c'x subject to A x = b, x >= 0.
     """
 
     c: Vec
+    """(n,) costs."""
     a: Mat
+    """(m, n) A."""
     b: Vec
+    """(m,) right-hand side."""
     x: Vec
+    """(n,) the solution."""
     dual: Vec
+    """(m,) multipliers of the solution.
+
+    Inequality form: c + A'dual = 0 with dual >= 0. Standard form: A'dual <= c.
+    """
     parts: dict[int, tuple[int, ...]]
+    """Rows of A of each agent; in standard form columns of A."""
 
     @property
     def cost(self) -> float:
-        """Of the solution."""
+        """Cost of the solution."""
         return float(self.c @ self.x)
 
 
 def random_lp(agents: int, n: int, constraints: int, seed: int = 0) -> LinearProgram:
-    """min c'x, a_r'x <= b_r: bounded and feasible; the rows are dealt out to the agents in turn.
+    """Return a bounded and feasible program  min c'x, a_r'x <= b_r.
 
-    The solution x* is drawn first; n random rows are active there, with multipliers above 0 that make c, and so x*
-    meets the conditions of Karush, Kuhn and Tucker; the others are slack. constraints: n or more.
+    The solution x* is drawn first. At x*, n random rows are active and have multipliers above 0,
+    which define c. So x* meets the conditions of Karush, Kuhn and Tucker. The other rows have
+    slack.
+    The rows are dealt out to the agents in turn.
+
+    constraints: n or more
     """
     chance = _chance(seed, agents=agents, n=n)
     if constraints < n:
@@ -96,10 +113,12 @@ def random_lp(agents: int, n: int, constraints: int, seed: int = 0) -> LinearPro
 def random_standard_lp(
     agents: int, columns: int, constraints: int, seed: int = 0
 ) -> LinearProgram:
-    """min c'x, A x = b, x >= 0: bounded and feasible; the columns are dealt out to the agents in turn.
+    """Return a bounded and feasible program  min c'x, A x = b, x >= 0.
 
-    A random basis, its x and the multipliers y are drawn first; c = A'y + s, with s above 0 outside the basis.
-    columns: constraints or more.
+    A random basis, its x and the multipliers y are drawn first. Then c = A'y + s, with s above 0
+    outside the basis. The columns are dealt out to the agents in turn.
+
+    columns: as many as constraints, or more
     """
     chance = _chance(seed, agents=agents, constraints=constraints)
     if columns < constraints:
@@ -120,16 +139,25 @@ def random_standard_lp(
 
 @dataclass(frozen=True, eq=False)
 class CoupledMixedIntegerProgram:
-    """min sum_i c_i'x_i subject to sum_i A_i x_i <= b, 0 <= x_i <= u_i, the first entries of x_i integer.
+    """A mixed-integer linear program with common resources.
 
-    c: (N, n);  a: (N, S, n);  b: (S,);  upper: (n,);  integers: how many entries are. x = 0 is feasible.
+        min sum_i c_i'x_i subject to sum_i A_i x_i <= b, 0 <= x_i <= u
+
+    The first entries of each x_i are integers.
+
+    x = 0 is feasible.
     """
 
     c: Mat
+    """(N, n) costs c_i."""
     a: Mat
+    """(N, S, n) A_i."""
     b: Vec
+    """(S,) b."""
     upper: Vec
+    """(n,) upper bounds u, the same for all agents."""
     integers: int
+    """Number of integer entries of x_i."""
 
 
 def random_milp(
@@ -140,9 +168,10 @@ def random_milp(
     tightness: float = 0.4,
     seed: int = 0,
 ) -> CoupledMixedIntegerProgram:
-    """A resource allocation: all want much, and share `coupling` resources that are scarce.
+    """Return a resource allocation in which all agents want much of scarce resources.
 
-    tightness: b as a share of what all would use at their upper bounds, above 0, below 1.
+    coupling: number of resources
+    tightness: b as a part of the use of all agents at their upper bounds, above 0, below 1
     """
     chance = _chance(seed, agents=agents, n=n, coupling=coupling)
     if not (0.0 < tightness < 1.0 and 0 <= integers <= n):

@@ -1,4 +1,4 @@
-"""What came of a distributed algorithm that was run: its iterates, its traffic, and files of them."""
+"""The result of a distributed algorithm: its iterates, its traffic, and files of them."""
 
 import csv
 import json
@@ -14,67 +14,90 @@ from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import require_writable_file, written_file
 
 SUFFIXES = (".csv", ".json", ".npz")
+"""Suffixes of the files that `History.save` can write."""
 
 
 @dataclass(frozen=True)
 class History:
-    """What came of a simulation.
-
-    values: {agent: {name: what it was}} at the start and after each step: an array whose first index is the round, or a
-    list where the shape changes;  times: {agent: (K+1,) s} of virtual time;  cpu: {agent: (K,) s} a step;
-    messages, lost, resent, bytes: of all agents;  simulated_s, wall_s: how long it took, in virtual and in real time;
-    common: whether the agents are to agree on x, not `common = False`;  violations: {agent: the largest entry of its
-    `violation` at the end}, of those that have one: by how much it takes more than it is allowed;
-    results: {agent: its `result` at the end}, of those that have one.
-    """
+    """The result of a simulation."""
 
     values: dict[int, dict[str, Any]]
+    """{agent: {name: series}}: the values at the start and after each step.
+
+    A series is an array with the round as its first index, or a list if the shape changes.
+    """
     times: dict[int, Any]
+    """{agent: (K+1,) s}: virtual times of the values."""
     cpu: dict[int, Any]
+    """{agent: (K,) s}: computing time of each step."""
     messages: int
+    """Number of messages of all agents."""
     lost: int
+    """Number of lost messages of all agents."""
     resent: int
+    """Number of messages that were sent again, of all agents."""
     bytes: int
+    """Bytes sent by all agents."""
     simulated_s: float
+    """Virtual time of the simulation, s."""
     wall_s: float
+    """Real time of the simulation, s."""
     common: bool = True
+    """True if the agents are to agree on x."""
     violations: dict[int, float] = field(default_factory=dict)
+    """{agent: largest entry of its `violation` at the end}, for agents that have one.
+
+    It says by how much the agent uses more than it may.
+    """
     results: dict[int, Any] = field(default_factory=dict)
+    """{agent: its `result` at the end}, for agents that have one."""
 
     @property
     def violation(self) -> float | None:
-        """The largest of all agents at the end; None if none of them has one."""
+        """Largest violation of all agents at the end, or None if no agent has one."""
         return max(self.violations.values(), default=None)
 
     @property
     def rounds(self) -> int:
-        """Steps; of asynchronous agents, those of the one that made most."""
+        """Number of steps; for asynchronous agents the largest number of one agent."""
         return max(len(cpu) for cpu in self.cpu.values())
 
     @property
     def critical_path_s(self) -> float:
-        """s of computing if each agent had a processor: the slowest agent of each round; asynchronous, of all."""
+        """Computing time in s if each agent had a processor of its own.
+
+        It is the sum over the rounds of the slowest agent's time. For agents with different numbers
+        of steps, it is the time of the slowest agent.
+        """
         steps = list(self.cpu.values())
         if len({len(cpu) for cpu in steps}) == 1:
             return float(sum(map(max, zip(*steps, strict=True))))
         return float(max(map(sum, steps)))
 
     def of(self, name: str = "x") -> Any:
-        """(N, K+1, ...) of synchronous agents, by increasing id."""
+        """Return the values of synchronous agents (N, K+1, ...), by increasing id."""
         return np.stack([values[name] for values in self.values.values()])
 
     def last(self, name: str = "x") -> dict[int, Any]:
-        """{agent: what it was at the end}."""
+        """Return the values at the end, by agent."""
         return {i: values[name][-1] for i, values in self.values.items()}
 
     def spread(self, name: str = "x") -> Any:
-        """(K+1,) max_i |x_i - mean_j x_j|, by round: the disagreement of synchronous agents."""
+        """Return the disagreement of synchronous agents in each round.
+
+            max_i |x_i - mean_j x_j|
+
+        Returns an array (K+1,).
+        """
         x = self.of(name)
         return np.abs(x - x.mean(axis=0)).reshape(*x.shape[:2], -1).max(axis=(0, 2))
 
     def disagreement(self, name: str = "x") -> float | None:
-        """max_i |x_i - mean_j x_j| at the end, inf if an entry is; None of an x of which each agent has its own, and of
-        what are no arrays of one shape.
+        """Return max_i |x_i - mean_j x_j| at the end.
+
+        Returns inf if an entry is not finite. Returns None if each agent has an x of its own, or if
+        the values
+        are not arrays of one shape.
         """
         if name == "x" and not self.common:
             return None
@@ -90,7 +113,7 @@ class History:
         return float(np.abs(np.array(last) - np.mean(last, axis=0)).max(initial=0.0))
 
     def to_json(self) -> dict[str, Any]:
-        """The figures and, of each agent, the last values; the histories are for `save`."""
+        """Return the figures and the last values of each agent; `save` writes the series."""
         traffic = ("messages", "lost", "resent", "bytes")
         figures = (
             "rounds",
@@ -119,11 +142,17 @@ class History:
         return counted
 
     def save(self, path: str | Path) -> None:
-        """Write the histories, as the suffix says: .csv (a row an agent and round), .json, .npz (x_3, time_3, ...).
+        """Write the series to a file; the suffix of `path` decides the format.
 
-        What an agent does not have, as where others have more entries, is an empty cell of a .csv. The results are in
-        the last row of each agent, or result_3, with a part each, result.x_3; what are no numbers as JSON. Raises
-        ConfigError for another suffix, and for a .npz of what changes its shape.
+        - .csv: one row for each agent and round
+        - .json: all series as lists
+        - .npz: arrays named x_3, time_3, ...
+
+        A value that an agent does not have, for example because others have more entries, is an
+        empty cell of a .csv.
+        The results are in the last row of each agent, or in result_3, with one part
+        each, result.x_3. A part that is not numbers is written as JSON.
+        Raises ConfigError for another suffix, and for a .npz of values that change their shape.
         """
         path = Path(path)
         require_suffix(path)
@@ -160,13 +189,12 @@ class History:
                 for i in self.results
                 for name, x in self._result(i).items()
             }
-            with path.open(
-                "wb"
-            ) as file:  # np.savez would add .npz to a name that ends in .NPZ
+            # An open file: np.savez would add .npz to a name that ends in .NPZ.
+            with path.open("wb") as file:
                 np.savez(file, allow_pickle=False, **{**series, **times, **results})
 
     def _rows(self) -> list[list[Any]]:
-        """Head and rows; an array has a column an entry."""
+        """Return the head and the rows; an array has one column for each entry."""
         rows = {
             (i, k): self._entries(i, k)
             for i, times in self.times.items()
@@ -189,7 +217,7 @@ class History:
         return [head, *([i, k, self.times[i][k], *cells[i, k]] for i, k in rows)]
 
     def _entries(self, i: int, k: int) -> dict[tuple[str, tuple[int, ...]], Any]:
-        """Of agent i after k steps, by name and place in the array."""
+        """Return the values of agent i after k steps, by name and place in the array."""
         arrays = {name: np.array(series[k]) for name, series in self.values[i].items()}
         if k == len(self.times[i]) - 1 and i in self.results:
             arrays |= self._result(i)
@@ -200,7 +228,7 @@ class History:
         }
 
     def _result(self, i: int) -> dict[str, Any]:
-        """Of agent i, an array a part."""
+        """Return the result of agent i, one array for each part."""
         parts = parts_of(self.results[i])
         return {
             f"result.{name}" if name else "result": _array(part)
@@ -209,7 +237,7 @@ class History:
 
 
 def require_suffix(path: Path, where: str = "history") -> None:
-    """Raise ConfigError for the name of a file that is no history's."""
+    """Raise ConfigError unless the file name has one of the suffixes of a history."""
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(
             where, path.name, f"a file that ends in {', '.join(SUFFIXES)}"
@@ -217,7 +245,7 @@ def require_suffix(path: Path, where: str = "history") -> None:
 
 
 def parts_of(result: Any) -> dict[str, Any]:
-    """By name, as those of a dataclass; what has no parts is the one without a name."""
+    """Return the fields of a dataclass by name; other results are one part with the name ""."""
     return (
         {f.name: getattr(result, f.name) for f in fields(result)}
         if is_dataclass(result)
@@ -226,15 +254,15 @@ def parts_of(result: Any) -> dict[str, Any]:
 
 
 def _told(value: Any) -> Any:
-    """As JSON has it; else its text."""
+    """Return the value as it looks after a round trip through JSON; unknown types become text."""
     return json.loads(json.dumps(plain(value), default=str))
 
 
 def _array(value: Any) -> Any:
-    """Of numbers, or of a text; of what is neither, of its JSON."""
+    """Return an array of numbers or text; other values become their JSON text."""
     try:
         array = np.array(value)
-    except ValueError:  # of several lengths
+    except ValueError:  # parts of different lengths
         return np.array(json.dumps(_told(value)))
     return array if array.dtype.kind in "biufU" else np.array(json.dumps(_told(value)))
 

@@ -1,4 +1,4 @@
-"""How a team converges, as a picture for a page or a paper."""
+"""Draw how a team converges, as a picture for a page or a paper."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,11 +15,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's, told apart with every colour vision; the lines' dashes repeat what they say."""
+"""Colours of Okabe and Ito, which differ for every kind of colour vision.
+
+The dashes of the lines carry the same information.
+"""
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+"""Line styles of the entries."""
 INK = "#303030"
+"""Colour of the title."""
 MOST_ENTRIES = 4
-"""Of x that are drawn."""
+"""Number of entries of x that are drawn."""
 
 
 def draw_convergence(
@@ -30,11 +35,18 @@ def draw_convergence(
     times: Mapping[int, Vec] | None = None,
     common: bool = True,
 ) -> None:
-    """Write a PNG (or what the suffix of `path` says): above, each agent's entries of x; below, on a logarithmic axis,
-    the distance of each agent from the team's mean at the end.
+    """Write a picture of the convergence; the suffix of `path` decides the format, such as PNG.
 
-    series: {agent: (K+1, ...)};  times: {agent: (K+1,) s}, which are the abscissa of agents that are not in step;
-    common: whether they are to agree; else below is the distance of each from its own end.
+    The upper part shows the entries of x of each agent. The lower part shows, on a logarithmic
+    axis, the distance of each agent from the team's mean at the end.
+
+    series: {agent: (K+1, ...)}
+    path: file to write
+    name: name of the value
+    title: title of the picture
+    times: {agent: (K+1,) s}, abscissa for agents that are not in step; None for rounds
+    common: True if the agents are to agree; else the lower part shows the distance of each agent
+        from its own last value
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -56,7 +68,7 @@ def draw_convergence(
 
 
 def _entries(i: int, name: str, values: Any) -> Vec:
-    """(K+1, entries)."""
+    """Return the values of agent i as an array (K+1, entries)."""
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
         raise ConfigError(
             f"picture: {name} of agent {i}",
@@ -92,7 +104,10 @@ def _draw_entries(
 def _draw_distances(
     axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], common: bool
 ) -> None:
-    """From the mean of all agents' last values, if they have it in common; else each from its own last value."""
+    """Draw the distances from the mean of all last values.
+
+    If the agents need not agree, draw each agent's distance from its own last value.
+    """
     sizes = {values.shape[1] for values in x.values()}
     mean = (
         np.mean([values[-1] for values in x.values()], axis=0)

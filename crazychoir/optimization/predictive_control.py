@@ -1,4 +1,4 @@
-"""Model predictive control by quadratic programs: one robot's, and how the robots of a team solve theirs in turn."""
+"""Model predictive control by quadratic programs, for one robot and for a team in turn."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,44 +13,57 @@ from crazychoir.optimization.rounds.messages import INTEGER, malformed, parts
 from crazychoir.types import Mat, Vec
 
 DEAR = 1e4
-"""Price of being out of reach by 1: beyond what it is worth to anybody."""
+"""Cost of an excess of the reach by 1: larger than any gain from it."""
 LEAST = 1e-12
-"""A row of constraints whose length is below this is not in the hands of the inputs: it holds or does not."""
+"""A constraint row shorter than this does not depend on the inputs: it holds or does not."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What a robot may do in the next T steps, and what it wants.
+    """The model, the limits and the costs of a robot over the next T steps.
+
+    The robot solves this quadratic program, from its state x_0:
 
         min  sum_t=0..T-1 (x_t' Q x_t + u_t' R u_t) + x_T' P x_T
         s.t. x_t+1 = A x_t + B u_t,   G u_t <= h,   E x_t <= f for t = 1..T,   Z x_T = 0
-        and then goes on by  u = K x
 
-    A: (n, n);  B: (n, m);  C: (d, n), y = C x is what others are told;  E, f;  G, h;  Q: (n, n) >= 0;  R: (m, m) > 0;
-    P: (n, n), 0 if left out;  K: (m, n), 0 if left out;  Z: (l, n), left out: free;  T: steps.
+    After T steps it continues with u = K x.
     """
 
     A: Mat
+    """(n, n) dynamics of the state."""
     B: Mat
+    """(n, m) effect of the inputs."""
     C: Mat
+    """(d, n) outputs y = C x, which other robots receive."""
     Q: Mat
+    """(n, n) >= 0, cost of the state."""
     R: Mat
+    """(m, m) > 0, cost of the inputs."""
     E: Mat
+    """Rows of the limits of the state, E x <= f."""
     f: Vec
+    """Limits of the state."""
     G: Mat
+    """Rows of the limits of the inputs, G u <= h."""
     h: Vec
+    """Limits of the inputs."""
     T: int
+    """Number of steps."""
     P: Mat | None = None
+    """(n, n) cost of the last state; None means 0."""
     K: Mat | None = None
+    """(m, n) gain after the last step; None means 0."""
     Z: Mat | None = None
+    """(l, n) condition on the last state, Z x_T = 0; None means that it is free."""
 
     @property
     def gain(self) -> Mat:
-        """K."""
+        """The gain K (m, n)."""
         return np.zeros((self.B.shape[1], len(self.A))) if self.K is None else self.K
 
     def states(self, x: Vec, u: Mat) -> Mat:
-        """(T + 2, n): x_0 = x, those that inputs u (T, m) lead to, and the one after, by K."""
+        """Return the states (T + 2, n): x_0 = x, the states by u (T, m), and one more by K."""
         found = [x]
         for k in range(self.T + 1):
             found.append(
@@ -61,9 +74,11 @@ class Prediction:
 
 
 class _Program:
-    """A quadratic program over z whose bounds and slopes move, its rows scaled once.
+    """A quadratic program over z with moving bounds and slopes; its rows are scaled once.
 
-    P: (n, n);  rows: (m, n), of rows z <= bounds;  ends: (l, n), of ends z = e.
+    P: (n, n), symmetrised: the Hessian of the cost
+    rows: (m, n), of rows z <= bounds
+    ends: (l, n), of ends z = e
     """
 
     def __init__(self, P: Mat, rows: Mat, ends: Mat) -> None:
@@ -75,20 +90,32 @@ class _Program:
         self.program = MovingProgram(0.5 * (P + P.T), np.zeros(len(P)), over)
 
     def solve(self, slope: Vec, bounds: Vec, e: Vec) -> Vec | str:
-        """z (n,), or why there is none."""
+        """Return z (n,), or the reason why there is none.
+
+        slope: (n,) linear cost
+        bounds: (m,)
+        e: (l,)
+        """
         self.program.move(bounds / self._lengths, e / self._end_lengths)
         return self.program.solve(slope)
 
 
 class PredictiveControl:
-    """The quadratic program of a Prediction, over its inputs alone, compiled once for all states and neighbours.
+    """The quadratic program of a Prediction, over its inputs alone.
+
+    It is compiled once for all states and neighbours:
 
         x_t = F_t x_0 + H_t U,   U = (u_0, ..., u_T-1)
-        min 1/2 U' 2 (H' Q_ H + R_) U + (2 H' Q_ F x_0)' U,   Q_ = diag(Q, ..., Q, P), R_ = diag(R, ..., R)
+        min 1/2 U' 2 (H' Q_ H + R_) U + (2 H' Q_ F x_0)' U
+        Q_ = diag(Q, ..., Q, P), R_ = diag(R, ..., R)
 
-    reach: m, or whatever y is in:  |y_t - y_j,t| <= reach, in each entry, for t = 1..T and all others j; None: no such
-    constraint. That is  max_j y_j,t - reach <= C x_t <= min_j y_j,t + reach:  two rows however many others there are.
-    Raises ConfigError where R is not positive definite.
+    The reach adds the constraints |y_t - y_j,t| <= reach, in each entry, for t = 1..T and all other
+    robots j. They are written as max_j y_j,t - reach <= C x_t <= min_j y_j,t + reach: two rows an
+    entry and step, for any number of other robots.
+
+    of: the Prediction
+    reach: largest distance to the others, in m or the unit of y; None for no such constraint
+    Raises ConfigError if R is not positive definite.
     """
 
     def __init__(self, of: Prediction, reach: float | None = None) -> None:
@@ -113,9 +140,10 @@ class PredictiveControl:
             ) from error
 
     def _constraints(self) -> tuple[Mat, Mat, Vec]:
-        """Rows over U, what x_0 takes of their bounds, and the bounds: of states, of inputs, of what is to stay near.
+        """Return the rows over U, the part of x_0 in their bounds, and the fixed bounds.
 
-        The bounds of the last ones, above and below, are those of the others: left out of the third.
+        The rows are those of the states, of the inputs, and of the reach. The bounds of the reach
+        depend on the other robots and are not part of the fixed bounds.
         """
         of = self.of
         steps = np.eye(self.of.T)
@@ -131,7 +159,7 @@ class PredictiveControl:
 
     @cached_property
     def _soft(self) -> _Program:
-        """The program with one variable more, s: the excess of the reach."""
+        """The program with one more variable s, the excess of the reach."""
         size = len(self._hessian)
         near = np.arange(len(self._rows)) >= len(self._fixed)
         P = np.zeros((size + 1, size + 1))
@@ -145,9 +173,10 @@ class PredictiveControl:
         )
 
     def solve(self, x: Vec, others: Mat) -> Mat | str:
-        """The inputs (T, m) from x (n,), or why there are none: "infeasible", "too many steps", "not finite".
+        """Return the inputs (T, m) from x (n,), or the reason why there are none.
 
-        others: (J, T, d), what y of the J others will be at t = 1..T.
+        others: (J, T, d), the y of the J other robots at t = 1..T
+        The reason is "infeasible", "too many steps", or "not finite".
         """
         found = self.program.solve(
             self._slope @ x, self._bounds(x, others), -self._end @ x
@@ -155,9 +184,11 @@ class PredictiveControl:
         return found if isinstance(found, str) else found.reshape(self.of.T, -1)
 
     def approach(self, x: Vec, others: Mat) -> Mat | str:
-        """The same where it is infeasible, as x is out of reach: as little out of reach as it can be.
+        """Return the inputs with the least excess of the reach, for an x that is out of reach.
 
-        |y_t - y_j,t| <= reach + s,  s >= 0,  with DEAR s + s^2 / 2 more to minimise
+            |y_t - y_j,t| <= reach + s,  s >= 0,  with DEAR s + s^2 / 2 more to minimise
+
+        Arguments and results are those of `solve`.
         """
         slope = np.append(self._slope @ x, DEAR)
         bounds = np.append(self._bounds(x, others), 0.0)
@@ -176,7 +207,10 @@ class PredictiveControl:
 
 
 def _unit_rows(rows: Mat) -> tuple[Vec, Mat]:
-    """Return the lengths (m,) of rows, 1 for those of zeros, and the rows (m, n) divided by them."""
+    """Return the lengths (m,) of the rows, and the rows (m, n) divided by them.
+
+    The length of a row of zeros counts as 1.
+    """
     lengths = np.linalg.norm(rows, axis=1)
     is_zero = lengths <= LEAST
     lengths[is_zero] = 1.0
@@ -186,7 +220,10 @@ def _unit_rows(rows: Mat) -> tuple[Vec, Mat]:
 
 
 def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
-    """F (T n, n) and H (T n, T m):  x_t = A^t x_0 + sum_s<t A^(t-1-s) B u_s,  t = 1..T."""
+    """Return F (T n, n) and H (T n, T m) for the states of T steps.
+
+    x_t = A^t x_0 + sum_s<t A^(t-1-s) B u_s,  t = 1..T
+    """
     n, m = B.shape
     powers = [np.eye(n)]
     for _ in range(T):
@@ -200,63 +237,76 @@ def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
 
 @dataclass
 class Tally:
-    """How the steps went.
-
-    solved;  loosened: of these, out of reach of neighbours, on the way back;  kept: not all neighbours were heard of in
-    time;  infeasible, and kept;  why, the last time.
-    """
+    """Counts of the steps of a robot."""
 
     solved: int = 0
+    """Steps with a new plan."""
     loosened: int = 0
+    """Steps with a loosened reach, because the robot was out of reach of a neighbour."""
     kept: int = 0
+    """Steps that kept the last plan, because news of a neighbour came too late."""
     infeasible: int = 0
+    """Steps that kept the last plan, because the problem was infeasible."""
     why: str = ""
+    """Reason of the last infeasible step."""
 
 
 @dataclass
 class SequentialMPC:
-    """One robot's part of a team's model predictive control: in each step one after the other, by increasing id.
+    """One robot's part of a team's model predictive control.
+
+    In each step the robots solve one after the other, by increasing id:
 
         |y_i - y_j| <= reach  at all steps of all plans, i and j neighbours
 
-    In step k a robot solves once it knows what its lower neighbours have decided in step k and the higher ones in step
-    k - 1, whose plans go on, as they were told, until they decide in their turn. So a plan that changes always fits
-    plans that do not. A robot that does not hear enough before the step begins, or whose problem is infeasible, goes on
-    with its own last plan, which all know already: where plans end in a set that K keeps (Z x = 0 with K = 0, say) that
-    always fits, whatever is lost. Nothing is waited for, and messages may come late, twice or never.
-    Where nothing fits, as one of them was pushed away, a plan is as little out of reach as it can be.
-    x: (n,), where it is when step k begins;  inputs: (T, m), its plan from then on;  k: the step that is being decided.
-    Source: Richards & How 2007, "Robust distributed model predictive control", Int. Journal of Control 80(9).
+    In step k a robot solves once it knows the decisions of its lower neighbours in step k and of
+    its higher neighbours in step k - 1. The plans of the higher neighbours continue unchanged until
+    these decide. So a plan that changes always fits plans that do not change.
+    If the news comes too late, or the problem is infeasible, the robot continues with its last
+    plan, which all neighbours know. If plans end in a set that K keeps (for example Z x = 0 with
+    K = 0), that always fits, whatever is lost. A robot never waits. Messages may come late, twice
+    or never.
+    If nothing fits, because a robot was pushed away, the plan exceeds the reach as little as
+    possible.
+    Source: Richards & How 2007, "Robust distributed model predictive control", Int. Journal of
+    Control 80(9).
     """
 
     i: int
+    """Id of this robot."""
     neighbors: tuple[int, ...]
+    """Ids of the neighbours."""
     control: PredictiveControl
+    """The compiled quadratic program."""
     x: Vec
+    """(n,) state at the start of step k."""
     k: int = 0
+    """The step that is being decided."""
     tally: Tally = field(default_factory=Tally)
+    """Counts of the steps."""
     asynchronous = True
     done = False
 
     def __post_init__(self) -> None:
         of = self.control.of
         self.inputs: Mat = np.zeros((of.T, of.B.shape[1]))
+        """(T, m) the plan from step k on."""
         self.decided = False
         self._k, self._y = -1, self._outputs()
         self._told_of: dict[int, tuple[int, Mat]] = {}
 
     @property
     def u(self) -> Vec:
-        """(m,), the input of step k, as far as it is decided now."""
+        """(m,) the input of step k, as far as it is decided now."""
         first: Vec = self.inputs[0]
         return first
 
     def message(self) -> list[Any]:
-        """[k, y (T + 2, d)]: the newest step that it has decided, and its outputs from then on."""
+        """Return [k, y (T + 2, d)]: the newest decided step, and the outputs from then on."""
         return [self._k, self._y]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take what neighbours say, and decide if that is enough."""
+        """Take the messages of the neighbours, and decide if they are enough."""
         parts(self.i, self.k, heard, INTEGER, np.ndarray)
         for j, (k, y) in heard.items():
             if y.shape != self._y.shape:
@@ -272,9 +322,9 @@ class SequentialMPC:
             self._solve()
 
     def advance(self, measured: Vec | None = None) -> Vec:
-        """Step k begins: its input (m,) is applied, and returned, and step k + 1 is to be decided.
+        """Begin step k: return its input (m,), and move on to step k + 1.
 
-        measured: (n,), where it will be then; None: where the model says.
+        measured: (n,) state at the start of step k + 1; None for the state by the model
         """
         if not self.decided:
             self.tally.kept += 1
@@ -289,12 +339,18 @@ class SequentialMPC:
         return u
 
     def restart(self, x: Vec) -> None:
-        """It is at x (n,), not where its plan was to lead: its plan, and what others hear of it, is to do nothing."""
+        """Restart at x (n,), for a robot that is not where its plan led.
+
+        The new plan has zero inputs, and the neighbours receive it.
+        """
         self.x = np.asarray(x, float)
         self._decide(np.zeros_like(self.inputs))
 
     def _knows(self, j: int) -> bool:
-        """Whether what neighbour j has said is its newest plan: lower ones have decided before, higher ones not yet."""
+        """Return True if the last message of neighbour j contains its newest plan.
+
+        Lower neighbours have decided step k by then, and higher neighbours step k - 1.
+        """
         k = self._told_of[j][0] if j in self._told_of else self.k - 2
         return k == self.k or (k == self.k - 1 and j > self.i)
 
@@ -320,15 +376,21 @@ class SequentialMPC:
         self._k, self._y = self.k, self._outputs()
 
     def _outputs(self) -> Mat:
-        """(T + 2, d): y of the plan, with one step more: what it is told to be when the next step begins."""
+        """Return y (T + 2, d) of the plan, with one more step.
+
+        A neighbour that decides the next step needs the additional step.
+        """
         of = self.control.of
         return np.ascontiguousarray(of.states(self.x, self.inputs) @ of.C.T)
 
 
 def integrators(h: float, axes: int) -> tuple[Mat, Mat]:
-    """A (3 d, 3 d), B (3 d, d) of x = (p, v, a) in d axes, steered by the jerk, which is held for h s.
+    """Return A (3 d, 3 d) and B (3 d, d) of x = (p, v, a) in d axes, with the jerk u as the input.
 
     p+ = p + h v + h^2/2 a + h^3/6 u,   v+ = v + h a + h^2/2 u,   a+ = a + h u
+
+    h: s, time for which the jerk is held
+    axes: d
     """
     one = np.eye(axes)
     A = np.array([[1.0, h, 0.5 * h**2], [0.0, 1.0, h], [0.0, 0.0, 1.0]])

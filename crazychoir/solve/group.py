@@ -1,4 +1,4 @@
-"""Programs of this machine that answer in JSON lines: started together, heard together, and all gone at the end."""
+"""Start programs on this machine together, read their answers as JSON lines, and end them all."""
 
 import contextlib
 import json
@@ -15,7 +15,11 @@ from crazychoir.files.path_texts import child_environment
 
 
 class Ended(TimeoutError):
-    """A program has ended before its answer; number: which, as they were named."""
+    """A program has ended before its answer.
+
+    number: index of the program in the list of commands
+    last_words: last line of its output that was not an answer
+    """
 
     def __init__(self, number: int, last_words: str) -> None:
         self.number = number
@@ -26,10 +30,12 @@ class Ended(TimeoutError):
 
 
 class Group:
-    """Programs started together; each answers by lines that are JSON objects; of what else it says the last is kept.
+    """Programs that are started together and answer with lines that are JSON objects.
 
-    A program ends when its standard input does, so that none outlives this process however that ends; at the end of
-    the `with` all are killed, with what they have started.
+    The last other line of each program is kept, for error texts.
+    A program ends when its standard input ends. So no program outlives this process, however this
+    process ends. At the end of the `with` all programs are killed, with the processes
+    that they have started.
     """
 
     def __init__(self, commands: list[list[str]]) -> None:
@@ -67,9 +73,9 @@ class Group:
         self._lines.put((number, ""))
 
     def tell(self, word: str) -> None:
-        """One line to every program."""
+        """Write one line to every program."""
         for process in self._processes:
-            with contextlib.suppress(OSError):  # its end is heard as one
+            with contextlib.suppress(OSError):  # `answers` reports a program that ended
                 if process.stdin is not None:
                     process.stdin.write(word + "\n")
                     process.stdin.flush()
@@ -77,8 +83,11 @@ class Group:
     def answers(
         self, count: int, patience: float, complaint: str
     ) -> Iterator[tuple[int, dict[str, Any]]]:
-        """The next `count` answers, each with its program's number.
+        """Yield the next `count` answers, each with the number of its program.
 
+        count: number of answers
+        patience: s, time limit for all of them
+        complaint: what the missing programs have not done, for the error text
         Raises TimeoutError after `patience` s, and Ended if a program ends instead.
         """
         ends = time.perf_counter() + patience

@@ -1,4 +1,7 @@
-"""Any distributed algorithm on simulated agents: all in this process, over the communicator and a simulated network."""
+"""Run any distributed algorithm on simulated agents in this process.
+
+The agents exchange messages over the communicator and a simulated network.
+"""
 
 import asyncio
 import contextlib
@@ -23,13 +26,16 @@ from crazychoir.team.round import Round
 A = TypeVar("A", bound=Round)
 Run = Callable[[Callable[[Clock], Any]], Any]
 MOST_ROUNDS: Final = 1_000_000
-"""Of an algorithm that never ends by itself."""
+"""Largest number of rounds of an algorithm that never ends by itself."""
 DELAY: Final = 0.001
-"""s that a message is on its way: so that time goes on with the rounds."""
+"""s that each message takes, so that time advances with the rounds."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C has ended a simulation; history: until then, which need not be the same round at all agents."""
+    """Ctrl-C has ended a simulation.
+
+    history: the history until then; agents may have stopped in different rounds
+    """
 
     def __init__(self, history: History) -> None:
         super().__init__()
@@ -51,18 +57,32 @@ def simulate(
     run: Run = run_virtual,
     channel: str = "optimize",
 ) -> History:
-    """Run agents i of `graph` together until all are done, or have made so many `rounds`.
+    """Run the agents of a team together until all are done, or have made `rounds` rounds.
 
-    Synchronous algorithms get the same messages whatever is lost; asynchronous ones (`asynchronous = True`) wake after
-    a random `sleep`, take what has come, and compute for a random `compute`, both (shortest, longest) s.
-    loss: share of messages that is lost;  network: more of it, as {"burst": 4, "delay": 0.01, "jitter": 0.02};
-    record: attributes to keep of each agent after each step, else x, if all have one;  watch: is shown the agents after
-    each step;  run: run_virtual, or run_wall for real time.
-    An agent has failed, with its name and the round, where a nan is in what it sends, or in what is recorded of it
-    after a step. An infinity is let pass, for some algorithms mean it (the maximum of nothing, the price of what cannot
-    be done); where one is an overflow the next difference makes a nan of it.
-    Raises ConfigError where agents do not fit each other or the graph; what an agent raises, or AgentFailed; on Ctrl-C
-    Interrupted, a KeyboardInterrupt, with the history until then.
+    Synchronous algorithms get the same messages, whatever is lost. Asynchronous algorithms
+    (`asynchronous = True`) wake after a random `sleep`, take the messages that have arrived, and
+    compute for a random time `compute`.
+
+    agents: {id: agent}, one for each node of the graph
+    graph: communication graph, or a sequence of graphs
+    loss: share of messages that are lost
+    network: more effects of the network, such as {"burst": 4, "delay": 0.01, "jitter": 0.02}
+    seed: seed of the losses and of the random times
+    rounds: largest number of rounds; None for no limit but MOST_ROUNDS
+    record: attributes of each agent to keep after each step; None for x, if all agents have one
+    sleep: (shortest, longest) s
+    compute: (shortest, longest) s
+    watch: called with the agents after each step
+    run: run_virtual, or run_wall for real time
+    channel: name of the channel of the messages
+
+    A nan in a message, or in a recorded value after a step, is a failure of the agent. The error
+    names the agent and the round. An infinity is accepted, because some algorithms use it (the
+    maximum of nothing, the price of an impossible task). If it comes from an overflow, the next
+    difference makes it a nan.
+    Raises ConfigError if the agents do not fit each other or the graph.
+    Raises the error of an agent, or AgentFailed.
+    Raises Interrupted, a KeyboardInterrupt with the history until then, on Ctrl-C.
     """
     began = time.perf_counter()
     require_team(agents, graph)
@@ -83,7 +103,7 @@ def simulate(
                 await communicator.close(channel)
         except RoundTimeout as late:
             errors[communicator.id] = late.simulated()
-        except CrazyChoirError as error:  # the others hear of it, and end too
+        except CrazyChoirError as error:  # the other agents are informed, and end too
             errors[communicator.id] = error
 
     async def main(clock: Clock) -> float:
@@ -139,14 +159,14 @@ def simulate(
 def recorded(
     agents: Mapping[int, Any], record: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """What is kept of each agent: what is asked for, else x, if all have one."""
+    """Return the names of the attributes to keep: `record`, else x if all agents have one."""
     if record is not None:
         return tuple(record)
     return ("x",) if all(hasattr(agent, "x") for agent in agents.values()) else ()
 
 
 class _Followed:
-    """An agent that is followed: what it is after each step, when that was, and how long the step took."""
+    """An agent with a record of its values, their times, and the computing time of each step."""
 
     def __init__(
         self,
@@ -167,7 +187,7 @@ class _Followed:
         self.cpu: list[float] = []
 
     def begin(self, clock: Clock) -> None:
-        """Keep what it is at the start."""
+        """Keep the values at the start."""
         self.clock, self.began = clock, clock.now()
         self._keep()
 
@@ -181,9 +201,8 @@ class _Followed:
         return message
 
     def step(self, heard: dict[int, Any]) -> None:
-        now = (
-            time.thread_time if self.heavy else time.perf_counter
-        )  # which asks no kernel, but counts its pauses
+        # perf_counter needs no system call, but it counts pauses of the thread as well.
+        now = time.thread_time if self.heavy else time.perf_counter
         began = now()
         self.agent.step(heard)
         self.cpu.append(now() - began)
@@ -193,7 +212,7 @@ class _Followed:
         self.watch()
 
     def whole(self) -> float:
-        """Forget the part of a step in which Ctrl-C came; returns when the last whole one was."""
+        """Remove a step that Ctrl-C interrupted; return the time of the last whole step."""
         steps = min(
             len(self.cpu),
             len(self.times) - 1,
@@ -231,7 +250,7 @@ class _Followed:
                 raise ConfigError("record", name, allowed, "", str(error)) from None
 
     def values(self) -> dict[str, Any]:
-        """Arrays where the shapes allow."""
+        """Return the series as arrays, or as lists if their shape changes."""
         return {
             name: np.stack(series)
             if len({x.shape for x in series}) == 1
@@ -241,16 +260,12 @@ class _Followed:
 
 
 def _numbers(agent: Any) -> list[str]:
-    """The attributes that are numbers, or arrays of them."""
-    names = {
-        *dir(agent),
-        *dir(getattr(agent, "algorithm", None)),
-    }  # of one that rides on another, also that one's
+    """Return the names of the attributes that are numbers or arrays of numbers."""
+    # A wrapper such as `Until` also has the attributes of its algorithm.
+    names = {*dir(agent), *dir(getattr(agent, "algorithm", None))}
     found = []
     for name in sorted(name for name in names if not name.startswith("_")):
-        with contextlib.suppress(
-            Exception
-        ):  # a property of something that is not there yet
+        with contextlib.suppress(Exception):  # a property without a value yet
             value = getattr(agent, name)
             if (
                 isinstance(value, float | int | np.ndarray | np.generic)
@@ -261,7 +276,7 @@ def _numbers(agent: Any) -> list[str]:
 
 
 def _largest(violation: Any) -> float | None:
-    """Its largest entry, if it is numbers."""
+    """Return the largest entry of a violation, or None if it is not numbers."""
     if not isinstance(violation, float | int | np.ndarray | np.generic):
         return None
     entries = np.asarray(violation)
@@ -269,7 +284,10 @@ def _largest(violation: Any) -> float | None:
 
 
 def _unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:
-    """Run it; of the errors of several agents, which are not this package's, the first."""
+    """Run the simulation; raise the first error of a group of errors.
+
+    Such a group contains errors of several agents that are not CrazyChoirErrors.
+    """
     try:
         return run(main)
     except BaseExceptionGroup as errors:
@@ -277,6 +295,6 @@ def _unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:
 
 
 def _origin(errors: Mapping[int, CrazyChoirError]) -> CrazyChoirError:
-    """The error of the agent that failed itself; of several, of the lowest id."""
+    """Return the error of the agent that failed by itself; of several, the lowest id."""
     own = [errors[i] for i in sorted(errors) if not isinstance(errors[i], AgentFailed)]
     return own[0] if own else errors[min(errors)]

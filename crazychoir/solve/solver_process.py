@@ -1,4 +1,7 @@
-"""Some robots of a pickup-and-delivery team in a process of their own: `launch.team` starts it and tells it when."""
+"""A process with some robots of a pickup-and-delivery team.
+
+`crazychoir.solve.team` starts it and sends it orders.
+"""
 
 import asyncio
 import ctypes
@@ -32,48 +35,61 @@ from crazychoir.team.graph import Graph
 from crazychoir.types import PerNeighbor
 
 PR_SET_PDEATHSIG = 1
-SOLVE, REPLAY = "pickup_delivery", "replay"
+"""Option of prctl: the signal that this process gets when its parent ends."""
+SOLVE = "pickup_delivery"
+"""Channel of the solution."""
+REPLAY = "replay"
+"""Channel of the replay."""
 SHOWN = 4
-"""Looks at the progress a second."""
+"""Progress reports a second."""
 Packed = bytes | dict[int, bytes]
+"""A message as bytes, or as bytes for each neighbour."""
 
 
 @dataclass
 class Robot:
-    """One robot: its part of the algorithm, its place in the network, and the records of its rounds; a Round itself.
+    """One robot with its agent, its access to the network, and records of its rounds.
 
-    cpu: s of thread time of each step;  payloads: the message of each round, encoded;  counters: of its messages when
-    its plan was there.
+    It is a Round itself.
     """
 
     communicator: Communicator
+    """The robot's access to the network."""
     agent: PickupDelivery
+    """The robot's part of the algorithm."""
     look: Callable[[PickupDelivery], None]
+    """Called with the agent after each step."""
     cpu: list[float] = field(default_factory=list)
+    """Thread time of each step, s."""
     payloads: list[Packed] = field(default_factory=list)
+    """The message of each round, encoded."""
     counters: dict[str, int] = field(default_factory=dict)
+    """Counts of its messages at the time when its plan was ready."""
     heavy = True
 
     @property
     def done(self) -> bool:
-        """Whether the plan is there."""
+        """True if the plan is ready."""
         return self.agent.done
 
     def message(self) -> Any:
-        """What the neighbours get, and a copy of it that no later change reaches."""
+        """Return the message to the neighbours, and keep an encoded copy of it.
+
+        No later change of the message reaches the copy.
+        """
         message = self.agent.message()
         self.payloads.append(packed(message))
         return message
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """One round more."""
+        """Compute one round."""
         began = time.thread_time()
         self.agent.step(heard)
         self.cpu.append(time.thread_time() - began)
         self.look(self.agent)
 
     def report(self) -> dict[str, Any]:
-        """What there is to say of it when all is over."""
+        """Return the figures of this robot for the final report."""
         return {
             "robot": self.communicator.id,
             "rounds": len(self.cpu),
@@ -91,22 +107,23 @@ class Replay:
 
     @property
     def done(self) -> bool:
-        """Whether all have been sent."""
+        """True if all messages have been sent."""
         return self._k == len(self._payloads)
 
     def message(self) -> Any:
-        """The next."""
+        """Return the next message."""
         return unpacked(self._payloads[self._k])
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Nothing to do."""
+        """Ignore the messages, and count the round."""
         self._k += 1
 
 
 class Process:
     """The robots `mine` of the team, from the start to their reports.
 
-    spec: what `launch.team` has written;  curve: [[s since GO, m], ...], each cost of a plan that was below the last.
+    spec: the specification that `crazychoir.solve.team` has written
+    curve: [[s since GO, m], ...], each plan cost that was below the last one
     """
 
     def __init__(self, spec: dict[str, Any]) -> None:
@@ -120,7 +137,7 @@ class Process:
         self._lock = threading.Lock()
 
     async def run(self, clock: Clock) -> None:
-        """Join, wait for GO, solve, report; then the same messages again without computing."""
+        """Join, wait for GO, solve and report; then replay the messages without computing."""
         self._clock = clock
         loop = asyncio.get_running_loop()
         threading.Thread(target=self._obey, args=(loop,), daemon=True).start()
@@ -188,7 +205,7 @@ class Process:
         return [task.result() for task in tasks]
 
     async def _solve(self, robot: Robot) -> int:
-        """All rounds of one robot; returns the instant at which its plan was there, ns."""
+        """Compute all rounds of one robot; return the time at which its plan was ready, ns."""
         try:
             await run_algorithm(robot.communicator, robot, channel=SOLVE)
         except RoundTimeout as late:
@@ -203,14 +220,14 @@ class Process:
         return ended
 
     async def _replay(self, robot: Robot) -> int:
-        """The same messages once more, without any computation."""
+        """Send the same messages once more, without any computation; return the end, ns."""
         await run_algorithm(robot.communicator, Replay(robot.payloads), channel=REPLAY)
         ended = self._clock.now_ns()
         await robot.communicator.close(REPLAY)
         return ended
 
     def _look(self, agent: PickupDelivery) -> None:
-        """In the thread of a step: note a better plan; show how far all are, now and then."""
+        """Note a better plan, and report the progress now and then, in a step's thread."""
         with self._lock:
             self._note(
                 agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND
@@ -245,7 +262,7 @@ class Process:
         }
 
     def _obey(self, loop: asyncio.AbstractEventLoop) -> None:
-        """In a thread: orders from standard input; its end is ours."""
+        """Read orders from standard input, in a thread; end the process when the input ends."""
         for line in sys.stdin:
             loop.call_soon_threadsafe(self._orders.put_nowait, line.strip())
         os._exit(1)
@@ -256,27 +273,33 @@ class Process:
 
 
 def packed(message: Any) -> Packed:
-    """A message as bytes, or one for each neighbour: what is kept of it is small, and no later change reaches it."""
+    """Return a message as bytes, or as bytes for each neighbour.
+
+    The copy is small, and no later change of the message reaches it.
+    """
     if type(message) is PerNeighbor:
         return {j: encode(value) for j, value in message.items()}
     return encode(message)
 
 
 def unpacked(payload: Packed) -> Any:
-    """The message again."""
+    """Return the message of a payload."""
     if isinstance(payload, dict):
         return PerNeighbor({j: decode(value) for j, value in payload.items()})
     return decode(payload)
 
 
 def say(answer: dict[str, Any]) -> None:
-    """One line to `launch.team`."""
+    """Write one line to `crazychoir.solve.team`."""
     sys.stdout.write(json.dumps(plain(answer)) + "\n")
     sys.stdout.flush()
 
 
 def main() -> None:
-    """The argument is the specification; what is wrong is said as an answer, and ends the process."""
+    """Run the process; its argument is the specification.
+
+    An error is written as an answer, and ends the process.
+    """
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     cache.say = lambda text: say(
         {"compiles": True} if text == cache.COMPILES else {"warning": text}

@@ -1,4 +1,7 @@
-"""All robots of an instance in this process, over the communicator and its simulated network, in virtual time."""
+"""Solve an instance with all robots in this process, in virtual time.
+
+The robots exchange messages over the communicator and its simulated network.
+"""
 
 import time
 from collections.abc import Callable, Mapping
@@ -27,11 +30,23 @@ def solve_here(
     watch: Callable[[Team], None] = lambda team: None,
     run: Run = run_virtual,
 ) -> dict[str, Any]:
-    """Solve it together; returns what `crazychoir solve --json` prints.
+    """Solve the instance together, and return what `crazychoir solve --json` prints.
 
-    startup_s: until all laws are loaded, and compiled if they were not;  wall_s: from then on;  critical_path_s: sum
-    over the rounds of the slowest robot's CPU time;  run: run_virtual, or run_wall.
-    Raises InstanceError, SolverError, ConfigError.
+    The result contains these times:
+
+    - startup_s: s until all laws are loaded, and compiled if necessary
+    - wall_s: s from then on
+    - critical_path_s: s, sum over the rounds of the slowest robot's CPU time
+
+    instance: the pickup-and-delivery problem
+    method: name of the distributed method
+    loss: share of messages that are lost
+    graph: name of the communication graph
+    seed: seed of the graph and of the losses
+    settings: settings of the method, or None for the defaults
+    watch: called with the agents after each step
+    run: run_virtual, or run_wall for real time
+    Raises InstanceError, SolverError or ConfigError.
     """
     began = time.perf_counter()
     links = named(graph, instance.robots, seed)

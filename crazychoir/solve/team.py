@@ -1,4 +1,7 @@
-"""A pickup-and-delivery team in processes of this machine, over Zenoh, in real time."""
+"""Solve an instance with robots in several processes, over Zenoh, in real time.
+
+All processes run on this machine.
+"""
 
 import json
 import secrets
@@ -27,12 +30,17 @@ from crazychoir.solve.group import Ended, Group
 from crazychoir.team.graph import Graph, named, span
 
 START_DEADLINE = 300.0
-"""s until all processes have loaded their kernels, which are compiled at the first use, and found each other."""
+"""s until all processes have found each other and loaded their kernels.
+
+Kernels are compiled at the first use.
+"""
 DEADLINE = 600.0
 """s from GO to the plan."""
 
 Progress = dict[int, tuple[str, int, float | None]]
+"""{robot: (phase, round, cost of the best plan in m or None)}."""
 Answer = tuple[int, dict[str, Any]]
+"""(number of a process, its answer)."""
 
 
 def solve_in_processes(
@@ -48,17 +56,34 @@ def solve_in_processes(
     deadline: float = DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
-    """Solve it together, the robots spread over so many processes; returns what `crazychoir solve --json` prints.
+    """Solve the instance together, with the robots spread over several processes.
+
+    Returns what `crazychoir solve --json` prints. It contains these figures:
+
+    - wall_s: s from GO until the last robot has the plan
+    - startup_s: s until GO
+    - cpu_s: s of CPU time of all processes, from GO
+    - curve: [[s, m], ...], the cost of the best plan over time
+    - critical_path_s: s that a team would need with one computer for each robot. Here many robots
+      share one.
 
         critical_path_s = sum over the rounds k of (max_i c_ik + T_k)
 
-    c_ik: s, thread CPU of robot i in round k;  T_k: s, the same round once more, by the same processes, with the same
-    payloads and loss, and no computation: what a team with a computer a robot would have needed, for here many robots
-    share one. wall_s: from GO until the last robot has the plan;  startup_s: until GO;  cpu_s: of all
-    processes, from GO;  curve: [[s, m], ...], the cost of the best plan over time.
-    burst: messages that are lost in a row, in the mean; else each is lost by itself.
-    deadline: s, of the whole solution.
-    Raises InstanceError, ConfigError, and ProcessFailed if a process fails, ends, or says nothing in time.
+    c_ik is the thread CPU time of robot i in round k, s. T_k is the duration of the same round once
+    more, s: by the same processes, with the same payloads and loss, but without computation.
+
+    instance: the pickup-and-delivery problem
+    processes: number of processes
+    method: name of the distributed method
+    loss: share of messages that are lost
+    burst: mean number of messages that are lost in a row; None if each is lost by itself
+    graph: name of the communication graph
+    seed: seed of the graph and of the losses
+    settings: settings of the method, or None for the defaults
+    deadline: s, limit of the whole solution
+    watch: called with the progress of all robots, or None
+    Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
+    too long.
     """
     began = time.perf_counter()
     links = named(graph, instance.robots, seed)
@@ -112,7 +137,7 @@ def solve_in_processes(
 
 
 class _Run:
-    """The answers of the processes, in order; raises what goes wrong as ProcessFailed."""
+    """The answers of the processes, in order; raises ProcessFailed if something goes wrong."""
 
     def __init__(
         self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]
@@ -123,7 +148,12 @@ class _Run:
         self._progress: Progress = {}
 
     def wait(self, key: str, patience: float, complaint: str) -> list[Any]:
-        """This answer of every process."""
+        """Return this answer of every process.
+
+        key: name of the answer
+        patience: s, time limit
+        complaint: what the missing processes have not done, for the error text
+        """
         found: dict[int, Any] = {}
         for number, answer in self._heard(patience, complaint):
             if key in answer:
@@ -167,7 +197,10 @@ class _Run:
 
 
 def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
-    """One command a process; each listens on a port of its own and connects to those before it."""
+    """Return one command for each process.
+
+    Each process listens on a port of its own and connects to the ports of the processes before it.
+    """
     swarm = f"solve-{secrets.token_hex(4)}"
     endpoints = (
         [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))]
@@ -200,7 +233,7 @@ def _result(
     solved: list[dict[str, Any]],
     replayed: list[float],
 ) -> dict[str, Any]:
-    """The team's result from those of its processes."""
+    """Combine the results of all processes into the result of the team."""
     solution = joined(
         instance,
         [Solution.from_json(raw) for part in solved for raw in part["solutions"]],
@@ -231,12 +264,16 @@ def _result(
 
 
 def critical_path(steps: list[float], exchange: float) -> float:
-    """s: sum_k max_i c_ik + sum_k T_k; the rounds without computation follow each other, so `exchange` is their sum."""
+    """Return the critical path in s: sum_k max_i c_ik + sum_k T_k.
+
+    steps: max_i c_ik of each round, s
+    exchange: sum_k T_k, s: the rounds without computation follow each other
+    """
     return sum(steps, exchange)
 
 
 def best_so_far(points: list[list[float]]) -> list[list[float]]:
-    """Of [s, m] of several processes those that were below all before."""
+    """Return the points [s, m] of all processes that are below all earlier points."""
     best: list[list[float]] = []
     for point in sorted(points):
         if not best or point[1] < best[-1][1]:

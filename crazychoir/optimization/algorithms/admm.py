@@ -13,19 +13,30 @@ from crazychoir.types import Vec
 
 
 class ADMM(Iteration):
-    """Consensus ADMM for  min sum_i f_i(x_i)  s.t.  x_i in X_i,  x_i = z_j  for all j in M_i = N_i and i itself.
+    """Consensus ADMM for  min sum_i f_i(x_i)  s.t.  x_i in X_i,  x_i = z_j  for all j in M_i.
 
-        x_i = argmin_{x in X_i} f_i(x) + x'L_i + rho/2 sum_{j in M_i} |x - z_j|^2        (x_i travels)
-        z_i = mean_{j in M_i} x_j                                                       (z_i travels)
+    M_i is the set of the neighbours N_i and i itself.
+
+        x_i = argmin_{x in X_i} f_i(x) + x'L_i + rho/2 sum_{j in M_i} |x - z_j|^2      (x_i travels)
+        z_i = mean_{j in M_i} x_j                                                     (z_i travels)
         L_i <- L_i + rho sum_{j in M_i} (x_i - z_j),   L_i(0) = 0
 
-    L_i = sum_{j in M_i} l_ij, with l_ij the multiplier of x_i = z_j; those that z_i sees, sum_j l_ji, sum up to zero,
-    so that no multiplier travels. An iteration is two rounds.
-    A static undirected graph. No step size: it converges for each penalty rho > 0 and convex f_i; a large rho moves the
-    x_i together first, a small one each to its own minimum first.
-    penalty: rho, the same at all agents;  neighbors: N_i;  x, z: (n,), of the last iteration, 0 before the first.
-    Raises SolverError if the local problem is infeasible; ConfigError if others than N_i are heard.
-    Source: Boyd, Parikh, Chu, Peleato & Eckstein 2011, Foundations and Trends in Machine Learning 3(1), section 7.2.
+    L_i = sum_{j in M_i} l_ij, with l_ij the multiplier of x_i = z_j. The multipliers of z_i,
+    sum_j l_ji, add up to zero, so that no multiplier travels. An iteration is two rounds.
+    The graph is static and undirected. There is no step size: the method converges for each penalty
+    rho > 0 and convex f_i. A large rho first brings the x_i together. A small rho first brings each
+    x_i to its own minimum.
+
+    problem: f_i and X_i
+    neighbors: N_i
+    penalty: rho, the same at all agents
+    iterations: number of iterations until done; None for no end
+    x: (n,) of the last iteration, 0 before the first
+    z: (n,) of the last iteration, 0 before the first
+    Raises SolverError if the local problem is infeasible.
+    Raises ConfigError if the agents that are heard are not exactly N_i.
+    Source: Boyd, Parikh, Chu, Peleato & Eckstein 2011, Foundations and Trends in Machine Learning
+    3(1), section 7.2.
     """
 
     connected = True
@@ -56,17 +67,17 @@ class ADMM(Iteration):
 
     @property
     def iterations(self) -> int:
-        """Done so far."""
+        """Number of iterations done."""
         return self.k // 2
 
     def message(self) -> Vec:
-        """x_i in even rounds, z_i in odd ones."""
+        """Return x_i in even rounds and z_i in odd rounds."""
         if self.k == 0:
             self._minimise(self.z)
         return self.z if self.k % 2 else self.x
 
     def update(self, heard: Mapping[int, Vec]) -> None:
-        """In even rounds z, in odd ones L, and x for the next iteration."""
+        """Compute z in even rounds; in odd rounds compute L, and x for the next iteration."""
         require_heard(self.i, self.neighbors, heard)
         own = self.z if self.k % 2 else self.x
         total = sum((like(self.i, j, x, own) for j, x in heard.items()), start=own)
@@ -77,5 +88,8 @@ class ADMM(Iteration):
         self._minimise(total / self._members)
 
     def _minimise(self, centre: Vec) -> None:
-        """x; centre: the mean of the z_j, from which |x - z_j|^2 sum up to |M_i| |x - centre|^2 and a constant."""
+        """Compute x.
+
+        centre: mean of the z_j; the terms |x - z_j|^2 add up to |M_i| |x - centre|^2 and a constant
+        """
         self.x = self.problem.argmin(self._L, centre, self.penalty * self._members)

@@ -1,4 +1,4 @@
-"""Aggregative optimisation: each agent's cost depends on its own variable and on a mean over the team."""
+"""Aggregative optimisation: each cost depends on the agent's own variable and on a team mean."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,21 +19,36 @@ OfBoth = Callable[[Vec, Vec], ArrayLike]
 
 
 class AggregativeTracking(Mixing):
-    """Projected aggregative tracking: min sum_i f_i(x_i, sigma(x)), sigma(x) = (1/N) sum_i phi_i(x_i), x_i in X_i.
+    """Projected aggregative tracking for  min sum_i f_i(x_i, sigma(x)),  x_i in X_i.
 
-        x~_i = P_i(x_i - a (grad_1 f_i(x_i, s_i) + J_i(x_i)' y_i)),   x_i+ = x_i + delta (x~_i - x_i)
+        sigma(x) = (1/N) sum_i phi_i(x_i)
+
+        x~_i = P_i(x_i - a (grad_1 f_i(x_i, s_i) + J_i(x_i)' y_i))
+        x_i+ = x_i + delta (x~_i - x_i)
         s_i+ = sum_j w_ij s_j + phi_i(x_i+) - phi_i(x_i)
         y_i+ = sum_j w_ij y_j + grad_2 f_i(x_i+, s_i+) - grad_2 f_i(x_i, s_i)
+        s_i(0) = phi_i(x_i(0)),   y_i(0) = grad_2 f_i(x_i(0), s_i(0))
 
-    s_i tracks sigma, y_i tracks (1/N) sum_j grad_2 f_j;  s_i(0) = phi_i(x_i(0)), y_i(0) = grad_2 f_i(x_i(0), s_i(0)).
-    x: (n_i,), of its own size at each agent;  aggregate: phi_i, x_i to (d,);  jacobian: J_i, (d, n_i) of phi_i;
-    gradient_own: grad_1 f_i(x, s), (n_i,);  gradient_sigma: grad_2 f_i(x, s), (d,);  project: P_i, onto agent i's set;
-    weights: row i, doubly stochastic, or one for each graph of a sequence.
-    step: a, constant; f strongly convex, gradients Lipschitz: linear convergence if a and delta are small enough.
-    delta: 0 < delta <= 1; smaller is steadier where sets are tight.  sigma: s_i, what the agent takes for sigma(x).
-    Costs may change while it runs, as when what they follow moves: both trackers go with them.
-    Source: Carnevale, Camisa & Notarstefano 2022, "Distributed online aggregative optimization for dynamic multirobot
-    coordination", IEEE Trans. Autom. Control; Li, Yi & Xie 2022, IEEE Trans. Autom. Control 67(6), 3165-3171.
+    s_i tracks sigma, and y_i tracks (1/N) sum_j grad_2 f_j.
+    With f strongly convex and Lipschitz gradients, convergence is linear if a and delta are small
+    enough. The costs may change while the method runs, for example when a target moves. Both
+    trackers follow.
+
+    i: id of the agent
+    x: (n_i,) start; agents may have different sizes
+    weights: row i, doubly stochastic, or one row for each graph of a sequence
+    aggregate: phi_i, maps x_i to (d,)
+    jacobian: J_i, (d, n_i) of phi_i
+    gradient_own: grad_1 f_i(x, s), (n_i,)
+    gradient_sigma: grad_2 f_i(x, s), (d,)
+    step: a, constant
+    project: P_i, the projection onto X_i
+    delta: 0 < delta <= 1; smaller is steadier where sets are tight
+    rounds: number of rounds until done; None for no end
+    sigma: s_i (d,), the agent's estimate of sigma(x)
+    Source: Carnevale, Camisa & Notarstefano 2022, "Distributed online aggregative optimization for
+    dynamic multirobot coordination", IEEE Trans. Autom. Control; Li, Yi & Xie 2022, IEEE Trans.
+    Autom. Control 67(6), 3165-3171.
     """
 
     common = False
@@ -69,15 +84,15 @@ class AggregativeTracking(Mixing):
         self.g = self.y = self._pull(0, self.x, self.sigma)
 
     def _pull(self, k: int, x: Vec, sigma: Vec) -> Vec:
-        """(d,) grad_2 f_i."""
+        """Return grad_2 f_i (d,)."""
         return self.gradient_sigma(k, x, sigma, shape=sigma.shape)
 
     def payload(self) -> list[Vec]:
-        """[s_i, y_i]: x_i stays with the agent."""
+        """Return [s_i, y_i]. x_i stays with the agent."""
         return [self.sigma, self.y]
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
-        """Move, track sigma, track the gradient with respect to it."""
+        """Move x, track sigma, and track the gradient with respect to sigma."""
         k = self.k
         x = self.x
         parts(self.i, k, heard, object, object)

@@ -17,8 +17,9 @@ class Allocation:
 
         p_i(y) = min f_i(x) + M rho   s.t.  g_i(x) <= y + rho 1 : mu,   x in X_i,   rho >= 0
 
-    M: `penalty`, more than the sum of the prices that the team will agree on.
-    Raises SolverError where f_i has no minimum on X_i, or X_i is empty.
+    problem: f_i, g_i and X_i
+    penalty: M, larger than the sum of the prices on which the team will agree
+    Raises SolverError if f_i has no minimum on X_i, or if X_i is empty.
     """
 
     def __init__(self, problem: ConstraintCoupled, penalty: float) -> None:
@@ -34,14 +35,16 @@ class Allocation:
         self._rho = rho
 
     def allocate(self, y: Vec) -> Allocated:
-        """p_i(y) and its prices. y: (S,)."""
+        """Return p_i(y) and its prices.
+
+        y: (S,)
+        """
         problem = self._problem
         self._y.value = y
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter(
-                    "ignore"
-                )  # an inaccurate answer is in the status, which is looked at
+                # An inaccurate answer shows in the status, which is checked below.
+                warnings.simplefilter("ignore")
                 self._program.solve(solver=cp.CLARABEL, max_iter=MOST_ITERATIONS)
         except cp.SolverError as error:
             raise SolverError(f"{problem.where}: local problem", str(error)) from error

@@ -14,43 +14,77 @@ from crazychoir.optimization.rounds.stopping import Flags
 from crazychoir.types import PerNeighbor, Vec
 
 MOST_PENALTY: Final = 1e5
+"""Largest penalty rho and s."""
 CALM: Final = 5
-"""Times in a row that an agent must find its gradient small: time for the others' last steps to reach it."""
+"""Number of times in a row that an agent must find its gradient small.
+
+In this time the last steps of the other agents can arrive.
+"""
 GROWING: Final = 0.05
-"""Of |nu_ij|, relative to 1 + |nu_ij|: if it changes by more in the last epoch, it has not converged."""
+"""Largest last change of nu_ij, relative to 1 + |nu_ij|, that counts as converged."""
 UNMET: Final = 1e-3
-"""Relative to 1 + |x_k|: with the largest penalty, a constraint that is missed by more is not met in the end."""
+"""Tolerance of a constraint at the largest penalty, relative to 1 + |x_k|.
+
+A constraint that is missed by more will not be met.
+"""
 MOST_STEPS: Final = 5_000
-"""Of an agent, in an epoch."""
+"""Largest number of steps of an agent in an epoch."""
 Heard = tuple[int, bytes, Vec, Vec, float]
+"""Message of a neighbour: epoch, bits of the logical AND, x_j, nu_ji, rho_ji."""
 
 
 class ASYMM:
-    """Asynchronous method of multipliers for  min sum_i f_i(x)  s.t.  h_i(x) = 0, g_i(x) <= 0 for all i.
+    """Asynchronous method of multipliers for a common variable.
 
-    In an epoch, agent i descends on its part of the augmented Lagrangian, a step each time it wakes, with the latest
-    x_j it has heard:
+    It solves min sum_i f_i(x)  s.t.  h_i(x) = 0, g_i(x) <= 0 for all i.
+
+    Time is divided into epochs. In an epoch, agent i minimises its part of the augmented
+    Lagrangian. It makes one step each time it wakes, with the latest x_j of its neighbours:
 
         L_i(x) = f_i(x) + sum_{j in N_i} [ (nu_ij - nu_ji)'x + (rho_ij + rho_ji)/2 |x - x_j|^2 ]
-                 + l_i'h_i(x) + s_i/2 |h_i(x)|^2 + 1/(2 s_i) sum_r [ max(0, m_ir + s_i g_ir(x))^2 - m_ir^2 ]
+                 + l_i'h_i(x) + s_i/2 |h_i(x)|^2
+                 + 1/(2 s_i) sum_r [ max(0, m_ir + s_i g_ir(x))^2 - m_ir^2 ]
 
-    until |grad L_i| <= e. When all agents have been there (a distributed logical and), or a neighbour is in the next
-    epoch, it takes its multipliers there, and waits for the neighbours' own:
+    It stops its steps when |grad L_i| <= e. The epoch ends when all agents have been there (a
+    distributed logical AND), or when a neighbour is in the next epoch. Then the agent computes its
+    multipliers for the next epoch, and waits for those of its neighbours:
 
-        nu_ij <- nu_ij + rho_ij (x_i - x_j),   l_i <- l_i + s_i h_i(x_i),   m_i <- max(0, m_i + s_i g_i(x_i))
+        nu_ij <- nu_ij + rho_ij (x_i - x_j),   l_i <- l_i + s_i h_i(x_i)
+        m_i <- max(0, m_i + s_i g_i(x_i))
 
-    rho_ij and s_i grow, by `growth`, if what they punish has not shrunk to `shrink` of what it was, and is more than e
-    explains; e falls by `sharpen`.
-    After the last epoch nobody steps any more, and a second logical and says when all are there: so nobody is done
-    while another one may still fail.
-    A message says all that is new since the first: lost ones are made up for by any later one. No step size.
-    A static undirected graph. f_i, h_i, g_i: twice differentiable, not necessarily convex: x is a local minimum.
-    neighbors: N_i;  diameter: of the graph;  x: (n,) the start;  epochs: until done;  penalty: the first rho and s;
-    tolerance: the first e;  epoch: the present one;  nu, rho: by neighbour;  l, m: multipliers of h_i and g_i.
-    Raises ConfigError, SolverError: a function of a wrong shape, or that is not finite; and SolverError where nu_ij,
-    l_i or m_i changes by more than GROWING in the last epoch, as where no x meets the constraints of all, and where
-    |grad L_i| is not small after MOST_STEPS steps of an epoch, as where L_i has no minimum.
-    Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a Newton step.
+    rho_ij and s_i grow by the factor `growth` if the violation they penalise has not fallen to
+    `shrink` of its last value and is larger than e explains. e falls by the factor `sharpen`.
+    After the last epoch no agent makes another step, and a second logical AND tells when all agents
+    have ended. So no agent is done while another agent may still fail.
+    Each message contains the full state, so a later message replaces all lost ones. There is no
+    step size.
+    The graph is static and undirected. f_i, h_i, g_i are twice differentiable and need not be
+    convex: x is a local minimum.
+
+    i: id of the agent
+    neighbors: N_i
+    diameter: diameter of the graph
+    x: (n,) start
+    objective: f_i
+    equalities: h_i, or None
+    inequalities: g_i, or None
+    epochs: number of epochs until done
+    penalty: first value of rho and s
+    tolerance: first value of e
+    growth: factor of rho and s, above 1
+    shrink: part of the last violation that is small enough, between 0 and 1
+    sharpen: factor of e after each epoch, between 0 and 1
+    epoch: the present epoch
+    nu: multipliers nu_ij by neighbour
+    rho: penalties rho_ij by neighbour
+
+    Raises ConfigError or SolverError if a function has a wrong shape or is not finite.
+    Raises SolverError if nu_ij, l_i or m_i changes by more than GROWING in the last epoch, as when
+    no x meets the constraints of all agents.
+    Raises SolverError if |grad L_i| is not small after MOST_STEPS steps of an epoch, as when L_i
+    has no minimum.
+    Source: Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253; here with a
+    Newton step.
     """
 
     asynchronous = True
@@ -120,11 +154,11 @@ class ASYMM:
 
     @property
     def done(self) -> bool:
-        """Whether the last epoch is over, at all agents."""
+        """True if all agents have ended the last epoch."""
         return self.epoch >= self.epochs and self._flags.agreed
 
     def message(self) -> PerNeighbor:
-        """[epoch, bits of the logical and, x_i, nu_ij, rho_ij] for each neighbour."""
+        """Return [epoch, bits of the logical AND, x_i, nu_ij, rho_ij] for each neighbour."""
         bits = self._flags.message()
         return PerNeighbor(
             {
@@ -134,7 +168,7 @@ class ASYMM:
         )
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take what has come; descend, or take the multipliers to the next epoch, or wait."""
+        """Take the messages; then make a step, enter the next epoch, or wait."""
         self.k += 1
         said = parts(self.i, self.k, heard, INTEGER, bytes, object, object, NUMBER)
         for j, (epoch, bits, x, nu, rho) in said.items():
@@ -160,12 +194,15 @@ class ASYMM:
         self._ascend()
 
     def _is_calm(self) -> bool:
-        """One step, unless the gradient is small; whether it has been for some time."""
+        """Make a step unless the gradient is small.
+
+        Returns True if the gradient has been small for some time.
+        """
         self._calm = 0 if self._descend() else self._calm + 1
         return self._calm >= CALM
 
     def _descend(self) -> bool:
-        """One step, unless the gradient is small; whether x has changed."""
+        """Make a step unless the gradient is small; return True if x has changed."""
         slope = np.zeros_like(self.x)
         pull = 0.0
         centre = np.zeros_like(self.x)
@@ -195,7 +232,7 @@ class ASYMM:
         return self.x is not before
 
     def _ascend(self) -> None:
-        """The multipliers of the next epoch."""
+        """Compute the multipliers of the next epoch."""
         for j, (_, _, x, *_) in self._heard.items():
             self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
             gap = float(np.linalg.norm(self.x - x))
@@ -221,7 +258,17 @@ class ASYMM:
 
 
 class _Own:
-    """f_i with its constraints in an augmented Lagrangian of its own."""
+    """f_i with its constraints in an augmented Lagrangian of its own.
+
+    where: text that names the agent, for errors
+    n: length of x
+    f: objective
+    h: equalities h(x) = 0, or None
+    g: inequalities g(x) <= 0, or None
+    penalty: first value of s
+    l: multipliers of h
+    m: multipliers of g
+    """
 
     def __init__(
         self,
@@ -251,7 +298,10 @@ class _Own:
         return [part.at(x, f"{self._where}: {name}") for name, part in parts]
 
     def value(self, x: Vec) -> float:
-        """f + l'h + s/2 |h|^2 + 1/(2s) sum max(0, m + s g)^2, which differs from L_i by a constant."""
+        """Return f + l'h + s/2 |h|^2 + 1/(2s) sum max(0, m + s g)^2.
+
+        It differs from L_i without the neighbours' terms by a constant.
+        """
         (f, _), (h, _), (g, _) = self._parts(x)
         short = np.maximum(0.0, self.m + self.s * g)
         return float(
@@ -261,7 +311,7 @@ class _Own:
         )
 
     def gradient(self, x: Vec) -> Vec:
-        """grad f + J_h'(l + s h) + J_g' max(0, m + s g)."""
+        """Return grad f + J_h'(l + s h) + J_g' max(0, m + s g)."""
         (_, df), (h, dh), (g, dg) = self._parts(x)
         total: Vec = (
             df[0]
@@ -271,7 +321,10 @@ class _Own:
         return total
 
     def require_met(self, x: Vec, epochs: int) -> None:
-        """Raise SolverError where the last epoch changes the multipliers by much, or leaves a constraint unmet."""
+        """Check the constraints and multipliers in the last epoch.
+
+        Raises SolverError if the multipliers still change by much, or if a constraint is not met.
+        """
         (_, _), (h, _), (g, _) = self._parts(x)
         m = np.maximum(0.0, self.m + self.s * g)
         for name, missed, multipliers in (
@@ -292,7 +345,7 @@ class _Own:
                 raise SolverError(f"{self._where}: {found}, at x = {x.tolist()}", why)
 
     def ascend(self, x: Vec, growth: float, shrink: float, tolerance: float) -> None:
-        """l, m, and s if the constraints are missed by as much as before."""
+        """Compute l and m, and raise s if the violation has not fallen."""
         (_, _), (h, _), (g, _) = self._parts(x)
         m = np.maximum(0.0, self.m + self.s * g)
         missed = float(np.linalg.norm(np.concatenate([h, (m - self.m) / self.s])))

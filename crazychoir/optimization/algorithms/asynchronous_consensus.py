@@ -1,4 +1,4 @@
-"""Consensus of agents that wake when they do, and lose messages."""
+"""Consensus of agents that wake at different times and lose messages."""
 
 from collections.abc import Mapping
 
@@ -11,13 +11,19 @@ from crazychoir.types import Vec
 
 
 class AsynchronousConsensus(Iteration):
-    """Consensus with the latest that has been heard of each neighbour, however old.
+    """Consensus with the latest message of each neighbour, however old it is.
 
         x_i <- w_ii x_i + sum_{j heard} w_ij x_j(latest) + (sum_{j not heard yet} w_ij) x_i
 
-    x: any shape, the same at all agents;  weights: row i, of sum one, none negative, its own above 0. All agree, on a
-    value between those of the start; it is their mean only if all are in step. No step size.
-    Source: Bertsekas & Tsitsiklis 1989, Parallel and Distributed Computation, section 7.3 (agreement); Tsitsiklis 1984.
+    All agents agree on a value between those of the start. It is the mean only if all agents are in
+    step. There is no step size.
+
+    i: id of the agent
+    x: start, any shape, the same shape at all agents
+    weights: row i, of sum one, no entry negative, the agent's own entry above 0
+    rounds: number of rounds until done; None for no end
+    Source: Bertsekas & Tsitsiklis 1989, Parallel and Distributed Computation, section 7.3
+    (agreement); Tsitsiklis 1984.
     """
 
     asynchronous = True
@@ -37,11 +43,11 @@ class AsynchronousConsensus(Iteration):
             )
 
     def message(self) -> Vec:
-        """x_i."""
+        """Return x_i."""
         return self.x
 
     def update(self, heard: Mapping[int, Vec]) -> None:
-        """Average with those heard."""
+        """Average with the neighbours that have been heard."""
         row = self.weights[0]
         x = self.x
         moved = 0.0 * x

@@ -1,15 +1,20 @@
-"""Running averages: what is primal feasible, or converges, where the iterates do not."""
+"""Running averages.
+
+They are primal feasible, or converge, where the iterates do not.
+"""
 
 from crazychoir.errors import ConfigError
 from crazychoir.types import Vec
 
 
 class RunningAverage:
-    """The average of what it is given, weighted.
+    """The weighted average of all values so far.
 
-        s_k = s_(k-1) + a_k,   y_k = y_(k-1) + (a_k / s_k) (x_k - y_(k-1)),   so y_k = sum a_t x_t / sum a_t
+        s_k = s_(k-1) + a_k,   y_k = y_(k-1) + (a_k / s_k) (x_k - y_(k-1))
+        so that y_k = sum a_t x_t / sum a_t
 
-    value: y;  weight: s.
+    value: y
+    weight: s
     """
 
     def __init__(self) -> None:
@@ -17,7 +22,7 @@ class RunningAverage:
         self.value: Vec | None = None
 
     def add(self, x: Vec, a: float = 1.0) -> Vec:
-        """Take x with weight a > 0; returns the average."""
+        """Add x with weight a > 0, and return the average."""
         if not a > 0.0:
             raise ConfigError("running average: weight", a, "above 0")
         self.weight += a

@@ -14,15 +14,28 @@ from crazychoir.types import Vec
 
 
 class BlockConsensus(Mixing):
-    """Consensus where each agent, if it is awake, averages one block and tells its neighbours that block alone.
+    """Consensus on one block at a time.
 
-        x_i[l] <- sum_j w_ij x_j|i[l],   l = the block that i draws,   x_j|i = what i has heard last of j's x
+    In each round an agent that is awake averages one block and sends its neighbours that block
+    alone:
 
-    In the first round all of x travels, later blocks only; an agent that sleeps sends None.
-    blocks: lengths of consecutive blocks of the vector x;  chances: of each, None: equal;  awake: probability a round;
-    weights: row i, of sum one;  seed: of the draws. x_i is agreed upon, and lies between the x of the start; it is in
-    general not their mean, as an agent may use a block before those that it has given it to do. No step size.
-    The graph is static.  Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed
+        x_i[l] <- sum_j w_ij x_j|i[l]
+        l = the block that i draws,   x_j|i = the last x_j known to i
+
+    All of x travels in the first round, and only blocks in later rounds. An agent that sleeps sends
+    None. The graph is static. There is no step size.
+    All agents agree on a value between those of the start. In general it is not their mean, because
+    an agent may use a block before its neighbours have used the one it sent.
+
+    i: id of the agent
+    x: start, a vector
+    weights: row i, of sum one
+    blocks: lengths of the consecutive blocks of x
+    chances: probability of each block; None for equal ones
+    awake: probability that the agent is awake in a round
+    rounds: number of rounds until done; None for no end
+    seed: seed of the draws
+    Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed
     stochastic big-data optimization", IEEE Trans. Autom. Control, without its gradient.
     """
 
@@ -52,7 +65,10 @@ class BlockConsensus(Mixing):
         self._changed: int | None = None
 
     def payload(self) -> Any:
-        """[l, x_i[l]]: the block that has changed; all in the first round; None if it slept."""
+        """Return [l, x_i[l]], the block that has changed.
+
+        In the first round return all of x, and None if the agent slept.
+        """
         if self.k == 0:
             return self.x
         return (
@@ -62,7 +78,7 @@ class BlockConsensus(Mixing):
         )
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
-        """Remember what was heard; change a block."""
+        """Store the messages, then change a block."""
         require_heard(self.i, row, heard)
         for j, message in heard.items():
             self._remember(j, message)
@@ -74,18 +90,18 @@ class BlockConsensus(Mixing):
             self.x = x
 
     def changed(self, row: Row, part: slice) -> Vec:
-        """The new block of x."""
+        """Return the new block of x."""
         return self.mixed(row, part)
 
     def mixed(self, row: Row, part: slice) -> Vec:
-        """sum_j w_ij x_j|i, this part of it."""
+        """Return sum_j w_ij x_j|i, this part of it."""
         mixed = row[self.i] * self.x[part]
         for j in self._known:
             mixed += row[j] * self._known[j][part]
         return mixed
 
     def _remember(self, j: int, message: Any) -> None:
-        """The neighbour's x, or its block."""
+        """Store the x of a neighbour, or its block."""
         if message is None:
             return
         if not isinstance(message, list):

@@ -17,16 +17,21 @@ from crazychoir.types import Vec
 
 
 class BlockSubgradientMethod(BlockConsensus):
-    """Block-wise projected sub-gradient method: min sum_i f_i(x), x in X, where x is large.
+    """Block-wise projected sub-gradient method for  min sum_i f_i(x), x in X,  where x is large.
 
-        v_i = sum_j w_ij x_j|i,   x_i[l] <- P_X(v_i - a_k g_i(v_i))[l],   l = the block that i draws, if it is awake
+        v_i = sum_j w_ij x_j|i,   x_i[l] <- P_X(v_i - a_k g_i(v_i))[l]
+        l = the block that i draws, if it is awake
 
-    Blocks, what travels and x_j|i as in BlockConsensus; the weights are doubly stochastic.
-    gradient: g_i of the whole x, a sub-gradient of f_i or a stochastic one, see `Samples`;  project: P_X of a set that
-    is a product of sets of the blocks, such as a box;  step: a_k, the same at all agents; Diminishing(a, p) with
-    1/2 < p <= 1 converges to an optimum (in expectation), a constant one to a neighbourhood of it.
-    Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed stochastic big-data
-    optimization", IEEE Trans. Autom. Control.
+    The blocks, the messages and x_j|i are those of BlockConsensus. The weights are doubly
+    stochastic.
+
+    gradient: g_i of the whole x, a sub-gradient of f_i or a stochastic one, see `Samples`
+    step: a_k, the same at all agents. Diminishing(a, p) with 1/2 < p <= 1 converges to an optimum
+        (in expectation), a constant step to a neighbourhood of it
+    project: P_X, where X is a product of sets of the blocks, such as a box
+    i, x, weights, blocks, chances, awake, rounds, seed: see BlockConsensus
+    Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed
+    stochastic big-data optimization", IEEE Trans. Autom. Control.
     """
 
     doubly_stochastic = True
@@ -52,7 +57,7 @@ class BlockSubgradientMethod(BlockConsensus):
         self.step_size = step_size(step)
 
     def changed(self, row: Row, part: slice) -> Vec:
-        """The block, averaged and moved down."""
+        """Return the block, averaged and moved along the negative gradient."""
         v = self.mixed(row, slice(None))
         moved = v - self.step_size(self.k) * self.gradient(self.k, v)
         return self.project(self.k, moved)[part]

@@ -14,11 +14,17 @@ class Consensus(Mixing):
 
         x_i <- sum_j w_ij(k) x_j
 
-    x: any shape, the same at all agents;  weights: row i, which sums to one, or one for each graph of a sequence.
-    Doubly stochastic rows lead to the mean of all x; row-stochastic ones, on a static graph, to sum_i pi_i x_i with
-    pi' W = pi', pi' 1 = 1. No step size.
-    Raises ConfigError: a row that does not sum to one, or does not fit who is heard; an x that is not finite.
-    Source: Olfati-Saber, Fax & Murray 2007, Proc. IEEE 95(1), 215-233; Xiao & Boyd 2004, Syst. Control Lett. 53, 65-78.
+    Doubly stochastic rows lead to the mean of all x. Row-stochastic rows, on a static graph, lead
+    to sum_i pi_i x_i with pi' W = pi', pi' 1 = 1. There is no step size.
+
+    i: id of the agent
+    x: start, any shape, the same shape at all agents
+    weights: row i, which sums to one, or one row for each graph of a sequence
+    rounds: number of rounds until done; None for no end
+    Raises ConfigError if a row does not sum to one or does not match the agents that are heard, or
+    if x is not finite.
+    Source: Olfati-Saber, Fax & Murray 2007, Proc. IEEE 95(1), 215-233; Xiao & Boyd 2004, Syst.
+    Control Lett. 53, 65-78.
     """
 
     doubly_stochastic = False
@@ -30,9 +36,9 @@ class Consensus(Mixing):
         self.x = vector(f"agent {i}: x", x)
 
     def payload(self) -> Vec:
-        """x_i."""
+        """Return x_i."""
         return self.x
 
     def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
-        """Average."""
+        """Average with the neighbours."""
         self.x = mix(self.i, row, self.x, heard)

@@ -1,4 +1,7 @@
-"""Constraints consensus: agents exchange the few constraints that matter, and agree in finite time."""
+"""Constraints consensus: agents exchange the constraints that matter.
+
+They agree in finite time.
+"""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -19,33 +22,47 @@ from crazychoir.optimization.rounds.messages import INTEGER, parts
 from crazychoir.types import Mat, Vec
 
 TOLERANCE: Final = 1e-7
-"""What a row a'x <= b with |a| = 1 may be missed by, relative to its own terms, |a|'|x| + |b|, and to 1 + |b|."""
+"""Tolerance of a row a'x <= b with |a| = 1.
+
+It is relative to the row's own terms, |a|'|x| + |b|, and to 1 + |b|.
+"""
 NEGLIGIBLE: Final = 1e-12
-"""In the units of x: a row that is missed by less is met, whatever its terms are."""
+"""In the units of x: a row that is missed by less counts as met, whatever its terms are."""
 TIE: Final = 1e-5
-"""Weight of 1/2 |x|^2 beside a linear objective of length one."""
+"""Weight of the tie-break 1/2 |x|^2 beside a linear objective of length one."""
 CERTAIN: Final = 1e-8
-"""What multipliers may leave of an entry of the gradient, relative to its own terms."""
+"""Largest part of a gradient entry without multipliers, relative to the entry's own terms."""
 BATCH: Final = 4
-"""Violated rows that the local solution takes in at a time, in dimensions of x."""
+"""Violated rows that a local solution takes in at once, in multiples of the size of x."""
 
 
 class ConstraintsConsensus(Iteration):
-    """Finite-time solution of  min f(x)  s.t.  x in the intersection of the X_i, by bases of active constraints.
+    """Finite-time solution of  min f(x)  s.t.  x in the intersection of the X_i.
+
+    Agents exchange bases of active constraints:
 
         B_i <- basis of  min f(x)  s.t.  x in X_i, and the rows of B_i and of B_j for all j heard
 
-    A basis is the rows a'x <= b of an optimum that have a positive multiplier, at most n; it is all that travels.
-    f(x_i) never falls, and where no x_i violates what its agent hears, all are the optimum of the team's problem.
-    Static or time-varying graphs, directed too, (jointly, strongly) connected. No step size.
-    f is strictly convex quadratic; to one that is not, as a linear one, TIE |x|^2 / 2 is added, with f scaled to length
-    one: it makes the optimum unique, the one closest to 0. In the last round each checks, by the multipliers of f
-    alone, that TIE has not moved it: that it is small beside them.
-    diameter: D of a static graph: all are done in the same round, 2 D after the last change, as each counts the rounds
-    since the last change that it has heard of;  rounds: at most, or where no diameter is given.
-    x: (n,);  basis: (m, n + 1), rows [a', b] with |a| = 1;  unchanged: that count.
-    Raises SolverError as soon as an agent knows constraints that exclude each other, and, in the last round, where f
-    has no minimum, or TIE has moved it.
+    A basis consists of the rows a'x <= b of an optimum that have a positive multiplier, at most n.
+    Only bases travel. f(x_i) never falls. When no x_i violates a row that its agent receives, all
+    x_i are the optimum of the team's problem.
+    The graph is static or time-varying, directed or not, and (jointly, strongly) connected. There
+    is no step size.
+    f is strictly convex quadratic. If f is not strictly convex, for example linear, f is scaled to
+    length one and TIE |x|^2 / 2 is added. The tie-break makes the optimum unique: the point nearest
+    to 0. In the last round each agent checks, by the multipliers of f alone, that TIE has not moved
+    the optimum.
+    Each agent counts the rounds since the last change that it knows of. With a diameter D all
+    agents are done in the same round, 2 D after the last change.
+
+    problem: f and X_i
+    diameter: D of a static graph, or None
+    rounds: largest number of rounds; needed without a diameter
+    x: (n,) the optimum of all rows known so far
+    basis: (m, n + 1), rows [a', b] with |a| = 1
+    unchanged: number of rounds since the last known change
+    Raises SolverError as soon as an agent knows constraints that exclude each other. In the last
+    round, raises SolverError if f has no minimum, or if TIE has moved it.
     Source: Notarstefano & Bullo 2011, IEEE Trans. Autom. Control 56(10), 2247-2261.
     """
 
@@ -75,20 +92,23 @@ class ConstraintsConsensus(Iteration):
 
     @property
     def done(self) -> bool:
-        """Whether nothing has changed anywhere for long enough, or the rounds are over."""
+        """True if no agent has changed for long enough, or if the rounds are over."""
         return (
             self.diameter is not None and self.unchanged >= max(1, 2 * self.diameter)
         ) or super().done
 
     def message(self) -> list[Any]:
-        """[rounds without a change, basis]."""
+        """Return [rounds without a change, basis]."""
         if self.k == 0:
             self._take(self.basis)
             self._improve(self._own)
         return [self.unchanged, self.basis]
 
     def update(self, heard: Mapping[int, Any]) -> None:
-        """Take the others' bases; if x violates one of their rows, find the new optimum and its basis."""
+        """Take the bases of the neighbours.
+
+        If x violates one of their rows, find the new optimum and its basis.
+        """
         for j, (_, basis) in parts(self.i, self.k, heard, INTEGER, object).items():
             if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != self.basis.shape[1]:
                 allowed = f"(m, {self.basis.shape[1]}), as its own"
@@ -104,16 +124,20 @@ class ConstraintsConsensus(Iteration):
         self.unchanged = 0 if changed else fewest + 1
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """A round; after the last, whether f itself is least at x."""
+        """Compute one round; after the last one, check that the tie-break did not move x."""
         super().step(heard)
         if self.done and self._flat:
             self._require_least()
 
     def _require_least(self) -> None:
-        """Of f without the tie-break: -grad f(x) = A'u over the basis, with some u >= 0."""
+        """Raise SolverError unless x minimises f without the tie-break.
+
+        The condition is -grad f(x) = A'u over the basis, with some u >= 0.
+        """
         pull = self._q + self._P @ self.x - TIE * self.x
         rows = self.basis[:, :-1]
-        # Each entry in its own unit: beside a large one a small one, of an x in small units, would not be seen.
+        # Each entry is measured in its own unit. Otherwise a small entry, of an x in small units,
+        # would vanish beside a large one.
         unit = np.abs(self._q) + np.abs(self._P) @ np.abs(self.x)
         unit = np.where(
             unit > 0.0, unit, np.maximum(np.abs(rows).max(axis=0, initial=0.0), CERTAIN)
@@ -133,7 +157,7 @@ class ConstraintsConsensus(Iteration):
             )
 
     def _improve(self, rows: Mat) -> bool:
-        """Take in what x violates of the rows until it violates nothing; whether it did."""
+        """Take in violated rows until x violates none; return True if there were any."""
         steps = 0
         while len(worst := self._violated(rows)):
             steps += 1
@@ -147,7 +171,7 @@ class ConstraintsConsensus(Iteration):
         return steps > 0
 
     def _violated(self, rows: Mat) -> Mat:
-        """The worst of the rows that x violates."""
+        """Return the rows that x violates most."""
         a = rows[:, :-1]
         b = rows[:, -1]
         terms = np.minimum(np.abs(a) @ np.abs(self.x), 1.0) + np.abs(b)
@@ -156,7 +180,7 @@ class ConstraintsConsensus(Iteration):
         return np.asarray(rows[worst[excess[worst] > 0.0]])
 
     def _take(self, rows: Mat) -> None:
-        """The optimum over these rows, and its basis."""
+        """Find the optimum over these rows, and its basis."""
         n = self.problem.n
         over = Polyhedron(
             np.ascontiguousarray(rows[:, :-1]),
@@ -174,7 +198,10 @@ class ConstraintsConsensus(Iteration):
         self.x = self._corner(found)
 
     def _corner(self, near: Vec) -> Vec:
-        """x from its basis alone: P x + A'u + q = 0, A x = b; free of the rounding of a far start."""
+        """Return x computed from its basis alone: P x + A'u + q = 0, A x = b.
+
+        This removes the rounding of a start that is far away.
+        """
         A = self.basis[:, :-1]
         b = self.basis[:, -1]
         if not len(b):
@@ -186,14 +213,16 @@ class ConstraintsConsensus(Iteration):
         return np.ascontiguousarray(both[: self.problem.n])
 
     def _why(self, status: str, rows: Mat) -> str:
-        """Of rows that exclude each other, the one that is missed when all together are missed by the least."""
+        """Explain a status. If rows exclude each other, name the row with the largest violation.
+
+        The violations are those of the x with the least sum of violations.
+        """
         if status != "infeasible":
             return status
         m = len(rows)
         n = self.problem.n
-        size = (
-            float(np.abs(rows[:, -1]).max()) or 1.0
-        )  # the tolerances of HiGHS are those of numbers near 1
+        # Scale to numbers near 1, where the tolerances of HiGHS apply.
+        size = float(np.abs(rows[:, -1]).max()) or 1.0
         elastic = np.hstack([rows[:, :-1], -np.eye(m)]), rows[:, -1] / size
         bounds = np.r_[np.full(n, -np.inf), np.zeros(m)], np.full(n + m, np.inf)
         missed = LinearProgram(
@@ -207,7 +236,7 @@ class ConstraintsConsensus(Iteration):
 
 
 def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:
-    """P and q of f, with the tie-break where it needs one, and whether it does."""
+    """Return P and q of f, with a tie-break if f needs one, and whether it does."""
     form = problem.cost
     try:
         return positive(form.P), form.q, False
@@ -217,7 +246,7 @@ def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:
 
 
 def _inequalities(problem: CommonCost) -> Mat:
-    """X_i as rows [a', b]; an equality as two of them."""
+    """Return X_i as rows [a', b]; an equality becomes two rows."""
     over = problem.polyhedron
     equal = np.column_stack([over.E, over.e])
     return np.vstack([np.column_stack([over.A, over.b]), equal, -equal])

@@ -1,4 +1,7 @@
-"""The convex hull of an agent's mixed-integer set, as far as prices need it: by column generation."""
+"""The convex hull of an agent's mixed-integer set, by column generation.
+
+Only the corners that matter at the prices are computed.
+"""
 
 import highspy
 import numpy as np
@@ -13,8 +16,9 @@ from crazychoir.optimization.problems.mixed_integer import (
 from crazychoir.types import Vec
 
 GAP = 1e-9
-"""Of the value, relative: where column generation ends."""
+"""Relative gap of the value at which column generation ends."""
 MOST_CORNERS = 10_000
+"""Largest number of corners in one solve."""
 ACTIVE = 1e-7
 """A weight above this is not zero."""
 
@@ -23,14 +27,18 @@ class Convexified:
     """The local problem of primal decomposition over conv(X_i).
 
         p_i(y) = min  c'x + M rho   s.t.  A x <= y + rho 1 : mu,   x in conv(X_i),   rho >= 0
-               = min  sum_k l_k c'v_k + M rho   s.t.  sum_k l_k A v_k <= y + rho 1,   sum_k l_k = 1,   l >= 0
+               = min  sum_k l_k c'v_k + M rho   s.t.  sum_k l_k A v_k <= y + rho 1,
+                 sum_k l_k = 1,   l >= 0
 
-    v_k are corners of conv(X_i); those that matter are found at the prices: v = argmin (c + A'mu)'v over X_i, a small
-    mixed-integer program. Corners are kept, and the master program stays warm, from one y to the next.
-    active: (K, n), the corners with a weight at the last y, K <= S + 1.
-    M: `penalty`, more than the sum of the prices that the team will agree on.
-    Source: Camisa, Notarnicola & Notarstefano 2022, IEEE TAC 67(1), 413-420 (arXiv 2010.14446), problem (7) there;
-    Dantzig & Wolfe 1960.
+    v_k are the corners of conv(X_i). The prices tell which corners matter:
+    v = argmin (c + A'mu)'v over X_i, a small mixed-integer program. From one y to the next the
+    corners are kept, and the master program starts from its last solution.
+
+    block: the agent's part of the program
+    penalty: M, larger than the sum of the prices on which the team will agree
+    active: (K, n), the corners with a weight at the last y, K <= S + 1
+    Source: Camisa, Notarnicola & Notarstefano 2022, IEEE TAC 67(1), 413-420 (arXiv 2010.14446),
+    problem (7) there; Dantzig & Wolfe 1960.
     """
 
     def __init__(self, block: MixedIntegerBlock, penalty: float) -> None:
@@ -49,7 +57,10 @@ class Convexified:
         self._add(block.corner(block.c))
 
     def allocate(self, y: Vec) -> Allocated:
-        """p_i(y) and its prices. y: (S,)."""
+        """Return p_i(y) and its prices.
+
+        y: (S,)
+        """
         for s, most in enumerate(y):
             self._highs.changeRowBounds(s, -highspy.kHighsInf, float(most))
         block = self._block
@@ -71,7 +82,10 @@ class Convexified:
         )
 
     def _known(self, corner: Vec) -> bool:
-        """One that is there already, and still seems to gain, is within the tolerance of HiGHS."""
+        """Return True if the corner is there already.
+
+        If such a corner still seems to gain, the gain is within the tolerance of HiGHS.
+        """
         return bool(
             (np.abs(self._corners - corner) <= GAP * (1.0 + np.abs(corner)))
             .all(axis=1)

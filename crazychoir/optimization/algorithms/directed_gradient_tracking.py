@@ -14,19 +14,29 @@ from crazychoir.types import PerNeighbor, Vec
 
 
 class DirectedGradientTracking(Iteration):
-    """Push-pull gradient tracking for a common variable on a directed graph: min sum_i f_i(x), f_i smooth.
+    """Push-pull gradient tracking for a common variable on a directed graph.
+
+    It solves min sum_i f_i(x), f_i smooth:
 
         x_i(k+1) = sum_j a_ij (x_j(k) - a_k d_j(k))
-        d_i(k+1) = sum_j b_ij d_j(k) + grad f_i(x_i(k+1)) - grad f_i(x_i(k)),   d_i(0) = grad f_i(x_i(0))
+        d_i(k+1) = sum_j b_ij d_j(k) + grad f_i(x_i(k+1)) - grad f_i(x_i(k))
+        d_i(0) = grad f_i(x_i(0))
 
-    x: any shape, the same at all agents;  weights: row i of A, which is row-stochastic;  shares: column i of B, which
-    is column-stochastic, {j: b_ji}: what i gives of its d to those who hear it, and keeps. Both for one graph, or one
-    for each of a sequence: `rows(graph, row_stochastic)`, `columns(graph, column_stochastic)`. What travels from i to j
-    is [x_i - a_k d_i, b_ji d_i].
-    gradient: grad f_i;  step: a_k, best constant and the same at all agents; f_i strongly convex and smooth: linear
-    convergence if it is small enough.
-    Source: Pu, Shi, Xu & Nedic 2021, IEEE Trans. Autom. Control 66(1), 1-16 (push-pull); Xin & Khan 2018, IEEE Control
-    Syst. Lett. 2(3), 315-320 (AB).
+    The message from i to j is [x_i - a_k d_i, b_ji d_i].
+    With f_i strongly convex and smooth, convergence is linear if the step is small enough.
+
+    i: id of the agent
+    x: start, any shape, the same shape at all agents
+    weights: row i of A, which is row-stochastic, such as `rows(graph, row_stochastic)`
+    shares: column i of B, which is column-stochastic, {j: b_ji}: how much of its d agent i gives to
+        each agent that hears it, and how much it keeps, such as `columns(graph, column_stochastic)`
+    gradient: grad f_i
+    step: a_k, best constant and the same at all agents
+    rounds: number of rounds until done; None for no end
+
+    weights and shares are for one graph, or a sequence with one for each graph of a sequence.
+    Source: Pu, Shi, Xu & Nedic 2021, IEEE Trans. Autom. Control 66(1), 1-16 (push-pull);
+    Xin & Khan 2018, IEEE Control Syst. Lett. 2(3), 315-320 (AB).
     """
 
     connected = True
@@ -54,7 +64,7 @@ class DirectedGradientTracking(Iteration):
         self.g = self.d = self.gradient(0, self.x)
 
     def message(self) -> PerNeighbor:
-        """[x_i - a_k d_i, b_ji d_i] for each j."""
+        """Return [x_i - a_k d_i, b_ji d_i] for each j."""
         share = self.shares[self.k % len(self.shares)]
         moved = self._moved()
         return PerNeighbor(
@@ -65,7 +75,7 @@ class DirectedGradientTracking(Iteration):
         return self.x - self.step_size(self.k) * self.d
 
     def update(self, heard: Mapping[int, Any]) -> None:
-        """Pull x, push d."""
+        """Pull x and push d."""
         row = self.weights[self.k % len(self.weights)]
         parts(self.i, self.k, heard, object, object)
         x = mix(

@@ -17,14 +17,23 @@ class GradientTracking(Mixing):
     """Gradient tracking for a common variable: min sum_i f_i(x), f_i smooth.
 
         x_i(k+1) = sum_j w_ij x_j(k) - a_k d_i(k)
-        d_i(k+1) = sum_j w_ij d_j(k) + grad f_i(x_i(k+1)) - grad f_i(x_i(k)),   d_i(0) = grad f_i(x_i(0))
+        d_i(k+1) = sum_j w_ij d_j(k) + grad f_i(x_i(k+1)) - grad f_i(x_i(k))
+        d_i(0) = grad f_i(x_i(0))
 
-    d_i tracks the mean of all gradients: sum_i d_i(k) = sum_i grad f_i(x_i(k)). One message of [x_i, d_i] a round.
-    x: any shape, the same at all agents;  weights: row i, doubly stochastic, or one for each graph of a sequence;
-    gradient: grad f_i;  step: a_k, best constant: with f_i strongly convex and L-smooth it converges linearly if small
-    enough, of the order of (1 - s)^2 / L with s the second largest singular value of W. Raises ConfigError where the
-    step is so large that x diverges to what is not finite.
-    Source: Qu & Li 2018, IEEE Trans. Control Netw. Syst. 5(3), 1245-1260; Nedic, Olshevsky & Shi 2017, SIAM J. Optim.
+    d_i tracks the mean of all gradients: sum_i d_i(k) = sum_i grad f_i(x_i(k)). One message of
+    [x_i, d_i] travels in each round.
+
+    i: id of the agent
+    x: start, any shape, the same shape at all agents
+    weights: row i, doubly stochastic, or one row for each graph of a sequence
+    gradient: grad f_i
+    step: a_k, best constant. With f_i strongly convex and L-smooth, convergence is linear if the
+        step is small enough: of the order of (1 - s)^2 / L, with s the second largest singular
+        value of W
+    rounds: number of rounds until done; None for no end
+    Raises ConfigError if the step is so large that x diverges to numbers that are not finite.
+    Source: Qu & Li 2018, IEEE Trans. Control Netw. Syst. 5(3), 1245-1260; Nedic, Olshevsky & Shi
+    2017, SIAM J. Optim.
     """
 
     def __init__(
@@ -45,11 +54,11 @@ class GradientTracking(Mixing):
         self.g = self.d = self.gradient(0, self.x)
 
     def payload(self) -> list[Vec]:
-        """[x_i, d_i]."""
+        """Return [x_i, d_i]."""
         return [self.x, self.d]
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
-        """Average, move along the tracked gradient, track on."""
+        """Average, move along the tracked gradient, and update the tracked gradient."""
         parts(self.i, self.k, heard, object, object)
         x = (
             mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()})

@@ -11,14 +11,18 @@ from crazychoir.types import Vec
 
 
 class MaxConsensus(Iteration):
-    """Greatest value of all agents, entry by entry, in as many rounds as the diameter D.
+    """The greatest value of all agents, entry by entry, in D rounds.
 
-        x_i <- max_j x_j   over i itself and those it hears
+        x_i <- max_j x_j   over i itself and the agents it hears
 
-    diameter: of the connected graph, D, or of a sequence of graphs the rounds of a flood.  No weights, no step size;
-    the least value is that of -x. All agents are done after D rounds, with the same x to the last bit.
-    Where D is not known but a bound on it is too large to wait for, `Until(MaxConsensus(...), Settled(0.0, D), D)` ends
-    at once when nothing has changed.
+    All agents are done after D rounds, with the same x to the last bit. There are no weights and no
+    step size. For the least value, use -x.
+    If D is unknown and a bound on it is too large to wait for,
+    `Until(MaxConsensus(...), Settled(0.0, D), D)` ends as soon as nothing has changed.
+
+    i: id of the agent
+    x: start
+    diameter: D, the diameter of the connected graph, or the rounds of a flood of a graph sequence
     Source: Nejad, Attia & Raisch 2009, "Max-consensus in a max-plus algebraic setting", ICAT.
     """
 
@@ -30,11 +34,11 @@ class MaxConsensus(Iteration):
         self.x = vector(f"agent {i}: x", x)
 
     def message(self) -> Vec:
-        """x_i."""
+        """Return x_i."""
         return self.x
 
     def update(self, heard: Mapping[int, Vec]) -> None:
-        """The greatest of those heard."""
+        """Take the greatest of all values heard."""
         x = self.x
         for j, other in heard.items():
             x = np.maximum(x, like(self.i, j, other, x))

@@ -1,4 +1,7 @@
-"""Primal decomposition for mixed-integer linear programs: prices first, then a feasible solution in finite time."""
+"""Primal decomposition for mixed-integer linear programs.
+
+It finds prices first, then a feasible solution in finite time.
+"""
 
 import math
 from dataclasses import dataclass
@@ -27,54 +30,72 @@ from crazychoir.optimization.rounds.step_size import StepSize
 from crazychoir.types import Vec
 
 PASSES = 20
-"""Of asking for options at new prices, and of varying what was chosen, at most."""
+"""Largest number of times that agents ask for options at new prices, or vary their choice."""
 VARIATIONS = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)
-"""More or less of the resources, in parts of an agent's equal share."""
+"""Changes of the resources that are tried, in parts of an agent's equal share."""
 WORTH = 1e-9
-"""What an improvement must save, relative to 1 + |cost|."""
+"""Least saving of an improvement, relative to 1 + |cost|."""
 
 
 @dataclass(frozen=True)
 class MixedIntegerSolution:
-    """What one agent knows of the team's solution.
-
-    x: (n_i,) own part;  cost: of all agents;  left: (S,) of the resources, negative by no more than a solver's
-    tolerance, SLACK (1 + |b|);  lower_bound: no solution costs less, sum_i min over X_i of (c_i + A_i'pi)'x - pi'b,
-    -inf if the agents' pi were not the same. It is at most cost - pi'left, but for rounding: where a resource is
-    exceeded within the tolerance, that may be above the cost by what the excess is worth;
-    restricted: whether the resources had to be tightened;
-    rounds: in all.
-    """
+    """The solution of the team, as one agent knows it."""
 
     x: Vec
+    """(n_i,) the agent's own part."""
     cost: float
+    """Cost of all agents."""
     left: Vec
+    """(S,) what is left of the resources.
+
+    It is negative by no more than the tolerance of a solver, SLACK (1 + |b|).
+    """
     lower_bound: float
+    """Lower bound of the cost of all solutions.
+
+    It is sum_i min over X_i of (c_i + A_i'pi)'x - pi'b, or -inf if the agents' pi differed. Except
+    for rounding it is at most cost - pi'left. If a resource is exceeded within the tolerance, the bound
+    may be above the cost by the value of the excess.
+    """
     restricted: bool
+    """True if the resources had to be tightened."""
     rounds: int
+    """Number of rounds in all."""
 
 
 class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
-    """Agent i's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i,  some x_i integer.
+    """Agent i's part of a mixed-integer linear program with common resources.
 
-    1. `rounds` rounds of PrimalDecomposition over conv(X_i): allocations y_i.
-    2. x_i = argmin c_i'x over X_i with A_i x <= y_i + v, the sum of v as small as can be: an option, for each of the
-       last `options` allocations; others are the corners of conv(X_i) that gave p_i, and those that are best at the
-       prices pi of the cheapest mixture of all options. All hear the cost and the use A_i x of all options, and agree
-       on the best choice of one an agent.
-    3. While somebody can gain from what is left of the resources, or can use less of what is exceeded, who gains the
-       most does so. Then each adds options with somewhat more and less of the resources than it uses, and all agree on
-       a choice again, until that gains nothing.
-    4. If a resource is exceeded still: again from 1, tightened by the paper's restriction, with which 2 is feasible
-       after finitely many rounds:
+        min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i,  some x_i integer
+
+    The method has four stages:
+
+    1. `rounds` rounds of PrimalDecomposition over conv(X_i) give allocations y_i.
+    2. Each agent computes options. For each of the last `options` allocations, an option is
+       x_i = argmin c_i'x over X_i with A_i x <= y_i + v, with the least possible sum of v. More
+       options are the corners of conv(X_i) that gave p_i, and the best points at the prices pi of
+       the cheapest mixture of all options. All agents receive the cost and the use A_i x of all
+       options, and agree on the best choice of one option an agent.
+    3. While an agent can save cost with the remaining resources, or can reduce an excess, the agent
+       with the largest gain changes its x_i. Then each agent adds options that use somewhat more or
+       less of the resources, and all agree on a choice again, until that gains nothing.
+    4. If a resource is still exceeded, start again from 1, tightened by the paper's restriction.
+       With it, 2 is feasible after finitely many rounds:
 
            b_i <- b_i - sigma / N,   sigma = S max_i (MixedIntegerBlock.tightening of i)
 
-    block: own part;  weights: doubly stochastic, of a graph that does not change;  agents: N;  diameter: D, of the
-    graph;  step: a_k;  penalty: M of Convexified.
-    Raises, at every agent in the same round, SolverError where a resource is exceeded in the end, and names it.
-    Source: Camisa, Notarnicola & Notarstefano 2022, IEEE TAC 67(1), 413-420 (arXiv 2010.14446), which has stages 1 and
-    4, and 2 with one option an agent.
+    block: the agent's own part
+    weights: row i, doubly stochastic, of a graph that does not change
+    agents: N, the number of agents
+    diameter: D of the graph
+    step: a_k
+    rounds: rounds of PrimalDecomposition in stage 1
+    penalty: M of Convexified
+    options: number of allocations that give options
+    Raises SolverError, at every agent in the same round, that names a resource which is exceeded in
+    the end.
+    Source: Camisa, Notarnicola & Notarstefano 2022, IEEE TAC 67(1), 413-420 (arXiv 2010.14446),
+    which has stages 1 and 4, and 2 with one option an agent.
     """
 
     heavy = True
@@ -120,7 +141,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         super().__init__()
 
     def run(self) -> Exchange[MixedIntegerSolution]:
-        """The stages, without and then with the restriction."""
+        """Run the stages, first without and then with the restriction."""
         yield from self._hello()
         found = yield from self._attempt(np.zeros(self._block.S), restricted=False)
         if found is None:
@@ -137,7 +158,11 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         return found
 
     def _hello(self) -> Exchange[None]:
-        """All shares: their sum is the common capacity, and all have as many resources."""
+        """Exchange all shares, which add up to the common capacity.
+
+        Raises ConfigError unless all agents have the same number of resources, and their number is
+        N.
+        """
         known = yield from flood(self._i, self._block.share.tolist(), self.diameter)
         for j, share in known.items():
             if len(share) != self._block.S:
@@ -155,7 +180,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
     def _attempt(
         self, sigma: Vec, restricted: bool
     ) -> Exchange[MixedIntegerSolution | None]:
-        """Stages 1 to 3; None if a resource is exceeded."""
+        """Run stages 1 to 3; return None if a resource is exceeded."""
         block = self._block
         share = block.share - sigma / self._agents
         prices = PrimalDecomposition(
@@ -193,7 +218,10 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         )
 
     def _require_dual(self, bound: float, pi: Vec) -> None:
-        """Weak duality, sum_i min_x (c_i + A_i'pi)'x - pi'b <= cost - pi'left, holds for any x_i in X_i: all check."""
+        """Raise SolverError unless weak duality holds. All agents check it.
+
+        sum_i min_x (c_i + A_i'pi)'x - pi'b <= cost - pi'left  holds for any x_i in X_i.
+        """
         most = self._cost - float(pi @ self._left)
         if bound > most + SLACK * (
             1.0 + abs(most) + float(pi @ np.abs(self._capacity))
@@ -202,9 +230,10 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             raise SolverError(self._where, found)
 
     def _share(self, options: Options, pool: Pool) -> Exchange[tuple[float, Vec]]:
-        """Stage 2, first half: all hear the options of all, and those that the prices of their mixture ask for.
+        """Exchange the options of all agents: the first half of stage 2.
 
-        Returns the best bound that they found, and its pi.
+        In each pass agents add the options that are best at the prices of the cheapest mixture.
+        Returns the best lower bound that was found, and its pi.
         """
         block = self._block
         fresh = 0
@@ -238,7 +267,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         return bound, at
 
     def _vary(self, options: Options, pool: Pool) -> Exchange[None]:
-        """All hear what each would do with its present use, and with more or less than it."""
+        """Exchange options that use the present resources, or more or less of them."""
         fresh = len(options.table)
         for part in (0.0, *VARIATIONS):
             options.add(
@@ -250,10 +279,9 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         pool.add(known)
 
     def _choose(self, options: Options, pool: Pool) -> Exchange[None]:
-        """Stage 2, second half: one option an agent."""
-        offer = (
-            pool.best(self._i) if self._i == pool.agents[0] else None
-        )  # one answer is enough
+        """Agree on one option an agent: the second half of stage 2."""
+        # The search of one agent is enough.
+        offer = pool.best(self._i) if self._i == pool.agents[0] else None
         agreed = yield from best_offer(offer, self.diameter)
         if agreed is None:
             raise SolverError(
@@ -264,7 +292,10 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         self._cost, self._left = pool.value(chosen)
 
     def _improve(self) -> Exchange[None]:
-        """Stage 3: who offers the most, first in what is exceeded, then in cost, takes it."""
+        """Let the agent with the largest gain change its x, until no agent gains: stage 3.
+
+        A smaller excess counts first, then a lower cost.
+        """
         block = self._block
         for _ in range(10 * self._agents):
             used = block.A @ self._x

@@ -1,4 +1,7 @@
-"""Primal decomposition: agents own shares of common resources and trade them at the prices that each would pay."""
+"""Primal decomposition: agents own shares of common resources and trade them.
+
+Each agent names the prices that it would pay.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,24 +17,27 @@ from crazychoir.types import Vec
 
 @dataclass(frozen=True)
 class Allocated:
-    """What an agent makes of its allocation y.
-
-    value: p_i(y);  x: (n,) that gives it;  mu: (S,) >= 0, the prices of the resources: -mu is a subgradient of p_i;
-    violation: rho, by how much x takes more of a resource than y, at most.
-    """
+    """The local solution at an allocation y."""
 
     value: float
+    """p_i(y)."""
     x: Vec
+    """(n,) the minimiser."""
     mu: Vec
+    """(S,) >= 0, the prices of the resources: -mu is a subgradient of p_i."""
     violation: float
+    """rho, the largest excess of x over y in one resource."""
 
 
 @runtime_checkable
 class Local(Protocol):
-    """An agent's problem for a given allocation: Convexified, or Allocation of a convex problem."""
+    """An agent's problem for a given allocation.
+
+    Convexified is one, and Allocation for a convex problem.
+    """
 
     def allocate(self, y: Vec) -> Allocated:
-        """p_i(y) and its prices."""
+        """Return p_i(y) and its prices."""
         ...
 
 
@@ -41,13 +47,27 @@ class PrimalDecomposition(Mixing):
         p_i(y) = min f_i(x) + M rho  s.t.  g_i(x) <= y + rho 1 : mu_i,   x in X_i,  rho >= 0
         y_i(0) = b_i,    y_i(k+1) = y_i(k) + a_k (mu_i - sum_j w_ij mu_j)
 
-    mu_i: (S,) the prices at y_i(k), which is all that travels;  w: doubly stochastic (Metropolis), so that sum_i y_i
-    stays sum_i b_i, and that a dense graph needs no smaller step than a sparse one;  a_k: step, the same at all agents;
-    with sum a_k infinite and sum a_k^2 finite the least of sum_i p_i(y_i) is reached, which is that of the problem if M
-    exceeds the sum of its prices. x_i(k) are feasible together, from the first round on, but for rho.
-    local: as Convexified;  share: b_i (S,);  rounds: until done.
-    x: (n,) at y_i(k);  y: (S,);  mu: (S,);  cost: p_i(y_i);  violation: rho;  y_mean: (S,) average weighted by a_k.
-    Source: Silverman 1972; with neighbours' prices only Notarnicola & Notarstefano 2020, IEEE TCNS 7(1), 483-492.
+    mu_i (S,) are the prices at y_i(k), and only they travel. The weights w are doubly stochastic
+    (Metropolis): so sum_i y_i stays sum_i b_i, and a dense graph needs no smaller step than a
+    sparse one.
+    If sum a_k is infinite and sum a_k^2 is finite, the method reaches the least sum_i p_i(y_i). It
+    is the optimum of the problem if M exceeds the sum of the optimal prices. From the first round
+    on, the x_i(k) are feasible together, but for rho.
+
+    i: id of the agent
+    weights: row i, doubly stochastic, or one row for each graph of a sequence
+    local: the local problem, such as Convexified
+    share: b_i (S,)
+    step: a_k, the same at all agents
+    rounds: number of rounds until done; None for no end
+    x: (n,) at y_i(k)
+    y: y_i (S,)
+    mu: mu_i (S,)
+    cost: p_i(y_i)
+    violation: rho
+    y_mean: (S,) average of y_i weighted by a_k
+    Source: Silverman 1972; with neighbours' prices only Notarnicola & Notarstefano 2020, IEEE TCNS
+    7(1), 483-492.
     """
 
     heavy = True
@@ -83,7 +103,7 @@ class PrimalDecomposition(Mixing):
         self.y_mean = self._mean.add(y, weight)
 
     def payload(self) -> Vec:
-        """The prices."""
+        """Return the prices."""
         return self.mu
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:

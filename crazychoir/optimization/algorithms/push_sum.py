@@ -1,4 +1,4 @@
-"""The mean on a directed graph, where nobody knows who hears whom but itself."""
+"""The mean on a directed graph, where an agent knows only its own neighbours."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,12 +16,21 @@ from crazychoir.types import PerNeighbor
 class PushSum(Iteration):
     """Ratio consensus: the mean of all x, on a static or time-varying directed graph.
 
-        s_i <- sum_j a_ij s_j,   y_i <- sum_j a_ij y_j,   x_i = s_i / y_i;   s_i(0) = x_i, y_i(0) = 1
+        s_i <- sum_j a_ij s_j,   y_i <- sum_j a_ij y_j,   x_i = s_i / y_i
+        s_i(0) = x_i,   y_i(0) = 1
 
-    shares: column i, {j: a_ji} of sum one: what i gives to those who hear it, and keeps; one for each graph of a
-    sequence; `columns(graph, column_stochastic)` are equal ones. It takes only the number of those who hear it.
-    No step size.  x: the estimate;  s, y: sums and weights.
-    Source: Kempe, Dobra & Gehrke 2003, FOCS, 482-491; Nedic & Olshevsky 2015, IEEE Trans. Autom. Control 60(3).
+    There is no step size. An agent needs to know only the number of agents that hear it.
+
+    i: id of the agent
+    x: start; later the estimate of the mean
+    shares: column i, {j: a_ji} of sum one: how much agent i gives to each agent that hears it, and
+        how much it keeps; or one column for each graph of a sequence.
+        `columns(graph, column_stochastic)` gives equal shares
+    rounds: number of rounds until done; None for no end
+    s: s_i, the sum
+    y: y_i, the weight
+    Source: Kempe, Dobra & Gehrke 2003, FOCS, 482-491; Nedic & Olshevsky 2015, IEEE Trans. Autom.
+    Control 60(3).
     """
 
     connected = True
@@ -42,14 +51,14 @@ class PushSum(Iteration):
                 )
 
     def message(self) -> PerNeighbor:
-        """[a_ji s_i, a_ji y_i] for each j."""
+        """Return [a_ji s_i, a_ji y_i] for each j."""
         share = self.shares[self.k % len(self.shares)]
         return PerNeighbor(
             {j: [a * self.s, a * self.y] for j, a in share.items() if j != self.i}
         )
 
     def update(self, heard: Mapping[int, Any]) -> None:
-        """Sum up."""
+        """Add up the shares, and compute the estimate."""
         a = self.shares[self.k % len(self.shares)][self.i]
         s = a * self.s
         y = a * self.y

@@ -1,4 +1,4 @@
-"""Set membership: what the measurements of a whole team leave possible."""
+"""Set membership: estimate a point that agrees with all measurements of a team."""
 
 from collections.abc import Callable, Mapping
 
@@ -18,7 +18,7 @@ Measure = Callable[[], ConvexSet | None]
 
 
 def nothing_new() -> None:
-    """No further measurement."""
+    """Return no further measurement."""
 
 
 class SetMembership(Consensus):
@@ -26,13 +26,20 @@ class SetMembership(Consensus):
 
         X_i(k+1) = X_i(k) and M_i(k+1),   x_i <- P_{X_i(k+1)}(sum_j w_ij x_j)
 
-    x: (n,), the first estimate;  weights: row i, or one for each graph of a sequence; where the columns sum to one,
-    too, it converges on changing graphs as well;  first: the sets that are known at the start;
-    measure: called in each round, returns the set M_i of what a new measurement allows (Box, Strip, Disc, Convex), or
-    None. Sets stay with the agent, only estimates travel. No step size.
-    Raises SolverError that names the agent where its sets have no point in common.
-    Source: Farina, Garulli & Giannitrapani 2019, "Distributed interpolatory algorithms for set membership estimation",
-    IEEE Trans. Autom. Control 64(9); projections: Nedic, Ozdaglar & Parrilo 2010, IEEE Trans. Autom. Control 55(4).
+    Sets stay with the agent, and only estimates travel. There is no step size.
+
+    i: id of the agent
+    x: (n,) the first estimate
+    weights: row i, or one row for each graph of a sequence. If the columns sum to one as well, the
+        method also converges on changing graphs
+    first: the sets that are known at the start
+    measure: called in each round; returns the set M_i that a new measurement allows (Box, Strip,
+        Disc, Convex), or None
+    rounds: number of rounds until done; None for no end
+    Raises SolverError that names the agent if its sets have no point in common.
+    Source: Farina, Garulli & Giannitrapani 2019, "Distributed interpolatory algorithms for set
+    membership estimation", IEEE Trans. Autom. Control 64(9); projections: Nedic, Ozdaglar & Parrilo
+    2010, IEEE Trans. Autom. Control 55(4).
     """
 
     def __init__(
@@ -55,9 +62,12 @@ class SetMembership(Consensus):
 
 
 class AsynchronousSetMembership(AsynchronousConsensus):
-    """Set membership of agents that wake when they do, with the latest of each neighbour; as SetMembership otherwise.
+    """SetMembership for agents that wake at different times.
 
-    weights: row i, none negative.
+    They use the latest message of each neighbour.
+
+    weights: row i, no entry negative
+    The other arguments are those of SetMembership.
     """
 
     def __init__(
@@ -80,14 +90,14 @@ class AsynchronousSetMembership(AsynchronousConsensus):
 
 
 def possible(i: int, x: Vec, first: tuple[ConvexSet, ...]) -> Intersection:
-    """What agent i knows at the start."""
+    """Return the set of points that agent i allows at the start."""
     if x.ndim != 1:
         raise ConfigError(f"agent {i}: x", f"shape {x.shape}", "a vector")
     return Intersection(len(x), first, f"agent {i}: measurements")
 
 
 def within(known: Intersection, measure: Measure, x: Vec) -> Vec:
-    """Take a new measurement, then the nearest point that all allow."""
+    """Take a new measurement, then return the nearest point that all measurements allow."""
     new = measure()
     if new is not None:
         known.add(new)

@@ -1,4 +1,4 @@
-"""Distributed simplex: agents exchange bases of a linear program until all hold the same optimal one."""
+"""Distributed simplex: agents exchange bases until all hold the same optimum."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,46 +22,63 @@ from crazychoir.optimization.rounds.stillness import Stillness
 from crazychoir.types import Mat, Vec
 
 Status = Literal["optimal", "infeasible", "unbounded"]
+"""Result of a linear program."""
 ROUNDS = 10_000
+"""Largest number of rounds without a common basis."""
 CERTAIN_ZERO = 1e-13
-"""A sum smaller than this, relative to the sizes of its terms added up, is zero."""
+"""A sum below this is zero, relative to the added sizes of its terms."""
 FEASIBLE = 1e-7
-"""What an artificial column may be worth at the end, relative to the terms of its row."""
+"""Largest value of an artificial column at the end, relative to the terms of its row."""
 LARGEST = 1e60
-"""Numbers beyond this, or nearer to 0 than its inverse: their products leave the range of double precision."""
+"""Largest size of a number; the smallest is its inverse.
+
+Products of larger or smaller numbers leave the range of double precision.
+"""
 UNCERTAIN = 1e-3
-"""Rounding error of a level, relative to it, from which on it says nothing."""
+"""Rounding error of a level, relative to the level, above which the level is meaningless."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearSolution:
-    """The team's optimum, as one agent knows it.
-
-    x: (n_i,) of the agent's own columns;  cost: of all agents;  prices: (m,), dual, of the rows;  ids: (m, 2) owner and
-    number of the basic columns, the owner -1 is a row that others imply;  level: (m,) their values;  rounds: so far.
-    """
+    """The optimum of the team, as one agent knows it."""
 
     x: Vec
+    """(n_i,) of the agent's own columns."""
     cost: float
+    """Cost of all agents."""
     prices: Vec
+    """(m,) dual prices of the rows."""
     ids: list[tuple[int, int]]
+    """(m, 2) owner and number of the basic columns. Owner -1 is a row that other rows imply."""
     level: Vec
+    """(m,) values of the basic columns."""
     rounds: int
+    """Number of rounds so far."""
 
 
 class BasisExchange:
-    """One agent's part in finding the optimal basis of all columns; what DistributedSimplex and others are made of.
+    """One agent's part in finding the optimal basis of all columns.
 
-        B_i <- the lexicographically optimal basis of (own columns, B_i, B_j of the neighbours j that it hears)
+    DistributedSimplex and other algorithms are built on it.
 
-    B_i starts as the identity, of artificial columns. The optimum only falls, and equal optima are the same basis, so
-    that after finitely many rounds all bases are the one of all columns. A column that may grow for ever while the
-    cost falls tells that there is no least cost; from then on c counts as 0 everywhere, and what is left to find out is
-    whether there is a feasible point.
-    entries: (m, n_i), c: (n_i,), b: (m,) the same at all;  first: (n_i,) >= 0, a cost that comes before c, or None.
-    common: columns that all agents know from the start, own ones among them, for a b >= 0.
-    Data travel as they are, and what an agent computes of a basis depends on the basis alone: the agents agree bit by
-    bit, in whatever units rows and columns are.
+        B_i <- the lexicographically optimal basis of (own columns, B_i, B_j of all neighbours j)
+
+    B_i starts as the identity, which consists of artificial columns. The optimum only falls, and
+    equal optima have the same basis. So after finitely many rounds all bases are the optimal basis
+    of all columns.
+    A column that may grow for ever while the cost falls proves that there is no least cost. From
+    then on c counts as 0 at all agents, and the exchange only decides whether a feasible point
+    exists.
+    The data travel unchanged, and all that an agent computes from a basis depends on the basis
+    alone. So the agents agree bit by bit, in whatever units rows and columns are.
+
+    agent: id of the agent
+    c: (n_i,) costs of the own columns
+    entries: (m, n_i) own columns
+    b: (m,) right-hand side, the same at all agents
+    diameter: D, see DistributedSimplex
+    first: (n_i,) >= 0, a cost that comes before c, or None
+    common: columns that all agents know from the start, which include own columns, for b >= 0
     """
 
     def __init__(
@@ -88,11 +105,14 @@ class BasisExchange:
         self.basis = self._best([identity, self._own], Basis.of(identity, self._b))
 
     def message(self) -> list[Any]:
-        """Whether all are still, the ray, the basis with its columns packed."""
+        """Return the flags of stillness, the ray, and the packed columns of the basis."""
         return [self._stillness.message(), self._ray, *_packed(self.basis.columns)]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the neighbours' bases; None from who is not at this problem yet."""
+        """Take the bases of the neighbours.
+
+        A neighbour that has not started this problem sends None.
+        """
         received = [
             self._unpacked(j, message)
             for j, message in heard.items()
@@ -114,7 +134,8 @@ class BasisExchange:
                 [self.basis.columns, self._own, *received], self.basis
             )
         changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
-        # The basis is the best of these columns: of any part of them too, so that they need not be weighed again.
+        # The basis is the best of these columns, and so of any part of them. They need not be
+        # compared again.
         self._weighed = news if changed else self._weighed | news
         self._stillness.step(changed, still)
 
@@ -141,24 +162,27 @@ class BasisExchange:
 
     @property
     def settled(self) -> bool:
-        """Whether all agents hold the same basis, and all know it: in the same round."""
+        """True if all agents hold the same basis and know it; true in the same round at all."""
         return self._stillness.reached
 
     @property
     def status(self) -> Status:
-        """What the basis says, once settled; an infeasible program may be unbounded too."""
+        """The result, once settled. An infeasible program may be unbounded as well."""
         if self.unmet:
             return "infeasible"
         return "optimal" if self._ray is None else "unbounded"
 
     @property
     def ray(self) -> list[int] | None:
-        """Owner and number of a column that may grow for ever: once settled, the same at all."""
+        """Owner and number of a column that may grow for ever, or None.
+
+        Once settled, it is the same at all agents.
+        """
         return self._ray
 
     @property
     def violation(self) -> Vec:
-        """(m,) what remains of each row: the artificial columns."""
+        """(m,) what remains of each row: the values of the artificial columns."""
         ids = self.basis.columns.ids
         left = np.zeros(len(self._b))
         artificial = ids[:, 0] < 0
@@ -167,7 +191,10 @@ class BasisExchange:
 
     @property
     def unmet(self) -> list[int]:
-        """Return the rows of which something remains, beyond FEASIBLE of the terms of the row."""
+        """The rows that are not met.
+
+        What remains of such a row is larger than FEASIBLE, relative to the terms of the row.
+        """
         basis = self.basis
         remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
         return [int(row) for row in basis.columns.ids[remains, 1]]
@@ -176,14 +203,14 @@ class BasisExchange:
     def certificate(self) -> Vec:
         """(m,) y, the prices of the first cost.
 
-        Where no other row holds an artificial column, y'A <= 0 for all columns of first cost 0, and y'b is the sum of
-        what remains: why the rest cannot be met.
+        If no other row holds an artificial column, y'A <= 0 for all columns with first cost 0, and
+        y'b is the sum of what remains. This proves that the remaining rows cannot be met.
         """
         return np.asarray(self.basis.prices[0] * self._sign)
 
     @property
     def x(self) -> Vec:
-        """(n_i,) of the own columns."""
+        """(n_i,) values of the own columns."""
         ids = self.basis.columns.ids
         mine = ids[:, 0] == self._agent
         x = np.zeros(self._n)
@@ -196,7 +223,10 @@ class BasisExchange:
         return float(self.basis.columns.cost[1] @ self.basis.level)
 
     def require_certain(self, where: str) -> None:
-        """Raise SolverError where rounding errors are as large as the levels: at all agents with this basis alike."""
+        """Raise SolverError if rounding errors are as large as the levels.
+
+        All agents with this basis decide alike.
+        """
         basis = self.basis
         wrong = (basis.level < 0.0) & (-basis.level > FEASIBLE * basis.terms)
         wrong |= (basis.level != 0.0) & (
@@ -215,12 +245,15 @@ class BasisExchange:
             raise SolverError(where, f"{found}: {do}")
 
     def penalties(self, given: Vec | None = None) -> Vec:
-        """Return what M must be for the prices to be dual feasible for the own columns, at least.
+        """Return the least M for which the prices are dual feasible for the own columns.
 
-            c_j - (y + sum_k M_k y_k)'A_j >= 0,    y_k the row of B^-1 of the k-th artificial column in the basis
+            c_j - (y + sum_k M_k y_k)'A_j >= 0
+            y_k the row of B^-1 of the k-th artificial column in the basis
 
-        given: (K,) M so far, zeros if None. M_k may depend on those of later rows: after K agreements on the greatest
-        it holds for all columns of all agents.
+        M_k may depend on the entries of later rows. After K agreements on the greatest value it is
+        large enough for all columns of all agents.
+
+        given: (K,) M so far; zeros if None
         """
         M = np.zeros(self.left_over) if given is None else given.copy()
         change = self.basis.expressed(self._own.entries)[self._artificial]
@@ -236,9 +269,11 @@ class BasisExchange:
         return M
 
     def doubts(self) -> Vec:
-        """Return (K,) by how much, relative to its terms, the k-th row left over changes with an own column.
+        """Return (K,) how much each remaining row changes with an own column.
 
-        0 where that is a rounding error, or so much that it is none for certain.
+        The change is relative to its terms.
+
+        An entry is 0 if the change is certainly a rounding error, or certainly none.
         """
         inverse = self.basis.inverse[self._artificial]
         change = np.abs(inverse @ self._own.entries)
@@ -248,7 +283,10 @@ class BasisExchange:
         return np.asarray(share.max(axis=1, initial=0.0))
 
     def require_distinct(self, doubts: Vec, where: str) -> None:
-        """Raise SolverError for a row left over that may be implied by others, or not.  doubts: of all agents."""
+        """Raise SolverError for a remaining row if it is unclear whether other rows imply it.
+
+        doubts: (K,) the greatest of all agents
+        """
         if doubts.any():
             k = int(np.argmax(doubts))
             row = int(self.basis.columns.ids[self._artificial[k], 1])
@@ -257,7 +295,10 @@ class BasisExchange:
             raise SolverError(where, f"{found}: {do}")
 
     def prices(self, penalties: Vec | None = None) -> Vec:
-        """Return (m,) y + sum_k M_k y_k.  penalties: (K,) M, zeros if None."""
+        """Return the prices (m,): y + sum_k M_k y_k.
+
+        penalties: (K,) M; zeros if None
+        """
         y = self.basis.prices[1]
         if penalties is not None:
             y = y + penalties @ self.basis.inverse[self._artificial]
@@ -270,12 +311,15 @@ class BasisExchange:
 
     @property
     def _artificial(self) -> npt.NDArray[np.int64]:
-        """(K,) their places in the basis."""
+        """(K,) places of the artificial columns in the basis."""
         return np.flatnonzero(self.basis.columns.ids[:, 0] < 0)
 
 
 def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
-    """Exchange bases until all agents hold the same; return the penalties that make its prices dual feasible."""
+    """Exchange bases until all agents hold the same basis.
+
+    Returns the penalties that make its prices dual feasible.
+    """
     rounds = 0
     while not bases.settled:
         if rounds == ROUNDS:
@@ -300,18 +344,26 @@ def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
 
 
 class DistributedSimplex(Program[LinearSolution]):
-    """A standard-form linear program whose columns are split over the agents.
+    """A standard-form linear program with its columns split over the agents.
 
         min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
 
-    Every round an agent sends its basis, m columns, to its neighbours, and keeps the lexicographically optimal basis
-    of what it has and hears; there is no step size. It ends, in the same round at all, when nobody has changed for
-    2 D + 1 rounds.
-    c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
-    message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.
-    Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
-    the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
-    Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
+    In each round an agent sends its basis, m columns, to its neighbours. It keeps the
+    lexicographically optimal basis of its own columns, its basis and the bases that it receives.
+    There is no step size. All agents end in the same round, when no basis has changed for 2 D + 1
+    rounds.
+    Rows and columns may have any units: each number is judged by its own terms, and never by the
+    largest number of the program.
+
+    agent: id of the agent
+    c: (n_i,) costs of the own columns; n_i may be 0
+    A: (m, n_i) own columns
+    b: (m,) right-hand side, the same at all agents
+    diameter: D, the rounds in which a message of each agent reaches all: the diameter of a
+        (directed) graph, or the longest such time of a graph sequence
+    Raises ConfigError for data that do not fit.
+    Raises SolverError, in the last round at every agent, if the program is infeasible (with the
+    rows that remain), unbounded (with a column that may grow for ever), or beyond double precision.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 
@@ -344,7 +396,7 @@ class DistributedSimplex(Program[LinearSolution]):
 
     @property
     def x(self) -> Vec:
-        """(n_i,) of the own columns at the present basis."""
+        """(n_i,) values of the own columns at the present basis."""
         return self._bases.x
 
     def run(self) -> Exchange[LinearSolution]:
@@ -369,26 +421,38 @@ class DistributedSimplex(Program[LinearSolution]):
 
 @dataclass(frozen=True, eq=False)
 class CommonSolution:
-    """The common optimum. x: (d,);  cost: c'x;  active: agent and row of constraints that hold it there;  rounds."""
+    """The optimum of a program with common variables."""
 
     x: Vec
+    """(d,) the optimum."""
     cost: float
+    """c'x."""
     active: list[tuple[int, int]]
+    """Agent and row of the constraints that hold x at the optimum."""
     rounds: int
+    """Number of rounds."""
 
 
 class DualDistributedSimplex(Program[CommonSolution]):
-    """A linear program with common variables, whose constraints are split over the agents.
+    """A linear program in common variables, with its constraints split over the agents.
 
         max  c'x   s.t.  A_i x <= b_i  for all i            by its dual, a DistributedSimplex:
         min  sum_i b_i'l_i   s.t.  sum_i A_i'l_i = c,  l_i >= 0
 
-    x are the prices of the dual's rows at the common basis, the same at all agents.
-    c: (d,), the same at all;  A: (n_i, d), b: (n_i,), own constraints, n_i may be 0;  diameter: D, as there.
-    Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with a
-    constraint that contradicts others; unbounded, with the variables that no constraint holds; or what double precision
-    cannot tell. Constraints and variables may have any units.
-    Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304, section on duality.
+    x are the prices of the rows of the dual at the common basis, the same at all agents.
+    Constraints and variables may have any units.
+
+    agent: id of the agent
+    c: (d,) objective, the same at all agents
+    A: (n_i, d) own constraints; n_i may be 0
+    b: (n_i,) bounds of the own constraints
+    diameter: D, see DistributedSimplex
+    Raises ConfigError for data that do not fit.
+    Raises SolverError, in the last round at every agent, if the program is infeasible (with a
+    constraint that contradicts others), unbounded (with the variables that no constraint holds), or
+    beyond double precision.
+    Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304, section on
+    duality.
     """
 
     heavy = True
@@ -441,7 +505,10 @@ class DualDistributedSimplex(Program[CommonSolution]):
 
 
 def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
-    """Raise ConfigError for the first number whose products may overflow or vanish."""
+    """Raise ConfigError for the first number that is too large or too small.
+
+    Products of such numbers may overflow or vanish.
+    """
     for name, array in arrays.items():
         size = np.abs(array)
         beyond = np.argwhere((size > LARGEST) | ((size > 0.0) & (size < 1.0 / LARGEST)))
@@ -458,15 +525,16 @@ def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
 
 
 def _remaining(bases: BasisExchange, what: str = "row") -> str:
-    """Return the rows that are not met, with by how much."""
+    """Return a text with the rows that are not met, and how much remains of each."""
     violation = bases.violation
     return ", ".join(f"{what} {r} ({violation[r]:.6g} left)" for r in bases.unmet[:10])
 
 
 def _packed(columns: Columns) -> list[Any]:
-    """Return ids, c, the entries that are not zero, and a if it is not zero.
+    """Return the columns as a list for a message.
 
-    Of the entries: how many a column, their rows, their values.
+    It contains the ids, c, the entries that are not zero, and a, which is empty if it is zero. The
+    entries are three arrays: their number in each column, their rows, and their values.
     """
     number, row = np.nonzero(columns.entries.T)
     counts = np.bincount(number, minlength=len(columns))
@@ -482,7 +550,10 @@ def _packed(columns: Columns) -> list[Any]:
 
 
 def _unpacked(packed: list[Any], m: int) -> Columns:
-    """Return columns of m rows; raises ValueError, IndexError, TypeError for what is none."""
+    """Return the columns of a message, with m rows.
+
+    Raises ValueError, IndexError or TypeError if the message does not contain such columns.
+    """
     ids, c, counts, row, value, first = (np.asarray(part) for part in packed)
     numbers = np.concatenate([c, value, first])
     if (

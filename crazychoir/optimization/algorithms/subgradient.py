@@ -19,15 +19,20 @@ from crazychoir.types import Vec
 
 
 class SubgradientMethod(Mixing):
-    """Projected sub-gradient method for a common variable: min sum_i f_i(x), x in X, f_i and X convex.
+    """Projected sub-gradient method for  min sum_i f_i(x), x in X,  with f_i and X convex.
 
         v_i = sum_j w_ij x_j,   x_i <- P_X(v_i - a_k g_i(v_i)),   g_i(v) a sub-gradient of f_i at v
 
-    x: any shape, the same at all agents;  weights: row i, doubly stochastic, or one for each graph of a sequence;
-    gradient: g_i, also a stochastic one, see `Samples`;  project: P_X, the same set at all agents, see projection.py;
-    step: a_k, the same at all agents; with sum a_k infinite and sum a_k^2 finite it converges to an optimum:
-    Diminishing(a, p), 1/2 < p <= 1; a constant one to a neighbourhood that grows with it.  average: the a_k-weighted
-    running average of x_i, whose cost converges also where that of x_i jumps.
+    i: id of the agent
+    x: start, any shape, the same shape at all agents
+    weights: row i, doubly stochastic, or one row for each graph of a sequence
+    gradient: g_i, also a stochastic one, see `Samples`
+    step: a_k, the same at all agents. With sum a_k infinite and sum a_k^2 finite it converges to an
+        optimum: Diminishing(a, p), 1/2 < p <= 1. A constant step converges to a neighbourhood that
+        grows with the step
+    project: P_X, the same set at all agents, see projection.py
+    rounds: number of rounds until done; None for no end
+    average: running average of x_i weighted by a_k; its cost converges even where that of x_i jumps
     Source: Nedic, Ozdaglar & Parrilo 2010, IEEE Trans. Autom. Control 55(4), 922-938.
     """
 
@@ -52,15 +57,15 @@ class SubgradientMethod(Mixing):
 
     @property
     def average(self) -> Vec:
-        """(like x) weighted mean of x_i since the start; x_i itself before the first round."""
+        """Weighted mean of x_i since the start; x_i itself before the first round."""
         return self.x if self._average.value is None else self._average.value
 
     def payload(self) -> Vec:
-        """x_i."""
+        """Return x_i."""
         return self.x
 
     def mix_in(self, row: Row, heard: Mapping[int, Vec]) -> None:
-        """Average, go down, project."""
+        """Average, move along the negative gradient, project."""
         v = mix(self.i, row, self.x, heard)
         a = self.step_size(self.k)
         self.x = np.array(self.project(self.k, v - a * self.gradient(self.k, v)))

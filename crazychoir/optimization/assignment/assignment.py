@@ -1,4 +1,7 @@
-"""Who does which task: exact assignment by the distributed simplex, with tables of tasks that come while it runs."""
+"""Exact assignment of tasks to robots by the distributed simplex.
+
+New tables of tasks may come while it runs.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,51 +18,68 @@ from crazychoir.types import Vec, Wire
 
 
 class Task(Wire, frozen=True, array_like=True, gc=False):
-    """One thing to do. id: unique in its table;  p: (3,) m, world, where."""
+    """One thing to do."""
 
     id: int
+    """Id, unique in its table."""
     p: Vec
+    """(3,) m, world: position of the task."""
 
 
 class Table(Wire, frozen=True, array_like=True, gc=False):
-    """The tasks of one generation. label: of newer tables higher;  last: no other comes, the robots end with it."""
+    """The tasks of one generation."""
 
     label: int
+    """Number of the table; newer tables have higher labels."""
     tasks: tuple[Task, ...]
+    """The tasks, in any order."""
     last: bool = False
+    """True if no other table comes, so that the robots end after this one."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the team agreed on for one table.
-
-    task: of this robot, None if it has none;  cost: sum of all robots' costs;  unserved: ids of tasks that nobody does;
-    infeasible: why not all that should be served are, "" if they are;  rounds: since this robot knew of the table.
-    """
+    """The agreement of the team on one table."""
 
     label: int
+    """Label of the table."""
     task: Task | None
+    """Task of this robot, or None."""
     cost: float
+    """Sum of the costs of all robots."""
     unserved: tuple[int, ...]
+    """Ids of the tasks without a robot."""
     infeasible: str
+    """Reason why not all that should be served are served, or ""."""
     rounds: int
+    """Number of rounds since this robot learned of the table."""
 
 
 class TaskAssignment:
     """Robot i's part of the assignment problem, for one table after the other: a Round.
 
-        min  sum_ik c_ik x_ik   s.t.  sum_k x_ik = 1 (each robot),  sum_i x_ik = 1 (each task),  x >= 0
+        min  sum_ik c_ik x_ik
+        s.t. sum_k x_ik = 1 (each robot),  sum_i x_ik = 1 (each task),  x >= 0
 
-    x_ik only where robot i may do task k. Where there are fewer tasks than robots, "= 1" is "<= 1" for robots: all
-    tasks are done, at the least cost; where there are more, for tasks: all robots have one. Costs stay with the robots,
-    but for those of a basis, N + M columns at most, that travel. The optimal basis of this program is integral.
-    Where some must stay without (a task that nobody may do, two robots that may do the same one task), as many as
-    possible are served, at the least cost, and `infeasible` names a set of tasks that too few robots may do
-    (Hall's condition), from the certificate of the linear program.
-    A newer table, told to any robot by `post`, spreads with the messages and starts all anew; `outcome` is the last one
-    agreed upon, by all robots in the same round. The team is done with the outcome of a table that is the last.
-    cost: c_i of a task, inf if the robot may not do it;  robots: ids of all;  diameter: as in DistributedSimplex.
-    Raises ConfigError for a cost that is not a number, and if two tables have one label.
+    There is an x_ik only if robot i may do task k. If there are fewer tasks than robots, the rows
+    of the robots are "<= 1": all tasks are done, at the least cost. If there are more tasks than
+    robots, the rows of the tasks are "<= 1": all robots have a task.
+    The optimal basis of this program is integral. Costs stay with the robots, except those of a
+    basis, which has at most N + M columns and travels.
+    If not all can be served (a task that no robot may do, or two robots that may do only the same
+    task), as many as possible are served, at the least cost. `infeasible` then names a set of tasks
+    that too few robots may do (Hall's condition). It comes from the certificate of the linear
+    program.
+    `post` gives any robot a newer table. The table spreads with the messages, and the assignment
+    starts again. `outcome` is the last agreement, reached by all robots in the same round. The team
+    is done after the outcome of a table marked as the last.
+
+    robot: id of this robot
+    cost: returns c_ik of a task, inf if the robot may not do it
+    robots: ids of all robots
+    diameter: D, see DistributedSimplex
+    table: first table, or None
+    Raises ConfigError if a cost is not a number, or if two tables have the same label.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 
@@ -87,7 +107,10 @@ class TaskAssignment:
             self.post(table)
 
     def post(self, table: Table) -> None:
-        """Tell this robot of a table; what it has already heard of, or of a newer one, is nothing new."""
+        """Give this robot a table; ignore it unless it is newer than all known tables.
+
+        Raises ConfigError if a known table has the same label and other tasks.
+        """
         if (
             self._table is not None
             and table.label == self._table.label
@@ -110,21 +133,25 @@ class TaskAssignment:
 
     @property
     def label(self) -> int | None:
-        """Of the table that is being worked on, or that was last."""
+        """Label of the newest table that this robot knows, or None."""
         return None if self._table is None else self._table.label
 
     @property
     def settled(self) -> bool:
-        """Whether `outcome` is that of the newest table that this robot knows of."""
+        """True if `outcome` belongs to the newest table that this robot knows."""
         return self.outcome is not None and self.outcome.label == self.label
 
     @property
     def done(self) -> bool:
-        """Whether the last table is agreed upon."""
+        """True if the robots have agreed on the last table."""
         return self._table is not None and self._table.last and self.settled
 
     def message(self) -> Any:
-        """Label and basis, with the table itself as long as it may be news; the label alone once all agree."""
+        """Return the label, the flag of the last table, the tasks, and the basis.
+
+        The tasks are included only for the first D rounds of a table. After the agreement the
+        message is the label alone.
+        """
         if self._table is None:
             return None
         if self.settled:
@@ -137,7 +164,7 @@ class TaskAssignment:
         return [self._table.label, self._table.last, news, *self._bases.message()]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take up a newer table; else improve the basis."""
+        """Start a newer table if one has arrived, then improve the basis."""
         for message in heard.values():
             if message is not None and len(message) > 1 and message[2] is not None:
                 label, last, tasks = message[:3]
@@ -156,7 +183,7 @@ class TaskAssignment:
             )
 
     def _same(self, message: Any) -> Any:
-        """A neighbour's basis, if it is of our table."""
+        """Return the basis of a neighbour, or None if it is of another table."""
         known = message is not None and len(message) > 1 and message[0] == self.label
         return message[3:] if known else None
 
@@ -173,7 +200,7 @@ class TaskAssignment:
 
     @property
     def solution(self) -> Outcome:
-        """The outcome; SolverError while there is none, and where the table is infeasible."""
+        """The outcome; raises SolverError if there is none yet, or if the table is infeasible."""
         if self.outcome is None:
             raise SolverError(self._where, "not agreed upon yet")
         if self.outcome.infeasible:
@@ -187,9 +214,11 @@ class TaskAssignment:
 class _Program:
     """The linear program of one table.
 
-    Rows: robots, then tasks. Columns: those of single rows, which all robots know and which are dealt out to be named,
-    then own allowed pairs. Those of single rows say that a row may stay below 1, at no cost, or that one must stay
-    without: a first cost of 1, so that as many as possible are served, before c counts.
+    Rows: robots, then tasks.
+    Columns: first columns with a single row, then the allowed pairs of this robot. All robots know
+    the columns with a single row; they are dealt out to the robots so that each has a name. Such a
+    column says that its row may stay below 1, at no cost. If the row should be served, the column
+    has a first cost of 1. So as many rows as possible are served, before c counts.
     """
 
     def __init__(
@@ -210,7 +239,7 @@ class _Program:
         self._c = np.array([cost_of[self._tasks[k].id] for k in self._allowed])
 
     def exchange(self, diameter: int) -> BasisExchange:
-        """The part of this robot."""
+        """Return this robot's part of the exchange of bases."""
         n = len(self._robots)
         m = len(self._tasks)
         pairs = len(self._allowed)
@@ -239,12 +268,15 @@ class _Program:
         )
 
     def _singles(self, i: int) -> list[int]:
-        """Return the rows that have a column of the i-th robot alone: its own, and tasks that are dealt in turn."""
+        """Return the rows with a single-row column of the i-th robot.
+
+        They are the robot's own row, and its share of the tasks.
+        """
         n = len(self._robots)
         return [i, *(n + k for k in range(i, len(self._tasks), n))]
 
     def outcome(self, label: int, bases: BasisExchange, rounds: int) -> Outcome:
-        """What the common basis says."""
+        """Return the outcome that the common basis describes."""
         n = len(self._robots)
         pairs = bases.x[len(self._singles(self._robots.index(self._robot))) :]
         mine = [k for k, x in zip(self._allowed, pairs, strict=True) if x > 0.5]
@@ -270,7 +302,10 @@ class _Program:
         )
 
     def _why(self, y: Vec) -> str:
-        """Hall's condition, broken: y = 1 at those who compete, -1 at all that is open to them."""
+        """Name a set that violates Hall's condition.
+
+        y: the certificate. It is 1 at rows that compete, and -1 at all rows that are open to them
+        """
         robots, tasks = (
             np.array(names)
             for names in (self._robots, [task.id for task in self._tasks])

@@ -1,4 +1,7 @@
-"""Several tasks a robot, by bids: the consensus-based bundle algorithm, and a sequential auction of single tasks."""
+"""Assign several tasks to each robot by bids.
+
+The methods are the consensus-based bundle algorithm, and a sequential auction of single tasks.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,51 +19,60 @@ from crazychoir.optimization.rounds.stillness import Stillness
 from crazychoir.types import Vec
 
 NOBODY: Final = -1
+"""Winner of a task without a bid."""
 ROUNDS = 10_000
+"""Largest number of rounds of CBBA."""
 Path = TypeVar("Path")
 
 
 class Bidder(Protocol[Path]):
-    """What a robot makes of tasks 0 to M - 1: the user's part."""
+    """The user's part: how a robot values tasks 0 to M - 1."""
 
     start: Path
     """The path without any task."""
 
     def scores(self, path: Path) -> Vec:
-        """(M,) what each task, added to the path where it fits best, is worth; -inf if it does not fit."""
+        """Return (M,) the value of each task at its best place in the path.
+
+        The value is -inf if the task does not fit.
+        """
         ...
 
     def insert(self, path: Path, task: int) -> Path:
-        """The path with that task where it fits best."""
+        """Return the path with the task at its best place."""
         ...
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """What a robot has in the end. tasks: in the order in which it took them;  path: with them;  winners: of all tasks,
-    -1: nobody can do it;  rounds: in all.
-    """
+    """The tasks of a robot at the end."""
 
     tasks: tuple[int, ...]
+    """Tasks in the order in which the robot took them."""
     path: Any
+    """Path with these tasks."""
     winners: tuple[int, ...]
+    """Winner of each task, -1 if no robot can do it."""
     rounds: int
+    """Number of rounds in all."""
 
     @property
     def open_tasks(self) -> tuple[int, ...]:
-        """Those that nobody does."""
+        """Tasks without a winner."""
         return tuple(j for j, winner in enumerate(self.winners) if winner == NOBODY)
 
 
 def sequential_auction(
     robot: int, bidder: Bidder[Path], tasks: int, diameter: int
 ) -> Exchange[Bundle]:
-    """One task after the other goes to the robot to which any is worth the most, together with what it has.
+    """Assign one task after the other to the robot with the highest value.
 
         (i, j) = argmax_ij c_ij(path_i),   path_i <- path_i with j;   until all c_ij are -inf
 
-    D rounds an auction. Each robot bids for the one task that is worth the most to it; ties go to the lowest id.
-    Source: Lagoudakis et al. 2005, RSS, "Auction-based multi-robot routing"; Koenig et al. 2006, AAAI.
+    The value of a task includes the tasks that the robot has already. An auction takes D rounds. In
+    each auction a robot bids for its most valuable task. At equal bids the lowest id wins.
+    Source: Lagoudakis et al. 2005, RSS, "Auction-based multi-robot routing"; Koenig et al. 2006,
+    AAAI.
     """
     path = bidder.start
     won = list[int]()
@@ -90,7 +102,10 @@ def sequential_auction(
 class SequentialAuction(Program[Bundle]):
     """Robot i's part of a sequential auction of single tasks, see `sequential_auction`.
 
-    tasks: M, the same at all robots;  diameter: D, of the graph, or rounds of a flood on a sequence of graphs.
+    robot: id of this robot
+    bidder: values of the tasks
+    tasks: M, the number of tasks, the same at all robots
+    diameter: D of the graph, or the rounds of a flood on a sequence of graphs
     Raises ConfigError for scores that are not (M,) numbers.
     """
 
@@ -105,26 +120,39 @@ class SequentialAuction(Program[Bundle]):
         super().__init__()
 
     def run(self) -> Exchange[Bundle]:
-        """The auctions."""
+        """Run the auctions."""
         return (yield from sequential_auction(*self._arguments))
 
 
 class CBBA(Program[Bundle]):
     """Robot i's part of the consensus-based bundle algorithm.
 
-    Each round: compare winning bids with the neighbours, by the paper's table; give up the first task of the bundle
-    that is lost, and all that were taken after it; take tasks again while there is one for which the own bid wins:
+    Each round has three parts:
 
-        j = argmax_j c_j(path) over the j with (b_j, -i) > (y_j, -z_j),    b_j = min(c_j(path), bids in the bundle)
+    1. Compare the winning bids with those of the neighbours, by the paper's table.
+    2. Give up the first task of the bundle that is lost, and all tasks that were taken after it.
+    3. Take tasks again while the robot's own bid wins one:
 
-    y, z: (M,) the highest bid that is known for each task, and whose;  s: when each robot was heard of last.
-    With the minimum of Johnson et al. it converges for any scores, and without it for those of diminishing gain; for
-    these the result is the one of a sequential auction, at least half the best total.
-    It ends 2 D + 1 rounds after the last change, at all in the same round.
-    robots: ids of all;  tasks: M;  most: tasks a robot may have, None: any number;  diameter: D, of a connected graph
-    that does not change.
-    Raises ConfigError for scores that are not (M,) numbers, SolverError if it does not end.
-    Source: Choi, Brunet & How 2009, IEEE T-RO 25(4), 912-926, table I; Johnson, Choi, Ponda & How 2012, CDC.
+        j = argmax_j c_j(path) over the j with (b_j, -i) > (y_j, -z_j)
+        b_j = min(c_j(path), bids in the bundle)
+
+    y (M,) is the highest known bid for each task, and z (M,) the robot that made it. s is the round
+    of the latest news of each robot.
+    With the minimum of Johnson et al. it converges for any scores. Without the minimum it converges
+    for scores of diminishing gain. For these the result is that of a sequential auction, which is
+    at least half of the best total.
+    It ends 2 D + 1 rounds after the last change, at all robots in the same round.
+
+    robot: id of this robot
+    bidder: values of the tasks
+    robots: ids of all robots
+    tasks: M, the number of tasks
+    diameter: D of a connected graph that does not change
+    most: largest number of tasks of this robot; None for any number
+    Raises ConfigError for scores that are not (M,) numbers.
+    Raises SolverError if it does not end.
+    Source: Choi, Brunet & How 2009, IEEE T-RO 25(4), 912-926, table I; Johnson, Choi, Ponda & How
+    2012, CDC.
     """
 
     heavy = True
@@ -159,7 +187,7 @@ class CBBA(Program[Bundle]):
         super().__init__()
 
     def run(self) -> Exchange[Bundle]:
-        """Bundle, then consensus and bundle again, until nobody changes."""
+        """Build a bundle; then agree and build again, until no robot changes."""
         table = self._table
         self._extend()
         for _ in range(ROUNDS):
@@ -202,7 +230,7 @@ class CBBA(Program[Bundle]):
         raise SolverError(f"robot {self._i}: CBBA", f"no agreement in {ROUNDS} rounds")
 
     def _release(self) -> None:
-        """The bundle up to the first task that is lost; what came after it is free again."""
+        """Keep the bundle up to the first lost task, and release the tasks after it."""
         table = self._table
         kept = next(
             (n for n, j in enumerate(self._order) if table.winner[j] != self._i),
@@ -237,9 +265,10 @@ class CBBA(Program[Bundle]):
 
 
 class Table:
-    """Winning bids as one robot knows them, and the rules by which it takes what a neighbour says of them.
+    """Winning bids as one robot knows them, with the rules to update them.
 
-    bid: y (M,), -inf where there is none;  winner: z (M,), NOBODY.
+    bid: y (M,), -inf where there is no bid
+    winner: z (M,), -1 where there is no bid
     """
 
     def __init__(self, robot: int, tasks: int) -> None:
@@ -248,12 +277,12 @@ class Table:
         self.winner: npt.NDArray[np.int64] = np.full(tasks, NOBODY)
 
     def stamps(self, robots: Sequence[int], k: int) -> npt.NDArray[np.int64]:
-        """s: (N,) round of the latest news of each robot; of itself that is now."""
+        """Return s (N,): the round of the latest news of each robot; for this robot it is k."""
         self._stamp[self._i] = k
         return np.array([self._stamp.get(robot, -1) for robot in robots])
 
     def reset(self, j: int) -> None:
-        """Nobody's."""
+        """Clear the winner of task j."""
         self.bid[j] = -np.inf
         self.winner[j] = NOBODY
 
@@ -264,7 +293,13 @@ class Table:
         winner: Sequence[int],
         stamp: Mapping[int, int],
     ) -> None:
-        """What the sender thinks of all tasks, and when it heard of each robot last."""
+        """Take a neighbour's view of all tasks.
+
+        sender: id of the neighbour
+        bid: its y
+        winner: its z
+        stamp: its s, by robot
+        """
         for j, (y, z) in enumerate(zip(bid, winner, strict=True)):
             mine = int(self.winner[j])
             higher = (y, -z) > (float(self.bid[j]), -mine)
@@ -288,7 +323,12 @@ class Table:
         higher: bool,
         stamp: Mapping[int, int],
     ) -> bool:
-        """Whether the sender's winner is taken over. theirs, mine: who wins, as the sender and this robot think."""
+        """Return True if the sender's winner replaces this robot's winner.
+
+        theirs: winner according to the sender
+        mine: winner according to this robot
+        higher: True if the sender's bid is higher
+        """
         i = self._i
         if theirs == i:
             return False
@@ -314,7 +354,11 @@ class Table:
     def _resets(
         self, sender: int, theirs: int, mine: int, stamp: Mapping[int, int]
     ) -> bool:
-        """Whether nobody is known to win any more: both point at somebody who has given up, or at each other."""
+        """Return True if the winner must be cleared.
+
+        This is so if each robot takes the other one for the winner, or if news says that the known
+        winner has given the task up.
+        """
         i = self._i
         if theirs == i:
             return mine == sender or (

@@ -1,1 +1,1 @@
-"""What one agent solves: problems, expressions and their local solvers."""
+"""The problems of one agent: models, expressions and their local solvers."""

@@ -1,4 +1,4 @@
-"""The compiled kernel of small quadratic programs: a dual active-set method."""
+"""Compiled kernel for small quadratic programs: a dual active-set method."""
 
 from typing import Final
 
@@ -11,23 +11,34 @@ from crazychoir.types import Mat, Vec
 Rows = npt.NDArray[np.int64]
 
 INFEASIBLE: Final = -1
+"""Status: the rows exclude each other."""
 CAPPED: Final = -2
+"""Status: the method reached its limit of steps."""
 NOT_FINITE: Final = -3
-ROUNDING, DOUBT = 1e-13, 1e-9
-"""Of a slack, relative to the terms that it is the sum of: below, it is none; below, no proof of infeasibility."""
+"""Status: the cost has entries that are not finite."""
+ROUNDING = 1e-13
+"""A slack below this is zero, relative to the terms that it is the sum of."""
+DOUBT = 1e-9
+"""A slack below this proves no infeasibility, relative to the terms that it is the sum of."""
 DEPENDENT = 1e-11
-"""Of the curvature that is left to a row when the active ones are held, relative to the row's own."""
+"""A row depends on the active rows if less than this part of its own curvature is left."""
 CANCELLED = 1e-9
-"""Of what an active row takes of a row that is dependent on them, relative to both: below, it is zero, rounded."""
+"""Coefficient of an active row in a dependent row below which it is a rounded zero.
+
+It is relative to the lengths of both rows.
+"""
 NEGLIGIBLE = 1e-12
-"""In the units of x: a row that is missed by less is met, whatever its own terms are."""
+"""In the units of x: a row that is missed by less counts as met, whatever its terms are."""
 MET: Final = 1e-11
-"""What a solution may miss a row by, relative to the row's own terms."""
+"""Tolerance by which a solution may miss a row, relative to the row's own terms."""
 
 
 @kernel()
 def _factorise(gram: Mat, rows: Rows, count: int, factor: Mat) -> bool:
-    """L L' = gram over the active rows, L in the lower triangle; whether they are independent."""
+    """Compute L with L L' = gram over the active rows; return True if these rows are independent.
+
+    factor: L in its lower triangle, in place
+    """
     for i in range(count):
         for j in range(i + 1):
             total = gram[rows[i], rows[j]]
@@ -44,7 +55,7 @@ def _factorise(gram: Mat, rows: Rows, count: int, factor: Mat) -> bool:
 
 @kernel()
 def _divide(factor: Mat, s: Vec, count: int) -> None:
-    """s <- (L L')^-1 s."""
+    """Solve in place: s <- (L L')^-1 s."""
     for i in range(count):
         for k in range(i):
             s[i] -= factor[i, k] * s[k]
@@ -57,7 +68,11 @@ def _divide(factor: Mat, s: Vec, count: int) -> None:
 
 @kernel()
 def _resume(gram: Mat, free: Vec, u: Vec, rows: Rows, factor: Mat, s: Vec) -> int:
-    """Start from the rows that were active before, if their multipliers are positive now; returns how many."""
+    """Start from the rows that were active in the last solve; return their number.
+
+    Starts from no rows, and returns 0, if these rows are dependent or one of their
+    multipliers is not positive now.
+    """
     count = 0
     for p in range(len(u)):
         if u[p] > 0.0:
@@ -91,7 +106,7 @@ def _slack(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, p: int) -> floa
 
 @kernel()
 def _terms(gram: Mat, size: Vec, u: Vec, rows: Rows, count: int, p: int) -> float:
-    """Return the size of what the slack of row p is the sum of."""
+    """Return the sum of the absolute terms of the slack of row p."""
     total: float = size[p]
     for i in range(count):
         total += abs(gram[p, rows[i]] * u[rows[i]])
@@ -100,7 +115,10 @@ def _terms(gram: Mat, size: Vec, u: Vec, rows: Rows, count: int, p: int) -> floa
 
 @kernel()
 def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> int:
-    """The row whose slack is the most negative, -1 if none is: beyond what the rounding of its own terms explains."""
+    """Return the row with the most negative slack, or -1 if no row is violated.
+
+    A slack counts as negative only if the rounding of its own terms does not explain it.
+    """
     worst = -1
     least = 0.0
     for p in range(len(free)):
@@ -116,7 +134,12 @@ def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> i
 
 @kernel()
 def _exclude(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
-    """Let u (m,) be the multipliers by which row p and the active rows exclude each other: K A'u = 0, slack'u < 0."""
+    """Set u (m,) to the proof that row p and the active rows exclude each other.
+
+    The proof is:
+
+        K A'u = 0,   slack'u < 0
+    """
     u[:] = 0.0
     for i in range(count):
         u[rows[i]] = abs(s[i])
@@ -125,7 +148,10 @@ def _exclude(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
 
 @kernel()
 def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
-    """The multipliers u (m,) of `minimise`; returns the number of steps, or why there are none."""
+    """Compute the multipliers u (m,) of `minimise`.
+
+    Returns the number of steps, or a negative status if there is no solution.
+    """
     m = len(free)
     width = min(m, most)
     rows = np.empty(m, np.int64)
@@ -138,7 +164,7 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
         steps += 1
         if steps > 50 + 10 * m:
             return CAPPED
-        # Raise u_p by t: the slacks of the active rows stay zero if their multipliers fall by t s.
+        # Raise u_p by t. The active slacks stay zero if their multipliers fall by t s.
         _factorise(gram, rows, count, factor)
         for i in range(count):
             s[i] = gram[rows[i], p]
@@ -190,16 +216,27 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
 def minimise(
     inverse: Mat, origin: Vec, image: Mat, slack: Vec, gram: Mat, q: Vec, u: Vec, x: Vec
 ) -> int:
-    """x = argmin 1/2 x'Px + q'x  s.t.  A x <= b,  E x = e, by the dual active-set method.
+    """Solve a quadratic program by the dual active-set method.
 
-        x = K (q + A'u) + k,   w = b - A x = (b - A k) - A K q + D u >= 0,   u >= 0,   u'w = 0,   D = -A K A'
+        x = argmin 1/2 x'Px + q'x  s.t.  A x <= b,  E x = e
 
-    inverse: K (n, n), of the problem with the equalities alone (quadratic.py);  origin: k (n,);
-    image: A K;  slack: b - A k;  gram: D;  u: (m,) the multipliers, which also say where to start.
-    Returns the number of steps; INFEASIBLE, CAPPED, or NOT_FINITE if q is not. Where it is INFEASIBLE, u are the
-    multipliers of the rows that exclude each other: K A'u = 0, slack'u < 0.
-    Source: Goldfarb & Idnani 1983, Mathematical Programming 27, "A numerically stable dual method for solving strictly
-    convex quadratic programs"; here with a Cholesky factor of the active part of D, made anew in each step.
+        x = K (q + A'u) + k,   w = b - A x = (b - A k) - A K q + D u >= 0
+        u >= 0,   u'w = 0,   D = -A K A'
+
+    inverse: K (n, n), of the problem with the equalities alone (quadratic.py)
+    origin: k (n,)
+    image: A K (m, n)
+    slack: b - A k (m,)
+    gram: D (m, m)
+    q: (n,)
+    u: (m,) multipliers, in place; the method starts from the rows with u > 0
+    x: (n,) receives the solution
+    Returns the number of steps, or INFEASIBLE, CAPPED, or NOT_FINITE if q is not finite. If the
+    status is INFEASIBLE, u holds the multipliers of the rows that exclude each other:
+    K A'u = 0, slack'u < 0.
+    Source: Goldfarb & Idnani 1983, Mathematical Programming 27, "A numerically stable dual method
+    for solving strictly convex quadratic programs". Here a Cholesky factor of the active part of D
+    is computed anew in each step.
     """
     n = len(q)
     m = len(slack)
@@ -229,7 +266,10 @@ def minimise(
 
 @kernel()
 def _misses(row: Vec, bound: float, x: Vec, largest: float, is_equal: bool) -> bool:
-    """Whether x is beyond row'x <= bound, or beside row'x = bound, by more than the rounding of the terms."""
+    """Return True if x misses row'x <= bound, or row'x = bound if is_equal.
+
+    A row is missed if it is violated by more than the rounding of its terms.
+    """
     beyond = -bound
     size = abs(bound)
     for i in range(len(x)):
@@ -237,13 +277,13 @@ def _misses(row: Vec, bound: float, x: Vec, largest: float, is_equal: bool) -> b
         size += abs(row[i] * x[i])
     if is_equal:
         beyond = abs(beyond)
-    # Not `>`: what is not a number is missed.
+    # Written as `not <=` so that a value that is not a number counts as missed.
     return not beyond <= MET * size + ROUNDING * largest + NEGLIGIBLE
 
 
 @kernel(matrix, vector, matrix, vector, vector)
 def is_met(A: Mat, b: Vec, E: Mat, e: Vec, x: Vec) -> bool:
-    """Whether A x <= b and E x = e, each row relative to its own terms."""
+    """Return True if A x <= b and E x = e, each row up to the rounding of its own terms."""
     largest = 0.0
     for i in range(len(x)):
         largest = max(largest, abs(x[i]))

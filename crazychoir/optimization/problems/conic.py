@@ -1,4 +1,7 @@
-"""Convex programs of any cone: canonicalised by cvxpy once, then solved by Clarabel with other costs."""
+"""Convex programs over any cone: brought to standard form by cvxpy once, then solved by Clarabel.
+
+Only the linear cost changes between two solves.
+"""
 
 from typing import Any, Final
 
@@ -11,9 +14,11 @@ from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import dims_to_solver
 from crazychoir.types import Vec
 
 MOST_ITERATIONS: Final = 200
-"""Of the interior-point method, a solve."""
-GAP, STANDARD = 1e-12, 1e-8
-"""Relative, asked for, as x is only as good as the root of it; and accepted, for problems that allow no more."""
+"""Interior-point iterations of one solve."""
+GAP = 1e-12
+"""Relative duality gap that is asked for first: x is only as accurate as its square root."""
+STANDARD = 1e-8
+"""Relative duality gap that is accepted for problems which do not reach GAP."""
 WORDS = {
     "PrimalInfeasible": "infeasible",
     "AlmostPrimalInfeasible": "infeasible",
@@ -21,17 +26,27 @@ WORDS = {
     "AlmostDualInfeasible": "unbounded",
     "MaxIterations": "too many iterations",
 }
+"""Status texts of Clarabel that callers test for."""
 
 
 class ConicProgram:
-    """min f(x) + p'x + rho/2 |x|^2  s.t.  x in X, with f and X as cvxpy has them, for many p.
+    """A convex program of cvxpy expressions, solved for many linear costs p.
 
-    Canonical form: z = (x, further variables), min 1/2 z'Pz + q'z s.t. b - A z in a product of cones. Only q changes
-    with p, so that cvxpy is not asked again; rho is known when it is built, and so are parameters, until `refresh`.
-    Accuracy: GAP where Clarabel gets there, at least STANDARD.
+        min f(x) + p'x + rho/2 |x|^2  s.t.  x in X
+
+    Canonical form: z = (x, further variables),  min 1/2 z'Pz + q'z  s.t.  b - A z in a product of
+    cones. Only q changes with p, so that cvxpy is used once. The penalty rho is fixed when the
+    program is built. Parameters are fixed until `refresh`.
+    Accuracy: GAP where Clarabel reaches it, at least STANDARD.
+
+    x: cvxpy variable
+    objective: f
+    constraints: X
+    penalty: rho
     """
 
     name = "Clarabel"
+    """Name of the solver."""
 
     def __init__(
         self,
@@ -40,16 +55,15 @@ class ConicProgram:
         constraints: list[cp.Constraint],
         penalty: float = 0.0,
     ) -> None:
-        self._x = cp.Variable(
-            x.shape
-        )  # of a variable with attributes, cvxpy's canonical form has another one
+        # A copy of x: cvxpy replaces a variable with attributes by another one in canonical form.
+        self._x = cp.Variable(x.shape)
         self._penalty = penalty
         self._problem = cp.Problem(cp.Minimize(objective), [*constraints, self._x == x])
         self._columns = np.zeros(0, int)
         self.refresh()
 
     def refresh(self) -> None:
-        """Take the parameters' values."""
+        """Read the values of the parameters again."""
         data = self._problem.get_problem_data(cp.CLARABEL)[0]
         first = data["param_prob"].var_id_to_col[self._x.id]
         self._columns = np.arange(first, first + self._x.size)
@@ -64,7 +78,7 @@ class ConicProgram:
         self._solvers: dict[float, Any] = {}
 
     def _hessian(self, data: dict[str, Any]) -> Any:
-        """The upper triangle of P, with rho on the diagonal of x."""
+        """Return the upper triangle of P, with rho on the diagonal of x."""
         size = len(data["c"])
         diagonal = np.zeros(size)
         diagonal[self._columns] = self._penalty
@@ -72,7 +86,10 @@ class ConicProgram:
         return sp.csc_matrix(sp.triu(given + sp.diags_array(diagonal)))
 
     def solve(self, p: Vec) -> Vec | str:
-        """The solution x (n,), or why there is none: in the words of WORDS, or Clarabel's own."""
+        """Return the solution x (n,), or the reason why there is none.
+
+        The reason is a text of WORDS, or Clarabel's own status.
+        """
         if not np.isfinite(p).all():
             return "not finite"
         q = self._q.copy()
@@ -96,7 +113,10 @@ class ConicProgram:
 
 
 def _accurate(solution: Any) -> bool:
-    """Whatever its status: Clarabel also says when rounding keeps it from going on, and it was there already."""
+    """Return True if the solution is accurate to STANDARD, whatever its status says.
+
+    Clarabel also reports failure when rounding stops it at a point that is accurate already.
+    """
     gap = abs(solution.obj_val - solution.obj_val_dual) / (1.0 + abs(solution.obj_val))
     return bool(max(solution.r_prim, solution.r_dual, gap) <= STANDARD)
 

@@ -1,4 +1,7 @@
-"""Why a local problem has no solution: which constraint stands in the way, or which entry has no bound."""
+"""Explain why a local problem has no solution.
+
+The explanation names the constraint that excludes all points, or the entry that has no bound.
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -25,16 +28,17 @@ from crazychoir.optimization.problems.quadratic import (
 from crazychoir.types import Mat, Vec
 
 FAR = 1e6
-"""Where an entry that goes beyond it has no bound."""
+"""An entry that goes beyond this size has no bound."""
 SEEN = 1e-7
-"""A violation below this is a solver's tolerance."""
+"""A violation below this is within the tolerance of a solver."""
 SHOWN = 3
-"""Rows that a text names, at most."""
+"""Largest number of rows that a text names."""
 UNSEEN = "infeasible: by less than the solver sees, at best"
+"""Text for a violation that is too small for the solver."""
 
 
 def no_point(status: str, constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
-    """Return what a solver's word means, where it says that no point was found; else the word itself."""
+    """Explain a status that says that no point was found; return any other status unchanged."""
     if status not in (WORDS[INFEASIBLE], DOUBTFUL):
         return status
     why = infeasible(constraints, x)
@@ -42,9 +46,9 @@ def no_point(status: str, constraints: Sequence[cp.Constraint], x: cp.Variable) 
 
 
 def infeasible(constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
-    """Return which rows exclude each other, and by how much they are violated where all are violated by the least.
+    """Return which rows exclude each other, and their violations where the sum is the least.
 
-    constraints: of x, and perhaps of further variables.
+    constraints: of x, and perhaps of further variables
     """
     return (
         _Rows.of(constraints, x).conflict()
@@ -55,21 +59,22 @@ def infeasible(constraints: Sequence[cp.Constraint], x: cp.Variable) -> str:
 
 @dataclass(frozen=True)
 class _Rows:
-    """The rows of linear constraints of one variable, of length one, and where they are written.
-
-    A: (m, n);  b: (m,);  length: (m,), which they had;  is_equal: (m,), a'x = b, else a'x <= b;
-    places: m texts such as "constraints[0] (x <= 1.0), row 2".
-    """
+    """The rows of linear constraints of one variable, scaled to length one."""
 
     A: Mat
+    """(m, n) rows of length one."""
     b: Vec
+    """(m,) bounds, scaled as the rows."""
     length: Vec
+    """(m,) lengths of the rows before scaling."""
     is_equal: Mask
+    """(m,) True where a'x = b, False where a'x <= b."""
     places: list[str]
+    """m texts such as "constraints[0] (x <= 1.0), row 2"."""
 
     @classmethod
     def of(cls, constraints: Sequence[cp.Constraint], x: cp.Variable) -> "_Rows":
-        """Read them from the constraints."""
+        """Read the rows from the constraints."""
         parts = [rows([c], x) for c in constraints]
         A = np.vstack([part for upper, _, equal, _ in parts for part in (upper, equal)])
         b = np.concatenate(
@@ -86,7 +91,10 @@ class _Rows:
         return cls(*scaled(A, b, np.ones(len(b), bool)), is_equal, places)
 
     def conflict(self) -> str:
-        """Return the text: first of what the equalities alone exclude, which is exact for rows of all sizes."""
+        """Return the text that names the rows in conflict.
+
+        The equalities are checked first, because that check is exact for rows of all sizes.
+        """
         equal = np.flatnonzero(self.is_equal)
         hull = AffineHull(self.A[equal])
         x0 = hull.point(self.b[equal])
@@ -101,16 +109,20 @@ class _Rows:
             return self._text(violation, is_part)
         near = self._elastic(np.zeros(len(x0)), 1.0)
         if near is not None and not near[1].any():
-            # What the solver does not see of the violation it sees with that as the unit, seen from the point it found.
+            # The solver saw no violation. Solve again from the point found, with the violation of
+            # that point as the unit, so that the solver can see it.
             beyond = self.A @ near[0] - self.b
             unit = max(beyond.max(), -beyond[self.is_equal].min(initial=0.0))
             near = self._elastic(near[0], unit) if unit > 0.0 else None
         return UNSEEN if near is None else self._text(*near[1:])
 
     def _elastic(self, centre: Vec, unit: float) -> tuple[Vec, Vec, Mask] | None:
-        """Return the x (n,) that violates the rows by the least sum, by how much (m,), and which rows keep it there.
+        """Return the x (n,) with the least sum of violations, the violations, and the active rows.
 
-        The program is that of (x - centre) / unit; None if even that has no solution.
+        The program is solved in the variable (x - centre) / unit. Returns None if even that has no
+        solution.
+        Returns x (n,), the violation (m,) of each row, and (m,) True for the rows that keep x
+        there.
         """
         m = len(self.b)
         n = self.A.shape[1]
@@ -136,7 +148,7 @@ class _Rows:
         )
 
     def _text(self, violation: Vec, is_part: Mask) -> str:
-        """Name the rows that are violated the most, and of those that are met the ones that stand against them."""
+        """Name the rows that are violated the most, and the active rows that stand against them."""
         worst = np.argsort(-violation, kind="stable")[:SHOWN]
         if not violation.any():
             return UNSEEN
@@ -153,7 +165,7 @@ class _Rows:
 
 
 def _relaxation(constraints: Sequence[cp.Constraint]) -> str:
-    """Return the rows of linear constraints whose violation must add up to the least that is possible."""
+    """Name the violated rows of linear constraints, where the sum of violations is the least."""
     slack = [
         cp.Variable(c.expr.shape, nonneg=True) if isinstance(c, LINEAR) else None
         for c in constraints
@@ -179,7 +191,7 @@ def _relaxation(constraints: Sequence[cp.Constraint]) -> str:
 def unbounded(
     x: cp.Variable, objective: cp.Expression, constraints: Sequence[cp.Constraint]
 ) -> str:
-    """The entry of x that goes farthest when all are held within FAR."""
+    """Name the entry of x that goes farthest when all entries are held within FAR."""
     if not _solved(
         cp.Problem(cp.Minimize(objective), [*constraints, x <= FAR, x >= -FAR])
     ):
@@ -202,9 +214,8 @@ def _relaxed(constraint: cp.Constraint, slack: cp.Variable) -> cp.Constraint:
 
 def _solved(problem: cp.Problem) -> bool:
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # that it may be inaccurate: so may be what it is asked for
+        # cvxpy warns that the solution may be inaccurate, which is enough for a text.
+        warnings.simplefilter("ignore")
         try:
             problem.solve(solver=cp.CLARABEL)
         except cp.SolverError:

@@ -1,4 +1,4 @@
-"""The inverse of a matrix whose rows and columns may have any units."""
+"""Invert a matrix with rows and columns in any units."""
 
 import numpy as np
 
@@ -7,27 +7,29 @@ from crazychoir.optimization.problems.tableau import ROUNDING, solve_identity
 from crazychoir.types import Mat, Vec
 
 PASSES = 8
-"""Sweeps over rows and columns of the scaling."""
+"""Sweeps over rows and columns that compute the scaling."""
 EVEN = 12.0
-"""Binary digits between the largest and the smallest entry below which a matrix needs no scaling."""
+"""Range of entries that needs no scaling: binary digits between the largest and the smallest."""
 
 
 def without_rounding(value: Mat, terms: Mat) -> Mat:
-    """Return `value` with zeros where it is a rounding error.
+    """Return `value` with zeros where an entry is a rounding error.
 
-    value: sums;  terms: the sums of the absolute values of their terms, of the same shape.
+    value: sums
+    terms: for each sum, the absolute values of its terms added up; same shape as value
     """
     return np.where(np.abs(value) <= ROUNDING * terms, 0.0, value)
 
 
 def scaled_inverse(B: Mat) -> Mat:
-    """Return the inverse of B, exact zeros where its entries are rounding errors.
+    """Return the inverse of B, with exact zeros where its entries are rounding errors.
 
         B^-1 = S (R B S)^-1 R
 
-    R and S are diagonal, of powers of two, so that scaling is exact. The result depends on B alone, and rows or
-    columns of B in other units change it by these units only.
-    B: (m, m).  Raises SolverError where B is singular.
+    R and S are diagonal matrices of powers of two, so that scaling is exact. The result depends on
+    B alone. If rows or columns of B change their units, the result changes by these units only.
+    B: (m, m)
+    Raises SolverError if B is singular.
     """
     m = len(B)
     rows, columns = scaling_exponents(B)
@@ -38,11 +40,13 @@ def scaled_inverse(B: Mat) -> Mat:
 
 
 def scaling_exponents(B: Mat) -> tuple[Vec, Vec]:
-    """Return the exponents of R and S, whole numbers, for which the entries of R B S are as close to 1 as can be.
+    """Return the exponents of R and S that bring the entries of R B S as close to 1 as possible.
 
-        min over r, s of  sum over B_ij != 0 of (log2 |B_ij| + r_i + s_j)^2      by minimising over r and s in turns
+        min over r, s of  sum over B_ij != 0 of (log2 |B_ij| + r_i + s_j)^2
 
-    B: (m, n).  Returns integers of shapes (m,) and (n,).
+    The sum is minimised over r and over s in turns.
+    B: (m, n)
+    Returns integers of shapes (m,) and (n,).
     Source: Curtis & Reid 1972, IMA Journal of Applied Mathematics 10(1), 118-124.
     """
     m, n = B.shape

@@ -1,4 +1,4 @@
-"""What a cvxpy expression says: checked, and read into matrices where it is affine or quadratic."""
+"""Check cvxpy expressions, and read affine and quadratic ones into matrices."""
 
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
@@ -17,7 +17,10 @@ EXPRESSION = "a cvxpy expression, or numbers"
 
 
 def decision(x: Any, where: str) -> int:
-    """The dimension n of the decision variable x: a cvxpy variable, a scalar or a vector."""
+    """Return the dimension n of the decision variable x.
+
+    Raises ConfigError unless x is a cvxpy variable, a scalar or a vector.
+    """
     if not isinstance(x, cp.Variable):
         raise ConfigError(f"{where}: x", type(x).__name__, "a cvxpy.Variable")
     if x.ndim > 1:
@@ -33,7 +36,11 @@ def decision(x: Any, where: str) -> int:
 
 
 def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constraint]:
-    """What the attributes of x say, as constraints; others are refused, but for integers if x may be `whole`."""
+    """Return the attributes of x, such as nonneg or bounds, as constraints.
+
+    whole: accept the attributes integer and boolean
+    Raises ConfigError for other attributes.
+    """
     said = {
         name
         for name, value in x.attributes.items()
@@ -61,7 +68,7 @@ def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constrain
 
 
 def require_continuous(expressions: Sequence[Any], where: str) -> None:
-    """Raise ConfigError that names a further variable which must be integer."""
+    """Raise ConfigError that names a variable which must be an integer."""
     for variable in [v for expression in expressions for v in expression.variables()]:
         if any(variable.attributes[name] for name in ("integer", "boolean")):
             do = "Integers are for MixedIntegerConstraintCoupled."
@@ -74,7 +81,10 @@ def require_continuous(expressions: Sequence[Any], where: str) -> None:
 
 
 def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
-    """Which entries of x are integer, and which of them are 0 or 1."""
+    """Return the indices of the integer entries of x, and the indices of the entries in {0, 1}.
+
+    The first list contains the second.
+    """
     found = []
     for name, places in (("integer", x.integer_idx), ("boolean", x.boolean_idx)):
         everywhere = x.attributes[name] is True
@@ -87,7 +97,10 @@ def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
 
 
 def convex(expression: Any, where: str) -> cp.Expression:
-    """A scalar objective that is convex by the rules of DCP and DPP, with finite data; of cp.Minimize(f) it is f."""
+    """Return a scalar objective f that is convex by the rules of DCP and DPP, with finite data.
+
+    cp.Minimize(f) is accepted and gives f. Raises ConfigError for all other input.
+    """
     if isinstance(expression, cp.Minimize):
         expression = expression.args[0]
     if isinstance(expression, cp.Maximize):
@@ -107,7 +120,7 @@ def convex(expression: Any, where: str) -> cp.Expression:
 
 
 def coupling(expression: Any, where: str) -> cp.Expression:
-    """A vector g of expressions, each convex; from a list of expressions, or from one."""
+    """Return a vector g of convex expressions, built from one expression or a list of them."""
     listed = isinstance(expression, (list, tuple))
     given = list(expression) if isinstance(expression, (list, tuple)) else [expression]
     parts = [
@@ -127,7 +140,7 @@ def coupling(expression: Any, where: str) -> cp.Expression:
 
 
 def _expression(given: Any, where: str) -> cp.Expression:
-    """Return the expression that was given, or a constant of the numbers that were."""
+    """Return the given expression, or the given numbers as a constant expression."""
     if isinstance(given, cp.Expression):
         found = given
     elif isinstance(given, cp.constraints.constraint.Constraint):
@@ -169,7 +182,10 @@ def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
 
 
 def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
-    """The constraints, each convex, with finite data. One that is not in a list counts as a list of one."""
+    """Return the constraints as a list, each convex and with finite data.
+
+    A single constraint counts as a list of one.
+    """
     if isinstance(constraints, cp.constraints.constraint.Constraint):
         constraints = [constraints]
     elif constraints is None:
@@ -216,7 +232,7 @@ def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
 
 
 def _advice(found: Any) -> str:
-    """What to do about an entry of a list of constraints that is none."""
+    """Return advice about an entry of a list of constraints that is not a constraint."""
     if isinstance(found, (bool, np.bool_)):
         return "Compare expressions of cvxpy variables."
     if isinstance(found, (list, tuple)):
@@ -227,7 +243,10 @@ def _advice(found: Any) -> str:
 
 
 def finite(expression: Any, where: str) -> None:
-    """Raises ConfigError that names the first number which is not finite, and a parameter without a value."""
+    """Raise ConfigError for a number that is not finite, or a parameter without a value.
+
+    The error names the first one.
+    """
     for data in [*expression.constants(), *expression.parameters()]:
         with _sparse_read():
             given = data.value
@@ -252,13 +271,16 @@ def finite(expression: Any, where: str) -> None:
 
 
 def only(expression: Any, x: cp.Variable) -> bool:
-    """Whether it depends on no variable but x."""
+    """Return True if the expression depends on no variable but x."""
     return all(variable.id == x.id for variable in expression.variables())
 
 
 @contextmanager
 def _sparse_read() -> Iterator[None]:
-    """Without cvxpy's warning that a sparse parameter is read as a whole: here it becomes a matrix in any case."""
+    """Suppress cvxpy's warning about reading a sparse parameter.
+
+    The warning does not matter: the parameter becomes a dense matrix in any case.
+    """
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", message="Reading from a sparse CVXPY expression"
@@ -268,7 +290,7 @@ def _sparse_read() -> Iterator[None]:
 
 @contextmanager
 def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
-    """With the variable's value at a point, and then where the user had it."""
+    """Set the value of x to a point, and restore the user's value at the end."""
     before = x.value
     x.save_value(point.reshape(x.shape))
     try:
@@ -279,16 +301,19 @@ def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
 
 
 def at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
-    """Its values (S,) at x = point."""
+    """Return the values (S,) of the expression at x = point."""
     with _placed(x, point), np.errstate(all="ignore"):
         return _dense(expression.value).reshape(-1, order="F")
 
 
 def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
-    """A (sub)gradient (S, n) of each of its entries at x = point; nan outside of its domain."""
+    """Return a (sub)gradient (S, n) of each entry of the expression at x = point.
+
+    Entries are nan if the point is outside the domain.
+    """
     if not np.isfinite(
         at(expression, x, point)
-    ).all():  # of a sum, cvxpy fails to say so
+    ).all():  # cvxpy does not report a sum outside its domain
         return np.full((expression.size, x.size), np.nan)
     with _placed(x, point):
         found = expression.grad
@@ -300,13 +325,13 @@ def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
 
 
 def affine(expression: cp.Expression, x: cp.Variable) -> tuple[Mat, Vec]:
-    """G (S, n) and h (S,) of an affine expression G x + h."""
+    """Return G (S, n) and h (S,) of an affine expression G x + h."""
     zero = np.zeros(x.size)
     return slope(expression, x, zero), at(expression, x, zero)
 
 
 def _dense(value: Any) -> Vec:
-    """cvxpy's numbers are floats, arrays or sparse matrices."""
+    """Return the numbers of cvxpy, a float, an array or a sparse matrix, as a dense array."""
     return np.atleast_1d(
         np.asarray(value.toarray() if hasattr(value, "toarray") else value, float)
     )
@@ -314,42 +339,51 @@ def _dense(value: Any) -> Vec:
 
 @dataclass(frozen=True)
 class Quadratic:
-    """1/2 x'Px + q'x + r;  P: (n, n), symmetric;  q: (n,)."""
+    """The function 1/2 x'Px + q'x + r."""
 
     P: Mat
+    """(n, n), symmetric."""
     q: Vec
+    """(n,) linear term."""
     r: float
+    """Constant term."""
 
     @classmethod
     def zero(cls, n: int) -> "Quadratic":
-        """That is 0 everywhere."""
+        """Return the function of n variables that is 0 everywhere."""
         return cls(np.zeros((n, n)), np.zeros(n), 0.0)
 
     def value(self, x: Vec) -> float:
-        """At x (n,)."""
+        """Return the value at x (n,)."""
         return float(x @ (0.5 * (self.P @ x) + self.q) + self.r)
 
     def gradient(self, x: Vec) -> Vec:
-        """P x + q."""
+        """Return the gradient P x + q."""
         return self.P @ x + self.q
 
     def __add__(self, other: "Quadratic") -> "Quadratic":
         return Quadratic(self.P + other.P, self.q + other.q, self.r + other.r)
 
     def times(self, factor: float) -> "Quadratic":
-        """This function, scaled."""
+        """Return this function, scaled by a factor."""
         return Quadratic(factor * self.P, factor * self.q, factor * self.r)
 
 
 def linear(expression: cp.Expression, x: cp.Variable, where: str) -> tuple[Mat, Vec]:
-    """As `affine`; raises ConfigError unless it is affine in x alone."""
+    """Return G and h as `affine` does.
+
+    Raises ConfigError unless the expression is affine in x alone.
+    """
     if not (expression.is_affine() and only(expression, x)):
         raise ConfigError(where, str(expression), f"a linear function of {x.name()}")
     return affine(expression, x)
 
 
 def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | None:
-    """Its entries, if all are quadratic functions of x alone: by their gradients, which are linear then."""
+    """Return the entries of the expression if all are quadratic functions of x alone, else None.
+
+    The matrices are read from the gradients, which are linear for a quadratic function.
+    """
     if not only(expression, x) or not expression.is_quadratic():
         return None
     zero = np.zeros(x.size)
@@ -367,7 +401,10 @@ def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | N
 def require_polyhedral(
     constraints: Sequence[cp.Constraint], x: cp.Variable, where: str
 ) -> None:
-    """Raise ConfigError that names the first which is not a linear (in)equality of x alone."""
+    """Raise ConfigError unless all constraints are linear (in)equalities of x alone.
+
+    The error names the first constraint that is not.
+    """
     for r, c in enumerate(constraints):
         if not polyhedral([c], x):
             raise ConfigError(
@@ -378,7 +415,7 @@ def require_polyhedral(
 
 
 def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
-    """Whether all are linear (in)equalities of x alone."""
+    """Return True if all constraints are linear (in)equalities of x alone."""
     return all(
         isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints
     )
@@ -387,14 +424,17 @@ def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
 def polyhedron(
     constraints: Sequence[cp.Constraint], x: cp.Variable
 ) -> Polyhedron | None:
-    """The set of all; None if it is no polyhedron, or one in more variables than x."""
+    """Return the set that the constraints describe.
+
+    Returns None if it is not a polyhedron, or if it involves variables other than x.
+    """
     return Polyhedron.of(*rows(constraints, x)) if polyhedral(constraints, x) else None
 
 
 def rows(
     constraints: Sequence[cp.Constraint], x: cp.Variable
 ) -> tuple[Mat, Vec, Mat, Vec]:
-    """A, b, E, e of linear constraints: A x <= b, E x = e."""
+    """Return A, b, E, e of linear constraints: A x <= b, E x = e."""
     found: dict[bool, list[tuple[Mat, Vec]]] = {False: [], True: []}
     for c in constraints:
         G, h = affine(c.expr, x)
@@ -411,10 +451,13 @@ def rows(
 
 
 EQUAL = (cp.constraints.zero.Equality, cp.constraints.zero.Zero)
+"""Types of constraints expr = 0."""
 NONNEGATIVE = (cp.constraints.nonpos.NonNeg,)
+"""Types of constraints expr >= 0."""
 LINEAR = (
     *EQUAL,
     *NONNEGATIVE,
     cp.constraints.nonpos.Inequality,
     cp.constraints.nonpos.NonPos,
 )
+"""Types of linear (in)equalities."""

@@ -1,4 +1,4 @@
-"""Gradients and projections as a user gives them: functions of numpy arrays, whose results are checked."""
+"""Check the gradients and projections of the user, which are functions of numpy arrays."""
 
 import random
 from collections.abc import Callable, Sequence
@@ -16,9 +16,15 @@ Project = Callable[[Vec], ArrayLike]
 
 
 class Checked:
-    """A user's function of x at agent i, whose values are finite and have the shape of x, or of `shape`.
+    """A function of x that the user wrote for agent i, with a check of its results.
 
-    Raises ConfigError that names agent, function, round and row: `agent 3: gradient, round 7[1]: found nan`.
+    The result must be finite and have the shape of x, or the shape `shape` of the call.
+    Raises ConfigError that names agent, function, round and row:
+    `agent 3: gradient, round 7[1]: found nan`.
+
+    i: id of the agent
+    name: name of the function in error texts
+    function: the function itself
     """
 
     def __init__(self, i: int, name: str, function: Callable[..., ArrayLike]) -> None:
@@ -35,7 +41,7 @@ class Checked:
         self.function = function
 
     def __call__(self, k: int, *x: Vec, shape: tuple[int, ...] | None = None) -> Vec:
-        """Its value at x, in round k."""
+        """Return the value at x in round k."""
         wanted = x[0].shape if shape is None else shape
         return result(
             f"agent {self.i}: {self.name}, round {k}", self.function(*x), wanted
@@ -43,18 +49,23 @@ class Checked:
 
 
 def anywhere(x: Vec) -> Vec:
-    """The projection onto the whole space."""
+    """Return x: the projection onto the whole space."""
     return x
 
 
 class Samples:
-    """A stochastic gradient: the mean over a random mini-batch of samples, drawn anew in each call.
+    """A stochastic gradient: the mean over a random mini-batch, drawn anew in each call.
 
         g(x) = 1/|B| sum_{s in B} grad l(x, s),   B of `batch` samples, drawn without replacement
 
     The expectation of g is the gradient of the mean loss of all samples.
-    gradient: of the loss of one sample, grad l(x, s);  samples: a sequence of them;  seed: the draws are those of
-    (seed, agent), so that each agent has its own and a run repeats.
+
+    i: id of the agent
+    gradient: gradient of the loss of one sample, grad l(x, s)
+    samples: sequence of all samples of this agent
+    batch: number of samples in a mini-batch
+    seed: seed of the draws; they depend on (seed, agent), so that each agent has its own and a
+        run can be repeated
     """
 
     def __init__(
@@ -77,7 +88,7 @@ class Samples:
         self._chance = random.Random(f"{seed} {i}")  # noqa: S311 - which samples, not secrets
 
     def __call__(self, x: Vec) -> Vec:
-        """The mean gradient of a new mini-batch."""
+        """Return the mean gradient of a new mini-batch."""
         drawn = self._chance.sample(range(len(self.samples)), self.batch)
         mean: Vec = np.mean(
             [np.asarray(self.gradient(x, self.samples[s]), dtype=float) for s in drawn],

@@ -1,4 +1,7 @@
-"""The lexicographic simplex method: one optimal basis of a linear program, the same at every agent that computes it."""
+"""The lexicographic simplex method: one optimal basis of a linear program.
+
+Every agent that computes it gets the same basis.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,24 +19,25 @@ from crazychoir.types import Mat, Vec
 
 Ints = npt.NDArray[np.int64]
 PIVOTS = 100_000
+"""Largest number of pivots before the method gives up."""
 REFRESH = 50
-"""Pivots after which the tableau is computed anew."""
+"""Number of pivots after which the tableau is computed anew."""
 EPSILON = float(np.finfo(float).eps)
+"""Relative rounding error of double precision."""
 ARTIFICIAL = -1
-"""The owner of artificial columns."""
+"""Owner id of the artificial columns."""
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """n columns of a standard-form program with m rows.
-
-    ids: (n, 2) owner and number, each once, in increasing order;  cost: (2, n), a, which comes before c and is 1 for an
-    artificial column, then c;  entries: (m, n).
-    """
+    """n columns of a standard-form program with m rows."""
 
     ids: Ints
+    """(n, 2) owner and number, each pair once, in increasing order."""
     cost: Mat
+    """(2, n) the costs a and c. The cost a comes first; it is 1 for an artificial column."""
     entries: Mat
+    """(m, n) the columns themselves."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -46,7 +50,13 @@ class Columns:
     def own(
         cls, owner: int, c: Vec, entries: Mat, first: Vec | None = None
     ) -> "Columns":
-        """The columns of one agent. c: (n,); entries: (m, n);  first: (n,) the cost before c, zeros if None."""
+        """Return the columns of one agent.
+
+        owner: id of the agent
+        c: (n,) cost c
+        entries: (m, n)
+        first: (n,) the cost a, which comes before c; zeros if None
+        """
         ids = np.column_stack([np.full(len(c), owner), np.arange(len(c))]).astype(
             np.int64
         )
@@ -56,7 +66,7 @@ class Columns:
 
     @classmethod
     def artificial(cls, m: int) -> "Columns":
-        """The identity."""
+        """Return the m artificial columns: an identity matrix."""
         return cls(
             cls.own(ARTIFICIAL, np.zeros(m), np.eye(m)).ids,
             np.vstack([np.ones(m), np.zeros(m)]),
@@ -64,16 +74,16 @@ class Columns:
         )
 
     def take(self, which: Ints) -> "Columns":
-        """Those at the positions `which`, increasing."""
+        """Return the columns at the positions `which`, in increasing order."""
         return Columns(self.ids[which], self.cost[:, which], self.entries[:, which])
 
     def free(self) -> "Columns":
-        """The same without c: what remains is to find a feasible basis."""
+        """Return these columns without the cost c: what remains is to find a feasible basis."""
         return Columns(self.ids, self.cost * np.array([[1.0], [0.0]]), self.entries)
 
 
 def union(parts: list[Columns]) -> Columns:
-    """The columns of all parts, each once."""
+    """Return the columns of all parts, each once."""
     ids = np.vstack([part.ids for part in parts])
     order = np.lexsort((ids[:, 1], ids[:, 0]))
     different = np.concatenate([[True], (np.diff(ids[order], axis=0) != 0).any(axis=1)])
@@ -87,22 +97,29 @@ def union(parts: list[Columns]) -> Columns:
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """An optimal basis of the columns that were given, or the end of a ray.
+    """An optimal basis B of the given columns, or the end of a ray.
 
-    columns: (m of them), B, in increasing order of id;  b: (m,);  inverse: (m, m), B^-1;  level: (m,) their values
-    x_B;  ray: id of a column that may grow for ever while c'x falls, or None.
-    All depend on B and b alone, bit by bit, so that agents with the same basis have the same numbers.
+    All numbers depend on B and b alone, bit by bit. Agents with the same basis therefore have the
+    same numbers.
     """
 
     columns: Columns
+    """The m columns of B, in increasing order of id."""
     b: Vec
+    """(m,) right-hand side."""
     inverse: Mat
+    """(m, m) B^-1."""
     level: Vec
+    """(m,) values x_B of the basic variables."""
     ray: tuple[int, int] | None = None
+    """Id of a column that may grow for ever while c'x falls, or None."""
 
     @classmethod
     def of(cls, columns: Columns, b: Vec) -> "Basis":
-        """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
+        """Return the basis of m columns in increasing order of id.
+
+        Raises SolverError if the columns are dependent.
+        """
         inverse = scaled_inverse(columns.entries)
         return cls(
             columns,
@@ -113,7 +130,7 @@ class Basis:
 
     @cached_property
     def prices(self) -> Mat:
-        """(2, m) of the rows, at the two levels of cost."""
+        """(2, m) prices of the rows, at the two levels of cost."""
         cost = self.columns.cost
         return without_rounding(
             cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse)
@@ -121,43 +138,58 @@ class Basis:
 
     @cached_property
     def terms(self) -> Vec:
-        """(m,) the sizes of the terms whose sums are the levels: |B^-1| |b|."""
+        """(m,) added sizes of the terms of each level: |B^-1| |b|."""
         return np.asarray(np.abs(self.inverse) @ np.abs(self.b))
 
     @cached_property
     def uncertainty(self) -> Vec:
-        """(m,) the rounding error of the levels at most: epsilon |B^-1| (|B| |x_B| + |b|)."""
+        """(m,) bound of the rounding error of the levels: epsilon |B^-1| (|B| |x_B| + |b|)."""
         size = np.abs(self.columns.entries) @ np.abs(self.level) + np.abs(self.b)
         return np.asarray(EPSILON * (np.abs(self.inverse) @ size))
 
     def price_out(self, columns: Columns) -> Mat:
-        """Return (2, n) the reduced costs of `columns`, at the two levels of cost."""
+        """Return the reduced costs (2, n) of `columns`, at the two levels of cost."""
         terms = np.abs(columns.cost) + np.abs(self.prices) @ np.abs(columns.entries)
         return without_rounding(columns.cost - self.prices @ columns.entries, terms)
 
     def expressed(self, entries: Mat) -> Mat:
-        """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones."""
+        """Return B^-1 entries (m, n): the columns of `entries` as sums of the basic columns.
+
+        entries: (m, n)
+        """
         return without_rounding(
             self.inverse @ entries, np.abs(self.inverse) @ np.abs(entries)
         )
 
 
 def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
-    """Return the lexicographically optimal basis among `columns`, by pivots from `start`, which is part of them.
+    """Return the lexicographically optimal basis among `columns`, by pivots from `start`.
 
         min (z_1, ..., z_m, a'x, c'x, delta'x)   s.t.  A x = b + (e, e^2, ..., e^m),  x >= 0,
         z_i the artificial column of row i,   delta_j = d^{rank of id j}
 
-    The costs come in this order. An artificial column is a big M without a number, in the order of rows, so that rows
-    in different units are never added up. a comes before c, and delta, d -> 0, makes the optimum unique. e -> 0 makes
-    the basis of a vertex unique. Neither d nor e is ever a number: signs are those of the first term that is not zero,
-    in the reduced costs (entering) and in the rows of [B^-1 b, B^-1] (leaving). So the answer depends on the columns
-    alone, not on the way to it.
-    What is zero is judged by the terms that were added up (pivot, without_rounding), never by other rows or columns:
-    with rows and columns in other units the answer is the same basis.
-    b: (m,), >= 0; `start` is lexicographically feasible, as the identity is, and as every answer is.
-    Raises SolverError beyond PIVOTS pivots, or for a singular basis.
-    Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
+    The costs count in this order:
+
+    - z_i: an artificial column has a cost above all others (a big M without a number), in the order
+      of rows. Rows in different units are therefore never added up.
+    - a, then c.
+    - delta, with d -> 0: it makes the optimum unique.
+
+    e -> 0 makes the basis of a vertex unique. Neither d nor e ever becomes a number. A sign is the
+    sign of the first term that is not zero: in the reduced costs for the entering column, and in
+    the rows of [B^-1 b, B^-1] for the leaving column. So the answer depends on the columns alone,
+    and not on the sequence of pivots.
+    Whether a number is zero is judged by the terms that were added up (_pivot, without_rounding),
+    never by other rows or columns. So the answer is the same basis when rows and columns have other
+    units.
+
+    columns: all columns
+    start: columns of a lexicographically feasible basis, which are part of `columns`. The identity
+        is one, and so is every answer of this function.
+    b: (m,) >= 0
+    Raises SolverError after PIVOTS pivots, or for a singular basis.
+    Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012,
+    Automatica 48, 2298-2304.
     """
     basis = start if isinstance(start, Basis) else Basis.of(start, b)
     artificial = int(np.searchsorted(columns.ids[:, 0], 0))
@@ -176,9 +208,9 @@ def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
 
 
 def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
-    """Return (m + 2, n + m + 1): B^-1 [A, I, b], and the reduced costs at two levels.
+    """Return the tableau (m + 2, n + m + 1): B^-1 [A, I, b], and the reduced costs at two levels.
 
-    basic: (m,) the position of the columns of the basis.
+    basic: (m,) positions of the columns of the basis
     """
     m = len(basic)
     n = len(columns)

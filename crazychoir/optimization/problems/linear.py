@@ -1,4 +1,7 @@
-"""Linear and mixed-integer linear programs in HiGHS: built once, solved often, stopped by iterations or nodes."""
+"""Linear and mixed-integer linear programs in HiGHS: built once, solved often.
+
+A solve is limited by a number of iterations or nodes, never by time.
+"""
 
 from typing import Final
 
@@ -17,14 +20,18 @@ MOST_NODES: Final = 100_000
 WORDS = {
     highspy.HighsModelStatus.kInfeasible: "infeasible",
     highspy.HighsModelStatus.kUnbounded: "unbounded",
-    highspy.HighsModelStatus.kUnboundedOrInfeasible: "infeasible",  # `solve` knows when it is unbounded
+    highspy.HighsModelStatus.kUnboundedOrInfeasible: "infeasible",  # `_minimise` tests for unbounded
     highspy.HighsModelStatus.kIterationLimit: "too many iterations",
     highspy.HighsModelStatus.kSolutionLimit: "too many nodes",
 }
+"""Status texts of HiGHS that callers test for."""
 
 
 class _Quiet(highspy.Highs):  # type: ignore[misc]
-    """One that says nothing from its beginning on: HiGHS 1.16 prints who it is as soon as it has callbacks."""
+    """A HiGHS object that prints nothing.
+
+    HiGHS 1.16 prints a banner as soon as it has callbacks, so the output is switched off before.
+    """
 
     def enableCallbacks(self) -> highspy.HighsStatus:
         self.setOptionValue("output_flag", False)
@@ -32,7 +39,10 @@ class _Quiet(highspy.Highs):  # type: ignore[misc]
 
 
 def quiet_highs(seed: int = 0) -> highspy.Highs:
-    """A HiGHS object that repeats itself: one thread, a fixed seed, no output, no time limit."""
+    """Return a HiGHS object with repeatable results.
+
+    It uses one thread and a fixed seed. It has no output and no time limit.
+    """
     highs = _Quiet()
     highs.setOptionValue("threads", 1)
     highs.setOptionValue("random_seed", seed)
@@ -41,13 +51,22 @@ def quiet_highs(seed: int = 0) -> highspy.Highs:
 
 
 class LinearProgram:
-    """min c'x + p'x  s.t.  A x <= b,  E x = e,  low <= x <= high,  x_k integer where `integer`, for many p.
+    """A linear program, perhaps with integers, solved for many linear costs p.
 
-    c: (n,);  rows: A (m, n), b (m,);  equalities: E (l, n), e (l,);  bounds: low, high (n,), may be infinite;
-    integer: (n,) of bool;  most_nodes: of branch and bound, a solve. The last basis is where the next solve starts.
+        min c'x + p'x  s.t.  A x <= b,  E x = e,  low <= x <= high,  x_k integer where `integer`
+
+    c: (n,)
+    rows: A (m, n), b (m,)
+    equalities: E (l, n), e (l,)
+    bounds: low (n,), high (n,), may be infinite
+    integer: (n,) of bool: True where x_k must be an integer
+    most_nodes: limit of branch-and-bound nodes of one solve
+
+    Each solve starts from the last basis.
     """
 
     name = "HiGHS"
+    """Name of the solver."""
 
     def __init__(
         self,
@@ -82,12 +101,18 @@ class LinearProgram:
             self._highs.setOptionValue("mip_rel_gap", 0.0)
 
     def solve(self, p: Vec) -> Vec | str:
-        """A solution x (n,), a corner; or why there is none, in the words of WORDS, or in HiGHS' own."""
+        """Return a solution x (n,), which is a corner, or the reason why there is none.
+
+        The reason is a text of WORDS, or the name of the status in HiGHS.
+        """
         return self._minimise(self._c + p)
 
     @property
     def proven(self) -> float:
-        """No x costs less, by the last `solve` that found one; with integers the bound of its search."""
+        """Lower bound of the cost of every x, proven by the last `solve` that found a solution.
+
+        With integers it is the bound of the branch-and-bound search.
+        """
         info = self._highs.getInfo()
         return float(
             info.mip_dual_bound if self._mixed else info.objective_function_value
@@ -95,7 +120,7 @@ class LinearProgram:
 
     @property
     def multipliers(self) -> Vec:
-        """(m + l,) of the rows and of the equalities, in the last `solve` that found a solution."""
+        """(m + l,) multipliers of the rows and equalities in the last solution found."""
         return np.array(self._highs.getSolution().row_dual)
 
     def _minimise(self, c: Vec) -> Vec | str:

@@ -1,4 +1,4 @@
-"""One agent's part of a mixed-integer linear program that is coupled by resources, as plain arrays."""
+"""One agent's part of a mixed-integer linear program with common resources, as plain arrays."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -19,9 +19,9 @@ from crazychoir.optimization.rounds.arrays import matrix, vector
 from crazychoir.types import Mat, Vec
 
 SLACK = 1e-6
-"""What a row may miss its bound by, relative to 1 + |bound|: a solver's tolerance."""
+"""Tolerance of the solver: a row may miss its bound by this, relative to 1 + |bound|."""
 SMALLEST_RESOURCE = 1e-5
-"""A resource of which no number is larger is hidden by this tolerance."""
+"""Least size of the largest number of a resource: the tolerance would hide a smaller resource."""
 
 
 class MixedIntegerBlock:
@@ -29,10 +29,16 @@ class MixedIntegerBlock:
 
         X_i = {x : D x <= d,  low <= x <= high,  x_k integer for k in `integer`},   bounded
 
-    c: (n,);  A: (S, n), of S resources;  rows: (D (m, n), d (m,)) or None;  bounds: (low, high), (n,) or numbers;
-    integer: indices of x;  share: b_i (S,); for a common b each of N agents may take b/N.
-    Raises ConfigError for arrays that do not fit or are not finite, SolverError for an X_i that is empty, or has no
-    bound, when it is solved; both name the agent, the row and the value.
+    agent: id of the agent, for error messages
+    c: (n,) costs c_i
+    A: (S, n) use of S resources, A_i
+    share: b_i (S,); with a common bound b, each of N agents may take b/N
+    rows: (D (m, n), d (m,)), or None for no rows
+    bounds: (low, high), each (n,) or a number
+    integer: indices of the entries of x that are integers
+    Raises ConfigError if an array is not finite or of a wrong shape.
+    Raises SolverError when it solves a problem and X_i is empty or has no bound.
+    Both errors name the agent, the row and the value.
     """
 
     def __init__(
@@ -77,7 +83,10 @@ class MixedIntegerBlock:
         self.integer = self._mask(integer)
 
     def _require_resources_to_be_seen(self) -> None:
-        """Raise ConfigError for a resource whose numbers are all so small that any excess would be accepted."""
+        """Raise ConfigError for a resource if all its numbers are below the tolerance.
+
+        The solver would accept any excess of such a resource.
+        """
         sizes = np.maximum(np.abs(self.A).max(axis=1, initial=0.0), np.abs(self.share))
         hidden = np.flatnonzero((sizes > 0.0) & (sizes < SMALLEST_RESOURCE))
         if len(hidden):
@@ -108,11 +117,11 @@ class MixedIntegerBlock:
         )
 
     def corner(self, cost: Vec) -> Vec:
-        """argmin cost'x over X_i (n,)."""
+        """Return argmin cost'x over X_i, (n,)."""
         return self._exact(self._require(self._over.solve(cost)))
 
     def least(self, cost: Vec) -> tuple[Vec, float]:
-        """A corner that minimises cost'x over X_i, and what no point of X_i costs less than."""
+        """Return a corner that minimises cost'x over X_i, and a proven lower bound of cost'x."""
         return self.corner(cost), self._over.proven
 
     @cached_property
@@ -120,16 +129,22 @@ class MixedIntegerBlock:
         return _Elastic(self)
 
     def within(self, y: Vec) -> tuple[Vec, Vec]:
-        """(x, v): the least sum of v >= 0 with A x <= y + v, and with it the least c'x. y: (S,)."""
+        """Return (x, v): first the least sum of v >= 0 with A x <= y + v, then the least c'x.
+
+        y: (S,)
+        Returns x (n,) and v (S,).
+        """
         x = self._exact(self._require(self._elastic.solve(y)))
         return x, np.maximum(self.A @ x - y, 0.0)
 
     def tightening(self) -> Vec:
-        """(S,) by how much the agent's use of each resource may have to change when its x becomes a point of X_i.
+        """Return the change (S,) of each resource use that may make x a point of X_i.
 
-            min(U - L, r 1),   L, U = min, max of A x over X_i,   r = min r s.t. A x <= L + r 1, x in X_i, r >= 0
+            min(U - L, r 1),   L, U = min, max of A x over X_i
+            r = min r s.t. A x <= L + r 1, x in X_i, r >= 0
 
-        Source: Camisa, Notarnicola & Notarstefano 2022, the restriction of the coupling constraints.
+        Source: Camisa, Notarnicola & Notarstefano 2022, the restriction of the coupling
+        constraints.
         """
         low = np.array([row @ self.corner(row) for row in self.A])
         high = np.array([row @ self.corner(-row) for row in self.A])
@@ -161,7 +176,7 @@ class MixedIntegerBlock:
         return found
 
     def _why(self, status: str) -> str:
-        """What to look at."""
+        """Return a hint which part of the model to check."""
         low, high = self.bounds
         if status == "unbounded":
             free = np.flatnonzero(~np.isfinite(low) | ~np.isfinite(high))
@@ -170,8 +185,9 @@ class MixedIntegerBlock:
 
 
 def _near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
-    """Return the rows in units in which their largest entry is 1 to 2: the tolerances of HiGHS are absolute.
+    """Return the rows in units in which their largest entry is 1 to 2.
 
+    The tolerances of HiGHS are absolute, so rows of other sizes would be judged wrongly.
     The factors are powers of two, so that nothing is rounded.
     """
     exponents = 1 - np.frexp(np.abs(rows).max(axis=1, initial=0.0))[1]
@@ -180,14 +196,14 @@ def _near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
 
 
 def require_block(block: Any, algorithm: str) -> None:
-    """Raise ConfigError unless it is an agent's part of a mixed-integer program."""
+    """Raise ConfigError unless `block` is an agent's part of a mixed-integer program."""
     if not isinstance(block, MixedIntegerBlock):
         allowed = "a MixedIntegerBlock, such as a MixedIntegerConstraintCoupled"
         raise ConfigError(f"{algorithm}: block", type(block).__name__, allowed)
 
 
 class _Elastic:
-    """min c'x over X with A x <= y + v, for many y: in (x, v)."""
+    """min c'x over X with A x <= y + v, in the variables (x, v), for many y."""
 
     def __init__(self, block: MixedIntegerBlock) -> None:
         n, S, (D, d) = block.n, block.S, block.rows
@@ -212,7 +228,10 @@ class _Elastic:
         self._highs.setOptionValue("mip_rel_gap", 0.0)
 
     def solve(self, y: Vec) -> Vec | str:
-        """x (n,) of the least sum of v and then of the least c'x; or a word of why there is none."""
+        """Return the x (n,) with the least sum of v, and then the least c'x.
+
+        Returns the reason as a text if there is none.
+        """
         for s in range(self._S):
             self._highs.changeRowBounds(s, -np.inf, float(y[s]))
         within = self._minimise(self._cost, self._zero)
@@ -227,7 +246,11 @@ class _Elastic:
         return found if isinstance(found, str) else found[: self._n]
 
     def _minimise(self, cost: Vec, most: Vec) -> Vec | str:
-        """(x, v) of the least cost; `most`: of v."""
+        """Return the (x, v) of least cost.
+
+        cost: (n + S,) of x and v
+        most: (S,) upper bounds of v
+        """
         self._high[self._n :] = most
         self._highs.changeColsBounds(
             len(self._index), self._index, self._low, self._high

@@ -1,4 +1,7 @@
-"""Options of all agents, of which each takes one: what they cost, and what they use of the common resources."""
+"""Combine the options of all agents: each agent takes one of its options.
+
+An option has a cost and uses common resources.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,15 +16,19 @@ from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 from crazychoir.types import Vec
 
 NODES = 1_000
-"""Of the branch and bound that combines them."""
+"""Limit of branch-and-bound nodes when the options are combined."""
 ENOUGH = 1e-6
-"""The gap at which it ends."""
+"""Relative gap at which the branch and bound ends."""
 DEAR = 10.0
-"""What a unit that is exceeded costs, in sums of all costs."""
+"""Cost of one unit of excess, in sums of the absolute costs of all options."""
 
 
 class Options:
-    """Distinct solutions of one agent. x: of each;  table: [cost, use of each resource] of each."""
+    """Distinct solutions of one agent.
+
+    x: each solution
+    table: [cost, use of each resource] of each solution
+    """
 
     def __init__(self, block: MixedIntegerBlock) -> None:
         self._block = block
@@ -29,7 +36,7 @@ class Options:
         self.table: list[list[float]] = []
 
     def add(self, x: Vec) -> None:
-        """One more, if it is another one."""
+        """Add a solution unless an equal one is there already."""
         row = [float(self._block.c @ x), *(self._block.A @ x).tolist()]
         if row not in self.table:
             self.x.append(x)
@@ -37,11 +44,15 @@ class Options:
 
 
 class Pool:
-    """What all agents know of the options of all.
+    """All agents' options, as far as they are known.
 
-        min  sum_io cost_io l_io + W sum_s v_s   s.t.  sum_io use_io l_io <= capacity + v,   sum_o l_io = 1,   l, v >= 0
+        min  sum_io cost_io l_io + W sum_s v_s
+        s.t.  sum_io use_io l_io <= capacity + v,   sum_o l_io = 1,   l, v >= 0
 
-    capacity: (S,);  agents: ids;  W: more than any difference of costs, so that as little as possible is exceeded.
+    W is larger than any difference of costs, so that the excess v is as small as possible.
+
+    capacity: (S,) amount of each resource
+    agents: ids of the agents
     """
 
     def __init__(self, capacity: Vec, agents: Sequence[int]) -> None:
@@ -50,13 +61,13 @@ class Pool:
         self._tables: dict[int, list[list[float]]] = {j: [] for j in agents}
 
     def add(self, fresh: Mapping[int, Sequence[Sequence[float]]]) -> bool:
-        """Options by agent; whether there are any."""
+        """Add the options of each agent; return True if there are any."""
         for j, rows in fresh.items():
             self._tables[j] += [list(row) for row in rows]
         return any(fresh.values())
 
     def prices(self) -> Vec:
-        """(S,) pi >= 0 of the resources, of the cheapest mixture."""
+        """Return the prices pi >= 0 (S,) of the resources for the cheapest mixture of options."""
         highs, _ = self._model()
         highs.run()
         if highs.getModelStatus() != highspy.HighsModelStatus.kOptimal:
@@ -68,7 +79,11 @@ class Pool:
         )
 
     def best(self, searcher: int) -> list[Any] | None:
-        """[[what is exceeded, cost], searcher, chosen option of each agent]: one each; None if none was found."""
+        """Return the best choice of one option an agent, or None if none was found.
+
+        searcher: id of the agent that searches; it is the seed of the search
+        Returns [[excess, cost], searcher, chosen option of each agent].
+        """
         highs, count = self._model(searcher)
         binary = np.arange(count, dtype=np.int32)
         highs.changeColsIntegrality(
@@ -88,7 +103,10 @@ class Pool:
         return [[exceeded(left), cost], searcher, chosen]
 
     def value(self, chosen: Sequence[int]) -> tuple[float, Vec]:
-        """Cost, and what is left of the resources, of one option an agent."""
+        """Return the cost of one option an agent, and the resources (S,) that remain.
+
+        chosen: index of the option of each agent
+        """
         rows = [
             table[o] for table, o in zip(self._tables.values(), chosen, strict=True)
         ]
@@ -97,7 +115,7 @@ class Pool:
         )
 
     def _model(self, seed: int = 0) -> tuple[highspy.Highs, int]:
-        """Columns: the options, then v."""
+        """Return the model and the number of options. Its columns are the options, then v."""
         highs = quiet_highs(seed)
         S = len(self._capacity)
         none = np.array([], np.int32)
@@ -120,12 +138,15 @@ class Pool:
 
 
 def exceeded(left: Vec) -> float:
-    """By how much resources are exceeded, in all."""
+    """Return the sum by which resources are exceeded.
+
+    left: (S,) what remains of each resource, negative where it is exceeded
+    """
     return math.fsum(np.maximum(-left, 0.0))
 
 
 def column_sums(rows: Iterable[Sequence[float] | Vec]) -> Vec:
-    """Of each column, rounded alike by all."""
+    """Return the exact sum of each column, rounded once, so that all agents get the same bits."""
     return np.array(
         [math.fsum(column) for column in np.array(list(rows), dtype=float).T]
     )

@@ -1,4 +1,4 @@
-"""The problems that agents solve together, as one agent models its part in cvxpy."""
+"""The problems that agents solve together: each agent models its own part with cvxpy."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -26,20 +26,31 @@ from crazychoir.optimization.rounds.arrays import is_number, numbers, vector
 from crazychoir.types import Mat, Vec
 
 MOST_PENALTIES = 8
-"""Values of rho for which the problem is kept compiled."""
+"""Number of compiled variants of one problem that are kept: one for each penalty rho."""
 
 
 class CostCoupled:
     """One agent's part of  min sum_i f_i(x)  s.t.  x in the intersection of the X_i.
 
-    agent: its id, for messages;  x: cvxpy variable, a scalar or a vector (n,);  objective: f_i, convex;
-    constraints: X_i, convex sets. All may contain further variables, of this agent alone, and parameters.
+    agent: id of the agent, for error messages
+    x: cvxpy variable, a scalar or a vector (n,)
+    objective: f_i, convex
+    constraints: X_i, convex sets
 
-    What solves it is chosen by its structure, see `solver`: a closed form (f quadratic, X given by equalities), the
-    active-set method (f strictly convex quadratic, X a polyhedron), HiGHS (f linear, X a polyhedron), Clarabel (all
-    others). Each stops after a number of steps, and repeats itself to the last bit.
-    Raises ConfigError for a model that is not convex, not finite or of a wrong shape; SolverError for one that is
-    infeasible or unbounded, when it is solved. Both name the agent, the constraint and its row.
+    The objective and the constraints may contain parameters and further variables that only this
+    agent uses.
+
+    The structure of the problem decides the solver (see `solver`):
+
+    - f quadratic, X given by equalities: a closed form.
+    - f strictly convex quadratic, X a polyhedron: the active-set method.
+    - f linear, X a polyhedron: HiGHS.
+    - All other problems: Clarabel.
+
+    Each solver stops after a number of steps and returns the same bits in every run.
+    Raises ConfigError if the model is not convex, not finite or of a wrong shape.
+    Raises SolverError when an infeasible or unbounded model is solved.
+    Both errors name the agent, the constraint and its row.
     """
 
     def __init__(
@@ -62,26 +73,26 @@ class CostCoupled:
         self._programs: dict[tuple[float, bool], Program] = {}
 
     def refresh(self) -> None:
-        """Take the present values of the model's parameters."""
+        """Read the parameters of the model again, after their values have changed."""
         self._programs.clear()
         for name in ("form", "over"):
             self.__dict__.pop(name, None)
 
     @cached_property
     def form(self) -> Quadratic | None:
-        """f_i as a quadratic function of x; None if it is another one."""
+        """f_i as a quadratic function of x, or None if it is not quadratic."""
         found = ex.quadratics(self.objective, self.x)
         return None if found is None else found[0]
 
     @cached_property
     def over(self) -> Polyhedron | None:
-        """X_i as a polyhedron; None if it is another set, or in more variables than x."""
+        """X_i as a polyhedron, or None if X_i is another set or involves further variables."""
         return ex.polyhedron(self.constraints, self.x)
 
-    # Values ---------------------------------------------------------------------------------------------------
+    # Values -----------------------------------------------------------------------------
 
     def value(self, x: Vec) -> float:
-        """f_i(x); inf outside of its domain."""
+        """Return f_i(x), or inf outside the domain of f_i."""
         point = self._vector(x, "x")
         if self.form is not None:
             return self.form.value(point)
@@ -89,7 +100,7 @@ class CostCoupled:
         return found if np.isfinite(found) else inf
 
     def gradient(self, x: Vec) -> Vec:
-        """A (sub)gradient (n,) of f_i at x."""
+        """Return a (sub)gradient (n,) of f_i at x."""
         point = self._vector(x, "x")
         if self.form is not None:
             return self.form.gradient(point)
@@ -111,14 +122,18 @@ class CostCoupled:
             )
         return self.objective
 
-    # Solving --------------------------------------------------------------------------------------------------
+    # Solving ----------------------------------------------------------------------------
 
     def argmin(
         self, linear: Vec | None = None, center: Vec | None = None, penalty: float = 0.0
     ) -> Vec:
-        """argmin f_i(x) + p'x + rho/2 |x - z|^2 over X_i; one of them where there are several.
+        """Return argmin f_i(x) + p'x + rho/2 |x - z|^2 over X_i.
 
-        linear: p (n,), else 0;  center: z (n,), else 0;  penalty: rho >= 0, compiled for each value.
+        If there are several minimisers, one is returned.
+
+        linear: p (n,); None means 0
+        center: z (n,); None means 0
+        penalty: rho >= 0; each new value is compiled once
         """
         p = np.zeros(self.n) if linear is None else self._vector(linear, "linear term")
         if center is not None:
@@ -126,15 +141,15 @@ class CostCoupled:
         return self._solved(self._program(penalty), p)
 
     def project(self, z: Vec) -> Vec:
-        """The point of X_i that is the closest to z."""
+        """Return the point of X_i nearest to z."""
         return self._solved(self._program(1.0, cost=False), -self._vector(z, "point"))
 
     def solver(self, penalty: float = 0.0) -> str:
-        """What `argmin` uses: "closed form", "active set", "HiGHS" or "Clarabel"."""
+        """Return the solver of `argmin`: "closed form", "active set", "HiGHS" or "Clarabel"."""
         return self._program(penalty).name
 
     def is_fast(self, penalty: float = 0.0) -> bool:
-        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        """Return True if `argmin` takes microseconds, so that it may run in the event loop."""
         return self.solver(penalty) in ("closed form", "active set")
 
     def _solved(self, program: Program, p: Vec) -> Vec:
@@ -144,7 +159,7 @@ class CostCoupled:
         return found
 
     def why(self, status: str, p: Vec) -> str:
-        """What a solver's word comes from: the constraint and its row, the entry and its value."""
+        """Explain a solver's status: name the constraint and its row, or the entry and value."""
         if status == "not finite":
             k = int(np.argmin(np.isfinite(p)))
             return f"not finite: entry {k} of what was heard or asked for is {p[k]}"
@@ -157,7 +172,7 @@ class CostCoupled:
         return diagnosis.no_point(status, self.constraints, self.x)
 
     def _program(self, penalty: float, cost: bool = True) -> Program:
-        """The compiled problem for a rho, with f or without."""
+        """Return the compiled problem for this penalty rho, with or without the objective."""
         if not is_number(penalty) or not 0.0 <= penalty < inf:
             raise ConfigError(
                 f"{self.where}: penalty", f"{penalty}", "a finite number >= 0"
@@ -200,9 +215,11 @@ def require_problem(problem: Any, kind: type, algorithm: str) -> None:
 
 
 class CommonCost(CostCoupled):
-    """One agent's part of  min f(x)  s.t.  x in the intersection of the X_i: all know f, each its own constraints.
+    """One agent's part of  min f(x)  s.t.  x in the intersection of the X_i.
 
-    Here f is quadratic (or linear), and X_i is a polyhedron. Raises ConfigError that names what is not.
+    All agents know f. Each agent knows only its own constraints X_i.
+    f must be quadratic or linear, and X_i must be a polyhedron. Otherwise raises ConfigError that
+    names the objective or the constraint at fault.
     """
 
     def __init__(
@@ -224,8 +241,14 @@ class CommonCost(CostCoupled):
 class ConstraintCoupled:
     """One agent's part of  min sum_i f_i(x_i)  s.t.  sum_i g_i(x_i) <= sum_i b_i,  x_i in X_i.
 
-    coupling: g_i, (S,) convex expressions of x_i, a vector or a list;  share: b_i (S,), else 0; for a common bound b
-    each of N agents may take b/N.  The others as in CostCoupled, which `local` is, of f_i and X_i.
+    agent: id of the agent, for error messages
+    x: cvxpy variable x_i, a scalar or a vector (n,)
+    objective: f_i, convex
+    coupling: g_i, (S,) convex expressions of x_i, a vector or a list
+    constraints: X_i, convex sets
+    share: b_i (S,); None means 0. With a common bound b, each of N agents may take b/N
+
+    The attribute `local` is the CostCoupled problem of f_i and X_i alone.
     """
 
     def __init__(
@@ -260,14 +283,14 @@ class ConstraintCoupled:
         return _Priced(self)
 
     def excess(self, x: Vec) -> Vec:
-        """g_i(x) - b_i (S,), what the agent takes beyond its share."""
+        """Return g_i(x) - b_i (S,): what the agent uses beyond its share."""
         if self._affine is not None:
             G, h = self._affine
             return G @ x + h - self.share
         return ex.at(self.coupling, self.x, np.asarray(x, float)) - self.share
 
     def jacobian(self, x: Vec) -> Mat:
-        """(Sub)gradients (S, n) of g_i at x."""
+        """Return the (sub)gradients (S, n) of g_i at x."""
         return (
             ex.slope(self.coupling, self.x, np.asarray(x, float))
             if self._affine is None
@@ -275,11 +298,14 @@ class ConstraintCoupled:
         )
 
     def is_fast(self) -> bool:
-        """Whether `argmin` takes microseconds: nothing to leave the event loop for."""
+        """Return True if `argmin` takes microseconds, so that it may run in the event loop."""
         return self._affine is not None and self.local.is_fast()
 
     def argmin(self, prices: Vec) -> Vec:
-        """argmin f_i(x) + mu'g_i(x) over X_i; prices: mu (S,) >= 0."""
+        """Return argmin f_i(x) + mu'g_i(x) over X_i.
+
+        prices: mu (S,) >= 0
+        """
         mu = self._prices(prices)
         if self._affine is not None:
             return self.local.argmin(self._affine[0].T @ mu)
@@ -305,18 +331,27 @@ class ConstraintCoupled:
 
 
 def _share(given: ArrayLike | None, S: int, where: str) -> Vec:
-    """b_i (S,), 0 if nothing is given; raises ConfigError that names the entry."""
+    """Return the share b_i (S,), or zeros if `given` is None.
+
+    Raises ConfigError that names the wrong entry.
+    """
     return vector(np.zeros(S) if given is None else given, where, "share", S)
 
 
 class MixedIntegerConstraintCoupled(MixedIntegerBlock):
-    """One agent's part of  min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i,  modelled with cvxpy.
+    """One agent's part of a mixed-integer linear program, modelled with cvxpy.
 
-    x: (n,) with cvxpy's attributes integer and boolean, for all entries or some;  objective: linear, its constant is
-    left out;  coupling: A_i x, (S,) linear, a constant in it counts against the share;  constraints: linear ones, which
-    bound x;  share: b_i (S,), else 0.
-    The arrays are those of MixedIntegerBlock, for those who have them rather than expressions.
-    Raises ConfigError: what is not linear, by its row.
+        min sum_i c_i'x_i  s.t.  sum_i A_i x_i <= sum_i b_i,  x_i in X_i
+
+    agent: id of the agent, for error messages
+    x: cvxpy variable (n,), with the attributes integer and boolean for all entries or for some
+    objective: c_i'x_i, linear; its constant is ignored
+    coupling: A_i x_i, (S,) linear; a constant in it reduces the share
+    constraints: linear constraints; together they bound x
+    share: b_i (S,); None means 0
+
+    Use MixedIntegerBlock directly if you have arrays and no expressions.
+    Raises ConfigError that names the row of a constraint that is not linear.
     """
 
     def __init__(
@@ -355,7 +390,10 @@ class MixedIntegerConstraintCoupled(MixedIntegerBlock):
 
 
 class _Priced:
-    """f + mu'g over X with a g that is not affine: with a Hessian for each mu, else with mu as a DPP parameter."""
+    """Minimise f + mu'g over X for many mu, where g is not affine.
+
+    If f and g are quadratic, the Hessian is computed for each mu. Otherwise mu is a DPP parameter.
+    """
 
     def __init__(self, problem: ConstraintCoupled) -> None:
         self._local = problem.local
@@ -370,7 +408,7 @@ class _Priced:
         return ConicProgram(self._local.x, objective, self._local.constraints)
 
     def solve(self, mu: Vec) -> Vec | str:
-        """The solution x (n,), or why there is none."""
+        """Return the solution x (n,), or the reason why there is none."""
         form = self._local.form
         if form is not None and self._forms is not None:
             for g, m in zip(self._forms, mu.tolist(), strict=True):

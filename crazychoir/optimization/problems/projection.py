@@ -1,4 +1,4 @@
-"""Projections onto convex sets, in closed form where there is one."""
+"""Projections onto convex sets, in closed form where one exists."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,25 +14,30 @@ from crazychoir.types import Vec
 
 
 class ConvexSet(Protocol):
-    """A closed convex set that knows its projection, and how cvxpy writes it."""
+    """A closed convex set that can project a point and describe itself to cvxpy."""
 
     def project(self, x: Vec) -> Vec:
-        """The nearest point of the set."""
+        """Return the nearest point of the set."""
         ...
 
     def constraints(self, x: Any) -> list[Any]:
-        """cvxpy's constraints that say that x is in the set."""
+        """Return cvxpy's constraints for x in the set."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """{x: low <= x <= high}, entry by entry; P(x) = min(max(x, low), high). Bounds may be infinite."""
+    """The box {x: low <= x <= high}, entry by entry; bounds may be infinite.
+
+    P(x) = min(max(x, low), high)
+    """
 
     low: ArrayLike
+    """Lower bounds: an array, or a number for all entries."""
     high: ArrayLike
+    """Upper bounds: an array, or a number for all entries."""
     shape: tuple[int, ...] = field(init=False, repr=False)
-    """Of its points; () where low and high are numbers, which hold for points of any shape."""
+    """Shape of the points; () if low and high are numbers and hold for points of any shape."""
 
     def __post_init__(self) -> None:
         low = _bound("low", self.low)
@@ -47,13 +52,13 @@ class Box:
         object.__setattr__(self, "shape", low.shape or high.shape)
 
     def project(self, x: Vec) -> Vec:
-        """The nearest point of the set."""
+        """Return the nearest point of the set."""
         if self.shape and np.shape(x) != self.shape:
             raise _another_size("box", np.shape(x), self.shape)
         return np.minimum(np.maximum(x, self.low), self.high)
 
     def constraints(self, x: Any) -> list[Any]:
-        """low <= x <= high, where they are finite."""
+        """Return low <= x <= high, for the bounds that are finite."""
         low, high = (
             np.broadcast_to(np.asarray(bound, dtype=float), x.shape)
             for bound in (self.low, self.high)
@@ -67,16 +72,22 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """{x: |a'x - b| <= width / 2}: what a measurement b of a'x says, with an error of at most width / 2.
+    """The strip {x: |a'x - b| <= width / 2}.
+
+    It holds every x that agrees with a measurement b of a'x with an error of at most
+    width / 2.
 
     P(x) = x - a (r - min(max(r, -width/2), width/2)) / a'a,   r = a'x - b
     """
 
     a: ArrayLike
+    """(n,) direction of the measurement, not zero."""
     b: float
+    """Measured value of a'x."""
     width: float
+    """Width of the strip: twice the largest error."""
     shape: tuple[int, ...] = field(init=False, repr=False)
-    """Of its points."""
+    """Shape of the points."""
 
     def __post_init__(self) -> None:
         a = vector("strip: a", self.a)
@@ -91,7 +102,7 @@ class Strip:
             raise ConfigError("strip", found, "a not zero, b finite, width 0 or more")
 
     def project(self, x: Vec) -> Vec:
-        """The nearest point of the set."""
+        """Return the nearest point of the set."""
         if np.shape(x) != self.shape:
             raise _another_size("strip", np.shape(x), self.shape)
         a = np.atleast_1d(np.asarray(self.a, dtype=float))
@@ -100,22 +111,24 @@ class Strip:
         return np.asarray(x - a * (beyond / (a @ a)))
 
     def constraints(self, x: Any) -> list[Any]:
-        """-width/2 <= a'x - b <= width/2."""
+        """Return -width/2 <= a'x - b <= width/2."""
         r = np.atleast_1d(np.asarray(self.a, dtype=float)) @ x - self.b
         return [r <= self.width / 2, r >= -self.width / 2]
 
 
 @dataclass(frozen=True, eq=False)
 class Disc:
-    """{x: |x - c| <= radius}, a ball in any dimension: what a measured distance says.
+    """The ball {x: |x - c| <= radius}, in any dimension: what a measured distance allows.
 
     P(x) = c + (x - c) min(1, radius / |x - c|)
     """
 
     c: ArrayLike
+    """(n,) centre."""
     radius: float
+    """Radius, 0 or more."""
     shape: tuple[int, ...] = field(init=False, repr=False)
-    """Of its points."""
+    """Shape of the points."""
 
     def __post_init__(self) -> None:
         c = vector("disc: c", self.c)
@@ -128,7 +141,7 @@ class Disc:
             raise ConfigError("disc: radius", self.radius, "0 or more")
 
     def project(self, x: Vec) -> Vec:
-        """The nearest point of the set."""
+        """Return the nearest point of the set."""
         if np.shape(x) != self.shape:
             raise _another_size("disc", np.shape(x), self.shape)
         c = np.atleast_1d(np.asarray(self.c, dtype=float))
@@ -139,7 +152,7 @@ class Disc:
         )
 
     def constraints(self, x: Any) -> list[Any]:
-        """|x - c| <= radius."""
+        """Return |x - c| <= radius."""
         return [
             _cvxpy().norm2(x - np.atleast_1d(np.asarray(self.c, dtype=float)))
             <= self.radius
@@ -147,18 +160,23 @@ class Disc:
 
 
 class Convex:
-    """A set by cvxpy's constraints on a variable: the projection is a problem that is compiled once, see programs.py.
+    """A set that is given by cvxpy's constraints on a variable.
 
         P(z) = argmin |x - z|^2  subject to the constraints
 
-    x: cvxpy.Variable of one dimension;  where: what errors call the set, such as "agent 3: set".
+    The projection is a problem that is compiled once, see solver_choice.py.
+
+    x: cvxpy.Variable with one dimension
+    constraints: cvxpy's constraints on x
+    where: name of the set in error texts, such as "agent 3: set"
     """
 
     def __init__(self, x: Any, constraints: Sequence[Any], where: str = "set") -> None:
-        from crazychoir.optimization.problems import expressions  # they import cvxpy
+        # Imported here, as they import cvxpy, which closed forms do not need.
+        from crazychoir.optimization.problems import expressions
         from crazychoir.optimization.problems import (
             solver_choice as programs,
-        )  # they import cvxpy
+        )
 
         n = expressions.decision(x, where)
         self.x = x
@@ -176,7 +194,7 @@ class Convex:
         )
 
     def project(self, x: Vec) -> Vec:
-        """The nearest point of the set; raises SolverError where it is empty."""
+        """Return the nearest point of the set; raise SolverError if the set is empty."""
         if np.shape(x) != self.shape:
             raise _another_size(self.where, np.shape(x), self.shape)
         found = self._program.solve(-np.asarray(x, float))
@@ -190,15 +208,20 @@ class Convex:
         return found
 
     def constraints(self, x: Any) -> list[Any]:
-        """The given ones, of a variable that is the same."""
+        """Return the given constraints and x = the given variable."""
         return [*self._given, x == self.x]
 
 
 class Intersection:
-    """The points that are in all of some sets.
+    """The points that are in all of the given sets.
 
-    One set: its own projection; several boxes: their common box; else cvxpy's, compiled when a set is added.
-    n: length of x;  where: what errors call the set.  Raises SolverError where nothing is in all sets.
+    With one set, its own projection is used. Several boxes become their common box. All other
+    combinations are projected by cvxpy, compiled when a set is added.
+
+    n: length of x
+    sets: the sets; a single set counts as a list of one
+    where: name of the intersection in error texts
+    Raises SolverError if no point is in all sets.
     """
 
     def __init__(self, n: int, sets: Sequence[ConvexSet], where: str = "set") -> None:
@@ -211,20 +234,20 @@ class Intersection:
         self._whole = self._joined()
 
     def add(self, one: ConvexSet) -> None:
-        """Make it smaller."""
+        """Add a set, which makes the intersection smaller."""
         self.sets.append(self._checked(one, f"{self.where}[{len(self.sets)}]"))
         self._whole = self._joined()
 
     def project(self, x: Vec) -> Vec:
-        """The nearest point of the set."""
+        """Return the nearest point of the set."""
         return x if self._whole is None else self._whole.project(x)
 
     def constraints(self, x: Any) -> list[Any]:
-        """Of all sets."""
+        """Return the constraints of all sets."""
         return [constraint for one in self.sets for constraint in one.constraints(x)]
 
     def _checked(self, one: Any, where: str) -> ConvexSet:
-        """Return the set, if its points are (n,)."""
+        """Return the set; raise ConfigError unless its points have shape (n,)."""
         if not (
             callable(getattr(one, "project", None))
             and callable(getattr(one, "constraints", None))
@@ -264,7 +287,7 @@ class Intersection:
 
 
 def _listed(sets: Any, where: str) -> Sequence[Any]:
-    """Return the sets as a list; one alone counts as a list of one."""
+    """Return the sets as a list; a single set counts as a list of one."""
     if callable(getattr(sets, "project", None)):
         return [sets]
     if isinstance(sets, (str, Mapping)) or not isinstance(sets, Iterable):
@@ -285,14 +308,14 @@ def _bound(name: str, value: ArrayLike) -> Vec:
 def _another_size(
     where: str, found: tuple[int, ...], shape: tuple[int, ...]
 ) -> ConfigError:
-    """Return the error of a point that the set has none of."""
+    """Return the error for a point of another shape than the points of the set."""
     return ConfigError(
         f"{where}: point", f"shape {found}", f"shape {shape}, as the set's points"
     )
 
 
 def _cvxpy() -> Any:
-    """1 s that closed forms do not need."""
+    """Import cvxpy when it is first needed: it takes 1 s, and closed forms do without it."""
     import cvxpy
 
     return cvxpy

@@ -1,4 +1,4 @@
-"""Strictly convex quadratic programs over a polyhedron, factorised once and solved often."""
+"""Strictly convex quadratic programs over a polyhedron: factorised once, solved often."""
 
 from dataclasses import dataclass
 from math import isfinite
@@ -20,35 +20,42 @@ from crazychoir.optimization.problems.linear import Mask
 from crazychoir.types import Mat, Vec
 
 FLAT = 1e-7
-"""A Hessian with eigenvalues below this, relative to the largest, has no unique minimum."""
+"""A Hessian has no unique minimum if an eigenvalue is below this, relative to the largest."""
 PARALLEL: Final = 1e-10
-"""Of singular values of unit rows, relative to the largest: equalities below are dependent."""
+"""Equalities are dependent if a singular value is below this.
+
+The singular values are those of the unit rows, relative to the largest.
+"""
 ROUNDED: Final = 1e-14
-"""Of the same singular values: below, they are zero, rounded."""
+"""A singular value of the unit rows below this is a rounded zero, relative to the largest."""
 CONSISTENT: Final = 1e-9
-"""What a row that no x changes may be missed by, relative to its own terms: the rounding of the data."""
+"""Tolerance of a row that no x changes, relative to the row's own terms.
+
+It covers the rounding of the data.
+"""
 DOUBTFUL = "rows so nearly dependent that rounding decides"
 INACCURATE = "inaccurate: double precision cannot tell whether all rows hold; scale the rows and variables alike"
 WORDS = {INFEASIBLE: "infeasible", CAPPED: "too many steps", NOT_FINITE: "not finite"}
 UNDECIDED: Final = (DOUBTFUL, INACCURATE, WORDS[CAPPED])
-"""Words that do not say whether there is a solution: another method may find it."""
+"""Statuses that leave open whether there is a solution: another method may find it."""
 
 
 @dataclass(frozen=True)
 class Polyhedron:
-    """{x in R^n : A x <= b, E x = e}, its rows scaled to length one.
-
-    A: (m, n);  b: (m,);  E: (l, n);  e: (l,).
-    """
+    """The set {x in R^n : A x <= b, E x = e}, with rows scaled to length one."""
 
     A: Mat
+    """(m, n) rows of the inequalities."""
     b: Vec
+    """(m,) bounds of the inequalities."""
     E: Mat
+    """(l, n) rows of the equalities."""
     e: Vec
+    """(l,) right-hand sides of the equalities."""
 
     @classmethod
     def of(cls, A: Mat, b: Vec, E: Mat, e: Vec) -> "Polyhedron":
-        """From rows of any length; those of zeros that always hold are left out."""
+        """Build the set from rows of any length. Rows of zeros that always hold are left out."""
         upper, equal = (np.asarray(bounds, float) for bounds in (b, e))
         return cls(
             *scaled(A, upper, upper < -NEGLIGIBLE)[:2],
@@ -62,13 +69,20 @@ class Polyhedron:
 
 
 class AffineHull:
-    """{x in R^n : E x = e} for many e: its directions, a point of it, and whether there is one.
+    """The affine set {x in R^n : E x = e}, for many right-hand sides e.
 
-        E_r = sum_i c_ri E_i  over a basis of rows i, for all other rows r;   so that e_r = sum_i c_ri e_i is needed
+    It provides the directions of the set, a point in it, and the verdict whether it is empty.
+    Every row r outside a basis of rows i depends on the basis:
 
-    E: (l, n), rows of length one or zero.
-    null: N (n, n - rank), E N = 0, N'N = I;  lift: (n, l), of e to the point of least length that meets the basis;
-    basis: numbers of rows;  others: of the l - rank other rows;  shares: c (l - rank, rank).
+        E_r = sum_i c_ri E_i,   so that  e_r = sum_i c_ri e_i  is needed
+
+    E: (l, n), rows of length one or zero
+    least: singular values below this count as zero, relative to the largest
+    null: N (n, n - rank), E N = 0, N'N = I
+    lift: (n, l), maps e to the shortest x that meets the rows of the basis
+    basis: (rank,) indices of the rows of the basis
+    others: (l - rank,) indices of the other rows
+    shares: c (l - rank, rank)
     """
 
     def __init__(self, E: Mat, least: float = PARALLEL) -> None:
@@ -94,7 +108,10 @@ class AffineHull:
         self._finer = None if is_rounded else AffineHull(E, ROUNDED)
 
     def point(self, e: Vec) -> Vec:
-        """Return x_0 (n,), which meets the rows of the basis, each to the rounding of its own terms."""
+        """Return the point x_0 (n,) that meets the rows of the basis.
+
+        Each row is met up to the rounding of its own terms.
+        """
         x = self.lift @ e
         refined: Vec = x + self.lift @ (e - self.E @ x)
         return refined
@@ -105,7 +122,10 @@ class AffineHull:
         return found
 
     def gaps(self, x: Vec, e: Vec) -> Vec:
-        """Return e_r - sum_i c_ri e_i (l - rank,), 0 where it is the rounding of the terms of these rows at x (n,)."""
+        """Return e_r - sum_i c_ri e_i (l - rank,) for the rows outside the basis.
+
+        An entry is 0 if it is not larger than the rounding of the terms of these rows at x (n,).
+        """
         gap = e[self.others] - self.shares @ e[self.basis]
         size = self.sizes(x, e)
         allowed = (
@@ -116,9 +136,12 @@ class AffineHull:
         return found
 
     def verdict(self, x: Vec, e: Vec) -> str:
-        """Return why there is no point, where x (n,) meets the basis; "" if there is one.
+        """Return "" if the set has a point, else the reason why it has none.
 
-        "infeasible", or DOUBTFUL where a point very far away meets all rows, as they are not quite dependent.
+        x: (n,), a point that meets the rows of the basis
+
+        The reason is "infeasible", or DOUBTFUL if the rows are not quite dependent and a point very
+        far away meets all of them.
         """
         if not len(self.others) or not self.gaps(x, e).any():
             return ""
@@ -129,20 +152,31 @@ class AffineHull:
 
 @dataclass
 class QuadraticProgram:
-    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p.
+    """A strictly convex quadratic program, solved for many linear costs p.
 
-        K = -N (N'PN)^-1 N',   k = x_0 + K P x_0,   E x_0 = e,   the columns of N span the null space of E
+        min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e
 
-    x = K (q + p) + k solves it without the inequalities, in closed form; with them `active_set.minimise` does, from the
-    multipliers u of the last solution. A row of A in the span of E has the same value for all x: it is judged here, and
-    not by the method. Raises np.linalg.LinAlgError if N'PN is not positive definite.
-    P: (n, n), symmetric;  q: (n,);  u: (m,) >= 0, the multipliers of A x <= b;
-    verdict: why there is no solution whatever p is, or "".
+        K = -N (N'PN)^-1 N',   k = x_0 + K P x_0,   E x_0 = e
+
+    The columns of N span the null space of E.
+
+    Without inequalities, x = K (q + p) + k is the solution in closed form. With inequalities,
+    `active_set.minimise` solves the program and starts from the multipliers u of the last solution.
+    A row of A in the span of E has the same value for all x. Such a row is checked here, and the
+    active-set method ignores it.
+
+    u: (m,) >= 0, the multipliers of A x <= b
+    verdict: the reason why no p has a solution, or ""
+
+    Raises np.linalg.LinAlgError if N'PN is not positive definite.
     """
 
     P: Mat
+    """(n, n), symmetric: the Hessian."""
     q: Vec
+    """(n,) the linear cost."""
     over: Polyhedron
+    """The set of feasible x."""
 
     def __post_init__(self) -> None:
         over = self.over
@@ -168,7 +202,7 @@ class QuadraticProgram:
         self._place(x0 + self.inverse @ (self.P @ x0), over.b, over.e)
 
     def _place(self, origin: Vec, b: Vec, e: Vec) -> None:
-        """Take the point `origin` (n,) of the equalities, and judge the rows that no x changes."""
+        """Set the point `origin` (n,) of the equalities, and check the rows that no x changes."""
         self.origin = origin
         self._b = np.ascontiguousarray(b, float)
         self._e = np.asarray(e, float)
@@ -184,7 +218,10 @@ class QuadraticProgram:
         self.slack = slack
 
     def solve(self, p: Vec) -> Vec | str:
-        """The solution x (n,), or why there is none: one of WORDS and UNDECIDED."""
+        """Return the solution x (n,), or the reason why there is none.
+
+        The reason is a text of WORDS or UNDECIDED.
+        """
         q = self.q + p
         if self.verdict:
             return self.verdict
@@ -204,9 +241,10 @@ class QuadraticProgram:
         return WORDS[steps]
 
     def _polished(self, x: Vec) -> Vec | str:
-        """Return the point nearest to x (n,) that meets the equalities and the active rows; INACCURATE if others miss.
+        """Return the point nearest to x (n,) that meets the equalities and the active rows.
 
-        Where rows are nearly dependent the active-set method loses twice the digits that this does.
+        Returns INACCURATE if that point misses another row. Where rows are nearly dependent, the
+        active-set method loses twice as many digits as this refinement.
         """
         rows = np.flatnonzero(self.u)
         C = np.vstack([self.over.E, self.over.A[rows]])
@@ -216,11 +254,18 @@ class QuadraticProgram:
         return x if self._is_met(x) else INACCURATE
 
     def _is_met(self, x: Vec) -> bool:
-        """Whether x (n,) meets the inequalities and the basis of the equalities; their other rows follow."""
+        """Return True if x (n,) meets the inequalities and the basis of the equalities.
+
+        The other equalities follow from the basis.
+        """
         return bool(active_set.is_met(self._A, self._b, self._E, self._basis_e, x))
 
     def _exclude_each_other(self, rows: Rows) -> bool:
-        """Whether no x meets these rows: the least singular vector is their proof, if it is not just a small one."""
+        """Return True if it is certain that no x meets all of these rows.
+
+        The singular vector of the smallest singular value is the proof, if that value is zero
+        within PARALLEL and not just small.
+        """
         lengths = np.linalg.norm(self._free[rows], axis=1)
         left, sizes, _ = np.linalg.svd(self._free[rows] / lengths[:, None])
         weights = left[:, -1] if left[:, -1].sum() > 0.0 else -left[:, -1]
@@ -235,11 +280,13 @@ class QuadraticProgram:
 
 @dataclass
 class MovingProgram(QuadraticProgram):
-    """min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e, for many p, b and e.
+    """A quadratic program, solved for many linear costs p and right-hand sides b and e.
 
-        k = (I + K P) E^+ e,   so that the right-hand sides alone move
+        min 1/2 x'Px + q'x + p'x  s.t.  A x <= b, E x = e
 
-    The rows of A are of length one, those of E of length one or zero.
+        k = (I + K P) E^+ e,   so that only the right-hand sides change
+
+    The rows of A have length one. The rows of E have length one or zero.
     """
 
     def __post_init__(self) -> None:
@@ -247,12 +294,15 @@ class MovingProgram(QuadraticProgram):
         self.lift = (np.eye(len(self.P)) + self.inverse @ self.P) @ self.hull.lift
 
     def move(self, b: Vec, e: Vec) -> None:
-        """Other right-hand sides b (m,) and e (l,); the next solution starts from the last one all the same."""
+        """Replace the right-hand sides b (m,) and e (l,).
+
+        The next solve starts from the last solution all the same.
+        """
         self._place(self.lift @ e, b, e)
 
 
 def positive(H: Mat) -> Mat:
-    """H, symmetric, if it is positive definite; else raises LinAlgError."""
+    """Return the symmetric matrix H if it is positive definite; else raise LinAlgError."""
     if len(H):
         values = np.linalg.eigvalsh(H)
         if not values[0] > FLAT * max(values[-1], FLAT):
@@ -263,13 +313,19 @@ def positive(H: Mat) -> Mat:
 
 
 def scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
-    """Return rows of length one, their bounds, and the lengths they had; zero rows only where `keep` says so."""
+    """Return the rows scaled to length one, their bounds, and the lengths before scaling.
+
+    rows: (m, n)
+    bounds: (m,)
+    keep: (m,), True where a row of zeros is kept; elsewhere rows of zeros are left out
+    """
     rows = np.asarray(rows, float)
     bounds = np.asarray(bounds, float)
     largest = np.abs(rows).max(axis=1, initial=0.0)
     kept = (largest > 0.0) | keep
     largest = np.where(largest > 0.0, largest, 1.0)[kept]
-    # By the largest entry first: the squares of very large and very small ones are not numbers.
+    # Divide by the largest entry first: the squares of very large or very small entries would
+    # overflow or vanish.
     rows = rows[kept] / largest[:, None]
     length = np.linalg.norm(rows, axis=1)
     length = np.where(length > 0.0, length, 1.0)

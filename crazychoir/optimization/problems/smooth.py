@@ -1,4 +1,4 @@
-"""Twice differentiable functions as two callables, and one descent step on them."""
+"""Twice differentiable functions, given as two callables, and one descent step on them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,25 +12,33 @@ from crazychoir.types import Mat, Vec
 DIFFERENCE: Final = 1e-6
 """Step of the differences of gradients, relative to 1 + |x_k|."""
 LEAST_CURVATURE: Final = 1e-8
-"""Relative to the largest."""
+"""Smallest curvature that is used, relative to the largest."""
 HALVINGS: Final = 40
+"""Halvings of the step length before the line search ends."""
 ARMIJO: Final = 1e-4
+"""Part of the predicted decrease that Armijo's rule demands."""
 ROUNDING: Final = 1e-14
-"""Of a value: a step that changes it by less is as good as any."""
+"""Relative change of a value that counts as rounding: the line search accepts such a step."""
 
 
 @dataclass(frozen=True)
 class Smooth:
-    """A function of x (n,) by `value(x)`, a number or (S,), and `derivative(x)`, (n,) or (S, n).
+    """A function of x (n,), given by its value and its derivative.
 
-    Of a problem modelled with cvxpy: Smooth(problem.value, problem.gradient).
+    For a problem modelled with cvxpy, write Smooth(problem.value, problem.gradient).
     """
 
     value: Callable[[Vec], Any]
+    """Returns the value at x: a number or (S,)."""
     derivative: Callable[[Vec], Any]
+    """Returns the derivative at x: (n,) or (S, n)."""
 
     def at(self, x: Vec, where: str) -> tuple[Vec, Mat]:
-        """Value (S,) and derivative (S, n); raises ConfigError and SolverError that name entry and row."""
+        """Return the value (S,) and the derivative (S, n) at x.
+
+        Raises ConfigError for wrong shapes and SolverError for numbers that are not finite. The
+        errors name the entry and the row.
+        """
         value = np.atleast_1d(np.asarray(self.value(x), float))
         derivative = np.atleast_2d(np.asarray(self.derivative(x), float))
         if value.ndim != 1 or derivative.shape != (len(value), len(x)):
@@ -50,10 +58,13 @@ class Smooth:
 def descended(
     value: Callable[[Vec], float], gradient: Callable[[Vec], Vec], x: Vec
 ) -> Vec:
-    """One step of Newton's method, made to descend whatever the curvature: x - t |H|^-1 g.
+    """Return x after one step of Newton's method that descends whatever the curvature is.
 
-    |H|: the Hessian, by differences of gradients, with its eigenvalues' absolute values;  t: 1, halved until the value
-    falls by Armijo's rule. Returns x itself if no such t is found, as at a minimum.
+        x - t |H|^-1 g
+
+    |H|: the Hessian, by differences of gradients, with the absolute values of its eigenvalues
+    t: step length: 1, halved until the value falls by Armijo's rule
+    Returns x itself if no such t is found, as at a minimum.
     Source: Nocedal & Wright 2006, Numerical Optimization, sections 3.1 and 3.4.
     """
     g = gradient(x)

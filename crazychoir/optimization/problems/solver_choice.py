@@ -1,4 +1,4 @@
-"""Which solver fits an agent's problem: chosen by its structure, once."""
+"""Choose the solver of an agent's problem once, by the structure of the problem."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -18,22 +18,29 @@ from crazychoir.optimization.problems.quadratic import (
 )
 from crazychoir.types import Vec
 
-MOST_ENTRIES, MOST_ROWS = 100, 400
-"""Of x and of its constraints: above, the matrices of the active-set method are too large to be fast."""
+MOST_ENTRIES = 100
+"""Entries of x above which the matrices of the active-set method are too large to be fast."""
+MOST_ROWS = 400
+"""Rows of constraints above which the matrices of the active-set method are too large."""
 
 
 class Program(Protocol):
-    """min f(x) + p'x over X, for many p."""
+    """A compiled problem: min f(x) + p'x over X, for many p."""
 
     name: str
+    """Name of the solver, such as "HiGHS"."""
 
     def solve(self, p: Vec) -> Vec | str:
-        """A solution x (n,), or why there is none."""
+        """Return a solution x (n,), or the reason why there is none."""
         ...
 
 
 class Decided:
-    """A fast program, and a thorough one, made when it is first needed, for what rounding hides from the fast one."""
+    """A fast program with a thorough program as a fallback.
+
+    The thorough program is compiled when it is first needed: when rounding keeps the fast program
+    from a decision.
+    """
 
     def __init__(self, fast: Program, make: Callable[[], Program]) -> None:
         self.name = fast.name
@@ -45,17 +52,21 @@ class Decided:
         return self._make()
 
     def solve(self, p: Vec) -> Vec | str:
-        """A solution x (n,), or why there is none."""
+        """Return a solution x (n,), or the reason why there is none."""
         found = self._fast.solve(p)
         if not (isinstance(found, str) and found in UNDECIDED):
             return found
         thorough = self._thorough.solve(p)
-        # Both fail to find a point: but where rows are nearly dependent, neither has a proof that there is none.
+        # If both find no point and rows are nearly dependent, neither has proved that none exists.
         return found if found == DOUBTFUL and isinstance(thorough, str) else thorough
 
 
 def fast(form: Quadratic | None, over: Polyhedron | None) -> Program | None:
-    """HiGHS for a linear f, closed form or active set for a strictly convex one, over a polyhedron; else None."""
+    """Return the fastest program for f over a polyhedron, or None if there is no fast program.
+
+    A linear f is solved by HiGHS. A strictly convex quadratic f is solved in closed form or by the
+    active-set method.
+    """
     if form is None or over is None:
         return None
     if not form.P.any():
@@ -76,7 +87,15 @@ def compiled(
     constraints: Sequence[cp.Constraint],
     penalty: float,
 ) -> Program:
-    """f(x) + rho/2 |x|^2 over X; f as `objective`, and as `form` if it is quadratic, X as `constraints` and `over`."""
+    """Return the compiled problem  min f(x) + rho/2 |x|^2 over X.
+
+    form: f if it is quadratic, else None
+    over: X if it is a polyhedron, else None
+    x: the cvxpy variable
+    objective: f
+    constraints: X
+    penalty: rho
+    """
     if form is not None and penalty:
         form = form + Quadratic(
             penalty * np.eye(len(form.q)), np.zeros_like(form.q), 0.0

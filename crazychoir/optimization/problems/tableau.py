@@ -1,8 +1,8 @@
-"""The compiled steps of the lexicographic simplex method: pivots in a tableau, and the inverse of a basis by them.
+"""Compiled steps of the lexicographic simplex method: pivots, and the inverse of a basis.
 
-A tableau has the rows B^-1 [A, I, b] and below them the reduced costs at two levels. What is zero is judged by the
-terms of a difference, and the smaller of two numbers is looked for among numbers of one unit only: so the steps do the
-same whatever the units of rows and columns are.
+A tableau has the rows B^-1 [A, I, b], and below them the reduced costs at two levels. Whether a
+difference is zero is judged by its own terms. Only numbers in the same unit are compared with
+each other. So the steps are the same whatever the units of rows and columns are.
 """
 
 from typing import Final
@@ -18,13 +18,19 @@ Ints = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
 CANCELLED: Final = 1e-9
-"""A difference smaller than this, relative to the larger of its two terms, is a rounding error in a long walk: zero."""
+"""A difference below this, relative to the larger of its two terms, becomes zero in a long walk.
+
+It is a rounding error.
+"""
 ROUNDING: Final = 1e-11
-"""The same of what is computed anew, and of a sum relative to the sizes of its terms added up."""
+"""A result below this is a rounding error where it is computed anew.
+
+It is relative to the larger term of a difference, or to the added sizes of the terms of a sum.
+"""
 OPTIMAL: Final = -1
-"""No column enters."""
+"""Status: no column enters."""
 MORE: Final = -2
-"""The pivots are used up."""
+"""Status: the pivots are used up."""
 
 
 @kernel()
@@ -33,7 +39,7 @@ def _pivot(tableau: Mat, row: int, column: int, cancelled: float) -> None:
 
         T_rj <- T_rj / T_rc,     T_ij <- T_ij - T_ic T_rj   for i != r
 
-    A difference that cancels, to less than `cancelled` of its larger term, becomes an exact zero.
+    A difference becomes an exact zero if it is below `cancelled`, relative to its larger term.
     """
     divisor = tableau[row, column]
     for j in range(tableau.shape[1]):
@@ -59,9 +65,13 @@ def _pivot(tableau: Mat, row: int, column: int, cancelled: float) -> None:
 def _towards_feasibility(
     tableau: Mat, order: Ints, basic: Ints, artificial: int, is_open: Mask
 ) -> int:
-    """Return a column that lowers the first artificial column that it changes; close the columns that raise it.
+    """Return a column that lowers the first artificial variable that it changes, or OPTIMAL.
 
-    order: the rows, by their basic columns, so that those of the artificial columns come first.
+    Closes the columns that raise an artificial variable.
+
+    order: the rows in the order of their basic columns, so that rows with artificial columns come
+        first
+    is_open: (n,) columns that may enter, changed in place
     """
     entering = OPTIMAL
     best_level = len(order)
@@ -73,7 +83,8 @@ def _towards_feasibility(
         level = 0
         while level < len(order):
             row = order[level]
-            # An artificial column that comes back raises itself, before those of later rows change.
+            # An artificial column that enters again raises its own variable, before those of
+            # later rows change.
             if basic[row] >= artificial or (j < artificial and basic[row] > j):
                 break
             change = tableau[row, j]
@@ -112,9 +123,8 @@ def _entering(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
                 is_open[j] = False
         if entering >= 0:
             return entering
-    for j in range(
-        n
-    ):  # of columns that cost the same, one whose first delta is negative
+    # Among columns of equal cost, take the first with a negative leading delta.
+    for j in range(n):
         if is_open[j]:
             for row in order:
                 if tableau[row, j] != 0.0:
@@ -128,7 +138,7 @@ def _entering(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
 def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
     """Return the row with the lexicographically least [B^-1 b, B^-1] / direction, or -1.
 
-    Only rows count where the direction, the entering column, is positive.
+    The direction is the entering column. Only rows with a positive direction count.
     """
     rows = np.flatnonzero(tableau[:m, entering] > 0.0)
     if len(rows) == 0:
@@ -153,10 +163,12 @@ def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
 
 @kernel(table, numba.int64[::1], numba.int64, numba.int64)
 def walk(tableau: Mat, basic: Ints, artificial: int, most: int) -> tuple[int, int]:
-    """Pivot until no column enters, in place.
+    """Pivot in place until no column enters.
 
-    tableau: (m + 2, n + m + 1);  basic: (m,) the column that is basic in each row;  artificial: columns before this
-    one are artificial, in the order of their rows;  most: pivots at most.
+    tableau: (m + 2, n + m + 1)
+    basic: (m,) the column that is basic in each row, changed in place
+    artificial: columns before this one are artificial, in the order of their rows
+    most: largest number of pivots
     Returns the number of pivots, and OPTIMAL, MORE, or the column that may grow for ever.
     """
     m = len(basic)
@@ -175,11 +187,12 @@ def walk(tableau: Mat, basic: Ints, artificial: int, most: int) -> tuple[int, in
 
 @kernel(table)
 def solve_identity(work: Mat) -> bool:
-    """Turn [B, I] into [I, B^-1] by Gauss-Jordan elimination with row exchanges, in place; whether B is regular.
+    """Turn [B, I] into [I, B^-1] in place; return True if B is regular.
 
-    What is zero in B^-1 for the zeros of B is an exact zero. The entries of B must be of one size, as a pivot is the
-    largest of its column.
-    work: (m, 2 m).
+    The method is Gauss-Jordan elimination with row exchanges. Where the zeros of B make an entry of
+    B^-1 zero, the entry is an exact zero. The entries of B must be of about the same size, because
+    the pivot is the largest entry of its column.
+    work: (m, 2 m)
     """
     m = work.shape[0]
     for c in range(m):

@@ -1,1 +1,1 @@
-"""What the distributed algorithms share: messages, mixing, step sizes and stopping."""
+"""Parts that the distributed algorithms share: messages, mixing, step sizes and stopping."""

@@ -1,7 +1,8 @@
 """Finite-time agreement as generators: `heard = yield message` is one round.
 
-A distributed algorithm is written as a plain sequence of `yield from` these; all need `diameter`, the largest
-distance between two agents of the graph, and end in the same round at every agent with the same value.
+Write a distributed algorithm as a plain sequence of `yield from` these functions. Most of them
+need `diameter`, the largest distance between two agents of the graph. They end in the same
+round at every agent, with the same value.
 """
 
 from typing import Any
@@ -15,7 +16,14 @@ from crazychoir.types import Vec
 
 
 def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
-    """Everybody's value, by robot id in increasing order; each value crosses each edge at most once a direction."""
+    """Return the values of all robots, by robot id in increasing order.
+
+    Each value crosses each edge at most once in each direction.
+
+    robot: id of this robot
+    value: value of this robot
+    diameter: rounds of the exchange
+    """
     known = {robot: value}
     news = [[robot, value]]
     for k in range(diameter):
@@ -34,7 +42,10 @@ def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
 
 
 def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | None]:
-    """The offer with the least (offer[0], offer[1]), a cost and a robot id; None if nobody makes one."""
+    """Return the offer with the least (offer[0], offer[1]), or None if no robot makes an offer.
+
+    offer: [cost, robot id, ...], or None
+    """
     best = offer
     for k in range(diameter):
         heard = yield best
@@ -55,7 +66,11 @@ def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | N
 def highest_bids(
     bids: dict[int, list[Any]], diameter: int
 ) -> Exchange[dict[int, list[Any]]]:
-    """The highest bid of all robots for each task that has one; a bid is [amount, robot], ties go to the lowest id."""
+    """Return the highest bid of all robots for each task that has a bid.
+
+    bids: {task: [amount, robot]} of this robot
+    At equal amounts the lowest robot id wins.
+    """
     best = dict(bids)
     for k in range(diameter):
         heard = yield [[task, *bid] for task, bid in sorted(best.items())]
@@ -74,7 +89,10 @@ def highest_bids(
 
 
 def greatest(values: Vec, diameter: int) -> Exchange[Vec]:
-    """The greatest of each entry over all agents (max-consensus), also where the graph changes from round to round."""
+    """Return the greatest value of each entry over all agents (max-consensus).
+
+    The graph may change from round to round.
+    """
     for k in range(diameter):
         heard = yield values
         for j, other in heard.items():
@@ -91,7 +109,12 @@ def greatest(values: Vec, diameter: int) -> Exchange[Vec]:
 
 
 def same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
-    """One round: ConfigError if a neighbour has another `value`, a number or a list; `where` says who asks."""
+    """Raise ConfigError if a neighbour has another `value`; takes one round.
+
+    value: a number or a list
+    where: text that says where the value comes from, for the error
+    name: name of the value, for the error
+    """
     heard = yield value
     for j, other in heard.items():
         if isinstance(other, np.ndarray) or other != value:
@@ -103,7 +126,7 @@ def same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
 
 
 def _rows(arrived: Any, *kinds: Any) -> bool:
-    """Whether it is a list of lists of parts of these kinds."""
+    """Return True if `arrived` is a list of lists with parts of these types."""
     return isinstance(arrived, list) and all(
         isinstance(row, list)
         and len(row) == len(kinds)

@@ -1,4 +1,4 @@
-"""Numbers that a user gives, checked: shapes, and that they are numbers at all."""
+"""Check the numbers that a user gives: their shapes, and that they are numbers at all."""
 
 from typing import Any
 
@@ -11,7 +11,12 @@ from crazychoir.types import Mat, Vec
 def vector(
     values: Any, where: str, name: str, size: int | None = None, infinite: bool = False
 ) -> Vec:
-    """A copy as (size,) floats; ConfigError that names the entry. infinite: whether inf is a number here."""
+    """Return a copy of the values as (size,) floats.
+
+    size: wanted length, None for any length
+    infinite: accept inf
+    Raises ConfigError that names the wrong entry.
+    """
     array: Vec = numbers(values, where, name)
     if array.ndim != 1 or (size is not None and len(array) != size):
         raise ConfigError(
@@ -26,7 +31,11 @@ def vector(
 def matrix(
     values: Any, where: str, name: str, shape: tuple[int | None, int | None]
 ) -> Mat:
-    """A copy as floats of this shape, None: any; ConfigError that names row, column and value."""
+    """Return a copy of the values as floats of this shape.
+
+    shape: wanted shape, None for any size
+    Raises ConfigError that names row, column and value.
+    """
     array: Mat = numbers(values, where, name)
     if array.ndim != 2 or any(
         want not in (None, have) for want, have in zip(shape, array.shape, strict=True)
@@ -40,14 +49,14 @@ def matrix(
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is one real number, and no truth value."""
+    """Return True if the value is one real number, and not a bool."""
     return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(
         value, bool
     )
 
 
 def numbers(values: Any, where: str, name: str) -> Any:
-    """A copy as floats of any shape; ConfigError where they are none."""
+    """Return a copy of the values as floats; raise ConfigError if they are not numbers."""
     try:
         return np.array(values, dtype=float)
     except (TypeError, ValueError) as error:

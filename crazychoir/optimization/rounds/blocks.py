@@ -1,4 +1,4 @@
-"""Blocks of coordinates, of which an agent works on one at a time, drawn at random."""
+"""Blocks of coordinates: an agent works on one block at a time, drawn at random."""
 
 import random
 from collections.abc import Sequence
@@ -9,10 +9,16 @@ from crazychoir.types import Vec
 
 
 class Blocks:
-    """Which block an agent works on in a round: drawn from (seed, agent), or none, if it sleeps.
+    """The random choice of an agent's block in each round.
 
-    sizes: of consecutive blocks of x, which add up to its length;  chances: of each block, of sum one, None: equal;
-    awake: probability that the agent does anything in a round.
+    The draws depend on (seed, agent). An agent that sleeps draws no block.
+
+    i: id of the agent
+    n: length of x
+    sizes: lengths of the consecutive blocks of x, which add up to n
+    chances: probability of each block, with sum one; None for equal ones
+    awake: probability that the agent does anything in a round
+    seed: seed of the draws
     """
 
     def __init__(
@@ -51,18 +57,18 @@ class Blocks:
         return len(self._parts)
 
     def draw(self) -> int | None:
-        """The number of this round's block, None if the agent sleeps."""
+        """Return the index of the block of this round, or None if the agent sleeps."""
         if self._chance.random() >= self._awake:
             return None
         return self._chance.choices(range(len(self._parts)), self._weights)[0]
 
     def part(self, block: int) -> slice:
-        """Where a block is in x."""
+        """Return the place of a block in x."""
         return self._parts[block]
 
 
 def flat(i: int, x: Vec) -> Vec:
-    """x, if it is a vector."""
+    """Return x; raise ConfigError unless it is a vector."""
     if x.ndim != 1:
         raise ConfigError(
             f"agent {i}: x", f"shape {x.shape}", "a vector, for blocks of it"

@@ -1,4 +1,7 @@
-"""What no agent can see alone: whether the agents of a team fit each other and their graph, and send numbers."""
+"""Checks that no agent can make alone.
+
+They test whether the agents of a team fit each other and their graph, and send numbers.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -9,18 +12,22 @@ from crazychoir.errors import ConfigError
 from crazychoir.team.graph import Graph, GraphSequence, span
 
 NUMBERLESS = frozenset({type(None), bool, int, str, bytes})
-"""What holds no float."""
+"""Types of values that contain no float."""
 
 ROUNDS = (0, 1, 10, 1000)
-"""In which functions of the round, such as step sizes, are compared."""
+"""Rounds in which functions of the round, such as step sizes, are compared."""
 
 
 def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> None:
-    """Raise ConfigError unless there is one agent a node and, of what the agents say of themselves, all fits.
+    """Raise ConfigError unless the agents fit the graph and each other.
 
-    `weights`: rows for exactly those that the agent hears, `shares`: for exactly those that hear it;  `x`: of one
-    shape, where it is an array and not `common = False`;  `same`: names of numbers, and of functions of the round, that
-    are the same at all agents; what require_graph asks.
+    There must be one agent for each node. These attributes of an agent are checked, where it has them:
+
+    - `weights`: rows for exactly the agents that it hears
+    - `shares`: rows for exactly the agents that hear it
+    - `x`: one shape for all agents, if it is an array and `common` is not False
+    - `same`: names of attributes that are equal at all agents: numbers, or functions of the round
+    - the attributes that `require_graph` checks
     """
     if sorted(agents) != list(graph.ids):
         allowed = f"one for each node of the graph, {span(graph.ids)}"
@@ -44,10 +51,13 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
 
 
 def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
-    """Raise ConfigError unless the graph is one for this algorithm; each agent of a team finds the same.
+    """Raise ConfigError unless the graph suits this algorithm; every agent gets the same answer.
 
-    `connected = True` of an algorithm: it needs a (jointly, strongly) connected graph;  `undirected = True`: one where
-    who hears is heard;  `diameter`: not below the rounds of a flood of the graph.
+    These attributes of the agent are checked, where it has them:
+
+    - `connected = True`: the graph must be (jointly, strongly) connected
+    - `undirected = True`: two neighbours must hear each other
+    - `diameter`: must not be below the rounds in which a value floods the graph
     """
     where = f"graph of {type(agent).__name__}"
     if getattr(agent, "undirected", False):
@@ -81,9 +91,10 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
 
 
 def nan_in(value: Any) -> str | None:
-    """Where in what travels the first nan is, as an index: "", "[2]", "['x'][0, 1]"; None where there is none.
+    """Return the place of the first nan in a message, or None if there is none.
 
-    Looks at floats and at arrays of them, in lists, tuples and dictionaries at any depth.
+    The place is an index text: "", "[2]", "['x'][0, 1]".
+    Looks at floats and at arrays of floats, in lists, tuples and dictionaries at any depth.
     """
     if type(value) is float:
         return None if value == value else ""
@@ -137,7 +148,7 @@ def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
 
 
 def _cut(graph: Graph | GraphSequence) -> str:
-    """Who does not reach whom, for an error text."""
+    """Describe a missing path of the graph, for an error text."""
     whole = graph.union() if isinstance(graph, GraphSequence) else graph
     first = whole.ids[0]
     for start, step, said in (
@@ -165,7 +176,7 @@ def _require_one_shape(arrays: Mapping[int, Any]) -> None:
 
 
 def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
-    """Raise ConfigError unless what must be common is that of the first agent."""
+    """Raise ConfigError unless the values named in `same` equal the first agent's."""
     for name in getattr(agent, "same", ()):
         found = _values(getattr(agent, name))
         wanted = _values(getattr(other, name, None))
@@ -181,5 +192,5 @@ def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
 
 
 def _values(x: Any) -> dict[str, Any]:
-    """A number, or what a function of the round is in ROUNDS."""
+    """Return a number, or the values of a function of the round in ROUNDS, by their place."""
     return {f", round {k}": x(k) for k in ROUNDS} if callable(x) else {"": x}

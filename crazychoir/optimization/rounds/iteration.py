@@ -1,4 +1,4 @@
-"""What the iterative algorithms of this room share: the count of rounds, and what is checked of numbers."""
+"""The parts that iterative algorithms share: the count of rounds, and checks of numbers."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -12,9 +12,14 @@ from crazychoir.types import Vec
 
 
 class Iteration:
-    """One agent's part of an iterative algorithm: a Round of which a subclass writes `message` and `update`.
+    """One agent's part of an iterative algorithm: a Round.
 
-    i: the agent;  k: rounds done;  rounds: how many until `done`, None: until something else ends it, as `Until` does.
+    A subclass writes `message` and `update`.
+
+    i: id of the agent
+    k: rounds done
+    rounds: number of rounds until `done`. None means that something else ends the algorithm, such
+        as `Until`
     """
 
     def __init__(self, i: int, rounds: int | None = None) -> None:
@@ -30,25 +35,28 @@ class Iteration:
 
     @property
     def done(self) -> bool:
-        """Whether the last round is over."""
+        """True when the last round is over."""
         return self.rounds is not None and self.k >= self.rounds
 
     @abstractmethod
     def message(self) -> Any:
-        """What the neighbours get in this round."""
+        """Return the message to the neighbours in this round."""
 
     @abstractmethod
     def update(self, heard: Mapping[int, Any]) -> None:
-        """The equation: round k, with the neighbours' messages."""
+        """Compute the equation of round k with the messages of the neighbours."""
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the neighbours' messages of this round."""
+        """Take the messages of the neighbours in this round."""
         self.update(heard)
         self.k += 1
 
 
 def vector(where: str, x: ArrayLike) -> Vec:
-    """A copy of x, of float64, a number as (1,); raises ConfigError that names the first entry that is not finite."""
+    """Return a copy of x as float64; a number becomes an array of shape (1,).
+
+    Raises ConfigError that names the first entry that is not finite.
+    """
     try:
         values = np.atleast_1d(np.array(x, dtype=float))
     except (TypeError, ValueError) as error:
@@ -59,7 +67,7 @@ def vector(where: str, x: ArrayLike) -> Vec:
 
 
 def finite(where: str, values: Vec) -> Vec:
-    """The values, if they all are finite numbers; raises ConfigError that names the first that is none."""
+    """Return the values; raise ConfigError that names the first value that is not finite."""
     if not np.isfinite(values).all():
         place = tuple(int(n) for n in np.argwhere(~np.isfinite(values))[0])
         row = "".join(f"[{n}]" for n in place)
@@ -68,7 +76,10 @@ def finite(where: str, values: Vec) -> Vec:
 
 
 def result(where: str, value: ArrayLike, shape: tuple[int, ...]) -> Vec:
-    """What a function of the user's has returned, as finite float64 of this shape; raises ConfigError."""
+    """Return the result of a user's function as finite float64 of this shape.
+
+    Raises ConfigError if the shape is wrong or a value is not finite.
+    """
     values = np.asarray(value, dtype=float)
     if values.shape != shape:
         raise ConfigError(where, f"shape {values.shape}", f"shape {shape}")

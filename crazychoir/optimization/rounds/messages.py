@@ -1,4 +1,4 @@
-"""What the algorithms of this room check of a message before they calculate with it."""
+"""Checks of a message before an algorithm calculates with it."""
 
 from collections.abc import Mapping
 from typing import Any, Final, TypeVar, cast
@@ -10,13 +10,18 @@ from crazychoir.errors import ConfigError
 
 A = TypeVar("A", bound=npt.NDArray[Any])
 INTEGER: Final = (int, np.integer)
+"""Types of an integer."""
 NUMBER: Final = (float, *INTEGER)
+"""Types of a real number."""
 SHOWN: Final = 8
-"""Parts of a malformed message that an error names."""
+"""Largest number of parts of a malformed message that an error names."""
 
 
 def like(i: int, j: int, x: Any, own: A) -> A:
-    """The array x that agent j has sent to i, if it is shaped as i's own; else raises ConfigError."""
+    """Return the array x that agent j sent to agent i.
+
+    Raises ConfigError unless it has the shape of agent i's own array.
+    """
     if type(x) is not np.ndarray or x.shape != own.shape:
         found = f"shape {x.shape}" if isinstance(x, np.ndarray) else type(x).__name__
         raise ConfigError(
@@ -26,10 +31,13 @@ def like(i: int, j: int, x: Any, own: A) -> A:
 
 
 def parts(i: int, k: int, heard: Mapping[int, Any], *kinds: Any) -> Mapping[int, Any]:
-    """What agent i has heard in round k, if each message is a list of as many parts, of these kinds.
+    """Return the messages of round k, after a check of their parts.
 
-    kinds: of each part, a type, a tuple of types, or object for any.
-    Raises ConfigError that names the neighbour and the round.
+    i: id of the receiver
+    k: round, for error texts
+    heard: messages by neighbour
+    kinds: type of each part of a message: a type, a tuple of types, or object for any type
+    Raises ConfigError that names the neighbour and the round of a message that does not fit.
     """
     for j, message in heard.items():
         whole = isinstance(message, list | tuple) and len(message) == len(kinds)
@@ -45,7 +53,7 @@ def parts(i: int, k: int, heard: Mapping[int, Any], *kinds: Any) -> Mapping[int,
 
 
 def malformed(where: str, j: int, k: int, message: Any, allowed: str) -> ConfigError:
-    """The error of what agent j has sent in round k, which is not what it should be."""
+    """Return the error for a malformed message that agent j sent in round k."""
     found = type(message).__name__
     if isinstance(message, list | tuple):
         found = f"a list of {len(message)}: {', '.join(type(part).__name__ for part in message[:SHOWN])}"
@@ -61,7 +69,7 @@ def _named(kind: Any) -> str:
 
 
 def require_heard(i: int, neighbors: tuple[int, ...], heard: Mapping[int, Any]) -> None:
-    """Raise ConfigError unless exactly the neighbours are heard, which are in increasing order."""
+    """Raise ConfigError unless exactly the neighbours are heard, in increasing order of id."""
     if tuple(heard) != neighbors:
         allowed = f"messages of its neighbors {list(neighbors)}, in each round"
         raise ConfigError(

@@ -1,7 +1,7 @@
-"""How agents average with their neighbours: rows of weights, their checks, and algorithms that need both sums.
+"""Averaging with neighbours: rows of weights, their checks, and the base class of such algorithms.
 
-A row is {j: w_ij} of agent i itself and those it hears; on a graph that changes with the round, one row for each graph
-of the sequence, used in turn.
+A row is {j: w_ij} of agent i itself and the agents that it hears. On a graph that changes with
+the round there is one row for each graph of the sequence, used in turn.
 """
 
 import math
@@ -20,11 +20,15 @@ T = TypeVar("T")
 Row = Mapping[int, float]
 Rows = Row | Sequence[Row]
 EXACT: Final = 1e-9
-"""By how much weights may miss their sum."""
+"""Error that is allowed in the sum of weights."""
 
 
 def checked_rows(i: int, weights: Rows, what: str = "weights") -> tuple[Row, ...]:
-    """One row a graph of the sequence, each of finite weights that sum to one; raises ConfigError."""
+    """Return the rows of agent i: one for each graph of the sequence.
+
+    weights: one row, or a sequence of rows
+    Raises ConfigError unless each row has finite weights that sum to one.
+    """
     rows = (weights,) if isinstance(weights, Mapping) else tuple(weights)
     if not rows:
         raise ConfigError(
@@ -59,7 +63,7 @@ def _check_row(i: int, row: Row, what: str) -> None:
 
 @kernel(memory, real, vector)
 def _add(total: Vec, weight: float, x: Vec) -> bool:
-    """total += weight x, if they are of one length: whether they are."""
+    """Add weight x to total, in place; return False if their lengths differ."""
     if len(x) != len(total):
         return False
     for n in range(len(x)):
@@ -68,7 +72,10 @@ def _add(total: Vec, weight: float, x: Vec) -> bool:
 
 
 def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
-    """sum_j w_ij x_j over i itself and those heard; raises ConfigError that names whom the row does not fit."""
+    """Return sum_j w_ij x_j over agent i itself and the agents it hears.
+
+    Raises ConfigError that names the agents that the row does not fit.
+    """
     if len(heard) + 1 != len(row):
         require_heard(i, row, heard)
     mixed = row[i] * own
@@ -80,7 +87,7 @@ def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
             fits = _add(
                 total, row[j], x if own.ndim == 1 else like(i, j, x, own).reshape(-1)
             )
-        except TypeError:  # no vector of floats
+        except TypeError:  # not a vector of floats
             fits = False
         if not fits:
             allowed = f"floats of shape {own.shape}, as its own"
@@ -89,7 +96,7 @@ def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
 
 
 def shape_of(x: Any) -> str:
-    """For an error text; what kind of numbers, if they are no floats."""
+    """Describe the shape of x for an error text, and its type if it does not hold floats."""
     if not hasattr(x, "shape"):
         return type(x).__name__
     return (
@@ -98,7 +105,7 @@ def shape_of(x: Any) -> str:
 
 
 def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
-    """Raise ConfigError unless the row has weights for exactly those heard, and i."""
+    """Raise ConfigError unless the row has weights for exactly agent i and the agents heard."""
     wanted = sorted(j for j in row if j != i)
     if wanted != sorted(heard):
         do = "Make the weights from the graph that the team runs on."
@@ -111,11 +118,12 @@ def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
 
 
 class Mixing(Iteration):
-    """An algorithm that averages with the neighbours; a subclass writes `payload` and `mix_in`.
+    """An algorithm that averages with its neighbours; a subclass writes `payload` and `mix_in`.
 
-    Each agent checks that its row sums to one when it is made. With `doubly_stochastic` the graph must be undirected,
-    and each checks that its column sums to one in the first round of each row: w_ij travels from i to j beside the
-    message. Wrong weights end the algorithm at all agents, with the column named.
+    Each agent checks that its row sums to one when the agent is made.
+    With `doubly_stochastic` the graph must be undirected. In the first round of each row, w_ij
+    travels from i to j with the message, and each agent checks that its column sums to one. Wrong
+    weights end the algorithm at all agents, with an error that names the column.
     """
 
     connected = True
@@ -123,7 +131,7 @@ class Mixing(Iteration):
 
     @property
     def undirected(self) -> bool:
-        """Whether who hears must be heard."""
+        """True if two neighbours must hear each other."""
         return self.doubly_stochastic
 
     def __init__(self, i: int, weights: Rows, rounds: int | None) -> None:
@@ -137,14 +145,14 @@ class Mixing(Iteration):
 
     @abstractmethod
     def payload(self) -> Any:
-        """What the neighbours get in this round."""
+        """Return the content of this round's message, without weights."""
 
     @abstractmethod
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
-        """The equation: round k, with the weights and the neighbours' payloads."""
+        """Compute the equation of round k with the weights and the payloads of the neighbours."""
 
     def message(self) -> Any:
-        """The payload; in the first round of a row with the neighbour's weight."""
+        """Return the payload; in the first round of a row, send [w_ij, payload] to each j."""
         payload = self.payload()
         if self.k >= len(self.weights) or not self.doubly_stochastic:
             return payload
@@ -153,7 +161,7 @@ class Mixing(Iteration):
         )
 
     def update(self, heard: Mapping[int, Any]) -> None:
-        """Check the column where it is new, then mix."""
+        """Check the column of a new row, then mix."""
         row = self.row
         if self.k < len(self.weights) and self.doubly_stochastic:
             require_heard(self.i, row, heard)
@@ -175,7 +183,7 @@ class Mixing(Iteration):
 def rows(
     graph: Graph | GraphSequence, rule: Callable[[Graph], Weights] = metropolis
 ) -> dict[int, tuple[Row, ...]]:
-    """Each agent's rows by a rule of graph.py: one for each graph of the sequence."""
+    """Return the rows of each agent by a rule of graph.py, one for each graph of the sequence."""
     graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
     weights = [rule(each) for each in graphs]
     return {i: tuple(of[i] for of in weights) for i in graph.ids}
@@ -184,7 +192,10 @@ def rows(
 def columns(
     graph: Graph | GraphSequence, rule: Callable[[Graph], Weights]
 ) -> dict[int, tuple[Row, ...]]:
-    """Each agent's columns {i: w_ij} by a rule of graph.py: what agent j gives to those who hear it, and keeps."""
+    """Return the columns {i: w_ij} of each agent j by a rule of graph.py.
+
+    They say how much agent j gives to each agent that hears it, and how much it keeps.
+    """
     graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
     weights = [rule(each) for each in graphs]
     return {
@@ -198,5 +209,9 @@ def team(
     make: Callable[[int, tuple[Row, ...]], T],
     rule: Callable[[Graph], Weights] = metropolis,
 ) -> dict[int, T]:
-    """One agent a node: `make(i, weights)`, with its rows by a rule of graph.py."""
+    """Make one agent for each node of the graph.
+
+    make: called with (i, weights); the weights are the rows of agent i
+    rule: rule of graph.py that gives the weights
+    """
     return {i: make(i, weights) for i, weights in rows(graph, rule).items()}

@@ -9,10 +9,14 @@ Exchange = Generator[Any, Mapping[int, Any], T]
 
 
 class Program(Generic[T]):
-    """A Round whose rounds are the `yield`s of `run`: for algorithms of several phases, or several exchanges a step.
+    """A Round that executes the generator `run`; each `yield` is one round.
 
-    A subclass sets its fields, then calls `super().__init__()`, which runs it up to its first message.
-    k: rounds done;  result: what `run` returned, once `done`.
+    Use it for algorithms with several phases, or with several exchanges a step.
+    A subclass sets its fields and then calls `super().__init__()`, which runs the generator up to
+    its first message.
+
+    k: rounds done
+    result: value that `run` returned, once `done`
     """
 
     def __init__(self) -> None:
@@ -23,19 +27,19 @@ class Program(Generic[T]):
 
     @abstractmethod
     def run(self) -> Exchange[T]:
-        """The algorithm, from the first message to the result."""
+        """Run the algorithm from the first message to the result."""
 
     @property
     def done(self) -> bool:
-        """Whether the last round is over."""
+        """True when the last round is over."""
         return self._done
 
     def message(self) -> Any:
-        """What the neighbours get in this round."""
+        """Return the message to the neighbours in this round."""
         return self._message
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the neighbours' messages of this round."""
+        """Take the messages of the neighbours in this round."""
         self.k += 1
         self._advance({j: heard[j] for j in sorted(heard)})
 

@@ -1,4 +1,4 @@
-"""Step sizes by round, checked when they are made."""
+"""Step sizes as functions of the round, checked when they are made."""
 
 import math
 from collections.abc import Callable
@@ -11,27 +11,30 @@ StepSize = Callable[[int], float]
 
 @dataclass(frozen=True)
 class Constant:
-    """a_k = a, above 0."""
+    """The constant step a_k = a."""
 
     a: float
+    """Step, above 0."""
 
     def __post_init__(self) -> None:
         _require_positive("a", self.a)
 
     def __call__(self, k: int) -> float:
-        """The step of round k."""
+        """Return the step of round k."""
         return self.a
 
 
 @dataclass(frozen=True)
 class Diminishing:
-    """a_k = a / (k + 1)^p: with 1/2 < p <= 1, sum a_k is infinite and sum a_k^2 finite.
+    """The diminishing step a_k = a / (k + 1)^p.
 
-    a: above 0;  p: above 0, at most 1, so that the sum is infinite.
+    With 1/2 < p <= 1, sum a_k is infinite and sum a_k^2 is finite.
     """
 
     a: float
+    """First step, above 0."""
     p: float = 1.0
+    """Exponent, above 0 and at most 1, so that the sum of the steps is infinite."""
 
     def __post_init__(self) -> None:
         _require_positive("a", self.a)
@@ -44,12 +47,16 @@ class Diminishing:
             )
 
     def __call__(self, k: int) -> float:
-        """The step of round k."""
+        """Return the step of round k."""
         return float(self.a / (k + 1) ** self.p)
 
 
 def step_size(given: float | StepSize) -> StepSize:
-    """A number as Constant; any function of the round, which is looked at in its first rounds."""
+    """Return a step size as a function of the round.
+
+    given: a number, which becomes Constant, or a function. A function is checked in its first three
+        rounds.
+    """
     if not callable(given):
         return Constant(given)
     for k in range(3):

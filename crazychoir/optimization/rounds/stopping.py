@@ -1,4 +1,4 @@
-"""When a team stops: each agent has a criterion of its own, and a distributed logical and says when all hold."""
+"""Stop a team when the criteria of all agents hold, by a distributed logical AND."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -13,18 +13,32 @@ from crazychoir.types import PerNeighbor, Vec
 
 A = TypeVar("A", bound=Round)
 NEVER: Final = 1 << 62
+"""A round that is never reached."""
 
 
 class Flags:
-    """One agent's part of a distributed logical and over a graph of diameter D, as bits of one integer.
+    """One agent's part of a distributed logical AND over a graph of diameter D.
 
-        s_i^0(k+1) = flag_i(k+1),   s_i^l(k+1) = s_i^(l-1)(k) and, over all j heard, s_j^(l-1)(k),   l = 1, ..., D
+    The states s_i^0, ..., s_i^D are the bits of one integer.
 
-    s_i^l is the `and` of the flags, l rounds ago, of all within l hops; so s_i^D(k) = and_j flag_j(k - D) is the same
-    at all agents, and all see it true in the same round, whether or not a flag falls again.
-    Latched, s^l <- s^l or (s_i^(l-1) and s_j^(l-1) of all in-neighbours' latest), for agents that are not in step: true
-    only if each flag has been up at some time.
-    Source: after the logic-and of Farina, Garulli, Giannitrapani & Notarstefano 2019, Automatica 103, 243-253.
+        s_i^0(k+1) = flag_i(k+1)
+        s_i^l(k+1) = s_i^(l-1)(k) and, over all j heard, s_j^(l-1)(k),   l = 1, ..., D
+
+    s_i^l is the `and` of the flags, l rounds ago, of all agents within l hops. So
+    s_i^D(k) = and_j flag_j(k - D) is the same at all agents. All agents see it true in the same
+    round, even if a flag falls again.
+
+    Latched, for agents that are not in step:
+
+        s^l <- s^l or (s_i^(l-1) and the latest s_j^(l-1) of all in-neighbours)
+
+    It becomes true only if each flag has been up at some time.
+
+    diameter: D
+    flag: first value of this agent's flag
+    latched: use the latched rule
+    Source: after the logic-and of Farina, Garulli, Giannitrapani & Notarstefano 2019,
+    Automatica 103, 243-253.
     """
 
     def __init__(self, diameter: int, flag: bool, latched: bool = False) -> None:
@@ -41,15 +55,19 @@ class Flags:
 
     @property
     def agreed(self) -> bool:
-        """Whether all flags are up."""
+        """True if all flags are up."""
         return bool(self.bits & self._top)
 
     def message(self) -> bytes:
-        """D + 1 bits."""
+        """Return the D + 1 bits."""
         return self.bits.to_bytes(self._size, "little")
 
     def step(self, flag: bool, heard: Mapping[int, bytes]) -> None:
-        """flag: our own now;  heard: the messages of all in-neighbours."""
+        """Compute one round.
+
+        flag: the flag of this agent now
+        heard: the messages of all in-neighbours
+        """
         common = self.bits
         for bits in heard.values():
             common &= int.from_bytes(bits, "little")
@@ -58,11 +76,18 @@ class Flags:
 
 
 class Settled:
-    """A criterion: max |x(k) - x(k-1)| <= tolerance over the entries of x, so many rounds in a row. One for each agent.
+    """A criterion: max |x(k) - x(k-1)| <= tolerance over the entries of x.
 
-    of: what of the algorithm, an array.
-    compares: a criterion that compares with before. `Until` asks it of an asynchronous algorithm only when all
-    neighbours have been heard anew since it last did: one that hears nothing does not change, but has not settled.
+    It must hold for several rounds in a row.
+
+    Make one for each agent.
+
+    tolerance: largest change of an entry
+    rounds: number of rounds in a row in which the change must be small
+    of: returns the array to watch, given the algorithm
+    compares: True says that the criterion compares with an earlier value. `Until` then evaluates it
+        for an asynchronous algorithm only after new messages of all neighbours. An agent that hears
+        nothing does not change, but has not settled.
     """
 
     compares = True
@@ -86,7 +111,7 @@ class Settled:
         self._calm = 0
 
     def __call__(self, agent: Any) -> bool:
-        """Whether it is calm since so many rounds."""
+        """Return True if x has been still for `rounds` rounds."""
         now = np.array(self.of(agent), dtype=float)
         still = self._before is not None and bool(
             np.all(np.abs(now - self._before) <= self.tolerance)
@@ -97,9 +122,12 @@ class Settled:
 
 
 class LogicAnd:
-    """Whether all agents' flags are up, as an algorithm of its own; all are done in the same round, D after the last.
+    """An algorithm that ends when the flags of all agents are up.
 
-    flag: may be set at any time;  diameter: of the graph, D, or on a sequence of graphs the rounds of a flood.
+    All agents are done in the same round, D rounds after the last flag went up.
+
+    diameter: D, the diameter of the graph; on a sequence of graphs the rounds of a flood
+    flag: flag of this agent; may be set at any time
     Equation and source: see Flags.
     """
 
@@ -114,22 +142,26 @@ class LogicAnd:
 
     @property
     def done(self) -> bool:
-        """Whether all flags are up."""
+        """True if all flags are up."""
         return self._flags.agreed
 
     def message(self) -> bytes:
-        """D + 1 bits."""
+        """Return the D + 1 bits."""
         return self._flags.message()
 
     def step(self, heard: Mapping[int, bytes]) -> None:
-        """One hop more."""
+        """Move the flags one hop further."""
         self._flags.step(self.flag, heard)
 
 
 class AsynchronousLogicAnd(LogicAnd):
-    """As LogicAnd, for agents that wake when they do; each is done when it knows. A flag that was up counts as up.
+    """LogicAnd for agents that wake at different times.
 
-    neighbors: all whom this agent hears.
+    Each agent is done when it knows the result.
+
+    A flag that has been up once counts as up.
+
+    neighbors: all agents that this agent hears
     """
 
     asynchronous = True
@@ -141,14 +173,16 @@ class AsynchronousLogicAnd(LogicAnd):
         self.neighbors = neighbors
 
     def step(self, heard: Mapping[int, bytes]) -> None:
-        """One hop more; who has not been heard yet has no flag."""
+        """Move the flags one hop further; a neighbour that was not heard yet has no flag."""
         super().step({**dict.fromkeys(self.neighbors, b""), **heard})
 
 
 class Riding(Generic[A]):
-    """An algorithm with a word of ours on each of its messages, also on one for each neighbour; a subclass says which.
+    """An algorithm with an extra word on each of its messages; a subclass defines the word.
 
-    What is not found here is the algorithm's: `until.x` is `until.algorithm.x`.
+    The word is also added to messages that differ by neighbour.
+    An attribute that is not found here is read from the algorithm: `until.x` is
+    `until.algorithm.x`.
     """
 
     def __init__(self, algorithm: A) -> None:
@@ -158,14 +192,14 @@ class Riding(Generic[A]):
 
     @abstractmethod
     def word(self) -> Any:
-        """What rides on the next message."""
+        """Return the extra word of the next message."""
 
     @abstractmethod
     def hear(self, words: dict[int, Any]) -> None:
-        """The neighbours' words, after the algorithm's step."""
+        """Take the words of the neighbours, after the algorithm's step."""
 
     def message(self) -> Any:
-        """[word, the algorithm's message]."""
+        """Return [word, message of the algorithm]."""
         word = self.word()
         message = self.algorithm.message()
         if isinstance(message, PerNeighbor):
@@ -173,7 +207,7 @@ class Riding(Generic[A]):
         return [word, message]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """The algorithm's step, then ours."""
+        """Do the algorithm's step, then take the words."""
         self.algorithm.step({j: value for j, (_, value) in heard.items()})
         self.hear({j: word for j, (word, _) in heard.items()})
 
@@ -184,12 +218,18 @@ class Riding(Generic[A]):
 
 
 class Until(Riding[A]):
-    """Any algorithm, until a criterion holds at all agents: a logical and rides on its messages, a byte for 8 hops.
+    """Run any algorithm until a criterion holds at all agents.
 
-    algorithm: also one that sends each neighbour its own, or is asynchronous (then neighbors: all whom it hears);
-    criterion: of the algorithm after each step, such as `Settled(1e-6)`;  diameter: of the graph.
-    A synchronous team stops in one round, D after all criteria held in one; an asynchronous one when each held once.
-    The algorithm's own end counts, too.
+    A logical AND travels with the messages: one byte for 8 hops.
+    A synchronous team stops in one round, D rounds after the criteria of all agents held together.
+    An asynchronous agent stops when it knows that each criterion held once.
+    The end of the algorithm itself also ends it.
+
+    algorithm: any algorithm, also an asynchronous one, or one with messages that differ by
+        neighbour
+    criterion: evaluated on the algorithm after each step, such as `Settled(1e-6)`
+    diameter: D, the diameter of the graph
+    neighbors: all agents that this agent hears; needed for an asynchronous algorithm
     """
 
     def __init__(
@@ -218,16 +258,20 @@ class Until(Riding[A]):
 
     @property
     def done(self) -> bool:
-        """Whether all criteria hold, or the algorithm has ended."""
+        """True if all criteria hold, or if the algorithm has ended."""
         return self._flags.agreed or self.algorithm.done
 
     def word(self) -> Any:
-        """D + 1 bits; asynchronous: with the steps done, by which the others tell what is new."""
+        """Return the D + 1 bits.
+
+        An asynchronous agent adds the number of its steps, so that receivers recognise new
+        messages.
+        """
         bits = self._flags.message()
         return [self._steps, bits] if self.asynchronous else bits
 
     def hear(self, words: dict[int, Any]) -> None:
-        """The criterion, and the logical and."""
+        """Evaluate the criterion, and advance the logical AND."""
         self._steps += 1
         if not self.asynchronous:
             self._flags.step(self.criterion(self.algorithm), words)
@@ -244,11 +288,16 @@ class Until(Riding[A]):
 
 
 class Stoppable(Riding[A]):
-    """Any algorithm, until one agent calls `stop`: the round of the end rides on its messages, D rounds ahead.
+    """Run any algorithm until one agent calls `stop`.
 
-        at_i <- min(at_i, min_j at_j);  the first to say it takes at_i = k + D, k its rounds done
+    The round of the end travels with the messages, D rounds ahead:
 
-    diameter: of the graph, D. All synchronous agents end in one round; asynchronous ones when they hear of it.
+        at_i <- min(at_i, min_j at_j),   and at_i = k + D at the agent that stops, k its rounds done
+
+    All synchronous agents end in the same round. Asynchronous agents end when they learn of it.
+
+    algorithm: any algorithm
+    diameter: D, the diameter of the graph
     """
 
     def __init__(self, algorithm: A, diameter: int) -> None:
@@ -259,21 +308,21 @@ class Stoppable(Riding[A]):
         self._asked = False
 
     def stop(self) -> None:
-        """End it, at all agents; may be called at any time."""
+        """End the algorithm at all agents; may be called at any time."""
         self._asked = True
 
     @property
     def done(self) -> bool:
-        """Whether the round of the end has come, or the algorithm has ended."""
+        """True when the round of the end has come, or when the algorithm has ended."""
         return self.k >= self.at or self.algorithm.done
 
     def word(self) -> int:
-        """The round of the end."""
+        """Return the round of the end."""
         if self._asked:
             self.at = min(self.at, 0 if self.asynchronous else self.k + self.diameter)
         return self.at
 
     def hear(self, words: dict[int, int]) -> None:
-        """The earliest end."""
+        """Take the earliest round of the end."""
         self.k += 1
         self.at = min([self.at, *words.values()])
