@@ -1,5 +1,6 @@
 """crazychoir: run missions, solve instances, look into a running swarm."""
 
+import time
 from contextlib import nullcontext
 from importlib.metadata import version
 from pathlib import Path
@@ -195,7 +196,9 @@ def run(
                     require_free(config, dongles(config, started))
                 named = {} if source is None else {"swarm": config.name}
                 warned = look_before(mission, config, force)
+            began = time.perf_counter()
             LATER.compile()
+            compiled_s = time.perf_counter() - began
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)
@@ -230,6 +233,7 @@ def run(
                                 started,
                                 file,
                             )
+            result["startup_s"] += compiled_s
             result["picture"] = None
             with outputs.writing("--picture"):
                 result["picture"] = _drawn(mission, config, result, picture)
