@@ -273,6 +273,7 @@ class Livelock(CrazyChoirError, RuntimeError):
 _LIBRARIES = tuple(
     {sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")}
 )
+"""Folders of Python's standard library and of installed packages."""
 
 
 def is_library(file: str | PathLike[str]) -> bool:

@@ -142,7 +142,10 @@ class Platform:
 
     @property
     def flat(self) -> Vec:
-        """(9,) for the kernels: mass, drag (3), max_thrust, max_rate (3), max_landing_speed."""
+        """The figures for the kernels, (9,).
+
+        mass, drag (3), max_thrust, max_rate (3), max_landing_speed.
+        """
         return np.array(
             [
                 self.mass,
