@@ -137,7 +137,7 @@ class GuidanceActor(Actor):
         if self._member is not None:
             self._member.ended = self._member.ended or reason
 
-    # The mission ----------------------------------------------------------------------------------------------
+    # The mission ----------------------------------------------------------------------
 
     async def _mission(self) -> Result:
         """Wait for GO, then run the mission's own code; returns its checked result."""
@@ -209,7 +209,7 @@ class GuidanceActor(Actor):
         if problems:
             raise Refused(f"drone {drone.id}", drone.barrier.refused)
 
-    # Its end --------------------------------------------------------------------------------------------------
+    # Its end --------------------------------------------------------------------------
 
     async def _last_words(self, life: asyncio.Task[Result]) -> None:
         """An aborted mission may go on talking while its drone lands; then it is cancelled until it obeys."""

@@ -220,7 +220,7 @@ class CFGuidance:
             )
         return self.member.sensors.log(names, period)
 
-    # Talking ------------------------------------------------------------------------
+    # Talking --------------------------------------------------------------------------
 
     send = Verb(Communicator.send)
     receive = Verb(Communicator.receive)
@@ -269,7 +269,7 @@ class CFGuidance:
         for _ in range(max(1, self.graph.diameter())):
             await self.neighbors_exchange(None, channel=channel, deadline=deadline)
 
-    # Flying -------------------------------------------------------------------------
+    # Flying ---------------------------------------------------------------------------
 
     @awaited
     async def take_off(self, height: float | None = None) -> None:

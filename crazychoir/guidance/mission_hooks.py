@@ -87,7 +87,7 @@ def _require_own(
     raise ConfigError(kind, f"no {name} of its own", wanted, do)
 
 
-# What each hook may return ------------------------------------------------------------------------------------------
+# What each hook may return ------------------------------------------------------------
 
 
 def _guidance(hook: Hook, i: int, config: SwarmConfig) -> CFGuidance:

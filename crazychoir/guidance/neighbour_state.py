@@ -87,9 +87,12 @@ class VelocitySum:
         self.reach = -h / math.expm1(-cutoff * h)
         self.spread = SPREAD * period
         self.even = True
-        """Nothing is owed: while each state is told for h, the next may be told as it is; `last` is to know it."""
+        """Nothing is owed.
+
+        While each state is used for h, the next state may be used unchanged. Keep it in `last`.
+        """
         self.last: State | None = None
-        """What was told last, before its velocity was corrected."""
+        """The state that the law received last, before its velocity was corrected."""
         self._memory = np.zeros(6)
 
     def forget(self) -> None:

@@ -52,7 +52,7 @@ class Commitments:
         free = self.news.quorate and (not self.planning or stop.task in self.bound)
         return stop.kind == "delivery" or free
 
-    # A planning -----------------------------------------------------------------------------------------------
+    # A planning -----------------------------------------------------------------------
 
     def begin(self, head: Sequence[Stop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Take part in a planning, bound to the stops `head`: the tasks of these, and what is aboard after them."""
@@ -90,7 +90,7 @@ class Commitments:
         """No plan holds any more: only what is aboard is delivered."""
         self.route = [Stop(j, "delivery") for j in self.aboard()]
 
-    # A stop ---------------------------------------------------------------------------------------------------
+    # A stop ---------------------------------------------------------------------------
 
     def announce(self, stop: Stop) -> int:
         """It stands at a stop, and serves it; returns the edition of the record that says so."""

@@ -203,7 +203,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Whether a planning runs after which the mission may be over: it does not know of what is heard now."""
         return self.commitments.planning and self.news.record.idle
 
-    # Planning -------------------------------------------------------------------------------------------------
+    # Planning -------------------------------------------------------------------------
 
     async def _plan(self) -> None:
         """Plan at the start, when the team has changed, and whenever it is wanted; until the team has ended."""
@@ -393,7 +393,7 @@ class OnlinePDVRPGuidance(CFGuidance):
     def _busy(self) -> bool:
         return self.member.pilot.remaining() > 0.0 or self._now < self._serving_until
 
-    # The route ------------------------------------------------------------------------------------------------
+    # The route ------------------------------------------------------------------------
 
     def _place(self, stop: Stop) -> Vec:
         """(2,) m, where a stop is."""
@@ -424,7 +424,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             p = goal
         return total
 
-    # Flying ---------------------------------------------------------------------------------------------------
+    # Flying ---------------------------------------------------------------------------
 
     async def _fly(self) -> None:
         """Stop by stop; without stops go home and wait on the ground. Who cannot fly on says so, and stays a talker."""

@@ -33,7 +33,7 @@ class Site:
         object.__setattr__(self, "low", np.array(self.config.fence.min[:2]) + EDGE)
         object.__setattr__(self, "high", np.array(self.config.fence.max[:2]) - EDGE)
 
-    # Where ----------------------------------------------------------------------------------------------------
+    # Where ----------------------------------------------------------------------------
 
     def objection(self, place: Place, besides: int | None = None) -> str:
         """Why no drone may stand above a place; empty if it may. besides: a robot that lies there, with its goods."""
@@ -60,7 +60,7 @@ class Site:
                 return f"its {name} {_shown(place)} is {found}"
         return ""
 
-    # Who ------------------------------------------------------------------------------------------------------
+    # Who ------------------------------------------------------------------------------
 
     def may(self, i: int, task: Task) -> bool:
         """Whether a task is for robot i; its load does not count."""

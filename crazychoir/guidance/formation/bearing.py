@@ -47,10 +47,10 @@ KP_NORMALISED = 8.0
 """1/s2: gain of the normalised law, for any graph."""
 KV_NORMALISED = 4.5
 """1/s: velocity gain of the normalised law, for any graph."""
-SLOWEST = 0.02  # 1/s: a slower formation needs minutes, and flies only with `force`
-FLEXIBLE = (
-    1e-9  # share of the largest eigenvalue below which an eigenvalue counts as zero
-)
+SLOWEST = 0.02
+"""1/s: a slower formation needs minutes, and flies only with `force`."""
+FLEXIBLE = 1e-9
+"""Share of the largest eigenvalue below which an eigenvalue counts as zero."""
 
 
 def bearing_laplacian(

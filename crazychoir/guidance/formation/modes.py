@@ -23,15 +23,18 @@ from crazychoir.control.margin import (
 )
 from crazychoir.platforms import Platform
 
-TICK = (
-    0.01  # s: a received acceleration was commanded one tick before the state beside it
-)
-WORSE = 1.3  # factor on the identified lag of the rotors
-LEVEL = 1e-6  # a mode with a smaller horizontal part moves in height only
+TICK = 0.01
+"""s: a received acceleration was commanded one tick before the state beside it."""
+WORSE = 1.3
+"""Factor on the identified lag of the rotors."""
+LEVEL = 1e-6
+"""A mode with a smaller horizontal part moves in height only."""
 FREQUENCIES = np.concatenate(
     [-np.geomspace(500.0, 1e-3, 3000), np.geomspace(1e-3, 500.0, 3000)]
-)  # rad/s
-OLDEST = 0.15  # s: larger ages are not checked
+)
+"""rad/s: frequencies of the Nyquist plot."""
+OLDEST = 0.15
+"""s: larger ages are not checked."""
 
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
