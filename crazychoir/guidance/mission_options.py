@@ -85,7 +85,7 @@ Yaw = Annotated[
 
 
 class NoOptions(Table, frozen=True, kw_only=True):
-    """The options of a mission, or of its drones, that has none."""
+    """The table of a mission without options, or of drones without options."""
 
 
 class HeightOption(Table, frozen=True, kw_only=True):

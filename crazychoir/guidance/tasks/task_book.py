@@ -323,3 +323,4 @@ def _done(record: Record) -> tuple[Any, ...]:
 
 
 _READER = msgspec.msgpack.Decoder(tuple[list[Task], list[Record]])
+"""Decodes the tasks and records of a message."""
