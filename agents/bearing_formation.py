@@ -1,7 +1,6 @@
-"""Bearing formation: leaders stand or fly a path, and followers find their places from bearings
-alone.
+"""Bearing formation: followers find their places from the bearings to their neighbours alone.
 
-The bearings are those to their neighbours.
+Leaders stand still or fly a path.
 
 crazychoir run bearing_formation --fast                 # four in a square
 crazychoir run bearing_formation --fast --drones 30     # a grid

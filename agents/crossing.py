@@ -1,5 +1,4 @@
-"""Each drone flies straight to its goal and ignores all others: only the collision filter separates
-them.
+"""Each drone flies straight to its goal: only the collision filter keeps the drones apart.
 
 Its own swarm loses one message in ten, in bursts of four on average. `--loss 0` switches that off.
 
@@ -211,10 +210,11 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Check the options, that all places lie inside the fence, and the number of drones in one
+    """Check the options and the places, and that not too many drones want to pass through one
     point.
 
-    Raises Refused without `force` if too many drones would fly through one point at the same time.
+    Raises ConfigError for wrong options, and for places outside the fence. Raises Refused without
+    `force` if too many drones would fly through one point at the same time.
     """
     where = f"swarm {config.name}: mission_options"
     options = given(config, Options)

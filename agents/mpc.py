@@ -1,12 +1,11 @@
-"""A line of drones moves by distributed model predictive control: no drone gets ahead of its
-neighbours.
+"""A line of drones moves by model predictive control: no drone gets ahead of its neighbours.
 
 crazychoir run mpc --fast
 crazychoir run mpc --fast --loss 0.3
 
-Each drone has a goal. The distances that two neighbours still have to go differ by at most `reach`,
-so the formation waits for its slowest drone. In each step the drones plan one after another, by
-increasing id.
+The control is distributed. Each drone has a goal. The distances that two neighbours still have to
+go differ by at most `reach`, so the formation waits for its slowest drone. In each step the drones
+plan one after another, by increasing id.
 """
 
 from itertools import combinations
@@ -267,8 +266,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def most_ahead(config: SwarmConfig, results: Results) -> tuple[float, tuple[int, int]]:
-    """Return how far a drone was ahead of a neighbour at most, in m, in x or in y, and the two
-    drones.
+    """Return the largest distance by which a drone was ahead of a neighbour, and the two drones.
+
+    The distance is in m, in x or in y.
     """
     rows = min(len(results[i]["way"]) for i in config.ids)
     left = {

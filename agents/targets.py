@@ -1,5 +1,6 @@
-"""Each drone flies to a list of targets, one after the other: to the next within 5 cm of the
-present one.
+"""Each drone flies to a list of targets, one after the other.
+
+It goes on to the next target when it is within 5 cm of the present one.
 
 crazychoir run targets --fast
 crazychoir run targets --fast --drones 3

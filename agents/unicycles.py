@@ -28,8 +28,9 @@ TOLERANCE = 0.03
 
 
 class Formation(CFDistributedFeedback):
-    """u_i = k sum_j [ (p_j - d_j) - (p_i - d_i) ]: in the plane all p_i - d_i converge to one
-    point.
+    """u_i = k sum_j [ (p_j - d_j) - (p_i - d_i) ]
+
+    In the plane all p_i - d_i converge to one point.
 
     i: id of the robot.
     corners: {id: (2,) m}, d.

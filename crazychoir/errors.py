@@ -261,8 +261,9 @@ class Hung(CrazyChoirError, RuntimeError):
 
 
 class Deadlock(CrazyChoirError, RuntimeError):
-    """Virtual time: nothing is ready and no timer is set. The text names the tasks and what each
-    waits for.
+    """Virtual time: nothing is ready and no timer is set.
+
+    The text names the tasks and what each waits for.
     """
 
 
@@ -293,9 +294,7 @@ def raised_at(error: BaseException) -> traceback.FrameSummary:
 
 
 def exit_call(end: SystemExit) -> str:
-    """Return the call with which a user's code has ended the process, as it is written in that
-    code.
-    """
+    """Return the call with which a user's code has ended the process, as written in that code."""
     return f"sys.exit({'' if end.code is None else repr(end.code)})"
 
 

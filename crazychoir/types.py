@@ -64,8 +64,7 @@ class State(Wire, frozen=True, array_like=True, gc=False):
     age: float = 0.0
     """Seconds since the state was measured."""
     a: Vec = STILL
-    """(3,) m/s2, world: the acceleration that the drone commanded in the tick before, without
-    gravity.
+    """(3,) m/s2, world: acceleration that the drone commanded in the tick before, without gravity.
 
     It is the sum of reference and control after all limits and the collision filter.
     It is commanded, not measured: the drone follows it with a delay.
@@ -332,21 +331,19 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
     reconnected: int = 0
     """Number of reconnections."""
     astray: str = ""
-    """How the body that the cameras take for this drone has moved differently from the drone, in
-    words.
+    """How the motion of the drone's body differs from the motion of the drone, in words.
 
-    Empty if it has not.
+    The body is the one that the cameras take for this drone. Empty if there is no difference.
     """
 
 
 class Plan(Wire, frozen=True, array_like=True, gc=False):
-    """The path of a drone with a planner on board, sent to all other drones that have such a
-    planner.
-    """
+    """The path of a drone with a planner on board, sent to all other such drones."""
 
     way: Mat
-    """(k, 25): the path that the drone flies, see safety/collision/agreed/paths.py. (0, 25) on
-    the ground.
+    """(k, 25): the path that the drone flies, see safety/collision/agreed/paths.py.
+
+    (0, 25) on the ground.
     """
     since: float
     """Seconds since the drone began to fly that path."""
@@ -362,8 +359,9 @@ class Plan(Wire, frozen=True, array_like=True, gc=False):
     A drone that is missing here is not known to fly.
     """
     awaits: Vec
-    """(3,) m, world: where the drone wants to rest but finds no room. (0,) if there is no such
-    place.
+    """(3,) m, world: where the drone wants to rest but finds no room.
+
+    (0,) if there is no such place.
     """
 
 

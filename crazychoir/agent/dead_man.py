@@ -26,8 +26,9 @@ class Console(Actor):
         self.ids = ids
 
     async def run(self) -> None:
-        """Report RATE times a second. A drone that does not answer delays the others by one
-        period at most.
+        """Report RATE times a second.
+
+        A drone that does not answer delays the others by one period at most.
         """
         async for _ in self.commander.port.bus.clock.ticks(RATE):
             await asyncio.gather(*(self._tell(i) for i in self.ids))

@@ -1,5 +1,6 @@
-"""Runs a mission at one drone: GO, the mission, its end. The result is final when the drone is
-on the ground.
+"""Runs a mission at one drone, from GO to its end.
+
+The result is final when the drone is on the ground.
 """
 
 import asyncio
@@ -61,8 +62,9 @@ ENDS_ON_COMMAND = (LANDED, SENT_HOME)
 NO_REASON = "its mission returned success = False, without a reason"
 """Reason of a failed mission that gave none."""
 ENDED = "ended"
-"""Key of a result that says how an operator has ended the mission. All other results do not have
-it.
+"""Key of a result that says how an operator has ended the mission.
+
+All other results do not have it.
 """
 
 Result = dict[str, Any]
@@ -89,8 +91,9 @@ class GuidanceActor(Actor):
         self._by_operator = False
 
     async def run(self) -> None:
-        """Run the mission from start to end. Afterwards the drone stays for a while, for the
-        others.
+        """Run the mission from start to end.
+
+        Afterwards the drone stays for a while, for the others.
         """
         drone = self.drone
         life = self._life = asyncio.create_task(

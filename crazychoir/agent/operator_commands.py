@@ -1,5 +1,6 @@
-"""Commands of an operator to a drone: each is refused with the reason, or done when its effect
-is complete.
+"""Commands of an operator to a drone.
+
+Each command is refused with the reason, or done when its effect is complete.
 """
 
 from collections.abc import Awaitable, Callable
@@ -219,7 +220,7 @@ class _Others:
             bus.subscribe(STATUS, j, i, self._statuses[j], STATUS.rate)
 
     def level(self, p: Point, home: Point, top: float) -> float:
-        """Return the height in m of a return from p that stays above the drones in the air, see
+        """Return the height in m of a return from p above the drones in the air, see
         `level_above`.
         """
         statuses = {

@@ -32,7 +32,7 @@ Offset = tuple[float, float, float]
 HAND = 0.02
 """m: how far a hand strays from the intended line."""
 YAW_RATE = 2.0
-"""rad/s: largest yaw rate of a path along whose direction a drone looks."""
+"""rad/s: largest yaw rate of a drone that looks along its path."""
 SHOWN = 400
 """Number of places of a path on the page."""
 STEP = 0.002

@@ -1,5 +1,6 @@
-"""Flights that an operator commands while the mission waits: the drone is held, or waits for the
-start.
+"""Flights that an operator commands while the mission waits.
+
+The mission waits while the drone is held, and before the start.
 """
 
 from typing import Annotated, Any, NoReturn
@@ -121,10 +122,10 @@ class Steering:
         return self._count
 
     def _require_cleared(self) -> None:
-        """Raise Refused during an emergency stop, even if motors still turn, and without a
-        guidance.
+        """Raise Refused during an emergency stop, and for a drone without a guidance.
 
-        A drone whose guidance has failed must land.
+        During a stop the command is refused even if the motors still turn. A drone whose guidance
+        has failed must land.
         """
         if self.drone.port.bus.stopped:
             self._refuse(STOPPED)

@@ -1,5 +1,6 @@
-"""The simulated worlds of a process (engines, cameras, owners), and the process that owns them
-for all drones.
+"""The simulated worlds of a process: engines, cameras and owners.
+
+WorldProcess is the process that owns the worlds of all drones.
 """
 
 import logging
@@ -94,7 +95,7 @@ class Latency:
 
 
 class WorldProcess(Actor):
-    """The owner of all worlds of a swarm whose drones have their pilots in other processes.
+    """The owner of all worlds of a swarm. The pilots of its drones are in other processes.
 
     A drone without commands is left to its engine. The process ends when it is told to and no drone
     flies any more, so that landing drones still have a floor. It ends at once when its network or a

@@ -1,6 +1,4 @@
-"""Aggregative optimisation in flight: a team tracks its common optimum and flies there at the
-same time.
-"""
+"""Aggregative optimisation in flight: a team tracks its common optimum while it flies there."""
 
 import asyncio
 import contextlib
@@ -175,7 +173,9 @@ class AggregativeGuidance(CFDistributedFeedback):
 
 
 class Defender(AggregativeGuidance):
-    """A drone of a Defence, between the target and its own intruder, whose present place it sees.
+    """A drone of a Defence, between the target and its own intruder.
+
+    It sees the intruder's present place.
 
     The result also holds intruder_way, see `Way`.
 

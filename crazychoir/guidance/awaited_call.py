@@ -1,5 +1,6 @@
-"""Coroutines of a mission that remember whether they were awaited, so that a forgotten `await`
-is reported.
+"""Coroutines of a mission that remember whether they were awaited.
+
+A forgotten `await` is therefore reported.
 """
 
 import functools
@@ -16,8 +17,9 @@ R = TypeVar("R")
 
 
 class Call(Coroutine[Any, Any, R], Generic[R]):
-    """A call of a coroutine function of a guidance. Nothing happens before it is awaited or made a
-    task.
+    """A call of a coroutine function of a guidance.
+
+    Nothing happens before it is awaited or made a task.
 
     inner: the coroutine.
     name: name of the function, such as "take_off".
@@ -142,8 +144,9 @@ def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
 
 
 def forgotten(guidance: object) -> str:
-    """Return which calls of a guidance were never awaited, and what to write. Empty if there are
-    none.
+    """Return which calls of a guidance were never awaited, and what to write.
+
+    Empty if there are none.
 
     It ends these calls.
     """

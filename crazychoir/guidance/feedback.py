@@ -1,5 +1,6 @@
-"""CFDistributedFeedback, a feedback law as a mission, and the report of references that cannot
-be flown.
+"""CFDistributedFeedback: a feedback law as a mission.
+
+`amiss` reports references that cannot be flown.
 """
 
 import asyncio

@@ -53,8 +53,9 @@ class Member:
     gate: str = ""
     """Key of GATES: the command of the operator that the mission waits for. Empty: none."""
     rise: float | None = None
-    """m above the ground: height of the take-off that the mission waits for. None: that of the
-    swarm file.
+    """m above the ground: height of the take-off that the mission waits for.
+
+    None: that of the swarm file.
     """
 
 
@@ -75,8 +76,9 @@ UNSAID_OF = {
 
 
 def standing(pilot: Pilot) -> str:
-    """Return what a drone does and why, such as "landing: pose 0.61 s old". The reason is never
-    empty.
+    """Return what a drone does and why, such as "landing: pose 0.61 s old".
+
+    The reason is never empty.
     """
     return f"{pilot.mode.value}: {pilot.note or UNSAID_OF[pilot.mode]}"
 

@@ -1,8 +1,8 @@
-"""The hooks of a mission file as the runtime calls them, checked when the file is loaded and at
-every return.
+"""The hooks of a mission file as the runtime calls them.
 
-Errors name the user's file and line, the hook, what was found and what is allowed. A failing hook
-that runs after the flight never loses the result of the flight.
+They are checked when the file is loaded and at every return. Errors name the user's file and line,
+the hook, what was found and what is allowed. A failing hook that runs after the flight never loses
+the result of the flight.
 """
 
 import inspect

@@ -1,5 +1,6 @@
-"""[mission_options] and the `options` of drones as tables: how to read them, and types that
-missions share.
+"""[mission_options] and the `options` of drones as tables.
+
+It holds the functions that read them, and the types that missions share.
 """
 
 from collections.abc import Collection

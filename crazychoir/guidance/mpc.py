@@ -1,5 +1,6 @@
-"""Distributed model predictive control in flight: plans are agreed on one step ahead, beside the
-law that flies them.
+"""Distributed model predictive control in flight.
+
+The drones agree on plans one step ahead, beside the law that flies them.
 """
 
 import asyncio

@@ -1,5 +1,6 @@
-"""What a law receives as its own state and its neighbours' states, corrected for late, lost and
-repeated messages.
+"""The states that a law receives: its own and its neighbours'.
+
+They are corrected for late, lost and repeated messages.
 """
 
 import math

@@ -1,5 +1,6 @@
-"""Checks of planned paths before any drone flies: inside the fence by the margins of the guard,
-see flight_room.
+"""Checks of planned paths before any drone flies.
+
+Paths must lie inside the fence by the margins of the guard, see flight_room.
 """
 
 from crazychoir.config.flight_room import room_of

@@ -1,5 +1,6 @@
-"""The sensor readings of a drone for its guidance: log variables by the firmware's names, with
-their ages.
+"""The sensor readings of a drone for its guidance: log variables with their ages.
+
+The names are those of the firmware.
 """
 
 import logging

@@ -1,5 +1,6 @@
-"""A user's function as the runtime calls it: its errors name the file, the line and what is
-allowed.
+"""A user's function as the runtime calls it.
+
+Its errors name the file, the line and what is allowed.
 """
 
 import inspect
@@ -75,7 +76,7 @@ class Hook:
             raise self.wrong(found, self._line(error)) from error
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
-        """Return the error of a hook whose result is not allowed."""
+        """Return the error of a hook with a result that is not allowed."""
         return ConfigError(
             f"{self.kind} {self.file}{line}: {self.call}",
             found,

@@ -1,5 +1,6 @@
-"""The commitments of one robot to its team: its route, the tasks to which it is bound, what is
-aboard. No flight.
+"""The commitments of one robot to its team: its route, its bonds, and what is aboard.
+
+Nothing here flies.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ class Commitments:
 
     news: the news of the robot.
     route: stops, in order.
-    planning: the robot takes part in a planning whose plan it has not adopted.
+    planning: the robot takes part in a planning and has not adopted a plan of it yet.
     bound: tasks that it named in its first message of that planning. No other robot gets them.
     """
 
@@ -27,7 +28,7 @@ class Commitments:
         self._head: list[Stop] = []
 
     def aboard(self) -> dict[int, None]:
-        """Return the tasks whose goods it carries, in the order of their pickups."""
+        """Return the tasks of the goods that it carries, in the order of their pickups."""
         found: dict[int, None] = {}
         for deed in self.news.record.deeds:
             if deed.kind == "pickup":
@@ -103,8 +104,9 @@ class Commitments:
     # A stop ---------------------------------------------------------------------------
 
     def announce(self, stop: Stop) -> int:
-        """Record that the robot stands at a stop and serves it. Returns the edition of the
-        record that says so.
+        """Record that the robot stands at a stop and serves it.
+
+        Returns the edition of the record that says so.
         """
         self.route.remove(stop)
         standing = self.news.standings()[stop.task]

@@ -1,21 +1,21 @@
-"""OnlinePDVRPGuidance: pickup and delivery while tasks and robots come and go. No drone stops to
-plan.
+"""OnlinePDVRPGuidance: pickup and delivery while tasks and robots come and go.
 
-Each robot does four things at the same time. It flies its route. It gossips its task book. It
-learns of new tasks. And it plans again with the team, in rounds, whenever tasks or team differ from
-those of its present route.
+No drone stops to plan. Each robot does four things at the same time. It flies its route. It gossips
+its task book. It learns of new tasks. And it plans again with the team, in rounds, whenever tasks
+or team differ from those of its present route.
 
-Rules that prevent a task from being served twice:
+Three rules prevent a task from being served twice.
 
-- A plan gives each free task to one robot. From the first message of a planning until it adopts the
-new
-  plan, a robot begins no pickup except those that it named in that message (`bound`). Two robots
-  that both hold a task as their own have therefore adopted the same plan.
-- A stop counts from the moment when the robot that stands there announces it. The robot leaves only
-  when more than half of the team are known to have received the announcement. A robot that is lost
-  in between lies at that very place, with its goods. A pickup that no robot has heard of has not
-  happened. A delivery that any robot has heard of has happened.
-- A part of the team that is cut off, with at most half of the robots before, picks nothing up.
+A plan gives each free task to one robot. From the first message of a planning until it adopts the
+new plan, a robot begins no pickup except those named in that message (`bound`). Two robots that
+both hold a task as their own have therefore adopted the same plan.
+
+A stop counts from the moment when the robot that stands there announces it. The robot leaves only
+when more than half of the team are known to have received the announcement. A robot that is lost in
+between lies at that very place, with its goods. A pickup that no robot has heard of has not
+happened. A delivery that any robot has heard of has happened.
+
+A part of the team that is cut off, with at most half of the robots before, picks nothing up.
 """
 
 import asyncio
@@ -222,8 +222,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         return [self._above(p) for p in places]
 
     def _may_end(self) -> bool:
-        """Return whether a planning runs that may end the mission. It does not know of tasks
-        that come now.
+        """Return whether a planning runs that may end the mission.
+
+        It does not know of tasks that come now.
         """
         return self.commitments.planning and self.news.record.idle
 
@@ -247,8 +248,9 @@ class OnlinePDVRPGuidance(CFGuidance):
                     continue
 
     async def _plannings(self, key: Key) -> None:
-        """Run the plannings of one team. When a robot begins a planning, all others begin it
-        too.
+        """Run the plannings of one team.
+
+        When a robot begins a planning, all others begin it too.
         """
         n = 0
         while self.news.key() == key and not self.news.ended:
@@ -379,7 +381,7 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     @property
     def _speaks(self) -> bool:
-        """This robot logs what all robots know: it has the lowest id of those that fly."""
+        """This robot logs what all robots know: it has the lowest id of all that fly."""
         return self.id == min(self.news.book.alive(self.news.members), default=self.id)
 
     def _say_trouble(self, trouble: dict[str, str]) -> None:

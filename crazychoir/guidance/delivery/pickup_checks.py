@@ -24,11 +24,11 @@ LOWEST = 0.1
 def require_ready(
     config: SwarmConfig, problem: Instance, method: str, where: str
 ) -> None:
-    """Check that the swarm is that of the instance, that its method fits, and that all of it can be
-    flown.
+    """Check the swarm and the method against the instance, and that all of it can be flown.
 
     where: the key of the instance, for the error.
-    Raises ConfigError if not.
+    Raises ConfigError if the swarm is not that of the instance, if the method does not fit, or if a
+    part of the instance cannot be flown.
     """
     allowed = "in flight robots fly straight, as soon as they can, and come down at home or at their end"
     require_flown(problem, where, FLOWN, allowed)

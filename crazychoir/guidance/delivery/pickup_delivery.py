@@ -1,5 +1,5 @@
-"""PDVRPGuidance: the team solves one pickup-and-delivery problem together, then each drone flies
-its route.
+"""PDVRPGuidance: the team solves one pickup-and-delivery problem, then each drone flies its
+route.
 """
 
 from typing import Any
@@ -20,11 +20,10 @@ DEADLINE = 120.0
 
 
 class PDVRPGuidance(CFGuidance):
-    """Robot i knows its own home, capacity and capability, and the public task list, but not other
-    robots'.
+    """Robot i knows its own home, capacity and capability, and the public task list.
 
-    It recharges and ends where the instance says: above its end, or above its home without an end.
-        There it lands at last.
+    It knows nothing of the other robots. It recharges and ends where the instance says: above its
+        end, or above its home without an end. There it lands at last.
 
     problem: this robot's part of the instance.
     method: how the integer plan is recovered, see PickupDelivery.

@@ -1,5 +1,6 @@
-"""[mission_options] of pickup and delivery: keys, units, ranges and defaults. The reader checks
-with them.
+"""[mission_options] of pickup and delivery: keys, units, ranges and defaults.
+
+The reader checks with them.
 """
 
 from typing import Annotated

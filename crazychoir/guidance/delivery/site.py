@@ -60,8 +60,9 @@ class Site:
         return ""
 
     def lies_badly(self, task: Task, pickup: Place, besides: int | None = None) -> str:
-        """Return why goods cannot be fetched from `pickup`, or cannot be delivered. Empty if they
-        can.
+        """Return why goods cannot be fetched from `pickup`, or cannot be delivered.
+
+        Empty if they can.
 
         task: the task of the goods.
         pickup: (2,) m: where the goods lie.
@@ -75,7 +76,7 @@ class Site:
                 return f"its {name} {_shown(place)} is {found}"
         return ""
 
-    # Who ------------------------------------------------------------------------------
+    # Robots ---------------------------------------------------------------------------
 
     def may(self, i: int, task: Task) -> bool:
         """Return whether a task is meant for robot i, whatever its load."""
@@ -92,8 +93,9 @@ class Site:
         ]
 
     def never(self, task: Task) -> str:
-        """Return why no robot of this swarm can serve a task, wherever its goods are. Empty if
-        one can.
+        """Return why no robot of this swarm can serve a task, wherever its goods are.
+
+        Empty if one can.
         """
         if strangers := [i for i in task.robots if i not in self.config.ids]:
             return f"there is no drone {span(strangers)}; this swarm has {span(self.config.ids)}"
@@ -108,8 +110,9 @@ class Site:
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
     def waits(self, task: Task, flying: Collection[int]) -> str:
-        """Return why no flying robot can serve a task that the swarm could serve. Empty if one
-        can.
+        """Return why no flying robot can serve a task that the swarm could serve.
+
+        Empty if one can.
         """
         able = self.able(task)
         if any(i in flying for i in able):

@@ -1,5 +1,6 @@
-"""Leaders of a formation: they stand still, or fly one path side by side. Their followers fly
-accelerations.
+"""Leaders of a formation: they stand still, or fly one path side by side.
+
+Their followers fly accelerations.
 """
 
 from typing import Annotated, Literal
@@ -41,7 +42,7 @@ Kind = Annotated[
 
 
 class LeaderOptions(Table, frozen=True, kw_only=True):
-    """[mission_options] of every mission whose leaders may move."""
+    """[mission_options] of every mission with leaders that may move."""
 
     leaders: Kind = "still"
     """What the leaders do."""

@@ -1,6 +1,4 @@
-"""The modes of a formation with the dynamics of its drones: how fast they decay, and how much
-delay they tolerate.
-"""
+"""The modes of a formation with the dynamics of its drones: their decay and their delay margin."""
 
 import math
 from collections.abc import Sequence

@@ -1,5 +1,5 @@
-"""Checks before the flight of formations with distances, and of containment: does the graph hold
-each drone?
+"""Checks before the flight: does the graph hold each drone of a distance formation or a
+containment?
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -1,5 +1,6 @@
-"""Work of a whole team that may fail at some robots: all robots end it in the same way, so that
-they can continue together.
+"""Work of a whole team that may fail at some robots.
+
+All robots end it in the same way, so that they can continue together.
 """
 
 from collections.abc import Mapping

@@ -1,5 +1,6 @@
-"""The room in which robots visit places, each at its own height: where tasks may be, and which
-robots may serve them.
+"""The room in which robots visit places: where tasks may be, and which robots may serve them.
+
+Each robot flies at its own height.
 """
 
 from collections.abc import Collection

@@ -1,5 +1,6 @@
-"""TaskAssignmentGuidance: the team assigns the tasks of a table in flight, again and again as it
-is refilled.
+"""TaskAssignmentGuidance: a team assigns the tasks of a table in flight.
+
+It assigns them again whenever the table is refilled.
 """
 
 import asyncio
@@ -150,8 +151,9 @@ class TaskAssignmentGuidance(CFGuidance):
         } | failed
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """Answer an operator: add a task at its pickup, cancel a task, or list the tasks. See
-        TaskSource.
+        """Answer an operator: add a task at its pickup, cancel a task, or list the tasks.
+
+        See TaskSource.
         """
         place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
         said: dict[str, Any] = await self.source.asked(verb, {**arguments, **place})
@@ -205,8 +207,9 @@ class TaskAssignmentGuidance(CFGuidance):
                 continue
 
     async def _generations(self, key: Key) -> None:
-        """Plan the generations of one team. When a robot begins a generation, all others begin
-        it too.
+        """Plan the generations of one team.
+
+        When a robot begins a generation, all others begin it too.
         """
         n = 0
         while self.news.key() == key and not (self.news.ended or self._alone):
@@ -238,8 +241,9 @@ class TaskAssignmentGuidance(CFGuidance):
         return _ids(open_tasks(self.news.book, self.news.members))
 
     async def _next(self, key: Key) -> Generation | None:
-        """Plan the next generation with the team. Returns None if the team has changed
-        meanwhile.
+        """Plan the next generation with the team.
+
+        Returns None if the team has changed meanwhile.
         """
         links = self.news.links(without=key[1])
         last = self.generation

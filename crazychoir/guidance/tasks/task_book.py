@@ -1,5 +1,4 @@
-"""What a team knows of its tasks in flight: news that may be merged in any order, any number of
-times.
+"""The tasks that a team knows in flight, as news that may be merged in any order and any number.
 
 There are two kinds of news, and both only grow. Of a task the highest version counts. Of a robot
 the latest record counts. Only the robot itself records what it has done with goods. The fate of a
@@ -91,8 +90,9 @@ class Record(Struct, frozen=True, order=True, array_like=True):
     ended: bool = False
     """The team has agreed to end."""
     life: Count = 1
-    """How many incarnations of the robot there have been, as far as it has heard. The last one
-    counts.
+    """How many incarnations of the robot there have been, as far as it has heard.
+
+    The last one counts.
     """
 
 
@@ -137,7 +137,7 @@ class TaskBook:
         self._standings: tuple[Any, dict[int, Standing]] = (None, {})
         self._fallen: dict[
             int | None, None
-        ] = {}  # robots whose places determine these standings
+        ] = {}  # robots: their places determine these standings
         for task in tasks:
             self.learn(task)
         for record in records:
@@ -188,7 +188,7 @@ class TaskBook:
         task = self.tasks[j]
         return self.learn(msgspec.structs.replace(task, cancelled=True))
 
-    # Who is there ---------------------------------------------------------------------
+    # Robots in the team ---------------------------------------------------------------
 
     def newest(self, i: int) -> Record | None:
         """Return the record of the newest incarnation of robot i."""

@@ -1,5 +1,6 @@
-"""The sources of tasks in flight: events of the mission, and operators. Tasks then spread by
-gossip.
+"""The sources of tasks in flight: events of the mission, and operators.
+
+A task then spreads by gossip.
 """
 
 import re
@@ -49,8 +50,9 @@ class Site(Protocol):
         ...
 
     def waits(self, task: Task, flying: Collection[int]) -> str:
-        """Return why no flying robot can serve a task that the swarm could serve. Empty if one
-        can.
+        """Return why no flying robot can serve a task that the swarm could serve.
+
+        Empty if one can.
         """
         ...
 

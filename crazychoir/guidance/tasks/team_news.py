@@ -1,5 +1,6 @@
-"""What one robot knows of its team in flight: the members, and a task book that gossip keeps
-equal to the others'.
+"""The knowledge of one robot about its team in flight: the members, and the task book.
+
+Gossip keeps the task books of all robots equal.
 """
 
 import asyncio
@@ -110,8 +111,9 @@ class TeamNews:
         )
 
     def letter(self) -> bytes:
-        """Return the book for the neighbours. It holds the tasks only if a neighbour has
-        different tasks.
+        """Return the book for the neighbours.
+
+        It holds the tasks only if a neighbour has different tasks.
         """
         others = [
             record
@@ -174,8 +176,9 @@ class TeamNews:
         self.dropped += 1
 
     async def farewell(self) -> None:
-        """Stay until all know that the team has ended, at most FAREWELL s. `gossip` runs beside
-        it.
+        """Stay until all know that the team has ended, at most FAREWELL s.
+
+        `gossip` runs beside it.
         """
         self.say(ended=True)
         ends = self.clock.now() + FAREWELL
@@ -254,8 +257,9 @@ class TeamNews:
 
     @property
     def alone(self) -> str:
-        """Why no robot that this robot hears can decide anything. Empty if one can, or if the team
-        has ended.
+        """Why no robot that this robot hears can decide anything.
+
+        Empty if one can, or if the team has ended.
 
         A robot that flies can decide, in a part of the team that may decide. A part with less than
         half of the robots never agrees on a team without the others.

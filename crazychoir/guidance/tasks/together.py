@@ -1,5 +1,6 @@
-"""Rounds of a team in flight that may lose members at any time: all run a program to its end, or
-all give it up.
+"""Rounds of a team in flight that may lose members at any time.
+
+All robots run a program to its end, or all give it up.
 """
 
 import asyncio
