@@ -3,8 +3,8 @@
 The team as a whole stays around the target.
 
 crazychoir run aggregative --fast
-crazychoir run deploy/aggregative_moving.toml --fast      three intruders that fly crazychoir run
-deploy/aggregative_replayed.toml --fast    the same intruders, from recordings
+crazychoir run deploy/aggregative_moving.toml --fast      three intruders that fly
+crazychoir run deploy/aggregative_replayed.toml --fast    the same intruders, from recordings
 
 Each defender knows only its own intruder. The defenders estimate the mean of the team by
 aggregative tracking. The drones with role = "intruder" are the intruders, in the order of the

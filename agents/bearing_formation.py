@@ -119,7 +119,7 @@ class BearingFormation(CFDistributedFeedback):
     moving: the leaders move.
     gains: gains of the control behind the law.
     Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law is their law for leaders that
-        accelerate.
+    accelerate.
     """
 
     def __init__(

@@ -55,8 +55,8 @@ class Containment(CFDistributedFeedback):
     """u_i = - 1/(d_i s^2) sum_j c_ij(k) [ kp (p_i - p_j) + kv (v_i - v_j) ]
 
     d_i is the number of neighbours of i. Static edges: c_ij = 1, s = 1. Random edges: in tick k
-        each drone chooses each of its neighbours with probability s. c_ij(k) = 1 if i chose j and j
-        chose i, else 0. The mean of the law is therefore that of static edges.
+    each drone chooses each of its neighbours with probability s. c_ij(k) = 1 if i chose j and j
+    chose i, else 0. The mean of the law is therefore that of static edges.
 
     k counts the periods of the team's time, and each draw is a function of (seed, i, j, k). Both
     ends of an edge compute the same draw without a message, even if they have missed messages.

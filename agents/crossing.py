@@ -109,7 +109,7 @@ class Straight(CFDistributedFeedback):
         """Take off, cross, land.
 
         The result also holds arrived_s: s of the law after which the drone stayed at its goal,
-            None: never.
+        None: never.
         """
         return await super().mission() | {"arrived_s": self.arrived}
 

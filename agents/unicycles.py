@@ -36,7 +36,7 @@ class Formation(CFDistributedFeedback):
     corners: {id: (2,) m}, d.
     k: 1/s.
     Source: consensus with offsets, Ren & Beard 2008, Distributed Consensus in Multi-vehicle
-        Cooperative Control, 3.
+    Cooperative Control, 3.
     """
 
     rate = 25.0

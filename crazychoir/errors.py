@@ -12,7 +12,7 @@ CrazyChoirError
 ├── Refused(RuntimeError)          a command, a swarm or a start check was refused
 ├── SolverError(RuntimeError)      an optimisation problem could not be solved: agent, status
 ├── AgentFailed(RuntimeError)      an agent of a distributed algorithm failed, and with it the team
-├── ProcessFailed(RuntimeError)    a process that solves or measures has failed, ended or gone silent
+├── ProcessFailed(RuntimeError)    a process that solves or measures has failed, or is silent
 ├── Hung(RuntimeError)             the watchdog interrupted code that blocked the event loop
 ├── Deadlock(RuntimeError)         virtual time: all tasks wait and no timer is set
 └── Livelock(RuntimeError)         virtual time: the clock stands still

@@ -2,7 +2,7 @@
 
 All values are frozen, typed and in SI units.
 World frame: ENU, z up. Quaternions: [x, y, z, w]. Angular velocity: body frame. The numbers of one
-    value lie in one flat array, which compiled laws and the wire use without a copy.
+value lie in one flat array, which compiled laws and the wire use without a copy.
 """
 
 from collections.abc import Sequence
@@ -66,10 +66,10 @@ class State(Wire, frozen=True, array_like=True, gc=False):
     a: Vec = STILL
     """(3,) m/s2, world: acceleration that the drone commanded in the tick before, without gravity.
 
-    It is the sum of reference and control after all limits and the collision filter.
-    It is commanded, not measured: the drone follows it with a delay.
-    When the control of the firmware flies the drone, it is the acceleration of the reference. It is
-    zero on the ground, with motors cut, and where it is not known, such as in the truth of a world.
+    It is the sum of reference and control after all limits and the collision filter. It is
+    commanded, not measured: the drone follows it with a delay. When the control of the firmware
+    flies the drone, it is the acceleration of the reference. It is zero on the ground, with motors
+    cut, and where it is not known, such as in the truth of a world.
     """
 
     @classmethod

@@ -206,7 +206,7 @@ class GuidanceActor(Actor):
         """Wait until no emergency stop is in force.
 
         A stop outlives its mission: drones that start or restart learn of it from those that have
-            stayed.
+        stayed.
         """
         drone = self.drone
         bus = self.drone.port.bus
@@ -262,7 +262,7 @@ class GuidanceActor(Actor):
         """Wait until the drone is on the ground. Its pilot lands already.
 
         A drone that others block hovers on and looks for a place beside them: without motors it
-            would fall on them.
+        would fall on them.
         """
         pilot = self.drone.pilot
         await touch_down(pilot, LANDING_DEADLINE)

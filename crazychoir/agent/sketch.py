@@ -132,8 +132,7 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
     """Raise ConfigError for a drawing that is too large.
 
     It may have too many rows, places beyond the fence, or lines too long for a message or for
-    LONGEST.
-    The hand may stray beyond the fence by the smoothing: the flown path is checked again.
+    LONGEST. The hand may stray beyond the fence by the smoothing: the flown path is checked again.
     """
     if (rows := sum(map(len, strokes))) > MOST_ROWS:
         raise ConfigError(

@@ -78,10 +78,9 @@ class AggregativeGuidance(CFDistributedFeedback):
     """Flies to its own x_i of an aggregative problem while its team solves the problem.
 
     The problem may change, and messages may be lost. A subclass writes `algorithm`. The rounds run
-    beside
-    the law, at most `round_rate` a second, and repeat lost messages. The law never waits for them:
-        it flies to the newest x_i through a Smoother, and comes to rest there when no round ends.
-        The permanent loss of a mate ends the law, with the reason.
+    beside the law, at most `round_rate` a second, and repeat lost messages. The law never waits for
+    them: it flies to the newest x_i through a Smoother, and comes to rest there when no round ends.
+    The permanent loss of a mate ends the law, with the reason.
 
     The result also holds rounds, x ((d,) m, the last x_i), and way, see `Way`.
 

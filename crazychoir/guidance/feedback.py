@@ -55,11 +55,10 @@ class CFDistributedFeedback(CFGuidance):
     reference is flown in the same tick.
 
     `heard[j]` is the newest State of neighbour j, with its `age`. It is absent when it is older
-    than the
-    maximum age of the topic. If no state has come since the last step it is extrapolated: position
-        p + v age, attitude unchanged. All velocities, also the drone's own, are corrected for
-        states that were lost, or were flown for too long because a step was late (see VelocitySum).
-        A law may therefore sum them up.
+    than the maximum age of the topic. If no state has come since the last step it is extrapolated:
+    position p + v age, attitude unchanged. All velocities, also the drone's own, are corrected for
+    states that were lost, or were flown for too long because a step was late (see VelocitySum). A
+    law may therefore sum them up.
     """
 
     rate = 100.0

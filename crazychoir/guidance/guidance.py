@@ -203,10 +203,9 @@ class CFGuidance:
         """Return the readings of this drone's sensors, by the firmware's names.
 
         Example: `self.log("pm.vbat", period=0.5)["pm.vbat"]` is the battery voltage in V. A reading
-            is None before the first value, and when three values in a row are missing. `age(name)`
-            is the age of a value in s. Another call with the same arguments returns the same
-        readings. On the radio one packet carries 26 bytes, such as six floats: ask for few values,
-            and seldom.
+        is None before the first value, and when three values in a row are missing. `age(name)` is
+        the age of a value in s. Another call with the same arguments returns the same readings. On
+        the radio one packet carries 26 bytes, such as six floats: ask for few values, and seldom.
 
         names: log variables of the firmware.
         period: s between two values, a multiple of 0.01 s up to 2.55 s.
@@ -240,9 +239,8 @@ class CFGuidance:
         All drones must be done in the same round. A drone that is done earlier ends the channel,
         and a drone that waits for it gets ChannelEnded. An algorithm with `asynchronous = True`
         wakes at its `pace`, steps with the latest message of each neighbour, and never waits for a
-        neighbour.
-        If the algorithm fails at one drone it ends at all drones: there with the error, elsewhere
-            with AgentFailed.
+        neighbour. If the algorithm fails at one drone it ends at all drones: there with the error,
+        elsewhere with AgentFailed.
 
         algorithm: the algorithm, with the problem of this drone.
         channel: name of the channel for its messages.
@@ -276,11 +274,10 @@ class CFGuidance:
         """Take off to `height`, and return when the drone is there.
 
         The goal stays inside the fence, 0.1 m off its edge. In a run with an operator the first
-        take-off
-        waits for two commands: for the take-off, at most UNCOMMANDED s on the ground, and then for
-            the start, at most PATIENCE s in the air. A drone that is held or has no pose yet waits
-            on the ground. If the safety table or an operator stops the rise, the drone continues as
-            in `go_to`. A drone that is already in the air goes to the height in the same way.
+        take-off waits for two commands: for the take-off, at most UNCOMMANDED s on the ground, and
+        then for the start, at most PATIENCE s in the air. A drone that is held or has no pose yet
+        waits on the ground. If the safety table or an operator stops the rise, the drone continues
+        as in `go_to`. A drone that is already in the air goes to the height in the same way.
 
         height: m above the ground, None for the take-off height of the swarm file.
         Raises ConfigError for a height beyond the fence, Interrupted if the drone may not rise, and

@@ -88,14 +88,14 @@ class MPCGuidance(CFDistributedFeedback):
         |(p_i - goal_i) - (p_j - goal_j)| <= reach   in x and in y, at the steps of all plans
 
     The drones agree on the plan of a step during the step before, see SequentialMPC, beside the
-    law. The
-    law never waits: when the step begins it flies the decided plan, else its own last plan.
+    law. The law never waits: when the step begins it flies the decided plan, else its own last
+    plan.
 
     A plan begins where the last plan leads: the nominal state of a tube controller, while the
-        flight control holds the drone in the tube. A drone that is pushed more than TUBE off its
-        plan stops and plans from where it is. The constraints hold for the plans. They are not
-        tightened by the tube, but by a margin for tracking in flight. A drone that is pushed may
-        leave `reach` until its next plan.
+    flight control holds the drone in the tube. A drone that is pushed more than TUBE off its plan
+    stops and plans from where it is. The constraints hold for the plans. They are not tightened by
+    the tube, but by a margin for tracking in flight. A drone that is pushed may leave `reach` until
+    its next plan.
 
     The result also holds the number of steps that were solved, loosened, kept and infeasible, see
     Tally, and way, see `Way`.
@@ -107,7 +107,7 @@ class MPCGuidance(CFDistributedFeedback):
     reach: m.
     neighbors: ids of the neighbours.
     Source: Richards & How 2007, see SequentialMPC; Mayne, Seron & Rakovic 2005, Automatica 41(2),
-        for the tube.
+    for the tube.
     """
 
     def __init__(

@@ -200,8 +200,8 @@ class Paired(Latest[State]):
         x = x_m + (x_m-n - x_m) / n,   a = a_m
 
     In a step without a new message it returns the same state again, older: a + kv v + kp p says
-        where a drone is going, which changes less than where it is. The first state is returned
-        unchanged.
+    where a drone is going, which changes less than where it is. The first state is returned
+    unchanged.
 
     h: s between two states.
     """

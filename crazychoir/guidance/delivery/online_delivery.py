@@ -202,7 +202,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Return the place of the robot, (2,) m.
 
         If its estimate is beyond LARGEST, it is the last valid place: other robots could not read
-            the new one.
+        the new one.
         """
         place = _flat(self.state.p)
         if all(abs(x) <= LARGEST for x in place):
@@ -312,8 +312,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         many s.
 
         These are the stop to which it flies now and the stops within HORIZON. While a planning has
-        not led to
-        a plan, other robots may have one: then the robot is bound to nothing new.
+        not led to a plan, other robots may have one: then the robot is bound to nothing new.
         """
         head: list[Stop] = []
         p = np.array(self._here())

@@ -23,7 +23,7 @@ class PDVRPGuidance(CFGuidance):
     """Robot i knows its own home, capacity and capability, and the public task list.
 
     It knows nothing of the other robots. It recharges and ends where the instance says: above its
-        end, or above its home without an end. There it lands at last.
+    end, or above its home without an end. There it lands at last.
 
     problem: this robot's part of the instance.
     method: how the integer plan is recovered, see PickupDelivery.

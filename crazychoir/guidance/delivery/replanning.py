@@ -89,8 +89,8 @@ class Replanning(Program[Share]):
         ->  a better plan of the sold tasks
 
     If a method raises an error, at one robot or at all, the plan of the auction holds. If the
-    auction
-    raises an error, there is no plan: what is aboard is delivered, and the free tasks are left.
+    auction raises an error, there is no plan: what is aboard is delivered, and the free tasks are
+    left.
 
     A robot plans with what it knows in the first round. What it learns later is for the next
     planning. A message that is not a valid book is ignored, by all robots alike, since all receive

@@ -103,7 +103,7 @@ def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
     An eigenvalue l is the share of a mode that depends on leaders. 1 - l of it comes from other
     followers.
     Raises Refused, with the drones, if K_i has no inverse: all bearings of i are parallel, and
-        nothing holds the drone along them.
+    nothing holds the drone along them.
     """
     blocks = [b_ff[k : k + 3, k : k + 3] for k in range(0, len(b_ff), 3)]
     alone = [

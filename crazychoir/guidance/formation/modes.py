@@ -140,9 +140,8 @@ def age_margin(
 
     d is that age. h is one tick, by which a_j is older than p_j and v_j. g = h if the law takes p_j
     and v_j from the tick of a_j, and g = 0 if leaders move and it takes the newest. G is the
-    attitude loop or
-    the thrust, F the velocity filter. Stability follows from Nyquist: along the imaginary axis the
-        phase of the left side over its first bracket turns twice by pi.
+    attitude loop or the thrust, F the velocity filter. Stability follows from Nyquist: along the
+    imaginary axis the phase of the left side over its first bracket turns twice by pi.
 
     eigenvalues: the values l.
     kp: 1/s2.

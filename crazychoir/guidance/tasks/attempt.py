@@ -32,8 +32,8 @@ def attempt(
     """Run the work, and return its result and "", or None and the reason if it fails at any robot.
 
     All robots return the same outcome. All begin the work in the same round and end it in the same
-        round: `diameter` rounds after the round in which the work was done or first failed. The
-        reason of a failure travels in place of the messages of the work.
+    round: `diameter` rounds after the round in which the work was done or first failed. The reason
+    of a failure travels in place of the messages of the work.
 
     robot: id of this robot.
     work: the rounds of the work.

@@ -62,9 +62,8 @@ class NextGeneration(Program[Generation]):
         flood of books  ->  fill the table up to as many open tasks as robots  ->  TaskAssignment
 
     No robot stores the table centrally: each computes the same table from all messages. The table
-        is filled up at most `most` times, by `draw`. After that the open tasks are assigned until
-        none is left. News that a robot receives after its first message counts for the next
-        generation.
+    is filled up at most `most` times, by `draw`. After that the open tasks are assigned until none
+    is left. News that a robot receives after its first message counts for the next generation.
 
     robot: id of this robot.
     graph: of the members, connected and undirected.

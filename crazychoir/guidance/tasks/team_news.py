@@ -240,7 +240,7 @@ class TeamNews:
         """Return whether more than half of the team know an edition of this robot's record.
 
         Members that are out do not count. In a part that is cut off it is always False: there a
-            single robot could be more than half.
+        single robot could be more than half.
         """
         witnesses = self.book.witnesses(
             self.id, self.record.incarnation, number, self.members
