@@ -105,9 +105,9 @@ class BearingFormation(CFDistributedFeedback):
     the normalised law are s^2 + kv s + kp, on any graph. Therefore it is the default.
 
     a_j was commanded in the tick before. The law therefore takes p_j and v_j from that tick too
-    (`paired`), and holds all three together when messages are lost: equal delays cancel out, while
-    different delays slow the modes of a large graph. If leaders move, equal delays would add up
-    with each neighbour on the way. Then the law takes the newest p_j and v_j.
+    (`paired`), and holds all three together when messages are lost. Equal delays cancel out, while
+    unequal delays delay the modes of a large graph. If leaders move, equal delays would add up with
+    each neighbour on the way. Then the law takes the newest p_j and v_j.
 
     i: id of the drone.
     shape: {id: (3,) m}, from which the bearings g_ij follow.

@@ -1,8 +1,12 @@
 """States, references and commands: the message types of the package. There is no second set.
 
 All values are frozen, typed and in SI units.
-World frame: ENU, z up. Quaternions: [x, y, z, w]. Angular velocity: body frame. The numbers of one
-value lie in one flat array, which compiled laws and the wire use without a copy.
+
+World frame: ENU, z up.
+Quaternions: [x, y, z, w].
+Angular velocity: body frame.
+
+The numbers of one value lie in one flat array. Compiled laws and the wire use it as it is.
 """
 
 from collections.abc import Sequence
@@ -13,11 +17,17 @@ import numpy as np
 import numpy.typing as npt
 
 Vec = npt.NDArray[np.float64]
+"""A vector of numbers."""
 Mat = npt.NDArray[np.float64]
+"""A matrix of numbers."""
 Ints = npt.NDArray[np.int64]
+"""An array of integers."""
 Words = npt.NDArray[np.uint64]
+"""An array of unsigned 64-bit words."""
 Bools = npt.NDArray[np.bool_]
+"""An array of truth values."""
 Point = Sequence[float] | Vec
+"""Coordinates, as a sequence or an array."""
 STILL: Vec = np.zeros(3)
 """(3,) m/s2: zero acceleration, read-only. The default where the acceleration is not known."""
 STILL.setflags(write=False)
@@ -241,6 +251,7 @@ class XYZ(Wire, frozen=True, array_like=True, gc=False):
 
 
 Command = FPQR | FRPY | Vel | XYZ | FullState | Acc | Drive
+"""All commands that a controller or a planner gives to a body."""
 
 
 class Status(Wire, frozen=True, array_like=True, gc=False):
@@ -333,7 +344,7 @@ class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
     astray: str = ""
     """How the motion of the drone's body differs from the motion of the drone, in words.
 
-    The body is the one that the cameras take for this drone. Empty if there is no difference.
+    The cameras may take a different body for this drone. Empty if there is no difference.
     """
 
 
@@ -375,7 +386,9 @@ class Failure(Wire, frozen=True, array_like=True, gc=False):
 
 
 Reference = Acceleration | FullState | Goto | Velocity
+"""All references that a law or a plan may return."""
 Heard = dict[int, State]
+"""By id: the newest state of each neighbour that is heard."""
 
 
 class PerNeighbor(dict[int, Any]):

@@ -205,8 +205,8 @@ class GuidanceActor(Actor):
     async def _until_cleared(self, why: str) -> None:
         """Wait until no emergency stop is in force.
 
-        A stop outlives its mission: drones that start or restart learn of it from those that have
-        stayed.
+        A stop outlives its mission: a drone that starts or restarts learns of it from drones that
+        stay.
         """
         drone = self.drone
         bus = self.drone.port.bus

@@ -124,8 +124,8 @@ class Steering:
     def _require_cleared(self) -> None:
         """Raise Refused during an emergency stop, and for a drone without a guidance.
 
-        During a stop the command is refused even if the motors still turn. A drone whose guidance
-        has failed must land.
+        During a stop the command is refused even if the motors still turn. When its guidance has
+        failed a drone must land.
         """
         if self.drone.port.bus.stopped:
             self._refuse(STOPPED)
