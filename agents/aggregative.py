@@ -280,8 +280,8 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Report the distance of the defenders from the optimum, at the end and on the way, and
-    their delay.
+    """Report the defenders' distance from the optimum, at the end and on the way, and their
+    delay.
     """
     team = defenders(config)
     if away := [i for i in team if "way" not in results.get(i, {})]:

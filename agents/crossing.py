@@ -210,8 +210,7 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Check the options and the places, and that not too many drones want to pass through one
-    point.
+    """Check the options and the places, and refuse too many drones in one point.
 
     Raises ConfigError for wrong options, and for places outside the fence. Raises Refused without
     `force` if too many drones would fly through one point at the same time.

@@ -198,8 +198,9 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Compare all distances at the end of the law with the wanted distances, by the drones' own
-    estimates.
+    """Compare the distances at the end of the law with the wanted distances.
+
+    The places are the drones' own estimates.
     """
     at = {i: r["place"] for i, r in results.items() if "place" in r}
     places = shape(config)

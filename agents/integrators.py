@@ -90,8 +90,9 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Check that each follower hears a leader, directly or through others: else it has no
-    equilibrium.
+    """Check that each follower hears a leader, directly or through others.
+
+    Else it has no equilibrium.
 
     Raises Refused if not.
     """

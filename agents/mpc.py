@@ -181,9 +181,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def _require_possible(config: SwarmConfig, drone: Drone) -> None:
-    """Raise ConfigError for a goal outside the fence, and for a speed above the limit of
-    [flight].
-    """
+    """Raise ConfigError for a goal outside the fence, and for a speed above [flight]."""
     where = f"swarm {config.name}: drone {drone.id}"
     low = config.fence.min
     high = config.fence.max
@@ -233,9 +231,7 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Check that all drones are at their goals, and report how far neighbours were ahead of each
-    other.
-    """
+    """Report whether all drones are at their goals, and the largest lead over a neighbour."""
     goals = goal(config)
     reasons = {}
     for i in config.ids:

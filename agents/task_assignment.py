@@ -132,8 +132,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Report the tasks that were done, by generation, and the tasks that were left, with the
-    reason.
+    """Report the tasks that were done, by generation, and why others were left.
 
     The cost of each table stands beside the cost of a central solver.
     """

@@ -65,8 +65,9 @@ def guidance(i: int, config: SwarmConfig) -> Formation:
 
 
 def corners(config: SwarmConfig) -> dict[int, Vec]:
-    """Return {id: (2,) m}: a square for four robots, else a polygon with the same length of
-    side.
+    """Return the corners {id: (2,) m}.
+
+    They form a square for four robots, else a polygon with the same length of side.
     """
     n = len(config.ids)
     if n == len(CORNERS):
@@ -116,9 +117,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Check that each robot is in its corner, relative to the centre to which all have
-    converged.
-    """
+    """Check that each robot is in its corner, relative to the centre of all robots."""
     wanted = corners(config)
     offsets = {
         i: np.array(result["place"][:2]) - wanted[i]

@@ -433,8 +433,9 @@ class Agent:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
 
     async def _guide(self, drone: Drone) -> None:
-        """Run the guidance under its own supervisor: it ends, and the drone flies on until it is
-        down.
+        """Run the guidance under its own supervisor.
+
+        When it ends the drone flies on until it is down.
         """
         supervisor = self._supervisor(drone.id)
         actor = self._guidances[drone.id] = GuidanceActor(
@@ -501,8 +502,9 @@ class Agent:
         self.alarm(drone, str(stall))
 
     def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
-        """Land all drones when the world or the pacemaker fails, since no drone can fly without
-        them.
+        """Land all drones when the world or the pacemaker fails.
+
+        No drone can fly on without them.
 
         A pilot that still gets ticks may cut its motors instead.
         """

@@ -241,9 +241,7 @@ class GuidanceActor(Actor):
     # Its end --------------------------------------------------------------------------
 
     async def _last_words(self, life: asyncio.Task[Result]) -> None:
-        """Let an aborted mission send messages while its drone lands, then cancel it until it
-        ends.
-        """
+        """Let an aborted mission send messages while its drone lands, then cancel it."""
         clock = self.drone.port.bus.clock
         i = self.drone.id
         await self._down()
@@ -330,8 +328,9 @@ class GuidanceActor(Actor):
         return failure(f"{self._aborted}; {self._broken(error)}")
 
     def _last_word(self, life: asyncio.Task[Result]) -> Failure:
-        """Return the message to drones that wait for this drone: the first agent that failed,
-        and why.
+        """Return the message to drones that wait for this drone.
+
+        It names the first agent that failed, and why.
         """
         error = life.exception() if life.done() and not life.cancelled() else None
         if isinstance(error, AgentFailed):
@@ -391,8 +390,7 @@ class GuidanceActor(Actor):
 
 
 def checked(returned: object) -> Result:
-    """Return the result of a mission in the form that it has after the codec, with `success` a
-    bool.
+    """Return the result of a mission after the codec, with `success` as a bool.
 
     All readers in all worlds therefore get the same form.
     Raises TypeError for anything but None or a dictionary that the codec can encode.

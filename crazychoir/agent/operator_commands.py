@@ -220,8 +220,9 @@ class _Others:
             bus.subscribe(STATUS, j, i, self._statuses[j], STATUS.rate)
 
     def level(self, p: Point, home: Point, top: float) -> float:
-        """Return the height in m of a return from p above the drones in the air, see
-        `level_above`.
+        """Return the height in m of a return from p above the drones in the air.
+
+        See `level_above`.
         """
         statuses = {
             j: status

@@ -66,9 +66,7 @@ class Planned:
     """m/s2: largest."""
 
     def shown(self) -> dict[str, Any]:
-        """Return the flight for the page: places, speeds and accelerations at equal intervals of
-        time.
-        """
+        """Return the flight for the page: places, speeds and accelerations at equal times."""
         t = np.linspace(0.0, self.path.duration, SHOWN)
         x = self.path.samples(t)
         return {

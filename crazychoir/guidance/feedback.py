@@ -370,8 +370,9 @@ def amiss(reference: object) -> str:
 
 
 def idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
-    """Return whether all drones flew laws that returned None in every step, so that no drone
-    moved.
+    """Return whether all drones flew laws that returned None in every step.
+
+    Then no drone has moved.
     """
     return bool(results) and all(
         r.get("success") and r.get("references") == 0 for r in results.values()

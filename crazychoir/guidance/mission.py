@@ -50,8 +50,9 @@ class Mission(Protocol):
         ...
 
     def goal(self, config: SwarmConfig) -> dict[int, Point]:
-        """Return {i: (3,) m}, the places of the drones at the end of the law, if there are such
-        places.
+        """Return {i: (3,) m}, the places of the drones at the end of the law.
+
+        Optional: only if there are such places.
         """
         ...
 
@@ -118,8 +119,7 @@ def look_before(
 
 
 def mission_hash(config: SwarmConfig, mission: Mission) -> str:
-    """Return a hash of all that the hosts must have in common: the swarm file and the mission's
-    text.
+    """Return a hash of all that hosts must have in common: swarm file and mission text.
 
     After a colon follow the hashes of the parts, see strangers.difference.
     """

@@ -45,8 +45,9 @@ class MissionFile:
 
 
 def require_complete(guidance: CFGuidance, where: str) -> None:
-    """Raise ConfigError for a guidance without its own `step` or `mission`, or with wrong
-    arguments.
+    """Raise ConfigError for a guidance without its own `step` or `mission`.
+
+    Wrong arguments are an error, too.
 
     A law needs `step`. A CFGuidance needs `mission`.
 

@@ -145,8 +145,9 @@ class MPCGuidance(CFDistributedFeedback):
                 await talk
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """Return the point of the plan that is due now: a polynomial of degree 3 from step to
-        step.
+        """Return the point of the plan that is due now.
+
+        The plan is a polynomial of degree 3 from step to step.
         """
         now = self.member.clock.now()
         h = self.motion.step

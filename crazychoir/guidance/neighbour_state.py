@@ -190,8 +190,7 @@ class Hearing(Latest[State]):
 
 
 class Paired(Latest[State]):
-    """The mailbox for the states of one neighbour, for a law that adds up its neighbours'
-    accelerations.
+    """The mailbox for the states of one neighbour, for a law that uses its acceleration.
 
     Message m holds the acceleration that was commanded in the tick of message m - 1. Position and
     velocity are therefore those of that tick. If n - 1 messages before m were lost, they are

@@ -26,8 +26,9 @@ NOTED = 0.1
 
 
 class Way:
-    """Where a drone was during its law, by its own estimate: rows [t s, x, y, z m], ten a
-    second.
+    """The places of a drone during its law, by its own estimate.
+
+    rows: [t s, x, y, z m], ten a second.
     """
 
     def __init__(self) -> None:

@@ -84,9 +84,7 @@ def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
 
 
 class Turns:
-    """Where to fly for a drone that decides again and again: to its own place, or aside for
-    others.
-    """
+    """Where a drone flies that decides again and again: to its own place, or aside for others."""
 
     def __init__(self, pilot: Pilot) -> None:
         self.pilot = pilot

@@ -132,8 +132,9 @@ def require_signature(
 
 
 def place_of(function: Callable[..., Any]) -> str:
-    """Return where a user's function is defined, as "file:line name", or its name if that is not
-    known.
+    """Return where a user's function is defined, as "file:line name".
+
+    Its name alone if the file is not known.
     """
     plain = inspect.unwrap(getattr(function, "__func__", function))
     code = getattr(plain, "__code__", None)

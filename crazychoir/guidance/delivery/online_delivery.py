@@ -165,8 +165,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         return self.outcome()
 
     async def _come_down(self, reason: str) -> None:
-        """Land before the others learn that the robot is out, because they come to its place for
-        its goods.
+        """Land before the others learn that the robot is out.
+
+        They then come to its place for its goods.
         """
         self.member.pilot.land(reason)
         await touch_down(self.member.pilot, TOUCHDOWN)
@@ -231,8 +232,9 @@ class OnlinePDVRPGuidance(CFGuidance):
     # Planning -------------------------------------------------------------------------
 
     async def _plan(self) -> None:
-        """Plan at the start, when the team has changed, and when a planning is due, until the
-        team has ended.
+        """Plan at the start, and whenever a planning is due, until the team has ended.
+
+        A change of the team also needs a planning.
         """
         while not self.news.ended:
             key = self.news.key()
@@ -308,8 +310,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         )
 
     def _head(self) -> tuple[list[Stop], Vec, float]:
-        """Return the stops to which this robot is bound, where it will be after them, and in how
-        many s.
+        """Return the stops to which this robot is bound, the place after them, and the s until
+        then.
 
         These are the stop to which it flies now and the stops within HORIZON. While a planning has
         not led to a plan, other robots may have one: then the robot is bound to nothing new.
@@ -528,8 +530,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         return valid()
 
     async def _come_to_rest(self) -> None:
-        """Stop before a flight to another place: a flight that turns round on its way swings far
-        out.
+        """Stop before a flight to another place.
+
+        A flight that turns round on its way swings far out.
         """
         pilot = self.member.pilot
         if pilot.remaining() > 0.0:

@@ -1,6 +1,4 @@
-"""PDVRPGuidance: the team solves one pickup-and-delivery problem, then each drone flies its
-route.
-"""
+"""PDVRPGuidance: the team solves a pickup-and-delivery problem, then each drone flies its route."""
 
 from typing import Any
 
@@ -142,8 +140,9 @@ class PDVRPGuidance(CFGuidance):
         )
 
     def above_end(self) -> Vec:
-        """Return where the flight ends, (3,) m: above the end of the instance, else above its
-        home.
+        """Return where the flight ends, (3,) m.
+
+        It is above the end of the instance, else above the home of the drone.
         """
         home = self.problem.home
         end = self.problem.end

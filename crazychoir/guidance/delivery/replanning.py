@@ -1,5 +1,6 @@
-"""One planning of a team in flight, as rounds: agree on what is known, then share out the free
-tasks.
+"""One planning of a team in flight, as rounds.
+
+The robots agree on what is known, then share out the free tasks.
 
 Each robot plans from where it will be.
 """
@@ -24,8 +25,9 @@ from crazychoir.team.graph import Graph
 AUCTION = "parallel-auction"
 """The method that uses the auction alone."""
 KINDS = (AUCTION, *METHODS)
-"""Methods to share out tasks in flight: the auction alone, or a method of PickupDelivery after
-it.
+"""Methods to share out tasks in flight.
+
+The auction alone, or a method of PickupDelivery after the auction.
 """
 Mark = tuple[tuple[int, int, bool], ...]
 """The tasks that a plan was made for: (id, version, cancelled) of each."""
@@ -148,8 +150,7 @@ class Replanning(Program[Share]):
     def _shared_out(
         self, goods: Goods
     ) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
-        """Return this robot's stops, the tasks that are left, and the methods that have found no
-        plan.
+        """Return this robot's stops, the tasks left, and the methods without a plan.
 
         The tasks are given as indices.
         """
@@ -186,9 +187,7 @@ class Replanning(Program[Share]):
     def _auction(
         self, goods: Goods
     ) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
-        """Return this robot's problem, its route as nodes, and the tasks that are left as
-        indices.
-        """
+        """Return this robot's problem, its route as nodes, and the tasks left as indices."""
         local = self._problem(goods)
         free = [n for n, is_free in enumerate(goods.free) if is_free]
         route, left = yield from parallel_auction(
@@ -303,8 +302,7 @@ def _merged(
 
 
 def _read(value: Any) -> tuple[Any, list[int], list[int]]:
-    """Return the parts of one robot's message: the book as a message, the bonds, and the goods
-    aboard.
+    """Return the book (as a message), the bonds and the goods aboard of one robot's message.
 
     Raises CodecError.
     """

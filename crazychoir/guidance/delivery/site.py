@@ -1,5 +1,6 @@
-"""Where goods may lie, and which robots may serve which goods: known to all robots before the
-flight.
+"""Where goods may lie, and which robots may serve which goods.
+
+All robots know this before the flight.
 """
 
 import math
@@ -18,9 +19,7 @@ from crazychoir.types import Vec
 
 @dataclass(frozen=True)
 class Site:
-    """The fence, the homes above which drones rise and land, and the loads that robots may
-    carry.
-    """
+    """The fence, the homes above which drones rise and land, and the loads of the robots."""
 
     config: SwarmConfig
     """The swarm file."""

@@ -208,8 +208,9 @@ def _require_within(config: SwarmConfig, i: int, t: Vec, x: Mat, room: Limits) -
 
 
 def height_of(config: SwarmConfig, i: int) -> float | None:
-    """Return the take-off height of drone i in m above the ground, or None for that of the swarm
-    file.
+    """Return the take-off height of drone i in m above the ground.
+
+    None: that of the swarm file.
     """
     return own(config, config.drone(i), HeightOption).height
 

@@ -50,8 +50,9 @@ class Chain:
 
     @classmethod
     def of_motors(cls, gains: Gains, platform: Platform) -> "Chain":
-        """Return the chain of a drone with rotors and a rate loop on board, slower than
-        identified.
+        """Return the chain of a drone with a rate loop on board.
+
+        Its rotors are slower than identified.
         """
         return cls(gains, WORSE * platform.rotor.lag, rate_loop(platform, 0, WORSE))
 
@@ -131,8 +132,9 @@ def age_margin(
     chain: Chain,
     moving: bool = False,
 ) -> float:
-    """Return how much older in s all neighbours' data may be in the normalised law, in every mode
-    l.
+    """Return how much older, in s, the neighbours' data may be in the normalised law.
+
+    The bound holds for every mode l.
 
     It is 0 if the law is unstable already.
 

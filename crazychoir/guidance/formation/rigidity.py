@@ -1,5 +1,6 @@
-"""Checks before the flight: does the graph hold each drone of a distance formation or a
-containment?
+"""Checks before the flight: does the graph hold each drone?
+
+They are for distance formations and containment.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -30,8 +30,9 @@ class Scatter(NamedTuple):
 
 
 def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
-    """Return the swarm with its followers' homes and heights moved by up to `by`, drawn from its
-    seed.
+    """Return the swarm with its followers' homes and heights moved by up to `by`.
+
+    The seed of the swarm determines the places.
 
     Each drone takes off straight up, so two starts are at least CLEAR apart, seen from above.
     Raises Refused if there is no room.

@@ -1,5 +1,6 @@
-"""One generation of a task table, as rounds: agree on the open tasks, fill the table up, assign
-it.
+"""One generation of a task table, as rounds.
+
+The robots agree on the open tasks, fill the table up, and assign it.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,8 +57,9 @@ class Generation:
 
 
 class NextGeneration(Program[Generation]):
-    """A Round: all robots of `graph` end it in the same round, each with its part of the same
-    generation.
+    """A Round that gives each robot of `graph` its part of the same generation.
+
+    All robots end it in the same round.
 
         flood of books  ->  fill the table up to as many open tasks as robots  ->  TaskAssignment
 

@@ -226,8 +226,9 @@ class TaskAssignmentGuidance(CFGuidance):
             self._adopt(generation, self._now - began)
 
     def _wanted(self, key: Key, n: int) -> bool:
-        """Return whether a planning is due: a robot plans already, or the open tasks have
-        changed.
+        """Return whether a planning is due.
+
+        It is due if a robot plans already, or if the open tasks have changed.
         """
         alive = self.news.book.alive(self.graph.ids).values()
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)

@@ -213,9 +213,7 @@ class TaskBook:
     def witnesses(
         self, i: int, incarnation: int, number: int, members: Collection[int]
     ) -> int:
-        """Return how many members are known to have received edition `number` of robot i, or a
-        newer one.
-        """
+        """Return how many members are known to have edition `number` of robot i, or a newer one."""
         others = [record for j, record in self.alive(members).items() if j != i]
         return sum(
             any(s[0] == i and s[1] == incarnation and s[2] >= number for s in r.seen)

@@ -153,8 +153,9 @@ class TeamNews:
             self.changed.set()
 
     def _write_off(self, failed: Collection[int]) -> None:
-        """Publish for failed neighbours that they are out, because they may not have sent it
-        themselves.
+        """Publish for failed neighbours that they are out.
+
+        They may not have sent it themselves.
 
         It is done once a neighbour: after a restart the neighbour is another one.
         """
@@ -294,8 +295,9 @@ class TeamNews:
 
     @property
     def quorate(self) -> bool:
-        """This part of the team may decide: it is more than half of the last team that could
-        decide.
+        """This part of the team may decide.
+
+        It is more than half of the last team that could decide.
 
         Of two equal halves the half with the lowest id may decide.
         """
