@@ -1,1 +1,1 @@
-"""Missions: one file each."""
+"""The missions that come with crazychoir, one file each."""

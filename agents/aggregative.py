@@ -1,11 +1,14 @@
-"""Surveillance: each defender stays between its intruder and the target of all, and the team around the target.
+"""Surveillance: each defender stays between its intruder and the common target.
+
+The team as a whole stays around the target.
 
 crazychoir run aggregative --fast
-crazychoir run deploy/aggregative_moving.toml --fast      three intruders that fly, three defenders that follow
-crazychoir run deploy/aggregative_replayed.toml --fast    the same intruders from recordings, as real ones
+crazychoir run deploy/aggregative_moving.toml --fast      three intruders that fly
+crazychoir run deploy/aggregative_replayed.toml --fast    the same intruders, from recordings
 
-Each knows its own intruder alone; what the team has in common, its mean, it tracks by aggregative tracking. The drones
-with role = "intruder" are the intruders, of the other drones in their order; without such drones they stand still.
+Each defender knows only its own intruder. The defenders estimate the mean of the team by
+aggregative tracking. The drones with role = "intruder" are the intruders, in the order of the
+defenders. Without such drones the intruders stand still.
 """
 
 from typing import Annotated, Any
@@ -35,15 +38,19 @@ from crazychoir.team.graph import Graph, metropolis
 from crazychoir.types import FullState, Mat, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 INTRUDER = "intruder"
+"""`role` of an intruder."""
 STILL = ((-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0))
+"""(2,) m each: default places of intruders that stand still."""
 HOMES = ((0.2, 1.2), (-1.2, -1.0), (1.2, -0.8))
+"""(2,) m each: homes of the defenders."""
 TOLERANCE = 0.02
-"""m from its place at the end, when the intruders stand."""
+"""m: largest distance from a defender's place at the end, when the intruders stand."""
 LATEST = 1.5
-"""s that a defender may be behind what moves."""
+"""s: largest delay of a defender behind a moving optimum."""
 TRANSIENT = 4.0
-"""s of the law in which the team comes together: not counted as lag."""
+"""s of the law in which the team converges; this time does not count for the delay."""
 
 
 Weight = Annotated[float, Meta(ge=0, le=1000)]
@@ -60,24 +67,28 @@ Legs = Annotated[
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    target: m;  intruders: m, those that stand still;  weights: of intruder, target, team;  step_size: of the tracking;
-    round_rate: Hz;  duration: s;  leg: s of an intruder from its home to the next one's;  legs: how many it flies.
-    """
+    """[mission_options]."""
 
     target: Spot = (0.0, 0.0)
+    """(2,) m."""
     intruders: Spots = STILL
+    """(2,) m each: places of the intruders that stand still."""
     weights: Weights = (1.0, 1.0, 1.0)
+    """Weights of intruder, target and team."""
     step_size: Share = 0.05
+    """Step size of the aggregative tracking."""
     round_rate: Hertz = 20.0
+    """Hz: rounds a second."""
     duration: Duration = 12.0
+    """s: duration of the law, if the intruders stand still."""
     leg: Period = 15.0
+    """s: time of an intruder from its home to the next intruder's home."""
     legs: Legs = 3
+    """Number of legs that an intruder flies."""
 
 
 class Observed(CFGuidance):
-    """A drone that somebody else flies, or has flown: it is seen, and does nothing."""
+    """A drone that another program flies, or has flown: it is seen, and does nothing here."""
 
     def __init__(self, duration: float) -> None:
         self.duration = duration
@@ -90,7 +101,7 @@ class Observed(CFGuidance):
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """A defender, or an intruder that flies or is observed."""
+    """Return the guidance of drone i: a defender, or an intruder that flies or is observed."""
     options = given(config, Options)
     drone = config.drone(i)
     if drone.role != INTRUDER:
@@ -103,7 +114,7 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 
 
 def defender(i: int, config: SwarmConfig, options: Options) -> Defender:
-    """Drone i, with its own intruder and the weights of the team's graph."""
+    """Return defender i with its own intruder and the weights of the team's graph."""
     team = mates(config)
     defence = Defence(np.array(options.target), *options.weights)
     flying = intruders(config)
@@ -120,17 +131,17 @@ def defender(i: int, config: SwarmConfig, options: Options) -> Defender:
 
 
 def defenders(config: SwarmConfig) -> list[int]:
-    """All but the intruders."""
+    """Return the ids of all drones but the intruders."""
     return [i for i in config.ids if config.drone(i).role != INTRUDER]
 
 
 def intruders(config: SwarmConfig) -> list[int]:
-    """Those that fly."""
+    """Return the ids of the intruders that fly."""
     return [i for i in config.ids if config.drone(i).role == INTRUDER]
 
 
 def mates(config: SwarmConfig) -> Graph:
-    """The graph of the defenders alone."""
+    """Return the graph of the defenders alone."""
     team = defenders(config)
     return Graph.from_edges(
         team, [(a, b) for a, b in config.graph().edges() if a in team and b in team]
@@ -138,7 +149,7 @@ def mates(config: SwarmConfig) -> Graph:
 
 
 def duration(config: SwarmConfig) -> float:
-    """s of the law: until the intruders have stood for a while."""
+    """Return the duration of the law in s: until flying intruders have stood still for a while."""
     options = given(config, Options)
     return (
         options.legs * options.leg + 4.0 + SETTLE
@@ -148,7 +159,7 @@ def duration(config: SwarmConfig) -> float:
 
 
 def round_of(i: int, config: SwarmConfig) -> Piecewise:
-    """An intruder's legs, from its home to the next one's, and on."""
+    """Return the legs of an intruder: from its home to the next intruder's home, and on."""
     options = given(config, Options)
     flight = config.flight
     team = intruders(config)
@@ -171,7 +182,7 @@ def round_of(i: int, config: SwarmConfig) -> Piecewise:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Three defenders in a path, three intruders that stand still."""
+    """Return three defenders in a path graph, with three intruders that stand still."""
     return SwarmConfig.of(
         {
             "name": "defence",
@@ -183,7 +194,11 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Each defender has an intruder, which it hears if it flies; the defenders are connected without the intruders."""
+    """Check that each defender has an intruder, and hears it if it flies.
+
+    The defenders must be connected without the intruders.
+    Raises ConfigError if not.
+    """
     options = given(config, Options)
     team = defenders(config)
     flying = intruders(config)
@@ -252,7 +267,7 @@ def _require_inside(config: SwarmConfig, places: dict[int, Vec]) -> None:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Where the defenders are at the optimum, if the intruders stand still; else nothing."""
+    """Return the places of the defenders at the optimum, if the intruders stand still, else {}."""
     options = given(config, Options)
     team = defenders(config)
     if intruders(config) or len(options.intruders) != len(team):
@@ -265,7 +280,9 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """How far the defenders were from the optimum, at the end and on the way, and how late they followed it."""
+    """Report the defenders' distance from the optimum, at the end and on the way, and their
+    delay.
+    """
     team = defenders(config)
     if away := [i for i in team if "way" not in results.get(i, {})]:
         return {
@@ -309,7 +326,12 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
-    """Times (T,) s of the law; where the defenders were and where they were to be then, (T, N, 2) m each."""
+    """Return the flown and the optimal places over time.
+
+    Returns times (T,) s of the law.
+    Returns places of the defenders, (T, N, 2) m.
+    Returns places at the optimum of each time, (T, N, 2) m.
+    """
     options = given(config, Options)
     team = defenders(config)
     rows = min(
@@ -323,7 +345,14 @@ def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
 
 
 def lag(t: Vec, flown: Mat, wanted: Mat) -> float:
-    """s by which `flown` is late after the transient: the shift of `wanted` (T, N, 2), at t (T,), that fits it best."""
+    """Return the delay in s of `flown` after the transient.
+
+    It is the shift of `wanted` that fits `flown` best.
+
+    t: (T,) s.
+    flown: (T, N, 2) m.
+    wanted: (T, N, 2) m.
+    """
     shifts = np.arange(0.0, 3.0, 0.02)
     inner = t > TRANSIENT
     series = wanted.reshape(len(t), -1).T
@@ -336,7 +365,7 @@ def lag(t: Vec, flown: Mat, wanted: Mat) -> float:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways of the defenders, of their intruders, and how far the defenders were from the optimum."""
+    """Draw the paths of the defenders and their intruders, and the distances from the optimum."""
     team = defenders(config)
     t, flown, wanted = ways(config, results)
     far = np.linalg.norm(flown - wanted, axis=2).T

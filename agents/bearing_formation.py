@@ -1,10 +1,12 @@
-"""Bearing formation: leaders stand or fly a path, followers take their places by bearings to their neighbours alone.
+"""Bearing formation: followers find their places from the bearings to their neighbours alone.
+
+Leaders stand still or fly a path.
 
 crazychoir run bearing_formation --fast                 # four in a square
 crazychoir run bearing_formation --fast --drones 30     # a grid
 crazychoir run bearing_formation --fast --drones 11     # a letter S
 crazychoir run deploy/formation_circle.toml --fast      # leaders on a circle
-crazychoir run deploy/formation_drawn.toml --fast       # on one that a hand has drawn
+crazychoir run deploy/formation_drawn.toml --fast       # leaders on a hand-drawn path
 """
 
 from collections.abc import Iterable
@@ -38,13 +40,20 @@ from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 REST = 4.0
-"""s of hovering before the paper's law, whose slow modes turn mm/s2 that the trim is off into centimetres."""
+"""s: hovering before the paper's law.
+
+The slow modes of that law turn a trim error of mm/s2 into centimetres.
+"""
 BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
-"""[collision] of drones that accelerate with 4 m/s2: with its defaults drones that pass each other wait for so long
-that they push a formation off, whose weak modes turn 1 m/s2 of evading into metres."""
+"""[collision] of drones that accelerate with 4 m/s2.
+
+With the defaults, drones that pass each other wait so long that they push the formation off. Its
+weak modes turn 1 m/s2 of evasion into metres.
+"""
 TOLERANCE = 0.01
-"""m from its place at the end of the law: a drone that is farther away has not formed up."""
+"""m: a drone farther from its place at the end of the law has not formed up."""
 LawName = Annotated[
     Law, Meta(description='"normalised" or "paper"', examples=["paper"])
 ]
@@ -52,45 +61,65 @@ Letter = Annotated[Literal["S", "C"], Meta(description='"S" or "C"', examples=["
 
 
 class Options(LeaderOptions, frozen=True, kw_only=True):
-    """[mission_options].
-
-    law;  kp 1/s2, kv 1/s: of it, without them those that suit law and drones;  in_height: share of them, of the paper's
-    law;  shape: m, places of the drones that have the bearings;  letter, size: instead, m high;  scatter: m.
-    """
+    """[mission_options]."""
 
     law: LawName = "normalised"
+    """The law of the followers."""
     kp: Gain | None = None
+    """1/s2: gain of the law. None: a gain that suits the law and the drones."""
     kv: Gain | None = None
+    """1/s: gain of the law. None: a gain that suits the law and the drones."""
     in_height: Share | None = None
+    """Share of kp and kv in height, for the paper's law."""
     shape: Places | None = None
+    """m: places of the drones that have the wanted bearings."""
     letter: Letter | None = None
+    """A letter as the shape."""
     size: Length = 3.0
+    """m: height of the letter."""
     scatter: Spreads = (1.0, 1.0, 0.5)
+    """m: largest random shift of the followers' starts, by axis."""
 
 
 class Chosen(NamedTuple):
-    """A law and its gains: 1/s2, 1/s, and the share of them in height."""
+    """A law and its gains."""
 
     law: Law
+    """The law."""
     kp: float
+    """1/s2."""
     kv: float
+    """1/s."""
     in_height: float
+    """Share of kp and kv in height."""
 
 
 class BearingFormation(CFDistributedFeedback):
-    """Follower: by the paper's law, or by the normalised one, which knows what the neighbours accelerate.
+    """Follower: the paper's law, or the normalised law, which uses the neighbours' accelerations.
 
-        paper:       u_i = - D sum_j P_ij [ kp (p_i - p_j) + kv (v_i - v_j) ],   P_ij = I - g_ij g_ij^T
-        normalised:  u_i = K_i^-1 sum_j P_ij [ - kp (p_i - p_j) - kv (v_i - v_j) + a_j ],   K_i = sum_j P_ij
+        paper:       u_i = - D sum_j P_ij [ kp (p_i - p_j) + kv (v_i - v_j) ]
+        normalised:  u_i = K_i^-1 sum_j P_ij [ - kp (p_i - p_j) - kv (v_i - v_j) + a_j ]
+        P_ij = I - g_ij g_ij^T,   K_i = sum_j P_ij,   D = diag(1, 1, in_height)
 
-    The modes of the paper's law are s^2 + kv l s + kp l, l an eigenvalue of B_ff; of the normalised law all are
-    s^2 + kv s + kp, whatever the graph: it is the default. a_j was commanded in the tick before, so that p_j, v_j are
-    taken from that tick too (`paired`), and all three held together when messages are lost: what is late together
-    cancels out, what is not delays the modes of a large graph. Where leaders move, all would be late by more with each
-    neighbour on the way: then p_j, v_j are the newest.
-    shape: {id: (3,) m}, where the bearings g_ij come from;  neighbors: those that i hears;  kp: 1/s2;  kv: 1/s;
-    D = diag(1, 1, in_height);  moving: whether leaders move.
-    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law as their eq. for leaders that accelerate.
+    The modes of the paper's law are s^2 + kv l s + kp l, with l an eigenvalue of B_ff. All modes of
+    the normalised law are s^2 + kv s + kp, on any graph. Therefore it is the default.
+
+    a_j was commanded in the tick before. The law therefore takes p_j and v_j from that tick too
+    (`paired`), and holds all three together when messages are lost. Equal delays cancel out, while
+    unequal delays delay the modes of a large graph. If leaders move, equal delays would add up with
+    each neighbour on the way. Then the law takes the newest p_j and v_j.
+
+    i: id of the drone.
+    shape: {id: (3,) m}, from which the bearings g_ij follow.
+    neighbors: ids that drone i hears.
+    law: "paper" or "normalised".
+    kp: 1/s2.
+    kv: 1/s.
+    in_height: share of the gains in height, for the paper's law.
+    moving: the leaders move.
+    gains: gains of the control behind the law.
+    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law is their law for leaders that
+    accelerate.
     """
 
     def __init__(
@@ -116,7 +145,7 @@ class BearingFormation(CFDistributedFeedback):
         else:
             share = np.array([[1.0], [1.0], [in_height]])
             weights = {j: share * p for j, p in weights.items()}
-        # The law as one product, u = W (x_i, x_j, ..., a_j, ...), with states x (13,) of which p and v count.
+        # The law as one product, u = W (x_i, x_j, ..., a_j, ...). Of a state x (13,) p and v count.
         blocks = [
             np.pad(np.kron([kp, kv], w), ((0, 0), (0, 7))) for w in weights.values()
         ]
@@ -130,11 +159,11 @@ class BearingFormation(CFDistributedFeedback):
         self.paired = self.a_counts and not moving
 
     def height(self) -> float | None:
-        """Of its options, so that it may start elsewhere than in the plane."""
+        """Return the height in the drone's options, so that it may start outside the plane."""
         return leader.height_of(self.member.config, self.id)
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
-        """The law; who does not hear all its neighbours hovers."""
+        """Return the acceleration of the law, or None to hover if a neighbour is not heard."""
         if len(heard) < len(self.neighbors):
             return None
         states = [me.flat, *(heard[j].flat for j in self.neighbors)]
@@ -144,7 +173,7 @@ class BearingFormation(CFDistributedFeedback):
 
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
-    """The law of drone i: a leader's or a follower's."""
+    """Return the law of drone i: the law of a leader or of a follower."""
     options = given(config, Options)
     law = chosen(config)
     if config.drone(i).leader:
@@ -163,7 +192,7 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
 
 
 def chosen(config: SwarmConfig) -> Chosen:
-    """What is not given depends on the law and on what flies."""
+    """Return the law with its gains. Gains that are not given depend on the law and the drones."""
     options = given(config, Options)
     kp = bearing.KP_NORMALISED
     kv = bearing.KV_NORMALISED
@@ -181,24 +210,27 @@ def chosen(config: SwarmConfig) -> Chosen:
 
 
 def gains(config: SwarmConfig) -> Gains:
-    """Of the control behind the law."""
+    """Return the gains of the control behind the law."""
     if given(config, Options).law == "normalised":
         return AGILE
     return FORMATION_ON_MOTORS if on_motors(config) else FORMATION
 
 
 def on_motors(config: SwarmConfig) -> bool:
-    """Whether every drone has a rate loop on board: all but the lightweight ones."""
+    """Return whether every drone has a rate loop on board; only lightweight drones have none."""
     return all(drone.uri != LIGHTWEIGHT for drone in config.drones)
 
 
 def moving(config: SwarmConfig) -> bool:
-    """Whether the leaders fly a path."""
+    """Return whether the leaders fly a path."""
     return given(config, Options).leaders != "still"
 
 
 def shape(config: SwarmConfig) -> Shape:
-    """{id: (3,) m}: from the mission options; else the square for four drones, for others their homes."""
+    """Return the shape, {id: (3,) m}.
+
+    It is that of the mission options. Without one it is the square for four drones, else the homes.
+    """
     options = given(config, Options)
     if options.letter is not None:
         places = shapes.letter(options.letter, options.size)
@@ -215,7 +247,13 @@ def shape(config: SwarmConfig) -> Shape:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Four: the paper's square.  30: a grid of 0.6 m, leaders at its corners.  11: a letter, led by its ends."""
+    """Return a swarm with this number of drones.
+
+    4: the paper's square.
+    30: a grid of 0.6 m, with leaders at its corners.
+    11: a letter, with leaders at its ends.
+    Raises ConfigError for any other number.
+    """
     match drones or 4:
         case 4:
             return _swarm(
@@ -275,12 +313,15 @@ def _swarm(
 
 
 def scatter(config: SwarmConfig) -> SwarmConfig:
-    """The same swarm, its followers' starts moved at random, clear of each other, by up to `scatter` (3,) m an axis."""
+    """Return the swarm with the starts of its followers moved at random, clear of each other.
+
+    Each start moves by up to `scatter` (3,) m an axis.
+    """
     return scattered(config, Scatter(*given(config, Options).scatter))
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Where the law is at rest with the leaders where they are at last."""
+    """Return where the law is at rest, with the leaders at their last places."""
     at_last = leader.leaders_at_last(config, given(config, Options))
     return bearing.equilibrium(
         shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()}
@@ -288,13 +329,17 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
-    """Whom each drone hears."""
+    """Return the ids that each drone hears."""
     graph = config.graph()
     return {i: graph.in_neighbors(i) for i in graph.ids}
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Refuses a graph on which the shape is not held by its bearings, or which needs minutes; leaders' paths too."""
+    """Refuse a formation that cannot be flown, and return warnings.
+
+    Raises Refused if the bearings do not hold the shape on this graph, or if the formation would
+    take minutes. Raises ConfigError if the leaders cannot fly their paths.
+    """
     slowest = max(
         (platform(drone.platform) for drone in config.drones),
         key=lambda found: found.rotor.lag,
@@ -318,7 +363,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Every drone is in its place at the end of the law, by its own estimate; who is not, or did not hear, is named."""
+    """Check that every drone is in its place at the end of the law, by its own estimate.
+
+    The reasons name each drone that is not, with the neighbours that it did not hear.
+    """
     goals = goal(config)
     reasons = {}
     for i, result in results.items():
@@ -335,7 +383,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was flown, from above."""
+    """Draw the flown paths from above."""
     draw_tracks(
         results,
         path,

@@ -1,4 +1,4 @@
-"""Containment: the followers come to lie among their leaders, in the convex hull of their places.
+"""Containment: the followers move into the convex hull of the leaders' places.
 
 crazychoir run containment --fast
 crazychoir run deploy/containment_random.toml --fast    # edges that come and go
@@ -27,8 +27,9 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 TOLERANCE = 0.02
-"""m: a follower that is farther outside of the hull has not come in."""
+"""m: a follower farther outside of the hull is not inside."""
 
 
 Edges = Annotated[
@@ -38,26 +39,37 @@ Edges = Annotated[
 
 
 class Options(LeaderOptions, frozen=True, kw_only=True):
-    """[mission_options].
-
-    edges;  share: of its neighbours that a drone chooses in each tick, of random edges;  kp: 1/s2;  kv: 1/s.
-    """
+    """[mission_options]."""
 
     edges: Edges = "static"
+    """Edges that always count, or random edges."""
     share: Share = 0.5
+    """Share of its neighbours that a drone chooses in each tick, for random edges."""
     kp: Gain = 0.8
+    """1/s2."""
     kv: Gain = 1.6
+    """1/s."""
 
 
 class Containment(CFDistributedFeedback):
     """u_i = - 1/(d_i s^2) sum_j c_ij(k) [ kp (p_i - p_j) + kv (v_i - v_j) ]
 
-    d_i: how many drones i has as neighbours;  static edges: c_ij = 1, s = 1.  Random edges: in tick k each drone
-    chooses each of its neighbours with probability s, and c_ij(k) = 1 where i chose j and j chose i, else 0; so on
-    average nothing changes. k counts the periods of the team's time, and the draws are a function of (seed, i, j, k):
-    both ends know them without a word, whatever either of them has missed.
-    Where the law is at rest each follower is at the mean of its neighbours, so in the hull of the leaders.
-    kp: 1/s2;  kv: 1/s;  share: s, 1 for static edges.
+    d_i is the number of neighbours of i. Static edges: c_ij = 1, s = 1. Random edges: in tick k
+    each drone chooses each of its neighbours with probability s. c_ij(k) = 1 if i chose j and j
+    chose i, else 0. The mean of the law is therefore that of static edges.
+
+    k counts the periods of the team's time, and each draw is a function of (seed, i, j, k). Both
+    ends of an edge compute the same draw without a message, even if they have missed messages.
+
+    Where the law is at rest each follower is at the mean of its neighbours, so in the hull of the
+    leaders.
+
+    i: id of the drone.
+    neighbors: ids that drone i hears.
+    kp: 1/s2.
+    kv: 1/s.
+    share: s, 1 for static edges.
+    seed: seed of the draws.
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), for single integrators.
     """
 
@@ -79,18 +91,18 @@ class Containment(CFDistributedFeedback):
         }
 
     def height(self) -> float | None:
-        """Of its options, so that it may start elsewhere than in the plane."""
+        """Return the height in the drone's options, so that it may start outside the plane."""
         return leader.height_of(self.member.config, self.id)
 
     def step(self, me: State, heard: Heard) -> Acceleration:
-        """The law, over those edges that count in this tick."""
+        """Return the acceleration of the law, over the edges that count in this tick."""
         clock = self.member.clock
         return self.pulled(
             me, heard, (clock.epoch_ns + clock.now_ns()) // round(SECOND / self.rate)
         )
 
     def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
-        """The law in tick k."""
+        """Return the acceleration of the law in tick k."""
         u = np.zeros(3)
         weight = 1.0 / (len(self.neighbors) * self.share**2)
         for j in self.neighbors:
@@ -101,14 +113,14 @@ class Containment(CFDistributedFeedback):
         return Acceleration(u)
 
     def counts(self, j: int, k: int) -> bool:
-        """Whether both ends of this edge have chosen it in tick k."""
+        """Return whether both ends of the edge to j have chosen it in tick k."""
         return all(
             draws.draw(key, k, 0) < self.share * draws.ONE for key in self.keys[j]
         )
 
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
-    """The law of drone i: a leader's or a follower's."""
+    """Return the law of drone i: the law of a leader or of a follower."""
     options = given(config, Options)
     if config.drone(i).leader:
         return leader.leader_of(i, config, options)
@@ -125,12 +137,15 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
 
 
 def share(options: Options) -> float:
-    """Of the neighbours that a drone chooses in a tick."""
+    """Return the share of its neighbours that a drone chooses in each tick; 1 for static edges."""
     return options.share if options.edges == "random" else 1.0
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Four leaders on a square of 2.4 m, four followers outside of it, each with two leaders and two followers."""
+    """Return four leaders on a square of 2.4 m, and four followers outside of it.
+
+    Each follower hears two leaders and two followers.
+    """
     if drones not in (None, 8):
         raise ConfigError("--drones", drones, "8", "Or write a swarm file.")
     inner = [(1.2, 1.2), (-1.2, 1.2), (-1.2, -1.2), (1.2, -1.2)]
@@ -151,7 +166,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Each follower at the mean of its neighbours, with the leaders where they are at last: L_ff p_f = - L_fl p_l."""
+    """Return the equilibrium with the leaders at their last places: L_ff p_f = - L_fl p_l.
+
+    Each follower is at the mean of its neighbours.
+    """
     leaders = leader.leaders_at_last(config, given(config, Options))
     l_ff, l_fl = grounded_laplacian(_neighbors(config), leaders)
     p = -np.linalg.solve(l_ff, l_fl @ np.array([leaders[i] for i in sorted(leaders)]))
@@ -161,7 +179,11 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Refuses followers that no leader reaches, gains that are not stable, and what leaders cannot fly."""
+    """Check the graph, the gains and the paths of the leaders.
+
+    Raises Refused for a follower that no leader reaches, and for gains that are not stable. Raises
+    ConfigError for paths that the leaders cannot fly.
+    """
     options = given(config, Options)
     leaders = leader.leaders_of(config)
     if len(leaders) == len(config.ids):
@@ -178,7 +200,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 def _require_stable(
     config: SwarmConfig, options: Options, leaders: dict[int, Vec]
 ) -> None:
-    """Refuse gains that would not be stable if all edges counted in each tick: so it is for a while, now and then."""
+    """Raise Refused for gains that are not stable if all edges count in each tick.
+
+    Random edges all count for a while, now and then.
+    """
     chosen = share(options)
     kp = options.kp / chosen**2
     kv = options.kv / chosen**2
@@ -197,7 +222,7 @@ def _require_stable(
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Every follower has come into the hull of the leaders' places."""
+    """Check that every follower has come into the hull of the leaders' places."""
     flown = {
         i: np.array(result["place"])
         for i, result in results.items()
@@ -222,7 +247,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was flown, from above."""
+    """Draw the flown paths from above."""
     draw_tracks(
         results,
         path,

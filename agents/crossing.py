@@ -1,6 +1,6 @@
-"""Each drone flies straight to its goal, whoever is in its way: the collision filter alone keeps them apart.
+"""Each drone flies straight to its goal: only the collision filter keeps the drones apart.
 
-Its own swarm loses one message in ten, in bursts of four in the mean; `--loss 0` takes that out.
+Its own swarm loses one message in ten, in bursts of four on average. `--loss 0` switches that off.
 
 crazychoir run crossing --fast --drones 6 --picture out/crossing.png
 """
@@ -25,12 +25,18 @@ from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import FullState, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
-APART, SCALE = 0.34, (1.0, 1.0, 0.4)
-"""m, and the scale of the standard [collision]: starts, and goals, are drawn as far apart as this by it."""
+"""The results of all drones, by id."""
+APART = 0.34
+"""m: smallest distance between two starts, and between two goals, with heights scaled by SCALE."""
+SCALE = (1.0, 1.0, 0.4)
+"""Scale of x, y and z in these distances, as in the standard [collision]."""
 ARRIVED = 0.05
-"""m from its goal: it is there, once it stays so near."""
+"""m: a drone has arrived when it stays nearer to its goal than this."""
 CROWD = 30
-"""Drones that have been flown through one point at the same time; a hundred press each other there."""
+"""Largest number of drones that have been flown through one point at the same time.
+
+A hundred drones press against each other there.
+"""
 Pattern = Annotated[
     Literal["antipodal", "permutation"],
     Meta(
@@ -41,23 +47,34 @@ Pattern = Annotated[
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options]. All is drawn from the swarm's seed.
-
-    radius: m, of the circle;  speed: m/s;  low, high: m, between which starts and goals lie;  jitter: m, by which they
-    lie off the circle;  duration: s of the law.
-    """
+    """[mission_options]. The seed of the swarm determines all random places."""
 
     pattern: Pattern = "antipodal"
+    """How goals follow from starts."""
     radius: Length = 3.0
+    """m: radius of the circle."""
     speed: Speed = 0.8
+    """m/s."""
     low: Height = 0.3
+    """m: lowest start or goal."""
     high: Height = 2.2
+    """m: highest start or goal."""
     jitter: Offset = 0.1
+    """m: largest random distance of starts and goals from the circle, along x and y."""
     duration: Duration = 20.0
+    """s: duration of the law."""
 
 
 class Straight(CFDistributedFeedback):
-    """p_d(t) = a + min(speed t, |b - a|) w,  w = (b - a) / |b - a|: it knows of nobody."""
+    """Fly a straight line from a to b, without regard to other drones.
+
+        p_d(t) = a + min(speed t, |b - a|) w,   w = (b - a) / |b - a|
+
+    start: (3,) m, world: a.
+    goal: (3,) m, world: b.
+    speed: m/s.
+    duration: s: duration of the law.
+    """
 
     def __init__(self, start: Vec, goal: Vec, speed: float, duration: float) -> None:
         self.start = start
@@ -70,11 +87,11 @@ class Straight(CFDistributedFeedback):
         self.arrived: float | None = None
 
     def height(self) -> float:
-        """That of its start."""
+        """Return the height of the start above the ground, in m."""
         return float(self.start[2] - self.member.config.flight.ground)
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """Where the straight line is by now."""
+        """Return the point of the straight line that is due now."""
         t = self.steps / self.rate
         self.steps += 1
         if np.linalg.norm(me.p - self.goal) > ARRIVED:
@@ -89,18 +106,22 @@ class Straight(CFDistributedFeedback):
         )
 
     async def mission(self) -> dict[str, Any]:
-        """Up, across, down; arrived_s: s of the law, after which it stayed at its goal, None: never."""
+        """Take off, cross, land.
+
+        The result also holds arrived_s: s of the law after which the drone stayed at its goal,
+        None: never.
+        """
         return await super().mission() | {"arrived_s": self.arrived}
 
 
 def guidance(i: int, config: SwarmConfig) -> Straight:
-    """The way of drone i."""
+    """Return the law of drone i."""
     options, (starts, goals) = given(config, Options), places(config)
     return Straight(starts[i], goals[i], options.speed, options.duration)
 
 
 def places(config: SwarmConfig) -> tuple[dict[int, Vec], dict[int, Vec]]:
-    """Starts and goals, (3,) m each, by drone."""
+    """Return the starts and the goals, (3,) m each, by drone."""
     options = given(config, Options)
     n = len(config.ids)
     draw = np.random.default_rng(config.seed)
@@ -114,7 +135,7 @@ def places(config: SwarmConfig) -> tuple[dict[int, Vec], dict[int, Vec]]:
 
 
 def _circle(draw: np.random.Generator, n: int, options: Options, turn: float) -> Vec:
-    """n places around a circle, off it by chance, and clear of each other."""
+    """Return n places near a circle, shifted at random and clear of each other."""
     angles = turn + 2.0 * np.pi * np.arange(n) / n
     flat = options.radius * np.column_stack([np.cos(angles), np.sin(angles)])
     off = options.jitter
@@ -135,7 +156,7 @@ def _circle(draw: np.random.Generator, n: int, options: Options, turn: float) ->
 
 
 def _deranged(draw: np.random.Generator, n: int) -> list[int]:
-    """A permutation that leaves nobody where it is."""
+    """Return a permutation that moves every element."""
     while True:
         order = draw.permutation(n)
         if n == 1 or np.all(order != np.arange(n)):
@@ -143,7 +164,7 @@ def _deranged(draw: np.random.Generator, n: int) -> list[int]:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Drones at motor level, of whose messages one in ten is lost, in bursts."""
+    """Return drones at motor level; one in ten of their messages is lost, in bursts."""
     n = drones or 30
     radius = max(3.0, 0.6 * n / (2.0 * np.pi))
     rows = [
@@ -178,7 +199,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def scatter(config: SwarmConfig) -> SwarmConfig:
-    """The same swarm with its homes below the starts that its seed gives."""
+    """Return the swarm with each home below the start that the seed gives."""
     starts, _ = places(config)
     ground = config.flight.ground
     rows = [
@@ -189,7 +210,11 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options are those that there are, all stay inside the fence, and no crowd wants through one point at once."""
+    """Check the options and the places, and refuse too many drones in one point.
+
+    Raises ConfigError for wrong options, and for places outside the fence. Raises Refused without
+    `force` if too many drones would fly through one point at the same time.
+    """
     where = f"swarm {config.name}: mission_options"
     options = given(config, Options)
     require_none(config)
@@ -218,12 +243,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Where each is to be."""
+    """Return the goals by drone."""
     return places(config)[1]
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """When the last one was there; who never was has failed."""
+    """Report when the last drone arrived. A drone that never stayed at its goal has failed."""
     times = {i: result.get("arrived_s") for i, result in results.items()}
     late = {
         i: f"never stayed within {ARRIVED} m of its goal"
@@ -239,5 +264,5 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was flown, from above, and the goals."""
+    """Draw the flown paths from above, and the goals."""
     draw_tracks(results, path, marks={"goal": np.array(list(goal(config).values()))})

@@ -1,4 +1,4 @@
-"""Distance-based formation: followers know how far they are to be from their neighbours, not in which direction.
+"""Distance-based formation: followers keep given distances to their neighbours, but no directions.
 
 crazychoir run distance_formation --fast
 """
@@ -27,31 +27,44 @@ from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 HEIGHT = 2.0, 2.5
-"""1/s2, 1/s: with which a flat formation holds its height, of which distances say nothing."""
+"""1/s2 and 1/s: gains kz and kvz that hold the height of a flat formation.
+
+Distances do not determine the height of a flat formation.
+"""
 TOLERANCE = 0.02
-"""m that a distance may be off at the end of the law."""
+"""m: largest error of a distance at the end of the law."""
 
 
 class Options(LeaderOptions, frozen=True, kw_only=True):
-    """[mission_options].
-
-    k: 1/(m2 s2);  kv: 1/s;  shape: m, places whose distances are wanted, without it the homes;  scatter: m.
-    """
+    """[mission_options]."""
 
     k: Gain = 0.6
+    """1/(m2 s2): gain of the distances."""
     kv: Gain = 1.2
+    """1/s: gain of the velocities."""
     shape: Places | None = None
+    """m: places that define the distances. None: the homes."""
     scatter: Spreads = (0.3, 0.3, 0.2)
+    """m: largest random shift of the followers' starts, by axis."""
 
 
 class DistanceFormation(CFDistributedFeedback):
     """u_i = sum_j [ k (|p_j - p_i|^2 - d_ij^2) (p_j - p_i) - kv (v_i - v_j) ]
 
-    d: {j: m}, the distances that are wanted;  k: 1/(m2 s2);  kv: 1/s;  height: m, world, of a flat formation: then p
-    and v count without z, and  u_z = - kz (z - height) - kvz v_z.  None: in space.
-    The first term goes down the gradient of k/4 sum_ij (|p_i - p_j|^2 - d_ij^2)^2 over all edges, the second brakes.
-    Mirror images have the same distances: a start near the shape decides.
+    A flat formation uses p and v without z, and holds its height by
+
+        u_z = - kz (z - height) - kvz v_z
+
+    The first term is the negative gradient of k/4 sum_ij (|p_i - p_j|^2 - d_ij^2)^2 over all edges.
+    The second term brakes. Mirror images have the same distances. The formation reaches the shape
+    that is near its start.
+
+    d: {j: m}, the wanted distances.
+    k: 1/(m2 s2).
+    kv: 1/s.
+    height: m, world: height of a flat formation. None: a formation in space.
     Source: Krick, Broucke & Francis 2009, Int. J. Control 82(3), for single integrators.
     """
 
@@ -66,11 +79,11 @@ class DistanceFormation(CFDistributedFeedback):
         self.level = height
 
     def height(self) -> float | None:
-        """Of its options, so that it may start elsewhere."""
+        """Return the height in the drone's options, so that it may start elsewhere."""
         return leader.height_of(self.member.config, self.id)
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
-        """The law; who does not hear all its neighbours hovers."""
+        """Return the acceleration of the law, or None to hover if a neighbour is not heard."""
         if len(heard) < len(self.d):
             return None
         u = np.zeros(3)
@@ -87,7 +100,7 @@ class DistanceFormation(CFDistributedFeedback):
 
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
-    """The law of drone i: a leader's or a follower's."""
+    """Return the law of drone i: the law of a leader or of a follower."""
     options = given(config, Options)
     places = shape(config)
     if config.drone(i).leader:
@@ -105,7 +118,7 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
 
 
 def shape(config: SwarmConfig) -> dict[int, Vec]:
-    """{id: (3,) m}: of the mission options, else the homes."""
+    """Return {id: (3,) m}, the shape of the mission options, or the homes."""
     places = given(config, Options).shape
     if places is None:
         return {drone.id: np.array(drone.home) for drone in config.drones}
@@ -114,12 +127,15 @@ def shape(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def flat(config: SwarmConfig) -> bool:
-    """Whether all of the shape is at one height: distances would not hold it there."""
+    """Return whether the whole shape is at one height. Then distances would not hold the height."""
     return len({float(p[2]) for p in shape(config).values()}) == 1
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """A hexagon, two neighbours of it lead; each hears the next two on both sides."""
+    """Return a hexagon with two neighbouring drones as leaders.
+
+    Each drone hears the next two drones on both sides. --drones changes the number of corners.
+    """
     n = drones or 6
     if n < 5:
         raise ConfigError("--drones", drones, "5 or more")
@@ -144,14 +160,19 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def scatter(config: SwarmConfig) -> SwarmConfig:
-    """The same swarm, its followers' starts moved at random, clear of each other, by up to `scatter` (3,) m an axis."""
+    """Return the swarm with the starts of its followers moved at random, clear of each other.
+
+    Each start moves by up to `scatter` (3,) m an axis.
+    """
     return scattered(config, Scatter(*given(config, Options).scatter))
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Refuses a graph that is not infinitesimally rigid with these leaders, and gains that are not stable.
+    """Refuse a graph or gains with which the formation does not hold.
 
-    A directed graph too: only where both ends of an edge pull does the law go down a gradient.
+    The graph must be undirected: the law follows a gradient only if both ends of an edge pull.
+    Raises ConfigError for a directed graph. Raises Refused if the graph is not infinitesimally
+    rigid with these leaders, or if the gains are not stable.
     """
     options = given(config, Options)
     leaders = leader.leaders_of(config)
@@ -177,7 +198,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Every distance is what it should be at the end of the law, by the drones' own estimates."""
+    """Compare the distances at the end of the law with the wanted distances.
+
+    The places are the drones' own estimates.
+    """
     at = {i: r["place"] for i, r in results.items() if "place" in r}
     places = shape(config)
     axes = 2 if flat(config) else 3
@@ -197,7 +221,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was flown, from above."""
+    """Draw the flown paths from above."""
     draw_tracks(
         results,
         path,

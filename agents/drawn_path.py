@@ -1,4 +1,4 @@
-"""One drone, or several side by side, fly what a hand has drawn: by default the word "Casy".
+"""One drone, or several side by side, fly a hand-drawn path: by default the word "Casy".
 
 crazychoir run drawn_path --fast --picture out/casy.png
 """
@@ -23,27 +23,29 @@ from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 WORD = Path(__file__).parent / "data" / "casy.csv"
+"""The drawing of the word "Casy"."""
 TOLERANCE = 0.03
-"""m between what is flown and the path that was drawn, at most."""
+"""m: largest distance between the flown path and the drawn path."""
 Timing = Annotated[
     Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])
 ]
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    drawing: a CSV file of rows stroke, t, x, y, or an SVG picture, a millimetre a unit;  scale: of the drawing;
-    yaw: rad, or "along" the path;  timing: "drawn", as fast as the hand was where the limits allow (CSV);
-    lift: m between strokes.
-    """
+    """[mission_options]."""
 
     drawing: Text = str(WORD)
+    """A CSV file of rows stroke, t, x, y, or an SVG picture with a unit of 1 mm."""
     scale: Scale = 1.0
+    """Scale of the drawing."""
     yaw: Yaw = 0.0
+    """rad, or "along" the path."""
     timing: Timing = "even"
+    """"drawn": as fast as the hand was, where the limits allow (CSV only)."""
     lift: Offset = 0.1
+    """m: height of the flight between strokes, above the drawing."""
 
 
 class Writer(CFGuidance):
@@ -54,7 +56,7 @@ class Writer(CFGuidance):
         self.way = Way()
 
     async def mission(self) -> dict[str, Any]:
-        """Up, along the drawing, home, down."""
+        """Take off, fly along the drawing, go home, land."""
         await self.take_off()
         await self.rendezvous()
         home = self.state.p.copy()
@@ -67,7 +69,11 @@ class Writer(CFGuidance):
 
 
 def drawn(config: SwarmConfig, i: int) -> Drawing:
-    """What drone i flies: the drawing, its middle over the drone's home; no jerk that its attitude cannot follow."""
+    """Return the drawing that drone i flies, with its centre over the drone's home.
+
+    Its jerk is limited to what the attitude of the drone can follow.
+    Raises ConfigError if it cannot be flown.
+    """
     options = given(config, Options)
     flight = config.flight
     home = config.drone(i).home
@@ -99,12 +105,12 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Drone i writes over its home."""
+    """Return the guidance of drone i: it writes over its home."""
     return Writer(drawn(config, i))
 
 
 def swarm(drones: int | None) -> SwarmConfig:
-    """Side by side, 1.5 m apart along y, each with room for the word."""
+    """Return drones side by side, 1.5 m apart along y, each with room for the word."""
     n = drones or 1
     return SwarmConfig.of(
         {
@@ -118,7 +124,10 @@ def swarm(drones: int | None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options are those that there are, and the drawing can be flown; says how, and what of it is not."""
+    """Check the options and the drawing. Returns how it will be flown, and which parts are ignored.
+
+    Raises ConfigError if the drawing cannot be flown.
+    """
     options = given(config, Options)
     require_none(config)
     flown, *_ = [_checked(config, i) for i in config.ids]
@@ -143,7 +152,7 @@ def _checked(config: SwarmConfig, i: int) -> Drawing:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """How the drawing is flown, and whether what was flown is the drawing."""
+    """Report how the drawing is flown, and compare the flown path with the drawing."""
     flown = drawn(config, config.ids[0])
     off = {i: written(config, i, results.get(i, {})) for i in config.ids}
     reasons = {
@@ -163,7 +172,10 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def written(config: SwarmConfig, i: int, result: dict[str, Any]) -> float:
-    """m, the Hausdorff distance of what drone i has flown and its path: no place is off, and none is left out."""
+    """Return the Hausdorff distance in m between the flown path of drone i and its drawing.
+
+    A small distance means that no place is off, and that no place is left out.
+    """
     way = np.array(result.get("way", []))
     path = drawn(config, i).path
     if len(way) < 2:
@@ -179,8 +191,8 @@ def written(config: SwarmConfig, i: int, result: dict[str, Any]) -> float:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What is to be flown, broad, and what was flown."""
-    import matplotlib.pyplot as plt  # 1 s, and a folder for its list of fonts, that a flight does not need
+    """Draw the planned path (broad) and the flown path."""
+    import matplotlib.pyplot as plt  # takes 1 s and a font cache: imported only for a picture
 
     shown, axes = plt.subplots(figsize=(7.0, 3.5))
     for i in config.ids:

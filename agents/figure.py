@@ -26,6 +26,7 @@ from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import Figure, circle, eight
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 Kind = Annotated[
     Literal["circle", "eight"],
     Meta(description='"circle" or "eight"', examples=["eight"]),
@@ -36,19 +37,22 @@ YawRate = Annotated[
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    figure;  size: m, the radius, or half the width of the eight;  period: s of a lap at full speed;  laps;
-    ramp: s from rest to full speed, 0 for half a period;  yaw: rad at first, or "along" the path;  yaw_rate: rad/s.
-    """
+    """[mission_options]."""
 
     figure: Kind = "circle"
+    """The figure."""
     size: Length = 0.4
+    """m: radius of the circle, or half the width of the eight."""
     period: Period = 10.0
+    """s: time of a lap at full speed."""
     laps: Laps = 2.0
+    """Number of laps."""
     ramp: Ramp = 0.0
+    """s: from rest to full speed. 0: half a period."""
     yaw: Yaw = 0.0
+    """rad: yaw at the start, or "along" the path."""
     yaw_rate: YawRate = 0.0
+    """rad/s."""
 
 
 class Flown(CFGuidance):
@@ -59,7 +63,7 @@ class Flown(CFGuidance):
         self.options = options
 
     async def mission(self) -> dict[str, Any]:
-        """Up, to the start of the figure, along it, home, down."""
+        """Take off, go to the start of the figure, fly it, go home, land."""
         flight = figure(
             self.home, self.member.config.flight.takeoff_height, self.options
         )
@@ -72,7 +76,7 @@ class Flown(CFGuidance):
 
 
 def figure(home: tuple[float, float, float], height: float, options: Options) -> Figure:
-    """The figure over a home, at a height m above it."""
+    """Return the figure over a home, at `height` m above it."""
     center = (home[0], home[1], home[2] + height)
     size = options.size
     rest = (
@@ -90,12 +94,12 @@ def figure(home: tuple[float, float, float], height: float, options: Options) ->
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Drone i flies around its home."""
+    """Return the guidance of drone i: it flies around its home."""
     return Flown(config.drone(i).home, given(config, Options))
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options are those that there are, and each drone can fly its figure."""
+    """Check the options, and that each drone can fly its figure. Raises ConfigError if not."""
     where = f"swarm {config.name}: mission_options"
     given(config, Options)
     require_none(config)
@@ -120,14 +124,14 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """How long the figure is, and its largest speed."""
+    """Report the length of the figure in m."""
     path = _path(config, config.ids[0])
     return {"figure_m": float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))}
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The figures from above."""
-    import matplotlib.pyplot as plt  # 1 s, and a folder for its list of fonts, that a flight does not need
+    """Draw the figures from above."""
+    import matplotlib.pyplot as plt  # takes 1 s and a font cache: imported only for a picture
 
     shown, axes = plt.subplots(figsize=(3.5, 3.5))
     for i in config.ids:

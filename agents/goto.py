@@ -1,8 +1,9 @@
-"""Timed goals: each drone is at its corners at its times; by default four drones cross a square by its diagonals.
+"""Timed goals: each drone must be at its goals at given times.
+
+By default four drones cross a square along its diagonals, at the same height and the same time. The
+collision filter guides them around each other.
 
 crazychoir run goto --fast --picture out/goto.png
-
-All cross at one height, at one time: the collision filter leads them round each other.
 """
 
 from itertools import combinations
@@ -29,18 +30,23 @@ from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import FullState, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
-TIMES, HEIGHT = (5.0, 25.0, 45.0), 1.0
-"""s, at which a drone is at its own corner, at the opposite one, and at the next; m."""
+"""(2,) m each: corners of the square."""
+TIMES = (5.0, 25.0, 45.0)
+"""s of the law at which a drone is at its own corner, at the opposite one, and at the next."""
+HEIGHT = 1.0
+"""m: height of the crossing."""
 INSIDE = 0.8
-"""Of the corners, where the drones stand at the start."""
+"""Scale from the corners to the places where the drones start."""
 TOLERANCE = 0.05
-"""m from a goal at its time."""
+"""m: largest distance from a goal at its time."""
 NEAR = 0.25
-"""m between two planned flights, below which the collision filter must keep the drones apart."""
+"""m: below this distance of two planned flights the collision filter must keep the drones apart."""
 
 
 Row = tuple[Annotated[float, Meta(gt=0, le=3600)], Coordinate, Coordinate, Coordinate]
+"""A goal: t s of the law, x, y, z m."""
 Rows = Annotated[tuple[Row, ...], Meta(min_length=1)]
 Goals = Annotated[
     dict[Id, Rows],
@@ -53,18 +59,22 @@ Goals = Annotated[
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].  goals: s of the law and m, of each drone, instead of the crossing."""
+    """[mission_options]."""
 
     goals: Goals | None = None
+    """Rows [t s of the law, x, y, z m] of each drone, instead of the crossing."""
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Drone i, in time."""
+    """Return the guidance of drone i."""
     return TimedFlight(flight(i, config), [row[0] for row in goals(config)[i]])
 
 
 def flight(i: int, config: SwarmConfig) -> Piecewise:
-    """From above the home to each goal in its time; raises ConfigError if that is beyond the limits or the fence."""
+    """Return the flight from above the home to each goal at its time.
+
+    Raises ConfigError if the flight is beyond the limits or the fence.
+    """
     home = config.drone(i).home
     limits = config.flight
     start = FullState.at((*home[:2], limits.ground + limits.takeoff_height))
@@ -85,19 +95,19 @@ def flight(i: int, config: SwarmConfig) -> Piecewise:
 
 
 def goals(config: SwarmConfig) -> dict[int, tuple[Row, ...]]:
-    """Rows t, x, y, z of each drone: those given, else the crossing."""
+    """Return the rows t, x, y, z of each drone: those of the options, or the crossing."""
     rows = given(config, Options).goals
     return rows or {i: crossing(k) for k, i in enumerate(config.ids)}
 
 
 def crossing(k: int) -> tuple[Row, ...]:
-    """The k-th drone's own corner, the opposite one, and the next."""
+    """Return the goals of the k-th drone: its own corner, the opposite one, and the next."""
     corners = [CORNERS[(k + turn) % len(CORNERS)] for turn in (0, 2, 3)]
     return tuple((t, *corner, HEIGHT) for t, corner in zip(TIMES, corners, strict=True))
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Four drones, each a little inside its corner."""
+    """Return four drones, each slightly inside its corner."""
     return SwarmConfig.of(
         {
             "name": "crossing",
@@ -113,7 +123,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Each drone has goals, and can be there in time; says where two flights meet if nothing keeps them apart."""
+    """Check that each drone has goals and can be there in time.
+
+    Returns a warning if two flights meet and no collision filter keeps the drones apart.
+    """
     require_none(config)
     if not given(config, Options).goals and len(config.ids) != len(CORNERS):
         raise ConfigError(
@@ -131,7 +144,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def nearest(config: SwarmConfig) -> tuple[float, int, int, float]:
-    """m, the least distance of two planned flights, whose, and when, s of the law; inf for one drone."""
+    """Return the smallest distance between two planned flights: (m, drone, drone, s of the law).
+
+    The distance is infinite for a single drone.
+    """
     flights = {i: flight(i, config) for i in config.ids}
     t = np.arange(0.0, max(way.duration for way in flights.values()), 0.05)
     p = {
@@ -147,12 +163,12 @@ def nearest(config: SwarmConfig) -> tuple[float, int, int, float]:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """The last goals."""
+    """Return the last goal of each drone."""
     return {i: np.array(rows[-1][1:]) for i, rows in goals(config).items()}
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """How far each drone was from each of its goals at its time."""
+    """Report the distance of each drone from each of its goals at its time."""
     errors = {i: results.get(i, {}).get("mark_errors_m", []) for i in config.ids}
     reasons = {
         i: text for i in config.ids if (text := _late(errors[i], goals(config)[i]))
@@ -179,7 +195,7 @@ def _late(errors: list[float], rows: tuple[Row, ...]) -> str:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways from above, and their heights."""
+    """Draw the paths from above, and their heights."""
     heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
     draw_ways(
         path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config)

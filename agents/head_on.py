@@ -2,7 +2,8 @@
 
 crazychoir run head_on --fast
 
-Their plans know nothing of each other, and meet at one height: the collision filter leads them past.
+Their plans are independent and meet at one height. The collision filter guides them past each
+other.
 """
 
 from typing import Any
@@ -11,17 +12,24 @@ from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.agents import goto
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 ENDS = ((-1.0, 0.1), (1.0, -0.1))
-START, ARRIVAL, HEIGHT = 3.0, 23.0, 1.0
+"""(2,) m each: the two places."""
+START = 3.0
+"""s of the law at which each drone is at its own place."""
+ARRIVAL = 23.0
+"""s of the law at which each drone is at the other place."""
+HEIGHT = 1.0
+"""m: height of the flight."""
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Drone i, to where the other one was."""
+    """Return the guidance of drone i: it flies to the start of the other drone."""
     return goto.guidance(i, config)
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """One at each end, and for each a goal at the other end."""
+    """Return two drones, one at each end, each with a goal at the other end."""
     goals = {
         str(i): [[START, *ENDS[i], HEIGHT], [ARRIVAL, *ENDS[1 - i], HEIGHT]]
         for i in range(len(ENDS))

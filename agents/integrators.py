@@ -1,4 +1,4 @@
-"""Containment: points without and with inertia are drawn into the triangle of leaders that stand still.
+"""Containment: points without and with inertia move into the triangle of leaders that stand still.
 
 crazychoir run integrators --fast
 """
@@ -15,18 +15,29 @@ from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 LEADERS = [[0.0, 1.8], [-1.6, -1.0], [1.6, -1.0]]
+"""(2,) m each: places of the leaders."""
 FOLLOWERS = [[2.2, 1.6], [-2.4, 1.0], [0.3, -2.4]]
+"""(2,) m each: starts of the followers."""
 EDGES = [[0, 3], [0, 4], [1, 4], [1, 5], [2, 5], [2, 3], [3, 4], [4, 5], [3, 5]]
+"""The communication graph."""
 TOLERANCE = 0.01
+"""m: largest distance from the equilibrium at the end."""
 
 
 class IntegratorContainment(CFDistributedFeedback):
-    """Leaders stand still; a follower, by what it obeys:
+    """Leaders stand still. The law of a follower depends on the commands that it obeys:
 
-        a velocity: u_i = k sum_j (p_j - p_i);      an acceleration: u_i = k sum_j (p_j - p_i) - c v_i
+        a velocity:       u_i = k sum_j (p_j - p_i)
+        an acceleration:  u_i = k sum_j (p_j - p_i) - c v_i
 
-    Followers end at p_f = - L_ff^-1 L_fl p_l, in the convex hull of the leaders.  k: 1/s or 1/s2;  c: 1/s.
+    Followers end at p_f = - L_ff^-1 L_fl p_l, in the convex hull of the leaders.
+
+    leader: the robot is a leader.
+    inertia: the robot obeys accelerations.
+    k: 1/s or 1/s2.
+    c: 1/s.
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), 1972-1975.
     """
 
@@ -42,12 +53,12 @@ class IntegratorContainment(CFDistributedFeedback):
         self.c = c
 
     async def mission(self) -> dict[str, Any]:
-        """As any law, with the way that it was: rows [t s of the law, x, y m], one a step."""
+        """Run the law; the result also holds `way`: rows [t s of the law, x, y m], one a step."""
         self.way: list[list[float]] = []
         return {**await super().mission(), "way": self.way}
 
     def step(self, me: State, heard: Heard) -> Velocity | Acceleration | None:
-        """The law; None for a leader."""
+        """Return the reference of the law; None for a leader."""
         self.way.append([len(self.way) / self.rate, *me.p[0:2].tolist()])
         if self.leader:
             return None
@@ -56,13 +67,13 @@ class IntegratorContainment(CFDistributedFeedback):
 
 
 def guidance(i: int, config: SwarmConfig) -> IntegratorContainment:
-    """The law of robot i."""
+    """Return the law of robot i."""
     robot = config.drone(i)
     return IntegratorContainment(robot.leader, inertia=robot.uri == DOUBLE)
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Three leaders, and three followers: one obeys velocities, two accelerations."""
+    """Return three leaders and three followers: one obeys velocities, two obey accelerations."""
     uris = [SINGLE] * 4 + [DOUBLE] * 2
     robots = [
         {"id": i, "home": [*p, 0.5], "uri": uri, "leader": i < len(LEADERS)}
@@ -79,7 +90,12 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Each follower hears a leader, by way of others at least: else it has no equilibrium."""
+    """Check that each follower hears a leader, directly or through others.
+
+    Else it has no equilibrium.
+
+    Raises Refused if not.
+    """
     given(config, NoOptions)
     require_none(config)
     graph = config.graph()
@@ -89,7 +105,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """p_f = - L_ff^-1 L_fl p_l for the followers, where they stand for the leaders."""
+    """Return p_f = - L_ff^-1 L_fl p_l for the followers, and the own places for the leaders."""
     ids = config.ids
     graph = config.graph()
     laplacian = np.array(
@@ -106,7 +122,7 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Every follower is where the leaders' places put it."""
+    """Check that every follower is at the equilibrium of the leaders' places."""
     goals = goal(config)
     off = {}
     for i, result in results.items():
@@ -121,7 +137,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways from above, and how far each was from its equilibrium."""
+    """Draw the paths from above, and each robot's distance from its equilibrium."""
     ways = {i: np.array(results[i]["way"]) for i in config.ids}
     goals = goal(config)
     far = {

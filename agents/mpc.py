@@ -1,10 +1,11 @@
-"""A line of drones moves on together by distributed model predictive control: nobody gets ahead of its neighbours.
+"""A line of drones moves by model predictive control: no drone gets ahead of its neighbours.
 
 crazychoir run mpc --fast
 crazychoir run mpc --fast --loss 0.3
 
-Each drone has a goal, and stays within `reach` of its neighbours in how far it still has to go, so that the formation
-waits for its slowest drone; in each step the drones plan one after another, by increasing id.
+The control is distributed. Each drone has a goal. The distances that two neighbours still have to
+go differ by at most `reach`, so the formation waits for its slowest drone. In each step the drones
+plan one after another, by increasing id.
 """
 
 from itertools import combinations
@@ -23,11 +24,16 @@ from crazychoir.safety.rules.guard import EDGE
 from crazychoir.types import Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 MARGIN = 0.05
-"""m of the reach that plans leave: between two steps, and to what the drones are off their plans."""
+"""m of `reach` that plans do not use.
+
+It is left for the time between two steps, and for the drones' distance from their plans.
+"""
 TOLERANCE = 0.03
-"""m from its goal at the end."""
+"""m: largest distance from the goal at the end."""
 SLOW = 0.25
+"""m/s: speed of the slow drone of the mission's own swarm."""
 
 
 Reach = Annotated[
@@ -63,31 +69,37 @@ Jerk = Annotated[
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    shift: m, of the goals from the homes;  reach: m;  step: s;  horizon: steps;  duration: s;
-    speed, acceleration, jerk: m/s, m/s2, m/s3, in x and in y.
-    """
+    """[mission_options]."""
 
     shift: Spot = (3.0, 0.0)
+    """(2,) m: from the homes to the goals."""
     reach: Reach = 0.35
+    """m: how much farther than its neighbour a drone may have to go, in x and in y."""
     step: Step = 0.4
+    """s: step of the plans."""
     horizon: Horizon = 10
+    """Number of steps of a plan."""
     duration: Duration = 22.0
+    """s: duration of the law."""
     speed: Speed = 0.6
+    """m/s: largest, in x and in y."""
     acceleration: Acceleration = 1.0
+    """m/s2: largest, in x and in y."""
     jerk: Jerk = 4.0
+    """m/s3: largest, in x and in y."""
 
 
 class DroneOptions(Table, frozen=True, kw_only=True):
-    """`options` of a drone.  speed: m/s;  goal: m, instead of home + shift."""
+    """`options` of a drone."""
 
     speed: Speed | None = None
+    """m/s: largest, in x and in y, instead of that of the mission."""
     goal: Spot | None = None
+    """(2,) m: instead of home + shift."""
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Drone i, from its home to its goal, in the fence."""
+    """Return the law of drone i: from its home to its goal, inside the fence."""
     options = given(config, Options)
     drone = config.drone(i)
     goal = goal_of(config, drone)
@@ -102,7 +114,7 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 
 
 def motion(config: SwarmConfig, drone: Drone) -> Motion:
-    """What the drone can."""
+    """Return how the drone may move."""
     options = given(config, Options)
     speed = own(config, drone, DroneOptions).speed or options.speed
     return Motion(
@@ -111,7 +123,7 @@ def motion(config: SwarmConfig, drone: Drone) -> Motion:
 
 
 def goal_of(config: SwarmConfig, drone: Drone) -> Vec:
-    """(2,) m."""
+    """Return the goal of a drone, (2,) m."""
     goal = own(config, drone, DroneOptions).goal
     return (
         np.array(goal)
@@ -121,7 +133,7 @@ def goal_of(config: SwarmConfig, drone: Drone) -> Vec:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Four drones in a row, each linked to the next; the third is slow."""
+    """Return four drones in a row, each linked to the next. The third drone is slow."""
     n = 4 if drones is None else drones
     return SwarmConfig.of(
         {
@@ -147,7 +159,11 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The options make a problem that is feasible where the drones start: at rest, in the fence, as near as allowed."""
+    """Check that the problem is feasible at the start of the drones.
+
+    They start at rest. Goals must lie in the fence, and neighbours within `reach`.
+    Raises ConfigError if not.
+    """
     options = given(config, Options)
     where = f"swarm {config.name}"
     graph = config.graph()
@@ -165,7 +181,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def _require_possible(config: SwarmConfig, drone: Drone) -> None:
-    """Raise ConfigError for a goal outside the fence, and for more speed than [flight] has."""
+    """Raise ConfigError for a goal outside the fence, and for a speed above [flight]."""
     where = f"swarm {config.name}: drone {drone.id}"
     low = config.fence.min
     high = config.fence.max
@@ -207,7 +223,7 @@ def _require_near(config: SwarmConfig, reach: float) -> None:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """The goals."""
+    """Return the goals."""
     height = config.flight.ground + config.flight.takeoff_height
     return {
         drone.id: np.array([*goal_of(config, drone), height]) for drone in config.drones
@@ -215,7 +231,7 @@ def goal(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Whether all are at their goals, and how far neighbours were ahead of each other on the way."""
+    """Report whether all drones are at their goals, and the largest lead over a neighbour."""
     goals = goal(config)
     reasons = {}
     for i in config.ids:
@@ -246,7 +262,10 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def most_ahead(config: SwarmConfig, results: Results) -> tuple[float, tuple[int, int]]:
-    """m by which a drone was at most ahead of a neighbour, in x or in y, and who."""
+    """Return the largest distance by which a drone was ahead of a neighbour, and the two drones.
+
+    The distance is in m, in x or in y.
+    """
     rows = min(len(results[i]["way"]) for i in config.ids)
     left = {
         i: np.array(results[i]["way"])[:rows, 1:3] - goal_of(config, config.drone(i))
@@ -261,7 +280,7 @@ def most_ahead(config: SwarmConfig, results: Results) -> tuple[float, tuple[int,
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways, and how far each still had to go."""
+    """Draw the paths, and how far each drone still had to go."""
     shown = {i: np.array(results[i]["way"]) for i in config.ids}
     left = {
         i: np.linalg.norm(rows[:, 1:3] - goal_of(config, config.drone(i)), axis=1)

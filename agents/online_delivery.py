@@ -1,4 +1,6 @@
-"""Pickup and delivery in flight: tasks appear and are cancelled, drones are lost and join, and the team plans again.
+"""Pickup and delivery in flight: the team plans again when tasks or drones come and go.
+
+Tasks appear and are cancelled. Drones are lost and join.
 
 crazychoir run online_delivery --fast --loss 0.2
 """
@@ -26,25 +28,33 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.team.graph import span
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 FLIGHT = {
     "takeoff_height": 0.4,
     "speed_limit": 1.5,
     "acceleration_limit": 3.0,
     "landing_speed": 0.6,
 }
-ROOM, DOCK = 5.0, 0.8
-"""m: goods lie in a square, the drones stand outside, on two of its sides."""
+"""[flight] of this mission's own swarm."""
+ROOM = 5.0
+"""m: side of the square in which the goods lie."""
+DOCK = 0.8
+"""m: distance of the drones' homes from that square, on two of its sides."""
 DONE = Fate.DELIVERED.value, Fate.CANCELLED.value
+"""Fates of a task that needs no more work."""
 
 
 def guidance(i: int, config: SwarmConfig) -> OnlinePDVRPGuidance:
-    """Robot i, with its own part of the instance."""
+    """Return the guidance of robot i, with its own part of the instance."""
     own = instance(config).local(i)
     return OnlinePDVRPGuidance(own, known(config), events(config), options(config))
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Ten drones along two sides of a room, each linked to the four nearest; tasks are drawn from the seed."""
+    """Return ten drones along two sides of a room, each linked to the four nearest.
+
+    The tasks are drawn from the seed.
+    """
     n = 10 if drones is None else drones
     rows = [(k // 2, k % 2) for k in range(n)]
     gap = ROOM / max(1, (n - 1) // 2)
@@ -69,7 +79,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def given(config: SwarmConfig) -> DeliveryOptions:
-    """[mission_options]; raises ConfigError that names the key."""
+    """Return [mission_options]. Raises ConfigError with the key that is wrong."""
     return read(
         config.mission_options,
         DeliveryOptions,
@@ -79,13 +89,17 @@ def given(config: SwarmConfig) -> DeliveryOptions:
 
 
 def instance(config: SwarmConfig) -> Instance:
-    """The instance that the options name; without one, tasks that are drawn from the seed."""
+    """Return the instance that the options name, or an instance drawn from the seed."""
     path = given(config).instance
     return Instance.load(path) if path is not None else drawn(config)
 
 
 def drawn(config: SwarmConfig) -> Instance:
-    """`tasks` goods in the square, loads 1 or 2, capacities 2 to 4, each robot capable of three in four."""
+    """Return a random instance with `tasks` tasks in the square.
+
+    Loads are 1 or 2, and capacities 2 to 4. Each robot may serve a task with probability 3/4, and
+    at least one robot may serve each task.
+    """
     draw = np.random.default_rng(config.seed)
     n = len(config.ids)
     m = given(config).tasks
@@ -107,7 +121,7 @@ def drawn(config: SwarmConfig) -> Instance:
 
 
 def known(config: SwarmConfig) -> list[Task]:
-    """The tasks of the instance: all know them at the start."""
+    """Return the tasks of the instance: all robots know them at the start."""
     tasks = instance(config).tasks
     return [
         Task(
@@ -123,7 +137,7 @@ def known(config: SwarmConfig) -> list[Task]:
 
 
 def events(config: SwarmConfig) -> list[Event]:
-    """Tasks that appear, numbered after those of the instance, and cancellations."""
+    """Return the tasks that appear, numbered after those of the instance, and the cancellations."""
     tasks = {task.id: task for task in known(config)}
     found = []
     for row in _appearing(config):
@@ -149,7 +163,11 @@ def events(config: SwarmConfig) -> list[Event]:
 
 
 def _appearing(config: SwarmConfig) -> tuple[Appearance, ...]:
-    """What `appear` says; without it and without an instance, `later` tasks, each heard of by three robots."""
+    """Return the appearances in `appear`.
+
+    Without `appear` and without an instance they are `later` random tasks, each first known to
+    three robots.
+    """
     options = given(config)
     if "appear" in config.mission_options or options.instance is not None:
         return options.appear
@@ -173,7 +191,7 @@ def _appearing(config: SwarmConfig) -> tuple[Appearance, ...]:
 
 
 def options(config: SwarmConfig) -> Options:
-    """What all robots have in common."""
+    """Return the options that all robots have in common."""
     chosen = given(config)
     last = max((event.t for event in events(config)), default=0.0)
     return Options(
@@ -186,7 +204,7 @@ def options(config: SwarmConfig) -> Options:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The drones stand where the instance says, and each task can be served."""
+    """Check that the drones stand where the instance says, and that each task can be served."""
     chosen = given(config)
     where = f"swarm {config.name}: mission_options"
     require_used(config.mission_options, where)
@@ -217,7 +235,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """What has become of each task, by those who have seen the end; and why one was not served."""
+    """Report what has become of each task, and why a task was not served.
+
+    The fates are those known to the drones that have completed the mission.
+    """
     ended = {
         i: r for i, r in sorted(results.items()) if "tasks" in r and r.get("success")
     }
@@ -264,14 +285,14 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """What was flown: ways, tasks, and who was lost."""
+    """Draw the flown paths, the tasks and the lost drones."""
     told = [*known(config), *(event.task for event in events(config))]
     places = {
         "pickup": {task.id: task.pickup for task in told},
         "delivery": {task.id: task.delivery for task in told},
     }
     for result in results.values():
-        for stop in result.get("served", []):  # of operators' tasks, too
+        for stop in result.get("served", []):  # also tasks that operators added
             places[stop["kind"]].setdefault(stop["task"], _place(stop["place"]))
     found = report(config, results)
     lost = [i for i in config.ids if not results.get(i, {}).get("success")]

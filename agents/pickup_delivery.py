@@ -1,4 +1,6 @@
-"""Pickup and delivery: the team shares out the goods by one distributed mixed-integer program, and flies them home.
+"""Pickup and delivery: the team shares out the goods, then each drone flies its part of the plan.
+
+One distributed mixed-integer program gives the plan.
 
 crazychoir run pickup_delivery --loss 0.2
 """
@@ -18,17 +20,20 @@ from crazychoir.routing.instance.picture import draw_routes
 from crazychoir.routing.instance.plan import Plan, Route
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 DEMO = Path(__file__).parent / "data" / "lab6.json"
+"""The instance of the demonstration."""
 FLIGHT = {
     "takeoff_height": 0.5,
     "speed_limit": 0.8,
     "acceleration_limit": 2.0,
     "landing_speed": 0.4,
 }
+"""[flight] of this mission's own swarm."""
 
 
 def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
-    """Robot i, with its own part of the instance."""
+    """Return the guidance of robot i, with its own part of the instance."""
     options = given(config)
     return PDVRPGuidance(
         instance(config).local(i), options.method, options.service_time
@@ -36,19 +41,19 @@ def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
 
 
 def given(config: SwarmConfig) -> PickupOptions:
-    """[mission_options]; raises ConfigError that names the key."""
+    """Return [mission_options]. Raises ConfigError with the key that is wrong."""
     return read(
         config.mission_options, PickupOptions, f"swarm {config.name}", "mission_options"
     )
 
 
 def instance(config: SwarmConfig) -> Instance:
-    """The instance that the swarm's options name."""
+    """Return the instance that the swarm's options name, or that of the demonstration."""
     return Instance.load(given(config).instance or DEMO)
 
 
 def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
-    """A drone at each home of the instance, in a ring."""
+    """Return a swarm with a drone at each home of the instance, in a ring graph."""
     homes = [[*home, 0.0][:3] for home in Instance.load(path).home.tolist()]
     low = np.min(homes, axis=0) - 3.0
     high = np.max(homes, axis=0) + 3.0
@@ -70,7 +75,10 @@ def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """The drones stand where the instance says, and can fly all that it asks for."""
+    """Check that the drones stand where the instance says, and can fly all that it asks for.
+
+    Raises ConfigError if not.
+    """
     options = given(config)
     require_ready(
         config,
@@ -82,7 +90,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Cost, plan, and whether each drone has flown its part of it, stop by stop."""
+    """Report cost and plan, and whether each drone has flown its part of the plan, stop by stop."""
     problem = instance(config)
     plan = _plan(problem, results)
     stops = [stop for r in results.values() for stop in r.get("served", [])]
@@ -105,7 +113,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def _unflown(results: Results) -> dict[int, str]:
-    """Why, by drone, the stops of its route are not those that it served, in their order."""
+    """Return by drone why the stops that it served differ from the stops of its route, in order."""
     reasons = {}
     for i, result in sorted(results.items()):
         if "route" not in result:
@@ -124,7 +132,7 @@ def _shown(stops: list[dict[str, Any]]) -> str:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The planned routes."""
+    """Draw the planned routes."""
     problem = instance(config)
     plan = _plan(problem, results)
     if plan:

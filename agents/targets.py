@@ -1,4 +1,6 @@
-"""A list of targets, one after the other: on to the next within 5 cm of one.
+"""Each drone flies to a list of targets, one after the other.
+
+It goes on to the next target when it is within 5 cm of the present one.
 
 crazychoir run targets --fast
 crazychoir run targets --fast --drones 3
@@ -19,6 +21,7 @@ from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Mat, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 TARGETS = (
     (0.8, 0.0, 1.0),
     (0.8, 0.8, 1.3),
@@ -26,7 +29,9 @@ TARGETS = (
     (-0.4, 0.4, 0.6),
     (0.0, 0.0, 1.0),
 )
+"""(3,) m each: default targets, relative to the home of a drone."""
 SPACING = 2.0
+"""m: distance between two homes."""
 Targets = Annotated[
     tuple[Place, ...],
     Meta(
@@ -38,23 +43,27 @@ Targets = Annotated[
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].  targets: m, from a drone's home."""
+    """[mission_options]."""
 
     targets: Targets = TARGETS
+    """(3,) m each, relative to the home of a drone."""
 
 
 def targets(i: int, config: SwarmConfig) -> Mat:
-    """(k, 3) m, world, of drone i; raises ConfigError that names the key."""
+    """Return the targets of drone i, (k, 3) m, world.
+
+    Raises ConfigError with the key that is wrong.
+    """
     return np.add(given(config, Options).targets, config.drone(i).home)
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Drone i, around its home."""
+    """Return the guidance of drone i: its targets around its home."""
     return TargetList(list(targets(i, config)), config.drone(i).home, config.flight)
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Side by side along y, each with room for its targets."""
+    """Return drones side by side along y, each with room for its targets."""
     n = 1 if drones is None else drones
     return SwarmConfig.of(
         {
@@ -68,7 +77,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """There are targets, all of them inside the fence."""
+    """Check that there are targets, all inside the fence. Raises ConfigError if not."""
     require_none(config)
     low = config.fence.min
     high = config.fence.max
@@ -89,12 +98,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """The last targets."""
+    """Return the last target of each drone."""
     return {i: targets(i, config)[-1] for i in config.ids}
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """When each target was reached."""
+    """Report when each target was reached."""
     reached = {i: results.get(i, {}).get("reached_s", []) for i in config.ids}
     many = len(targets(config.ids[0], config))
     reasons = {
@@ -111,7 +120,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways from above, and their heights."""
+    """Draw the paths from above, and their heights."""
     heights = {i: np.array(results[i]["way"])[:, 3] for i in config.ids}
     draw_ways(
         path, {i: results[i]["way"] for i in config.ids}, heights, "z [m]", goal(config)

@@ -1,4 +1,6 @@
-"""Six robots and a table of six tasks that fills up as it is worked off: each task is done by one that may do it.
+"""Six robots share a table of six tasks, which is refilled as they complete tasks.
+
+Each task is done by a robot that is allowed to do it.
 
 crazychoir run task_assignment --fast --loss 0.2
 """
@@ -19,33 +21,38 @@ from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Mat
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 Pair = tuple[int, int]
 """A task, and the generation in which it was done."""
 EDGES = [[0, 3], [1, 4], [2, 5], [3, 5], [4, 5]]
+"""The communication graph of six robots, as in the original."""
 HOMES = [[1.0, 1.0], [0.0, 1.5], [-1.0, 1.0], [-1.0, -1.0], [0.0, -1.5], [1.0, -1.0]]
+"""(2,) m each: the homes of six robots."""
 REACH = 3.0
 """m: tasks lie in the square from -REACH to REACH."""
 NOBODY = (1 << 62,)
-"""Robots of a task that no robot may do: an id that there is not."""
+"""`robots` of a task that no robot may do: an id that does not exist."""
 SAME = 1e-9
-"""m, by which the team's cost of a table may differ from that of a central solver: rounding of sums."""
+"""m: tolerance between the team's cost of a table and the cost of a central solver.
+
+The two sums are rounded differently.
+"""
 Times = Annotated[
     int, Meta(ge=1, le=1000, description="a number of times, 1 to 1000", examples=[8])
 ]
 
 
 class Options(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    generations: how often the table is filled up;  chance: that a robot may do a task.
-    """
+    """[mission_options]."""
 
     generations: Times = 8
+    """How often the table is filled up."""
     chance: Probability = 0.5
+    """Probability that a robot may do a task."""
 
 
 def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
-    """Robot i."""
+    """Return the guidance of robot i."""
     options = given(config)
     return TaskAssignmentGuidance(
         Work(lambda count: drawn(config, count), options.generations)
@@ -53,7 +60,11 @@ def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Six robots around the middle, in the graph of the original, whose first table is that of seed 4."""
+    """Return a swarm of six robots around the origin, in the graph of the original.
+
+    Its first table of tasks is that of seed 4. Other numbers of robots stand on a circle, in a
+    ring.
+    """
     n = 6 if drones is None else drones
     angles = 2.0 * np.pi * np.arange(n) / n
     circle = max(1.5, 0.1 * n) * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -74,15 +85,18 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def given(config: SwarmConfig) -> Options:
-    """[mission_options]; raises ConfigError that names the key."""
+    """Return [mission_options]. Raises ConfigError with the key that is wrong."""
     return read(
         config.mission_options, Options, f"swarm {config.name}", "mission_options"
     )
 
 
 def drawn(config: SwarmConfig, count: int) -> list[Task]:
-    """The first `count` tasks of the seed: x, y of a task, then for each robot whether it may do it."""
-    # the generator of the original
+    """Return the first `count` tasks of the seed.
+
+    For each task the place x, y is drawn, then for each robot whether it may do the task.
+    """
+    # same generator as the original, so that the tables are the same
     draw = np.random.RandomState(config.seed)
     chance = given(config).chance
     tasks = []
@@ -94,7 +108,10 @@ def drawn(config: SwarmConfig, count: int) -> list[Task]:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Tasks fit into the fence, and messages go both ways."""
+    """Check that all tasks fit into the fence, and that the graph is undirected.
+
+    Raises ConfigError if not.
+    """
     given(config)
     if not config.graph().is_undirected:
         raise ConfigError(
@@ -115,7 +132,10 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Tasks done, by generation; the cost of each table beside that of a central solver; what was left, and why."""
+    """Report the tasks that were done, by generation, and why others were left.
+
+    The cost of each table stands beside the cost of a central solver.
+    """
     pairs = [
         (task, generation)
         for result in results.values()
@@ -157,7 +177,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def _by_number(results: Results) -> dict[int, dict[int, dict[str, Any]]]:
-    """Each generation's rows, by robot."""
+    """Return the rows of each generation, by robot."""
     found: dict[int, dict[int, dict[str, Any]]] = {}
     for i, result in results.items():
         for table in result.get("tables", []):
@@ -168,7 +188,10 @@ def _by_number(results: Results) -> dict[int, dict[int, dict[str, Any]]]:
 def joined(
     number: int, rows: dict[int, dict[str, Any]], done: list[Pair]
 ) -> dict[str, Any]:
-    """One generation, of all its robots; optimum: by a central solver, None where robots are gone with their costs."""
+    """Return one generation with the rows of all its robots.
+
+    optimum: cost of a central solver. None if robots are lost, and their costs with them.
+    """
     first = next(iter(rows.values()))
     costs = np.array(
         [[np.inf if c is None else c for c in row["costs"]] for row in rows.values()]
@@ -191,29 +214,35 @@ def joined(
 
 
 def optimum(costs: Mat) -> float | None:
-    """m, the least cost of as many pairs as there can be; inf: not allowed. None if there are no tasks."""
+    """Return the least cost in m of as many pairs as possible, or None if there are no tasks.
+
+    costs: (robots, tasks) m, inf if the robot may not do the task.
+    """
     if costs.size == 0:
         return None
     allowed = np.isfinite(costs)
     dear = 1.0 + 2.0 * float(
         costs[allowed].sum()
-    )  # dearer than all allowed pairs together
+    )  # costs more than all allowed pairs together
     chosen = linear_sum_assignment(np.where(allowed, costs, dear))
     return float(np.where(allowed, costs, 0.0)[chosen].sum())
 
 
 def gap(table: dict[str, Any]) -> float:
-    """m, by which the team's cost differs from that of the central solver; 0 where that has none."""
+    """Return the difference in m between the team's cost and the cost of the central solver.
+
+    It is 0 where the central solver has no cost.
+    """
     return 0.0 if table["optimum"] is None else abs(table["cost"] - table["optimum"])
 
 
 def may_be_done(config: SwarmConfig, j: int) -> bool:
-    """Whether some robot of the swarm may do a drawn task."""
+    """Return whether any robot of the swarm may do the drawn task j."""
     return drawn(config, j + 1)[j].robots != NOBODY
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways from above, over the tasks, grey; and how far each robot was from its task."""
+    """Draw the paths from above over the tasks (grey), and each robot's distance from its task."""
     ways = {i: results[i]["way"] for i in config.ids if results.get(i, {}).get("way")}
     left = {
         i: np.array([row[3] for row in way], dtype=float) for i, way in ways.items()

@@ -1,4 +1,6 @@
-"""Four robots on wheels drive into a square, each by where its neighbours are: a formation by displacements.
+"""Four robots on wheels drive into a square: a formation by displacements.
+
+Each robot uses only the places of its neighbours.
 
 crazychoir run unicycles --fast
 """
@@ -14,18 +16,27 @@ from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
+"""The results of all drones, by id."""
 SIDE = 1.0
+"""m: side of the polygon."""
 STARTS = [[-1.6, 1.2], [1.5, 1.6], [1.8, -1.0], [-1.2, -1.7]]
+"""(2,) m each: starts of four robots."""
 CORNERS = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
+"""(2,) m each: the square of four robots."""
 TOLERANCE = 0.03
-"""m, from the corner that the others leave for it."""
+"""m: largest distance from the corner that the other robots leave free."""
 
 
 class Formation(CFDistributedFeedback):
-    """u_i = k sum_j [ (p_j - d_j) - (p_i - d_i) ]: all p_i - d_i, in the plane, come to one place.
+    """u_i = k sum_j [ (p_j - d_j) - (p_i - d_i) ]
 
-    corners: {id: (2,) m}, d;  k: 1/s.
-    Source: consensus with offsets, Ren & Beard 2008, Distributed Consensus in Multi-vehicle Cooperative Control, 3.
+    In the plane all p_i - d_i converge to one point.
+
+    i: id of the robot.
+    corners: {id: (2,) m}, d.
+    k: 1/s.
+    Source: consensus with offsets, Ren & Beard 2008, Distributed Consensus in Multi-vehicle
+    Cooperative Control, 3.
     """
 
     rate = 25.0
@@ -35,12 +46,12 @@ class Formation(CFDistributedFeedback):
         self.k, self.to = k, {j: corner - corners[i] for j, corner in corners.items()}
 
     async def mission(self) -> dict[str, Any]:
-        """As any law, with the way that it was: rows [t s of the law, x, y m], one a step."""
+        """Run the law; the result also holds `way`: rows [t s of the law, x, y m], one a step."""
         self.way: list[list[float]] = []
         return {**await super().mission(), "way": self.way}
 
     def step(self, me: State, heard: Heard) -> Velocity:
-        """A velocity in the plane; who hears nobody stands."""
+        """Return a velocity in the plane. A robot that hears no neighbour stands still."""
         self.way.append([len(self.way) / self.rate, *me.p[0:2].tolist()])
         u = np.zeros(3)
         for j, other in heard.items():
@@ -49,12 +60,15 @@ class Formation(CFDistributedFeedback):
 
 
 def guidance(i: int, config: SwarmConfig) -> Formation:
-    """The law of robot i."""
+    """Return the law of robot i."""
     return Formation(i, corners(config))
 
 
 def corners(config: SwarmConfig) -> dict[int, Vec]:
-    """{id: (2,) m}, of a square for four robots, of a polygon of the same sides for others."""
+    """Return the corners {id: (2,) m}.
+
+    They form a square for four robots, else a polygon with the same length of side.
+    """
     n = len(config.ids)
     if n == len(CORNERS):
         return dict(zip(config.ids, np.array(CORNERS), strict=True))
@@ -69,7 +83,10 @@ def corners(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
-    """Four robots, or more on a wide circle, in a ring graph, looking wherever they look."""
+    """Return four robots, or another number on a wide circle, in a ring graph.
+
+    Their headings are arbitrary.
+    """
     n = len(STARTS) if drones is None else drones
     angles = 2.0 * np.pi * np.arange(n) / n
     starts = (
@@ -93,14 +110,14 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """There are no options."""
+    """Check that there are no options. Raises ConfigError if there are."""
     given(config, NoOptions)
     require_none(config)
     return []
 
 
 def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Each is in its corner, seen from where the middle of all has come to."""
+    """Check that each robot is in its corner, relative to the centre of all robots."""
     wanted = corners(config)
     offsets = {
         i: np.array(result["place"][:2]) - wanted[i]
@@ -124,7 +141,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """The ways from above, and how far each was from where its corner came to be."""
+    """Draw the paths from above, and each robot's distance from the final place of its corner."""
     ways = {i: np.array(results[i]["way"]) for i in config.ids}
     wanted = corners(config)
     middle = np.mean([way[-1, 1:3] - wanted[i] for i, way in ways.items()], axis=0)

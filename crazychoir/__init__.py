@@ -1,7 +1,7 @@
 """crazychoir: swarms of Crazyflie quadrotors that optimise and fly together, without ROS.
 
-The names below are imported when they are first used: numerics and kernels take 1 s, which a command line's help,
-or a program that needs one room, does not spend.
+The names below are imported at their first use. Numerical libraries and kernels take 1 s to import.
+The help of the command line, or a program that needs only one room, does not spend that second.
 """
 
 from importlib import import_module
@@ -48,6 +48,7 @@ __all__ = [
     "SwarmConfig",
     "Velocity",
 ]
+"""The public names."""
 _ROOM_OF = {
     "CrazyChoirError": "errors",
     "CFDistributedFeedback": "guidance.feedback",
@@ -72,13 +73,16 @@ _ROOM_OF = {
         "types",
     ),
 }
+"""Public name: the module that defines it, below `crazychoir`."""
 
 user_folders.prepare_matplotlib()  # before a mission imports it
 
-if not TYPE_CHECKING:  # with it, a type checker would take every name for one of ours
+if not TYPE_CHECKING:  # hidden: a type checker would take every name for a public one
 
     def __getattr__(name: str) -> object:
-        """Return a public name from its room, or the version (PEP 562)."""
+        """Import a public name at its first use, and return it; `__version__` is the version
+        (PEP 562).
+        """
         if name == "__version__":
             from importlib.metadata import version
 

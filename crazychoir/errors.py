@@ -1,21 +1,21 @@
 """The exception tree.
 
 CrazyChoirError
-├── ConfigError(ValueError)            a swarm file, an option or a mission is wrong: where, found, allowed, do
-│   └── InstanceError                  a pickup-and-delivery instance is wrong or infeasible
-├── CodecError(ValueError)             a value cannot be encoded, or bytes cannot be decoded
-├── RoundTimeout(TimeoutError)         a round of an exchange is not complete at its deadline
-├── ChannelEnded(RuntimeError)         a neighbour has ended an exchange in an earlier round than we
-├── PeerLost(ConnectionError)          a member of the swarm is gone for longer than `lost_after`
-├── RosterChanged(RuntimeError)        the team is another one now, and this algorithm cannot go on across that
-├── LinkFailed(ConnectionError)        the way to a drone could not be opened, or does not do what it is asked
-├── Refused(RuntimeError)              somebody said no: a command, a swarm, a start check
-├── SolverError(RuntimeError)          an optimisation problem could not be solved: agent, status
-├── AgentFailed(RuntimeError)          an agent of a distributed algorithm has failed, and with it the team
-├── ProcessFailed(RuntimeError)        a process that solves or measures has failed, ended, or says nothing
-├── Hung(RuntimeError)                 the watchdog interrupted code that kept the event loop
-├── Deadlock(RuntimeError)             virtual time: everybody waits and no timer is set
-└── Livelock(RuntimeError)             virtual time: the clock stands still
+├── ConfigError(ValueError)        a swarm file, option or mission is wrong: where, found, allowed
+│   └── InstanceError              a pickup-and-delivery instance is wrong or infeasible
+├── CodecError(ValueError)         a value cannot be encoded, or bytes cannot be decoded
+├── RoundTimeout(TimeoutError)     a round of an exchange is not complete at its deadline
+├── ChannelEnded(RuntimeError)     a neighbour has ended an exchange in an earlier round than we
+├── PeerLost(ConnectionError)      a member of the swarm is gone for longer than `lost_after`
+├── RosterChanged(RuntimeError)    the team has changed, and this algorithm cannot continue
+├── LinkFailed(ConnectionError)    the link to a drone cannot be opened, or refuses a request
+├── Refused(RuntimeError)          a command, a swarm or a start check was refused
+├── SolverError(RuntimeError)      an optimisation problem could not be solved: agent, status
+├── AgentFailed(RuntimeError)      an agent of a distributed algorithm failed, and with it the team
+├── ProcessFailed(RuntimeError)    a process that solves or measures has failed, or is silent
+├── Hung(RuntimeError)             the watchdog interrupted code that blocked the event loop
+├── Deadlock(RuntimeError)         virtual time: all tasks wait and no timer is set
+└── Livelock(RuntimeError)         virtual time: the clock stands still
 """
 
 import contextlib
@@ -25,10 +25,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from os import PathLike
 
 UNSAID = "no reason was given"
+"""Reason to show when an error was raised without a reason."""
 
 
 class CrazyChoirError(Exception):
-    """Root of all errors of this package; its text is never empty, and never ends before its reason."""
+    """Root of all errors of this package.
+
+    Its text is never empty, and never ends before its reason.
+    """
 
     def __init__(self, *args: object) -> None:
         text, *rest = args or ("",)
@@ -38,8 +42,14 @@ class CrazyChoirError(Exception):
 class ConfigError(CrazyChoirError, ValueError):
     """Something that the user wrote is wrong.
 
-    The text says where it is, what was found, what is allowed, and what to do; with `problem`, a sentence of what
-    is wrong with `found`, it reads "where = found: problem; allowed. do".
+    Without `problem` the text reads "where: found ...; allowed: ... do".
+    With `problem` it reads "where = found: problem; allowed. do".
+
+    where: the file and key, or the call, where the error is.
+    found: the value that was found.
+    allowed: the values that are allowed.
+    do: what the user should do, a sentence.
+    problem: what is wrong with `found`, a sentence.
     """
 
     def __init__(
@@ -68,11 +78,21 @@ class CodecError(CrazyChoirError, ValueError):
 
 
 IN_FLIGHT = "Lower the loss, or give it a longer deadline or another policy; `crazychoir status` says who flies."
+"""Advice for a round that timed out in a team that flies."""
 SIMULATED = "Lower the loss of the simulated network: nothing else keeps simulated agents from each other."
+"""Advice for a round that timed out in a team that does not fly."""
 
 
 class RoundTimeout(CrazyChoirError, TimeoutError):
-    """A round is incomplete at its deadline; `missing` names the silent neighbours, `do` says what to do about it."""
+    """A round is incomplete at its deadline.
+
+    drone: id of the drone that waited.
+    channel: name of the channel.
+    k: number of the round.
+    missing: ids of the silent neighbours.
+    seconds: s: the deadline.
+    do: what the user should do, a sentence.
+    """
 
     def __init__(
         self,
@@ -95,14 +115,20 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
         )
 
     def simulated(self) -> "RoundTimeout":
-        """The same of a team that does not fly."""
+        """Return this error with the advice for a team that does not fly."""
         return RoundTimeout(
             self.drone, self.channel, self.k, self.missing, self.seconds, SIMULATED
         )
 
 
 class ChannelEnded(CrazyChoirError, RuntimeError):
-    """The awaited round will never come: neighbours have ended the channel before it; `ended` is {j: its rounds}."""
+    """The awaited round will never come: neighbours have ended the channel before it.
+
+    drone: id of the drone that waited.
+    channel: name of the channel.
+    k: number of the awaited round.
+    ended: {j: number of rounds that neighbour j took part in}.
+    """
 
     def __init__(
         self, drone: int, channel: str, k: int, ended: Mapping[int, int]
@@ -122,7 +148,12 @@ class ChannelEnded(CrazyChoirError, RuntimeError):
 
 
 class PeerLost(CrazyChoirError, ConnectionError):
-    """Members of the swarm are gone for longer than `lost_after`. seconds: since the last message of any of them."""
+    """Members of the swarm are gone for longer than `lost_after`.
+
+    drone: id of the drone that reports the loss.
+    lost: ids of the members that are gone.
+    seconds: s since the last message from any of them.
+    """
 
     def __init__(self, drone: int, lost: Iterable[int], seconds: float) -> None:
         self.drone = drone
@@ -136,7 +167,13 @@ class PeerLost(CrazyChoirError, ConnectionError):
 
 
 class RosterChanged(CrazyChoirError, RuntimeError):
-    """The team has changed in the middle of an algorithm that is not `joinable`."""
+    """The team has changed in the middle of an algorithm that is not `joinable`.
+
+    drone: id of the drone that reports the change.
+    epoch: number of the new epoch.
+    joined: ids of the members that came.
+    left: ids of the members that went.
+    """
 
     def __init__(
         self, drone: int, epoch: int, joined: Iterable[int], left: Iterable[int]
@@ -152,7 +189,11 @@ class RosterChanged(CrazyChoirError, RuntimeError):
 
 
 class LinkFailed(CrazyChoirError, ConnectionError):
-    """The way to a drone fails; `uri` says which, `reason` why."""
+    """The link to a drone fails.
+
+    uri: the link.
+    reason: why it fails, in words.
+    """
 
     def __init__(self, uri: str, reason: str) -> None:
         self.uri = uri
@@ -161,7 +202,11 @@ class LinkFailed(CrazyChoirError, ConnectionError):
 
 
 class Refused(CrazyChoirError, RuntimeError):
-    """Somebody refused; `by` is who, `reason` is why."""
+    """A command, a swarm or a start was refused.
+
+    by: the drone or part of the program that refused.
+    reason: why, in words.
+    """
 
     def __init__(self, by: str, reason: str) -> None:
         self.by, self.reason = by, spoken(reason, UNSAID)
@@ -169,7 +214,11 @@ class Refused(CrazyChoirError, RuntimeError):
 
 
 class SolverError(CrazyChoirError, RuntimeError):
-    """An optimisation problem could not be solved."""
+    """An optimisation problem could not be solved.
+
+    where: the agent and its problem.
+    status: the status that the solver returned.
+    """
 
     def __init__(self, where: str, status: str) -> None:
         self.where = where
@@ -178,7 +227,11 @@ class SolverError(CrazyChoirError, RuntimeError):
 
 
 class AgentFailed(CrazyChoirError, RuntimeError):
-    """A distributed algorithm has ended at all agents because it failed at one; `agent` is which, `reason` is why."""
+    """A distributed algorithm has ended at all agents because it failed at one agent.
+
+    agent: the agent at which it failed.
+    reason: why, in words.
+    """
 
     def __init__(self, agent: int, reason: str) -> None:
         self.agent, self.reason = agent, spoken(reason, UNSAID)
@@ -188,7 +241,11 @@ class AgentFailed(CrazyChoirError, RuntimeError):
 
 
 class ProcessFailed(CrazyChoirError, RuntimeError):
-    """A process that was started to solve or to measure has failed; `who` says which, `reason` why."""
+    """A process that was started to solve or to measure has failed.
+
+    who: the process, in words.
+    reason: why it failed, in words.
+    """
 
     def __init__(self, who: str, reason: str) -> None:
         self.who = who
@@ -197,46 +254,57 @@ class ProcessFailed(CrazyChoirError, RuntimeError):
 
 
 class Hung(CrazyChoirError, RuntimeError):
-    """Raised by the watchdog inside code that kept the event loop for too long."""
+    """Raised by the watchdog inside code that blocked the event loop for too long."""
 
     def __init__(self, text: str = "did not return, and was interrupted") -> None:
         super().__init__(text)
 
 
 class Deadlock(CrazyChoirError, RuntimeError):
-    """Virtual time: nothing is ready and no timer is set; the text names who waits for what."""
+    """Virtual time: nothing is ready and no timer is set.
+
+    The text names the tasks and what each waits for.
+    """
 
 
 class Livelock(CrazyChoirError, RuntimeError):
-    """Virtual time: very many loop passes without the clock moving."""
+    """Virtual time: the event loop has made very many passes without the clock moving."""
 
 
 _LIBRARIES = tuple(
     {sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")}
 )
+"""Folders of Python's standard library and of installed packages."""
 
 
 def is_library(file: str | PathLike[str]) -> bool:
-    """Whether code is of Python itself or was installed, or is of no file."""
+    """Return whether code belongs to Python itself, to an installed package or to no file."""
     return str(file).startswith((*_LIBRARIES, "<"))
 
 
 def raised_at(error: BaseException) -> traceback.FrameSummary:
-    """Where it was raised, as far as libraries are not to blame: the last line of code that is not installed."""
+    """Return the line that raised an error, outside of libraries.
+
+    This is the last line of the traceback that is not in a library. If all lines are in libraries,
+    it is the last line.
+    """
     places = traceback.extract_tb(error.__traceback__)
     own = [place for place in places if not is_library(place.filename)]
     return (own or places)[-1]
 
 
 def exit_call(end: SystemExit) -> str:
-    """How a user's code has ended the process, as it is written there."""
+    """Return the call with which a user's code has ended the process, as written in that code."""
     return f"sys.exit({'' if end.code is None else repr(end.code)})"
 
 
 def exit_of(end: SystemExit, what: str) -> ConfigError:
-    """The error for a user's code that has called sys.exit, exit or quit; it names the file and the line.
+    """Return the error for a user's code that has called sys.exit, exit or quit.
 
-    what: what called it, in words, such as "the mission".
+    It names the file and the line of the call.
+
+    end: the exception that the call raised.
+    what: the code that called it, in words, such as "the mission".
     """
     place = raised_at(end)
     allowed = "code that returns, or raises an exception"
@@ -251,7 +319,11 @@ def exit_of(end: SystemExit, what: str) -> ConfigError:
 
 @contextlib.contextmanager
 def without_exit(what: str) -> Iterator[None]:
-    """A user's code that may not end the process: sys.exit becomes the error of `exit_of`."""
+    """Run a user's code that must not end the process.
+
+    what: that code, in words.
+    Raises the ConfigError of `exit_of` if the code calls sys.exit.
+    """
     try:
         yield
     except SystemExit as end:
@@ -259,9 +331,13 @@ def without_exit(what: str) -> Iterator[None]:
 
 
 def spoken(reason: object, otherwise: str) -> str:
-    """The reason in words, never empty: `otherwise` stands for a missing one.
+    """Return the reason in words, never empty.
 
-    A reason that ends in a colon lacks its last part, as where a note was empty; `otherwise` is put there.
+    If the reason ends in a colon, its last part is missing, for example because a note was empty.
+    Then `otherwise` is added there.
+
+    reason: the reason, or None.
+    otherwise: text to use in place of a missing reason.
     """
     words = "" if reason is None else str(reason).strip()
     if not words:

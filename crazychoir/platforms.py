@@ -1,4 +1,7 @@
-"""What a drone is made of: one row a platform, every figure with its source; for controllers, plants and radios."""
+"""The physical figures of each drone platform: one row a platform, every figure with its source.
+
+Controllers, simulated plants and radios read them.
+"""
 
 import math
 from dataclasses import dataclass
@@ -10,102 +13,139 @@ from crazychoir.numerics.math3d import GRAVITY
 from crazychoir.types import Vec
 
 Three = tuple[float, float, float]
+"""Three numbers: one for each body axis, or the gains kp, ki, kd."""
 MOST_TURN = 32767.0
-"""The largest command about an axis that the firmware gives to its motors, an int16."""
+"""Largest command about an axis that the firmware gives to its motors: the maximum of an int16."""
 
 
 @dataclass(frozen=True)
 class Rotor:
-    """One motor with its propeller, as it is identified.
+    """One motor with its propeller, as identified by measurement.
 
-        f = thrust[0] r + thrust[1] r^2,   m = torque[0] r + torque[1] r^2,   df/dt = (f_c - f) / lag
+        f = thrust[0] r + thrust[1] r^2
+        m = torque[0] r + torque[1] r^2
+        df/dt = (f_c - f) / lag
 
-    thrust: N of r in rpm;  torque: N m;  lag: s, of the thrust;  inertia: kg m2;  radius: m, of the propeller;
-    voltage: c0 to c3 of f = c0 + c1 v + c2 v^2 + c3 v^3, v in V: how the firmware makes a thrust at any battery.
+    f is the thrust in N, m the torque in N m, r the speed in rpm, f_c the commanded thrust in N.
     """
 
     thrust: tuple[float, float]
+    """Coefficients of the thrust in N over r in rpm."""
     torque: tuple[float, float]
+    """Coefficients of the torque in N m over r in rpm."""
     lag: float
+    """s: time constant of the thrust."""
     inertia: float
+    """kg m2."""
     radius: float
+    """m: radius of the propeller."""
     voltage: tuple[float, float, float, float]
+    """c0 to c3 of f = c0 + c1 v + c2 v^2 + c3 v^3, f in N, v in V.
+
+    With this curve the firmware makes the wanted thrust at any battery voltage.
+    """
 
 
 @dataclass(frozen=True)
 class Firmware:
-    """What the firmware assumes of its platform: constants that it is compiled with.
-
-    mass: kg;  arm: m, from the centre to a motor;  thrust_max, thrust_min: N a motor, of command 65535 and below which
-    a motor stops;  thrust_to_torque: m;  needs_arming: whether motors wait for an arming request;
-    rate_pid, yaw_rate_pid: kp, ki, kd of the rate loops, command units (65535 = thrust_max) of deg/s, deg, deg/s2;
-    old_thrust_map: command a newton, all motors, of releases until 2025.02, None: not measured;
-    low, critical: V, of its battery under load.
-    """
+    """What the firmware assumes of its platform: constants that it is compiled with."""
 
     mass: float
+    """kg."""
     arm: float
+    """m: from the centre to a motor."""
     thrust_max: float
+    """N: thrust of one motor at command 65535."""
     thrust_min: float
+    """N: a motor stops below this thrust."""
     thrust_to_torque: float
+    """m: torque of a motor over its thrust."""
     needs_arming: bool = False
+    """The motors wait for an arming request."""
     rate_pid: Three = (250.0, 500.0, 2.5)
+    """Gains kp, ki, kd of the roll and pitch rate loops.
+
+    Units: command units (65535 = thrust_max) over deg/s, deg and deg/s2.
+    """
     yaw_rate_pid: Three = (120.0, 16.7, 0.0)
+    """Gains kp, ki, kd of the yaw rate loop, in the units of rate_pid."""
     old_thrust_map: float | None = None
+    """Command units a newton, all motors together, of releases until 2025.02.
+
+    None: not measured.
+    """
     low: float = 3.2
+    """V: voltage under load at which the battery is low."""
     critical: float = 3.0
+    """V: voltage under load at which the battery is critical."""
 
 
 @dataclass(frozen=True)
 class Battery:
-    """One lithium-polymer cell.
-
-    full, empty: V at rest;  resistance: ohm;  capacity: A s;  idle: A, of the electronics;
-    hover_power: W, that the motors take to carry the drone;  begin: V, with less nobody takes off: a tenth is left, by
-    the level table of the firmware, which is one for all.
-    """
+    """One lithium-polymer cell."""
 
     full: float = 4.2
+    """V at rest, charged."""
     empty: float = 3.0
+    """V at rest, discharged."""
     resistance: float = 0.12
+    """ohm."""
     capacity: float = 0.25 * 3600.0
+    """A s."""
     idle: float = 0.12
+    """A: current of the electronics."""
     hover_power: float = 7.0
+    """W: power that the motors need to carry the drone."""
     begin: float = 3.7
+    """V: a drone does not take off below this voltage.
+
+    By the level table of the firmware, the same for all platforms, a tenth of the charge is then
+    left.
+    """
 
 
 @dataclass(frozen=True)
 class Platform:
-    """Figures of one kind of drone.
-
-    mass: kg;  inertia: kg m2, about the body axes;  arm: m, from the centre to a motor along x and along y;
-    drag: diagonal of A, kg/s, body axes;  max_thrust: N, all motors;  max_rate: rad/s, body;
-    max_landing_speed: m/s, a faster touch-down is a crash;  radius: m, of a disc around body and propellers;
-    source: where the figures come from.
-    """
+    """The figures of one kind of drone."""
 
     name: str
+    """Name of the row in the swarm file."""
     mass: float
+    """kg."""
     inertia: Three
+    """kg m2, about the body axes."""
     arm: float
+    """m: from the centre to a motor, along x and along y."""
     drag: Three
+    """kg/s, body axes: diagonal of the drag matrix A."""
     max_thrust: float
+    """N: all motors together."""
     rotor: Rotor
+    """One motor with its propeller."""
     firmware: Firmware
+    """Constants of its firmware."""
     source: str
+    """Where the figures come from."""
     battery: Battery = Battery()
+    """Its battery."""
     max_rate: Three = (10.0, 10.0, 5.0)
+    """rad/s, body."""
     max_landing_speed: float = 1.0
+    """m/s: a faster touch-down is a crash."""
     radius: float = 0.0685
+    """m: radius of a disc around body and propellers."""
 
     @property
     def weight(self) -> float:
-        """N."""
+        """N: weight of the drone."""
         return self.mass * GRAVITY
 
     @property
     def flat(self) -> Vec:
-        """(9,) for the kernels: mass, drag (3), max_thrust, max_rate (3), max_landing_speed."""
+        """The figures for the kernels, (9,).
+
+        mass, drag (3), max_thrust, max_rate (3), max_landing_speed.
+        """
         return np.array(
             [
                 self.mass,
@@ -117,14 +157,17 @@ class Platform:
         )
 
 
-HOVER_ROTOR_SPEEDS = (
-    4 * 1862.1
-)  # rad/s, sum of four rotors carrying 27 g: Förster's thrust and speed maps
+HOVER_ROTOR_SPEEDS = 4 * 1862.1
+"""rad/s: sum of the speeds of four rotors that carry 27 g.
+
+Source: Förster's thrust and speed maps.
+"""
 IDENTIFIED = (
     "identified in the drone-models package 0.1.0 (learnsyslab, MIT): mass, inertia, arm, drag, curves and lag of the "
     "rotors; the firmware's constants and voltage curve: crazyflie-firmware, August 2026; rates and landing speed: "
     "chosen; battery: 250 mAh cell, 7 minutes of hovering, resistance chosen"
 )
+"""Source of the identified platforms."""
 
 L250 = Rotor(
     thrust=(-5.382196214637237e-7, 2.4582929831265485e-10),
@@ -134,6 +177,7 @@ L250 = Rotor(
     radius=0.02355,
     voltage=(-0.0148307, 0.0472447, -0.0184736, 0.00596092),
 )
+"""Rotor of the Crazyflie 2.1 with 45 mm propellers and a 250 mAh battery."""
 P250 = Rotor(
     thrust=(-3.6200226530383495e-7, 1.6060924304100328e-10),
     torque=(-2.2665265829562245e-9, 1.1149485566919186e-12),
@@ -142,6 +186,7 @@ P250 = Rotor(
     radius=0.0234,
     voltage=(-0.0247654, 0.0652379, -0.0267925, 0.00677679),
 )
+"""Rotor of the Crazyflie 2.1+ with a 250 mAh battery."""
 T350 = Rotor(
     thrust=(-7.167227176573658e-7, 2.9401303690194613e-10),
     torque=(5.815894847811497e-10, 1.331813874166509e-12),
@@ -150,6 +195,7 @@ T350 = Rotor(
     radius=0.0254,
     voltage=(0.00672813, 0.0101156, 0.0102632, 0.00283586),
 )
+"""Rotor of the Crazyflie 2.1 with the thrust upgrade and a 350 mAh battery."""
 B500 = Rotor(
     thrust=(-3.133427287299859e-7, 4.407354891648379e-10),
     torque=(1.65886356219615e-9, 2.4693477924534137e-12),
@@ -158,10 +204,13 @@ B500 = Rotor(
     radius=0.0275,
     voltage=(-0.0140589, 0.0426527, 0.00183278, 0.0020577),
 )
+"""Rotor of the Crazyflie 2.1 Brushless."""
 
-OLD_THRUST_MAP = (
-    42_000 / 0.39
-)  # of a bare Crazyflie 2.1: measured by the authors of CrazyChoir
+OLD_THRUST_MAP = 42_000 / 0.39
+"""Command units a newton of a bare Crazyflie 2.1, releases until 2025.02.
+
+Source: measured by the authors of CrazyChoir.
+"""
 CF20 = Firmware(
     mass=0.029,
     arm=0.046,
@@ -170,6 +219,7 @@ CF20 = Firmware(
     thrust_to_torque=0.00735086,
     old_thrust_map=OLD_THRUST_MAP,
 )
+"""Firmware of the Crazyflie 2.0 and 2.1."""
 CF21_PLUS = Firmware(
     mass=0.029,
     arm=0.046,
@@ -177,6 +227,7 @@ CF21_PLUS = Firmware(
     thrust_min=0.0128,
     thrust_to_torque=0.00699289,
 )
+"""Firmware of the Crazyflie 2.1+."""
 CF21_THRUST = Firmware(
     mass=0.0325,
     arm=0.046,
@@ -184,6 +235,7 @@ CF21_THRUST = Firmware(
     thrust_min=0.0192,
     thrust_to_torque=0.00516486,
 )
+"""Firmware of the Crazyflie 2.1 with the thrust upgrade."""
 CF21_BRUSHLESS = Firmware(
     mass=0.0393,
     arm=0.050,
@@ -194,6 +246,7 @@ CF21_BRUSHLESS = Firmware(
     rate_pid=(200.0, 400.0, 2.5),
     low=3.35,
 )
+"""Firmware of the Crazyflie 2.1 Brushless."""
 
 PAPER = Platform(
     name="paper",
@@ -268,17 +321,26 @@ PLATFORMS = {
         CRAZYFLIE_21_BRUSHLESS,
     )
 }
-"""The table, by name; the swarm file names a row with `platform`."""
+"""All platforms by name. The swarm file names one with `platform`."""
 
 
 def platform(name: str, where: str = "platform") -> Platform:
-    """The row of this name; ConfigError names those that there are."""
+    """Return the platform of this name.
+
+    where: the key that holds the name, for the error.
+    Raises ConfigError with all names if there is no such platform.
+    """
     if name not in PLATFORMS:
         raise ConfigError(where, name, f"one of {', '.join(PLATFORMS)}")
     return PLATFORMS[name]
 
 
 def rotor_speed(rotor: Rotor, f: float) -> float:
-    """rpm, at which one rotor makes the thrust f in N: the positive root of its curve; 0 for f <= 0."""
+    """Return the speed in rpm at which one rotor makes the thrust f.
+
+    It is the positive root of the thrust curve of the rotor.
+
+    f: N: wanted thrust; the speed is 0 for f <= 0.
+    """
     b, c = rotor.thrust
     return 0.0 if f <= 0.0 else (-b + math.sqrt(b * b + 4.0 * c * f)) / (2.0 * c)

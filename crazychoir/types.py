@@ -1,7 +1,12 @@
-"""States, references and commands: frozen, SI, typed. These are the message types; there is no second set.
+"""States, references and commands: the message types of the package. There is no second set.
 
-World frame ENU, z up; quaternions [x, y, z, w]; angular velocity in the body frame.
-The numbers of one value lie in one flat array, so that a compiled law and the wire take it as it is.
+All values are frozen, typed and in SI units.
+
+World frame: ENU, z up.
+Quaternions: [x, y, z, w].
+Angular velocity: body frame.
+
+The numbers of one value lie in one flat array. Compiled laws and the wire use it as it is.
 """
 
 from collections.abc import Sequence
@@ -12,99 +17,128 @@ import numpy as np
 import numpy.typing as npt
 
 Vec = npt.NDArray[np.float64]
+"""A vector of numbers."""
 Mat = npt.NDArray[np.float64]
+"""A matrix of numbers."""
 Ints = npt.NDArray[np.int64]
+"""An array of integers."""
 Words = npt.NDArray[np.uint64]
+"""An array of unsigned 64-bit words."""
 Bools = npt.NDArray[np.bool_]
+"""An array of truth values."""
 Point = Sequence[float] | Vec
+"""Coordinates, as a sequence or an array."""
 STILL: Vec = np.zeros(3)
-"""The acceleration of who is not known to accelerate."""
+"""(3,) m/s2: zero acceleration, read-only. The default where the acceleration is not known."""
 STILL.setflags(write=False)
 
 
 class Wire(msgspec.Struct, frozen=True, array_like=True, gc=False):
-    """A value that may travel: immutable, encoded as an array of its fields."""
+    """A value that may travel between drones: immutable, encoded as an array of its fields."""
 
 
 class Pose(Wire, frozen=True, array_like=True, gc=False):
-    """What motion capture measures of one rigid body.
-
-    flat: (7,) = p (3,) m world, q (4,) body to world;  age: s, since the cameras saw it.
-    """
+    """The position and attitude of one rigid body, measured by motion capture."""
 
     flat: Vec
+    """(7,) = p (3,) m, world; q (4,) [x, y, z, w], body to world."""
     age: float = 0.0
+    """Seconds since the cameras saw the body."""
 
     @property
     def p(self) -> Vec:
-        """(3,) m, world."""
+        """(3,) m, world: position."""
         return self.flat[0:3]
 
     @property
     def q(self) -> Vec:
-        """(4,) [x, y, z, w], body to world."""
+        """(4,) [x, y, z, w], body to world: attitude."""
         return self.flat[3:7]
 
 
 class State(Wire, frozen=True, array_like=True, gc=False):
-    """A drone's estimate of itself, or what is heard of a neighbour.
+    """The state of a drone: its own estimate, or the newest state received from a neighbour.
 
-    flat: (13,) = p (3,) m, v (3,) m/s, q (4,), w (3,) rad/s body;  age: s, since it was measured;  a: (3,) m/s2, world,
-    that the drone has commanded in the tick before: its reference and its control together, after all limits and the
-    collision filter, without gravity. It is not measured, and the drone follows late. Zero on the ground, with motors
-    cut and where nobody knows it, as in the truth of a world. Flown by the firmware's control: that of the reference.
-    Between messages a law is told the last a that was heard of a neighbour, while p moves on; after the topic's maximum
-    age the neighbour is absent, and its acceleration counts as none.
+    Between messages a law receives the last `a` of a neighbour, while its p is extrapolated. After
+    the maximum age of the topic the neighbour is absent, and its acceleration counts as zero.
     """
 
     flat: Vec
+    """(13,): position, velocity, attitude and angular velocity.
+
+    p: (3,) m, world: position.
+    v: (3,) m/s, world: velocity.
+    q: (4,) [x, y, z, w], body to world: attitude.
+    w: (3,) rad/s, body: angular velocity.
+    """
     age: float = 0.0
+    """Seconds since the state was measured."""
     a: Vec = STILL
+    """(3,) m/s2, world: acceleration that the drone commanded in the tick before, without gravity.
+
+    It is the sum of reference and control after all limits and the collision filter. It is
+    commanded, not measured: the drone follows it with a delay. When the control of the firmware
+    flies the drone, it is the acceleration of the reference. It is zero on the ground, with motors
+    cut, and where it is not known, such as in the truth of a world.
+    """
 
     @classmethod
     def at(cls, p: Point, v: Point = (0.0, 0.0, 0.0)) -> "State":
-        """A level state at p (3,) m with velocity v (3,) m/s."""
+        """Return a level state at p (3,) m with velocity v (3,) m/s."""
         return cls(np.array([*p, *v, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
 
     @property
     def p(self) -> Vec:
-        """(3,) m, world."""
+        """(3,) m, world: position."""
         return self.flat[0:3]
 
     @property
     def v(self) -> Vec:
-        """(3,) m/s, world."""
+        """(3,) m/s, world: velocity."""
         return self.flat[3:6]
 
     @property
     def q(self) -> Vec:
-        """(4,) [x, y, z, w], body to world."""
+        """(4,) [x, y, z, w], body to world: attitude."""
         return self.flat[6:10]
 
     @property
     def w(self) -> Vec:
-        """(3,) rad/s, body."""
+        """(3,) rad/s, body: angular velocity."""
         return self.flat[10:13]
 
 
 class Acceleration(Wire, frozen=True, array_like=True, gc=False):
-    """Reference of a double-integrator law: a (3,) m/s2 world, yaw rad."""
+    """Reference of a double-integrator law."""
 
     a: Vec
+    """(3,) m/s2, world."""
     yaw: float = 0.0
+    """rad."""
 
 
 class Velocity(Wire, frozen=True, array_like=True, gc=False):
-    """Reference of a single-integrator law: v (3,) m/s world, yaw rad."""
+    """Reference of a single-integrator law."""
 
     v: Vec
+    """(3,) m/s, world."""
     yaw: float = 0.0
+    """rad."""
 
 
 class FullState(Wire, frozen=True, array_like=True, gc=False):
-    """Reference of a flat output: flat (14,) = p m, v m/s, a m/s2, j m/s3 (each (3,), world), yaw rad, yaw' rad/s."""
+    """Reference of a flat output: position with three derivatives, and yaw with its rate."""
 
     flat: Vec
+    """(14,): the flat output and its derivatives.
+
+    p: (3,) m, world.
+    v: (3,) m/s, world.
+    a: (3,) m/s2, world.
+    j: (3,) m/s3, world.
+    yaw: rad.
+    yaw': rad/s.
+    """
 
     @classmethod
     def at(
@@ -116,166 +150,216 @@ class FullState(Wire, frozen=True, array_like=True, gc=False):
         yaw: float = 0.0,
         yaw_rate: float = 0.0,
     ) -> "FullState":
-        """p, v, a, j: (3,) each, world; yaw rad; yaw_rate rad/s."""
+        """Return a reference made of its parts.
+
+        p: (3,) m, world.
+        v: (3,) m/s, world.
+        a: (3,) m/s2, world.
+        j: (3,) m/s3, world.
+        yaw: rad.
+        yaw_rate: rad/s.
+        """
         return cls(np.array([*p, *v, *a, *j, yaw, yaw_rate], dtype=float))
 
     @property
     def p(self) -> Vec:
-        """(3,) m, world."""
+        """(3,) m, world: position."""
         return self.flat[0:3]
 
     @property
     def v(self) -> Vec:
-        """(3,) m/s, world."""
+        """(3,) m/s, world: velocity."""
         return self.flat[3:6]
 
     @property
     def a(self) -> Vec:
-        """(3,) m/s2, world."""
+        """(3,) m/s2, world: acceleration."""
         return self.flat[6:9]
 
     @property
     def yaw(self) -> float:
-        """rad."""
+        """rad: yaw."""
         return float(self.flat[12])
 
 
 class Goto(Wire, frozen=True, array_like=True, gc=False):
-    """Ask for a point-to-point flight: p (3,) m world, yaw rad, duration s (0: as fast as the limits allow)."""
+    """Reference that asks for a point-to-point flight."""
 
     p: Vec
+    """(3,) m, world: goal."""
     yaw: float = 0.0
+    """rad."""
     duration: float = 0.0
+    """s, or 0: as fast as the limits allow."""
 
 
 class FPQR(Wire, frozen=True, array_like=True, gc=False):
-    """Command: flat (4,) = thrust N, body rates p, q, r rad/s."""
+    """Command: thrust and body rates."""
 
     flat: Vec
+    """(4,) = thrust N; body rates p, q, r rad/s."""
 
     @property
     def thrust(self) -> float:
-        """N, along the body's z."""
+        """N, along the z axis of the body."""
         return float(self.flat[0])
 
 
 class FRPY(Wire, frozen=True, array_like=True, gc=False):
-    """Command: flat (4,) = thrust N, roll, pitch rad, yaw rate rad/s.
+    """Command: thrust, roll, pitch and yaw rate.
 
-    Roll and pitch are those of R = Rz(yaw) Ry(pitch) Rx(roll), body to world: positive pitch is nose down.
+    Roll and pitch are those of R = Rz(yaw) Ry(pitch) Rx(roll), body to world.
+    Positive pitch is nose down.
     """
 
     flat: Vec
+    """(4,) = thrust N; roll rad; pitch rad; yaw rate rad/s."""
 
 
 class Vel(Wire, frozen=True, array_like=True, gc=False):
-    """Command: flat (4,) = velocity (3,) m/s world, yaw rate rad/s."""
+    """Command: velocity and yaw rate."""
 
     flat: Vec
+    """(4,) = velocity (3,) m/s, world; yaw rate rad/s."""
 
 
 class Acc(Wire, frozen=True, array_like=True, gc=False):
-    """Command to a double integrator: flat (3,) = acceleration m/s2, world."""
+    """Command to a double integrator."""
 
     flat: Vec
+    """(3,) m/s2, world: acceleration."""
 
 
 class Drive(Wire, frozen=True, array_like=True, gc=False):
-    """Command to a unicycle: flat (2,) = speed v m/s along its heading, turn rate w rad/s."""
+    """Command to a unicycle."""
 
     flat: Vec
+    """(2,) = speed v m/s along its heading; turn rate w rad/s."""
 
 
 class XYZ(Wire, frozen=True, array_like=True, gc=False):
-    """Command to the planner on board: flat (5,) = p (3,) m world, yaw rad, duration s.
-
-    verb: "take_off" and "land" use z of p, "go_to" all; "stop" none: motors off.
-    """
+    """Command to the planner on board."""
 
     verb: str
+    """"take_off", "land", "go_to" or "stop".
+
+    "take_off" and "land" use only the z of p. "go_to" uses all numbers. "stop" uses none: it turns
+    the motors off.
+    """
     flat: Vec
+    """(5,) = p (3,) m, world; yaw rad; duration s."""
 
 
 Command = FPQR | FRPY | Vel | XYZ | FullState | Acc | Drive
+"""All commands that a controller or a planner gives to a body."""
 
 
 class Status(Wire, frozen=True, array_like=True, gc=False):
-    """How a drone is: what `status`, the live table and the public key show.
-
-    phase: of flight;  task: of the mission, and its progress;  round: of the running exchange;  cost: of the plan, NaN
-    before;  relaxed: value of the program's relaxation, as far as it is known, else NaN;  sent, lost, resent, dropped:
-    messages between drones since the start;  suspect, gone: ids of silent members;  process, host: where it runs;
-    note: the last trouble;  stopped: an emergency stop of the swarm is in force for it;  grave: somebody should
-    act upon the note;  hosts, offsets, offset_errors: s that others' clocks are ahead of its own, within how much.
-    """
+    """The condition of a drone, as `status`, the live table and the public key show it."""
 
     phase: str
+    """Phase of the flight."""
     task: str = ""
+    """Task of the mission, with its progress."""
     round: int = 0
+    """Round of the running exchange."""
     cost: float = float("nan")
+    """Cost of the plan. NaN before there is a plan."""
     relaxed: float = float("nan")
+    """Value of the relaxation of the program, as far as it is known, else NaN."""
     sent: int = 0
+    """Messages sent to other drones since the start."""
     lost: int = 0
+    """Messages between drones lost since the start."""
     resent: int = 0
+    """Messages sent again to other drones since the start."""
     dropped: int = 0
+    """Messages between drones dropped since the start."""
     suspect: list[int] = []
+    """Ids of members that have been silent for a while."""
     gone: list[int] = []
+    """Ids of members that count as lost."""
     process: str = ""
+    """The process that runs the drone."""
     host: str = ""
+    """The host of that process."""
     note: str = ""
+    """The last trouble, in words."""
     stopped: bool = False
+    """An emergency stop of the swarm is in force for this drone."""
     grave: bool = False
+    """The note needs the attention of the operator."""
     hosts: list[str] = []
+    """Other hosts with a known clock offset, in the order of `offsets`."""
     offsets: list[float] = []
+    """s: how far the clock of each other host is ahead of our own."""
     offset_errors: list[float] = []
+    """s: error bound of each offset."""
 
 
 class Body(Wire, frozen=True, array_like=True, gc=False):
-    """How a drone's simulated body is.
-
-    harm: what has broken it, empty if nothing has;  flying: it is in the air, flown there by commands;  cut: its motors
-    are off until its world is started again.
-    """
+    """The condition of the simulated body of a drone."""
 
     harm: str = ""
+    """What has broken the body. Empty if it is intact."""
     flying: bool = False
+    """Commands have flown the body into the air."""
     cut: bool = False
+    """The motors are off until the world is started again."""
 
 
 class LinkStatus(Wire, frozen=True, array_like=True, gc=False):
-    """How the way to a drone is that a radio reaches, and what the drone says of itself.
+    """The condition of the radio link to a drone, and what the drone reports of itself.
 
-    state: "connecting", "up", "degraded", "lost" or "absent", and "refused" if it cannot fly so;  silence: s since its
-    last packet;  latency: s, there and back, 95 of 100;  answered: share of echoes that were;  rssi: dBm;  battery:
-    V;  supervisor: bits of its firmware's;  flying: its motors turn;  problems: why it may not take off, in words;
-    release: of its firmware;  refused: plans that its firmware has not taken;  reconnected: how often;  astray: how the
-    body that the cameras take for it has moved otherwise, empty if it has not. What is not known is NaN.
+    Numbers that are not known are NaN.
     """
 
     state: str
+    """"connecting", "up", "degraded", "lost", "absent" or "refused".
+
+    "refused": the drone cannot fly in its present configuration.
+    """
     silence: float = float("inf")
+    """Seconds since the last packet from the drone."""
     latency: float = float("nan")
+    """s: round-trip time, 95th percentile."""
     answered: float = float("nan")
+    """Share of echo requests that were answered."""
     rssi: float = float("nan")
+    """dBm: signal strength."""
     battery: float = float("nan")
+    """V: battery voltage."""
     supervisor: int = 0
+    """State bits of the supervisor in the firmware."""
     flying: bool = False
+    """The motors turn."""
     problems: list[str] = []
+    """Reasons why the drone may not take off, in words."""
     release: str = ""
+    """Release of the firmware."""
     refused: int = 0
+    """Number of plans that the firmware refused."""
     reconnected: int = 0
+    """Number of reconnections."""
     astray: str = ""
+    """How the motion of the drone's body differs from the motion of the drone, in words.
+
+    The cameras may take a different body for this drone. Empty if there is no difference.
+    """
 
 
 class Plan(Wire, frozen=True, array_like=True, gc=False):
-    """The path of a drone with a planner on board, sent to all other drones that have one."""
+    """The path of a drone with a planner on board, sent to all other such drones."""
 
     way: Mat
-    """(k, 25): the path that it flies, see safety/collision/agreed/paths.py; (0, 25) on the ground."""
+    """(k, 25): the path that the drone flies, see safety/collision/agreed/paths.py.
+
+    (0, 25) on the ground.
+    """
     since: float
-    """Seconds since it began to fly that path."""
+    """Seconds since the drone began to fly that path."""
     offer: Mat
-    """(k, 25): the path that it wants to fly instead; (0, 25) without one."""
+    """(k, 25): the path that the drone wants to fly instead. (0, 25) without an offer."""
     due: float
     """Seconds until the offered path would begin."""
     number: int
@@ -286,19 +370,26 @@ class Plan(Wire, frozen=True, array_like=True, gc=False):
     A drone that is missing here is not known to fly.
     """
     awaits: Vec
-    """(3,) m, world: where it wants to rest but finds no room; (0,) if there is no such place."""
+    """(3,) m, world: where the drone wants to rest but finds no room.
+
+    (0,) if there is no such place.
+    """
 
 
 class Failure(Wire, frozen=True, array_like=True, gc=False):
-    """What an algorithm that has failed at `agent` sends in place of its message: the reason."""
+    """What an algorithm sends in place of its message when it has failed."""
 
     agent: int
+    """The agent at which the algorithm failed."""
     reason: str
+    """Why it failed, in words."""
 
 
 Reference = Acceleration | FullState | Goto | Velocity
+"""All references that a law or a plan may return."""
 Heard = dict[int, State]
+"""By id: the newest state of each neighbour that is heard."""
 
 
 class PerNeighbor(dict[int, Any]):
-    """A payload a neighbour: `PerNeighbor({j: value})` sends each value to its j alone."""
+    """A payload for each neighbour: `PerNeighbor({j: value})` sends each value to its j alone."""

@@ -1,4 +1,4 @@
-"""One process of a swarm: its drones, each a small set of actors, wired; and its world."""
+"""One process of a swarm: its drones, each a small set of connected actors, and its world."""
 
 import asyncio
 import logging
@@ -57,8 +57,12 @@ from crazychoir.team.messages import Roster
 
 log = logging.getLogger(__name__)
 RESTARTED = 20.0
-"""s without a word of the owner of a dongle, which `run` starts again, after which it does not come back."""
+"""s: how long the owner of a dongle may be silent.
+
+`run` restarts an owner. After this time it does not come back.
+"""
 QUERIES = ("param_get", "task_list", "overview", "ping", WATCHED)
+"""Commands that change nothing."""
 VERBS = (
     *ORDERS,
     "go-to",
@@ -69,11 +73,11 @@ VERBS = (
     "task_cancel",
     *QUERIES,
 )
-"""What operators may ask of a drone; QUERIES change nothing."""
+"""Commands that operators may send to a drone."""
 
 
 class StatusActor(Actor):
-    """Tells how the drone is, four times a second."""
+    """Publishes the status of the drone four times a second."""
 
     name = "status"
 
@@ -81,7 +85,7 @@ class StatusActor(Actor):
         self.drone = drone
 
     async def run(self) -> None:
-        """Publish on change of the clock."""
+        """Publish at each tick of the clock."""
         async for _ in self.drone.port.bus.clock.ticks(
             STATUS.rate, drone=self.drone.id
         ):
@@ -89,7 +93,7 @@ class StatusActor(Actor):
 
 
 class Pacemaker(Actor):
-    """Ticks the pilots whose poses do not come."""
+    """Ticks the pilots that receive no poses."""
 
     name = "pacemaker"
 
@@ -99,7 +103,7 @@ class Pacemaker(Actor):
         self.rate = rate
 
     async def run(self) -> None:
-        """One look a period."""
+        """Check once a period."""
         async for _ in self.clock.ticks(self.rate):
             now_ns = self.clock.now_ns()
             for pilot in self.pilots:
@@ -109,7 +113,15 @@ class Pacemaker(Actor):
 class Agent:
     """The drones `ids` of a swarm, in this process.
 
-    trace: digest of virtual time;  alone: all is in this process, none of its worlds has an owner elsewhere.
+    clock: the clock of the swarm.
+    config: the swarm file.
+    mission: the mission file.
+    ids: ids of the drones.
+    process: name of the process.
+    incarnation: identifies this life of the process.
+    trace: digest of virtual time.
+    start_deadline: s for the start of the team. None: that of the swarm file.
+    alone: the whole swarm is in this process, and none of its worlds has an owner elsewhere.
     """
 
     def __init__(
@@ -241,7 +253,10 @@ class Agent:
         return drone
 
     def _fence(self, i: int) -> Fence:
-        """Where drone i flies: [fence]; inside it, if the radio that streams to it may fail."""
+        """Return the fence of drone i.
+
+        It is [fence], or smaller if the radio that streams to the drone may fail.
+        """
         config = self.config
         fence = self.config.fence
         sender = sender_of(config, i)
@@ -252,7 +267,7 @@ class Agent:
             j for j in config.reached if config.drone(j).host == config.drone(i).host
         ]
         alike = [j for j in here if sender_of(config, j) == sender]
-        if margin.problem and i == alike[0]:  # one of them says it
+        if margin.problem and i == alike[0]:  # logged once for all of them
             log.warning(
                 "drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem
             )
@@ -292,7 +307,10 @@ class Agent:
     def _collision(
         self, i: int, chosen: Controls
     ) -> CollisionFilter | PlannedFlights | None:
-        """What keeps drone i clear of the others; None: it is off, or it does not fly, or alone."""
+        """Return the part that keeps drone i clear of the others.
+
+        None if it is off, if the drone does not fly, or if it flies alone.
+        """
         config = self.config
         flight = self.config.flight
         flying = [j for j in config.ids if config.drone(j).uri not in ROBOTS]
@@ -321,7 +339,10 @@ class Agent:
         return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
     def _see(self, traffic: Traffic, i: int) -> None:
-        """Of drones that a radio reaches, their owners tell whether it does, and the cameras where they are."""
+        """Subscribe the table of neighbours to what is known of drones with radios.
+
+        Their owners publish whether the radio reaches them. The cameras publish where they are.
+        """
         for j in self.config.reached:
             if j != i:
                 call = Call(
@@ -340,9 +361,10 @@ class Agent:
                 )
 
     def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
-        """The way to a drone's body, and what says what has broken it; ConfigError for a kind that is not flown there.
+        """Return the link to a drone's body, and a function that returns the damage of the body.
 
-        A world's owner refuses it too, when it starts.
+        Raises ConfigError for a kind of command that cannot be flown there. The owner of a world
+        refuses such a kind too, when it starts.
         """
         if i in self._remotes:
             return self._remotes[i], self._remotes[i].harm
@@ -366,7 +388,7 @@ class Agent:
         )
 
     async def run(self) -> dict[int, dict[str, Any]]:
-        """Fly the mission; returns each drone's result."""
+        """Fly the mission, and return each drone's result."""
         async with asyncio.TaskGroup() as group:
             owner = group.create_task(self.supervisor.run(self._shared()), name="world")
             drones = list(self.drones.values())
@@ -411,7 +433,10 @@ class Agent:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
 
     async def _guide(self, drone: Drone) -> None:
-        """The guidance has a supervisor of its own: it ends, and the drone flies on until it is down."""
+        """Run the guidance under its own supervisor.
+
+        When it ends the drone flies on until it is down.
+        """
         supervisor = self._supervisor(drone.id)
         actor = self._guidances[drone.id] = GuidanceActor(
             drone, self.config, self.watchdog
@@ -433,21 +458,24 @@ class Agent:
         return Orders(drone, self.config, abort, over, arm)
 
     def land_all(self, reason: str) -> None:
-        """Somebody wants an end: every drone lands, every mission is over."""
+        """Land every drone and end every mission, with this reason."""
         for drone in self.drones.values():
             drone.pilot.land(reason)
         for guidance in self._guidances.values():
             guidance.abort(reason)
 
     def _orphaned(self, i: int) -> None:
-        """The world of drone i is gone: its mission is over; the safety table has brought it down if it flew."""
+        """End the mission of drone i, because its world is gone.
+
+        If it flew, the safety table has brought it down.
+        """
         pilot = self.drones[i].pilot
         reason = pilot.brought_down or "its world is gone"
         pilot.land(reason)
         self._guidances[i].abort(reason)
 
     def _found_cut(self, i: int, why: str) -> None:
-        """It cannot fly: it takes no part, and the others hear why."""
+        """Leave out a drone that cannot fly. The others learn the reason."""
         if not self.drones[i].pilot.cut_for:
             self.drones[i].barrier.refused = why
             if i in self._guidances:
@@ -459,12 +487,12 @@ class Agent:
             drone.pilot.cut(reason)
 
     def refuse(self, refused: Refused) -> None:
-        """The swarm does not want this process: it ends, with the reason."""
+        """End this process, because the swarm has refused it."""
         log.error("%s", refused)
         self.land_all(str(refused))
 
     def stalled(self, stall: Stall) -> None:
-        """From the watchdog's thread: tell the others whose loop hangs, and where."""
+        """Tell the others which event loop hangs, and where. Called from the watchdog's thread."""
         words = stall.actor.split()
         drone = (
             int(words[1])
@@ -474,12 +502,17 @@ class Agent:
         self.alarm(drone, str(stall))
 
     def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
-        """Without the world or the pacemaker nobody flies on: the drones land, or are cut by who still ticks them."""
+        """Land all drones when the world or the pacemaker fails.
+
+        No drone can fly on without them.
+
+        A pilot that still gets ticks may cut its motors instead.
+        """
         if actor in self.owners or actor is self.pacemaker:
             self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
 
     def _tell_apart(self, barrier: Barrier, roster: Roster) -> None:
-        """Who coordinates says it for all."""
+        """Log once for the team, from the coordinator, that the team is cut into parts."""
         if barrier.apart and roster.ids[0] == barrier.id:
             gone = " ".join(map(str, barrier.absent))
             text = f"drone {barrier.id}: {barrier.apart}: no message of one reaches another; without drone(s) {gone}"
@@ -500,7 +533,10 @@ class Agent:
             drone.pilot.cut(text)
 
     async def _execute(self, drone: Drone, verb: str, arguments: dict[str, Any]) -> Any:
-        """What operators may ask of a drone; what changes something is told to all who look on."""
+        """Execute a command of an operator, and return its outcome.
+
+        Commands that change something are published to all observers.
+        """
         if verb not in QUERIES:
             drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{verb}")
         if verb in ORDERS:
@@ -536,10 +572,11 @@ class Agent:
                 )
 
     def _overview(self, drone: Drone) -> dict[str, Any]:
-        """What no topic says of it, for who looks on.
+        """Return what an observer needs and no topic holds.
 
-        links: by drone, messages sent there through the simulated network, and those that it lost;  network: what is
-        simulated;  route: see CFGuidance.
+        links: by drone: messages sent there through the simulated network, and messages lost.
+        network: what is simulated.
+        route: see CFGuidance.
         """
         network = self.bus.impairment
         begun = hasattr(drone.guidance, "member")
@@ -565,7 +602,7 @@ class Agent:
 
 
 def _not_simulated(config: SwarmConfig) -> ConfigError:
-    """Virtual time has no radios."""
+    """Return the error for a drone with a radio in virtual time."""
     i = config.reached[0]
     do = 'Leave --fast out, or write uri = "sim://" for a flight in virtual time.'
     return ConfigError(

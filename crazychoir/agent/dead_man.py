@@ -1,4 +1,4 @@
-"""The dead-man option: an operator's console says that it is there; drones that hear none for too long land."""
+"""The dead-man option: drones land when they hear no operator's console for too long."""
 
 import asyncio
 import contextlib
@@ -10,13 +10,13 @@ from crazychoir.runtime.actor import ON_FAILURE, Actor
 from crazychoir.runtime.clock import Clock
 
 WATCHED = "watched"
-"""The command by which a console says that it is there."""
+"""The command with which a console reports that it is there."""
 RATE = 2.0
-"""Hz."""
+"""Hz: rate of these commands."""
 
 
 class Console(Actor):
-    """Tells every drone that its operator's console is there, for as long as it is."""
+    """Reports to every drone that its operator's console is there."""
 
     name = "console"
     restart = ON_FAILURE
@@ -26,7 +26,10 @@ class Console(Actor):
         self.ids = ids
 
     async def run(self) -> None:
-        """Twice a second; who does not answer keeps the others no longer than that."""
+        """Report RATE times a second.
+
+        A drone that does not answer delays the others by one period at most.
+        """
         async for _ in self.commander.port.bus.clock.ticks(RATE):
             await asyncio.gather(*(self._tell(i) for i in self.ids))
 
@@ -36,16 +39,24 @@ class Console(Actor):
 
 
 def is_console(config: SwarmConfig, host: str) -> bool:
-    """Whether a process that looks on is to say so: drones count on it, and obey its host."""
+    """Return whether an observing process must report as a console.
+
+    It must if drones depend on consoles, and obey the host of the process.
+    """
     return config.flight.dead_man > 0.0 and (
         not config.secured or host in config.security.operators
     )
 
 
 class DeadMan(Actor):
-    """Lands the drones of a process when they fly and no console has said for `patience` s that it is there.
+    """Lands the drones of a process when they fly and no console has reported for `patience` s.
 
-    A console that is silent because the network is cut has gone, too.
+    A console that is silent because the network is cut counts as gone, too.
+
+    clock: the clock of the swarm.
+    patience: s.
+    flying: returns whether any drone of the process flies.
+    land: lands them, with a reason.
     """
 
     name = "dead man"
@@ -65,11 +76,11 @@ class DeadMan(Actor):
         self._heard = clock.now()
 
     def heard(self) -> None:
-        """A console is there."""
+        """Record that a console is there."""
         self._heard = self.clock.now()
 
     async def run(self) -> None:
-        """Look twice as often as a console speaks, until they land."""
+        """Check twice as often as a console reports, until the drones land."""
         async for _ in self.clock.ticks(2.0 * RATE):
             if self.flying() and self.clock.now() - self._heard > self.patience:
                 self.land(

@@ -1,4 +1,4 @@
-"""One drone of a process: its parts, and how it is."""
+"""One drone of a process: its parts, and its status."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,9 +16,9 @@ from crazychoir.team.communicator import Communicator
 from crazychoir.types import Status
 
 UNFIT = "not ready to fly"
-"""The task of a drone that a radio reaches, until it could fly."""
+"""Task of a drone with a radio that is not ready to fly yet."""
 WAITING = "waiting for the others"
-"""The task of a drone before GO."""
+"""Task of a drone before GO."""
 
 
 @dataclass
@@ -26,30 +26,39 @@ class Drone:
     """The parts of one drone."""
 
     id: int
+    """Id of the drone."""
     port: Port
+    """Its port on the bus."""
     barrier: Barrier
+    """Start of the team, and changes of the team."""
     communicator: Communicator
+    """Its link to the neighbours."""
     pilot: Pilot
+    """Its pilot."""
     guidance: CFGuidance
+    """Its mission."""
     supervisor: Supervisor
+    """Runs its actors."""
     harm: Callable[[], str] = str
-    """Says what has happened to its body; empty if nothing has, or nobody knows."""
+    """Returns the damage of its body. Empty if it has none, or if the damage is not known."""
     sensors: Sensors | None = None
+    """Readings of its sensors. None: it has none."""
     unfit: Callable[[], list[str]] = list
-    """Says why it could not take off now; it joins the team when nothing is said."""
+    """Returns why it could not take off now. It joins the team when the list is empty."""
     result: dict[str, Any] = field(default_factory=dict)
+    """Its part of the result."""
     waits: str = ""
-    """What it waits for now that its mission is over."""
+    """What it waits for after its mission. Empty: nothing."""
 
     @property
     def _task_before(self) -> str:
-        """Its task while its mission has said none."""
+        """Task of the drone before its mission reports one."""
         if self.barrier.roster is not None:
             return ""
         return UNFIT if self.barrier.monitor.silent or self.barrier.refused else WAITING
 
     def status(self) -> Status:
-        """What others see of it."""
+        """Return the status that the others see."""
         counters = self.port.counters
         monitor = self.barrier.monitor
         offsets = self.port.bus.offsets

@@ -1,4 +1,7 @@
-"""The life of a mission at one drone: GO, the mission, its end; the drone is judged when it is on the ground."""
+"""Runs a mission at one drone, from GO to its end.
+
+The result is final when the drone is on the ground.
+"""
 
 import asyncio
 import logging
@@ -30,33 +33,48 @@ from crazychoir.types import Failure
 
 log = logging.getLogger(__name__)
 LANDING_DEADLINE = 30.0
-"""s, beyond the planned time of the descent, after which a drone that is still up has its motors cut."""
+"""s beyond the planned time of the descent after which the motors are cut."""
 LAST_WORDS = 1.0
-"""s after its drone is down that an aborted mission has for its last messages, before it is cancelled again."""
+"""s that an aborted mission has for its last messages after its drone is down.
+
+Then it is cancelled again.
+"""
 FIT = 5.0
-"""s, beyond the deadline of its link, after which a drone that could not take off is left out."""
+"""s beyond the deadline of its link after which a drone that cannot take off is left out."""
 FAREWELL = 1.5
-"""s that a drone whose mission is over stays: others may lack its last messages, or the next roster from it."""
+"""s that a drone stays after its mission.
+
+Others may still need its last messages, or its next roster.
+"""
 STOPPED = (
     "emergency stop in force: it does not take off until `crazychoir stop --clear`"
 )
+"""Reason of a drone that does not start during an emergency stop."""
 STAYS = "emergency stop in force: stays, to tell who starts, until `crazychoir stop --clear` or Ctrl-C"
+"""Reason of a drone that stays after its mission during an emergency stop."""
 
 LANDED = "landed on command"
+"""Reason of a mission that ended with a command to land."""
 SENT_HOME = "sent home on command"
+"""Reason of a mission that ended with a command to go home."""
 ENDS_ON_COMMAND = (LANDED, SENT_HOME)
-"""Why a mission is over that its operator has ended: it has not failed."""
+"""Reasons of missions that an operator has ended: they have not failed."""
 NO_REASON = "its mission returned success = False, without a reason"
+"""Reason of a failed mission that gave none."""
 ENDED = "ended"
-"""The key of a result that says how an operator has ended the mission; absent from all others."""
+"""Key of a result that says how an operator has ended the mission.
+
+All other results do not have it.
+"""
 
 Result = dict[str, Any]
+"""The result of a mission at one drone."""
 
 
 class GuidanceActor(Actor):
     """Waits for the team, runs the mission, and leaves the drone on the ground, with the result.
 
-    The mission ends by itself, or somebody aborts it.
+    The mission ends by itself, or is aborted.
     """
 
     name = "guidance"
@@ -73,7 +91,10 @@ class GuidanceActor(Actor):
         self._by_operator = False
 
     async def run(self) -> None:
-        """The whole life; afterwards the drone stays for a while, for the others."""
+        """Run the mission from start to end.
+
+        Afterwards the drone stays for a while, for the others.
+        """
         drone = self.drone
         life = self._life = asyncio.create_task(
             self._mission(), name=f"drone {drone.id} guidance"
@@ -101,18 +122,18 @@ class GuidanceActor(Actor):
             await self._down()
             drone.result = self._judged(drone.result)
             drone.port.publish(RESULT, drone.result)
-        await asyncio.gather(*telling)  # it lands meanwhile
+        await asyncio.gather(*telling)  # sent while the drone lands
         await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
         await self._until_cleared(STAYS)
 
     def abort(self, reason: str, by_operator: bool = False) -> None:
-        """End the mission where it is, for good; the first reason stays.
+        """End the mission for good, where it is. The first reason counts.
 
-        by_operator: whether the drone's operator has ended it, by a command: then the mission has not failed.
+        reason: why, in words.
+        by_operator: a command of the drone's operator has ended it. Then the mission has not
+            failed.
         """
-        cut_for = (
-            self.drone.pilot.cut_for
-        )  # whoever ends it after that has not brought it down
+        cut_for = self.drone.pilot.cut_for  # ended after a cut: the cut is the reason
         reason = spoken(cut_for or reason, "its mission was ended")
         if not self._abort.done():
             self._abort.set_result(reason)
@@ -123,24 +144,24 @@ class GuidanceActor(Actor):
 
     @property
     def over(self) -> str:
-        """Why the mission is over; empty if it is not."""
+        """Why the mission is over. Empty if it is not."""
         ended = self._life is not None and self._life.done()
         return self._aborted or ("it has ended" if ended else "")
 
     @property
     def _aborted(self) -> str:
-        """Why the mission was aborted; empty if it was not."""
+        """Why the mission was aborted. Empty if it was not."""
         return self._abort.result() if self._abort.done() else ""
 
     def _forbid(self, reason: str) -> None:
-        """Nothing that the mission leaves behind flies the drone again."""
+        """Prevent code that the mission leaves behind from flying the drone again."""
         if self._member is not None:
             self._member.ended = self._member.ended or reason
 
-    # The mission ----------------------------------------------------------------------------------------------
+    # The mission ----------------------------------------------------------------------
 
     async def _mission(self) -> Result:
-        """Wait for GO, then run the mission's own code; returns its checked result."""
+        """Wait for GO, then run the mission's own code. Returns its checked result."""
         drone = self.drone
         await self._until_cleared(STOPPED)
         await self._until_fit()
@@ -171,7 +192,10 @@ class GuidanceActor(Actor):
             raise raisable(cancelled, "the mission") from cancelled
 
     def _guarded(self, mission: Coroutine[Any, Any, Any]) -> Awaitable[Any]:
-        """It may not hang; on the ground it may compute for a while."""
+        """Return the mission under the watchdog.
+
+        It must not hang, but may compute for a while on the ground.
+        """
         if self.watchdog is None:
             return mission
         pilot = self.drone.pilot
@@ -179,7 +203,11 @@ class GuidanceActor(Actor):
         return Guarded(mission, self.watchdog, name, lambda: not pilot.airborne)
 
     async def _until_cleared(self, why: str) -> None:
-        """An emergency stop outlives its mission: who starts, or restarts, hears of it from those who stay."""
+        """Wait until no emergency stop is in force.
+
+        A stop outlives its mission: a drone that starts or restarts learns of it from drones that
+        stay.
+        """
         drone = self.drone
         bus = self.drone.port.bus
         if bus.stopped and not self._aborted:
@@ -190,8 +218,9 @@ class GuidanceActor(Actor):
         drone.waits = ""
 
     async def _until_fit(self) -> None:
-        """Who could not fly is no member of the team; Refused, with what is wrong, when it takes too long: the others
-        hear it then.
+        """Wait until a drone with a radio can fly. Until then it is not a member of the team.
+
+        Raises Refused with its problems if that takes too long. The others then learn the reason.
         """
         drone = self.drone
         clock = self.drone.port.bus.clock
@@ -209,10 +238,10 @@ class GuidanceActor(Actor):
         if problems:
             raise Refused(f"drone {drone.id}", drone.barrier.refused)
 
-    # Its end --------------------------------------------------------------------------------------------------
+    # Its end --------------------------------------------------------------------------
 
     async def _last_words(self, life: asyncio.Task[Result]) -> None:
-        """An aborted mission may go on talking while its drone lands; then it is cancelled until it obeys."""
+        """Let an aborted mission send messages while its drone lands, then cancel it."""
         clock = self.drone.port.bus.clock
         i = self.drone.id
         await self._down()
@@ -228,9 +257,10 @@ class GuidanceActor(Actor):
             )
 
     async def _down(self) -> None:
-        """Wait until it is on the ground; whoever ended the mission has a pilot that lands already.
+        """Wait until the drone is on the ground. Its pilot lands already.
 
-        One that others keep up hovers on, and looks for a place beside them: without motors it would fall on them.
+        A drone that others block hovers on and looks for a place beside them: without motors it
+        would fall on them.
         """
         pilot = self.drone.pilot
         await touch_down(pilot, LANDING_DEADLINE)
@@ -239,7 +269,7 @@ class GuidanceActor(Actor):
             await touch_down(pilot, LANDING_DEADLINE)
         if (
             pilot.airborne and pilot.unreached
-        ):  # motors cut when it hears that were a fall
+        ):  # a cut that arrives late would be a fall
             log.error(
                 "drone %d: its radio is silent: its firmware lands it when it is reached",
                 self.drone.id,
@@ -248,10 +278,11 @@ class GuidanceActor(Actor):
             pilot.cut("does not come down")
 
     def _outcome(self, life: asyncio.Task[Result]) -> Result:
-        """What the mission has come to, before its drone is down.
+        """Return the result of the mission before its drone is down.
 
-        An aborted one has failed, whatever it says, unless its operator has ended it, or has ended a member that it
-        waits for. A mission whose own code fails while it is being ended has failed.
+        An aborted mission has failed, whatever it returns, unless its operator ended it, or ended a
+        member that it waits for. A mission has failed if its own code fails while it is being
+        ended.
         """
         pilot = self.drone.pilot
         error = life.exception() if life.done() and not life.cancelled() else None
@@ -269,7 +300,7 @@ class GuidanceActor(Actor):
             )
         if isinstance(error, CrazyChoirError) and not isinstance(
             error, Hung
-        ):  # somebody lost, a refusal
+        ):  # such as a lost drone or a refusal
             log.warning(
                 "drone %d: %s",
                 self.drone.id,
@@ -280,7 +311,7 @@ class GuidanceActor(Actor):
         return failure(self._broken(error))
 
     def _unforgotten(self, result: Result) -> Result:
-        """The outcome; a failure that names the calls which the mission has made without await, if there are any."""
+        """Return the result, or a failure that names calls of the mission without await."""
         words = forgotten(self.drone.guidance)
         if not words:
             return result
@@ -288,13 +319,19 @@ class GuidanceActor(Actor):
         return failure(f"drone {self.drone.id}: {words}{reason}", result)
 
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
-        """The operator's end; a failure if the mission's own code has broken meanwhile."""
+        """Return the result of a mission that its operator ended.
+
+        It is a failure if the mission's own code has failed meanwhile.
+        """
         if error is None or _is_expected(error):
             return ended_by_operator(self._aborted)
         return failure(f"{self._aborted}; {self._broken(error)}")
 
     def _last_word(self, life: asyncio.Task[Result]) -> Failure:
-        """What the others hear who wait for this drone: who has failed first, and why."""
+        """Return the message to drones that wait for this drone.
+
+        It names the first agent that failed, and why.
+        """
         error = life.exception() if life.done() and not life.cancelled() else None
         if isinstance(error, AgentFailed):
             return Failure(error.agent, error.reason)
@@ -303,7 +340,10 @@ class GuidanceActor(Actor):
         )
 
     def _broken(self, error: BaseException) -> str:
-        """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
+        """Handle an error of the mission's own code: the pilot hovers, then lands.
+
+        Returns the error in words, which observers receive too.
+        """
         at = raised_at(error)
         cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
         text = f"drone {self.drone.id}: guidance failed: {cause}"
@@ -313,7 +353,10 @@ class GuidanceActor(Actor):
         return text
 
     def _judged(self, result: Result) -> Result:
-        """The result, now that the drone is down: a success only if nobody had to bring it down, and it is whole."""
+        """Return the final result, now that the drone is down.
+
+        It is a success only if the drone was not brought down, and is not damaged.
+        """
         pilot = self.drone.pilot
         harm = self.drone.harm()
         if pilot.clearance.ticks:
@@ -347,9 +390,10 @@ class GuidanceActor(Actor):
 
 
 def checked(returned: object) -> Result:
-    """What a mission returned, as every reader gets it in every world: through the codec; its success True or False.
+    """Return the result of a mission after the codec, with `success` as a bool.
 
-    Raises TypeError, with what is allowed, for anything but a dictionary that can travel, or nothing.
+    All readers in all worlds therefore get the same form.
+    Raises TypeError for anything but None or a dictionary that the codec can encode.
     """
     if returned is None:
         returned = {}
@@ -370,18 +414,25 @@ def checked(returned: object) -> Result:
 
 
 def ended_by_operator(words: str) -> Result:
-    """The result of a mission that its operator has ended: no failure, and it says so."""
+    """Return the result of a mission that its operator has ended: not a failure."""
     return {"success": True, "reason": words, ENDED: words}
 
 
 def failure(reason: str, result: Result | None = None) -> Result:
-    """The result of a mission that has failed, with what is known else; its reason is never empty."""
+    """Return the result of a failed mission. Its reason is never empty.
+
+    reason: why, in words.
+    result: what else is known.
+    """
     told = {key: value for key, value in (result or {}).items() if key != ENDED}
     return {**told, "success": False, "reason": spoken(reason, NO_REASON)}
 
 
 def _is_expected(error: BaseException) -> bool:
-    """Whether a mission may end so when it is told to end: by errors of this package alone."""
+    """Return whether a mission may end with this error when it is told to end.
+
+    Only errors of this package and cancellation are expected.
+    """
     if isinstance(error, BaseExceptionGroup):
         return all(map(_is_expected, error.exceptions))
     return isinstance(

@@ -1,4 +1,7 @@
-"""What an operator commands a drone: each command is refused with the reason, or done when it has come to pass."""
+"""Commands of an operator to a drone.
+
+Each command is refused with the reason, or done when its effect is complete.
+"""
 
 from collections.abc import Awaitable, Callable
 from typing import NoReturn
@@ -19,12 +22,16 @@ from crazychoir.safety.rules.modes import Event, Mode
 from crazychoir.types import Point, State, Status
 
 POLL = 0.05
+"""s: interval at which a command checks its progress."""
 RISES = 10.0
-"""s beyond the planned time of a take-off within which it must hover."""
+"""s beyond the planned time of a take-off within which the drone must hover."""
 LOOK = 0.5
-"""s for which a drone that is sent home listens where the others are: as long as a status takes, and a bit."""
+"""s: how long a drone that is sent home first listens for the places of the others.
+
+It is the period of a status, and a bit more.
+"""
 HEARD = 10.0
-"""Hz, of the states that it hears then."""
+"""Hz: rate of the states that it receives for this."""
 EVENTS = (
     Event.ARM,
     Event.TAKE_OFF,
@@ -34,20 +41,30 @@ EVENTS = (
     Event.LAND,
     Event.HOME,
 )
+"""The commands that are executed here."""
 VERBS = tuple(event.value for event in EVENTS)
-"""What is executed here; an emergency stop has a way of its own."""
+"""Their names. An emergency stop has its own way."""
 HOMING = "sent home"
-"""The task of a drone that its operator has sent home."""
-UNSEEN, READY = "it is not seen by the cameras yet", "ready"
+"""Task of a drone that its operator has sent home."""
+UNSEEN = "it is not seen by the cameras yet"
+"""Reason for a refusal without a pose."""
+READY = "ready"
+"""Answer to a successful command to arm."""
 STANDING = (Mode.GROUND.value, Mode.CUT.value)
+"""Phases of a drone that does not fly."""
 WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait for an operator"
+"""Advice for a mission that waits for no operator."""
 
 
 class Orders:
     """The commands of one drone's operator.
 
-    abort: ends its mission with a reason, as its operator;  over: why it is over, empty if it is not;  arm: lets the
-    motors of a drone turn that a radio reaches, and says what has come of it; None: the first command does.
+    drone: the drone.
+    config: the swarm file.
+    abort: ends its mission with a reason, on behalf of the operator.
+    over: returns why its mission is over. Empty if it is not.
+    arm: arms the motors of a drone with a radio, and returns the outcome. None: the first command
+        arms.
     """
 
     def __init__(
@@ -66,7 +83,10 @@ class Orders:
         self._others: _Others | None = None
 
     async def execute(self, verb: str) -> str:
-        """Do it; returns what has come of it, raises Refused with the reason."""
+        """Execute a command, and return its outcome.
+
+        Raises Refused with the reason.
+        """
         command = Event(verb)
         pilot = self.drone.pilot
         if why := pilot.refuses(command):
@@ -94,7 +114,7 @@ class Orders:
         raise Refused(f"drone {self.drone.id}", why)
 
     def _gate(self, command: str) -> Member:
-        """What waits for this command; Refused if nothing does."""
+        """Return the mission that waits for this command. Raises Refused if none does."""
         guidance = self.drone.guidance
         if over := self.over():
             self._refuse(f"its mission is over: {over}")
@@ -111,7 +131,7 @@ class Orders:
         return guidance.member
 
     async def _arm(self) -> str:
-        """What is asked of a take-off is asked now; then motors that wait for it are armed."""
+        """Check the conditions of a take-off now, then arm motors that wait for arming."""
         pilot = self.drone.pilot
         if why := pilot.unready()[1]:
             self._refuse(why)
@@ -143,7 +163,10 @@ class Orders:
         return await self._on_the_ground()
 
     async def _home(self) -> str:
-        """Above the others as far as it hears of them, and those returning each at a level of its own."""
+        """Return home above all other drones that it hears of.
+
+        Drones that return at the same time have different levels.
+        """
         drone = self.drone
         pilot = self.drone.pilot
         self.abort(SENT_HOME)
@@ -180,7 +203,7 @@ class Orders:
 
 
 class _Others:
-    """Where the others are and what they do, as far as it is heard."""
+    """Where the other drones are and what they do, as far as this drone hears."""
 
     def __init__(self, port: Port, ids: tuple[int, ...]) -> None:
         bus = port.bus
@@ -197,7 +220,10 @@ class _Others:
             bus.subscribe(STATUS, j, i, self._statuses[j], STATUS.rate)
 
     def level(self, p: Point, home: Point, top: float) -> float:
-        """m, the height of a return from p that keeps above those in the air, see `level_above`."""
+        """Return the height in m of a return from p above the drones in the air.
+
+        See `level_above`.
+        """
         statuses = {
             j: status
             for j, box in self._statuses.items()

@@ -1,4 +1,6 @@
-"""A hand's strokes made into a flight: smoothed and timed by planning/, looked at against limits and fence, shifted."""
+"""Hand-drawn strokes made into a flight: smoothed, timed, checked against limits and fence, and
+shifted.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -26,41 +28,45 @@ from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import Mat
 
 Offset = tuple[float, float, float]
-"""From one drone to the next, m, world."""
+"""(3,) m, world: from one drone to the next."""
 HAND = 0.02
-"""m, how far a hand strays from what it means."""
+"""m: how far a hand strays from the intended line."""
 YAW_RATE = 2.0
-"""rad/s, of a path along whose direction a drone looks."""
+"""rad/s: largest yaw rate of a drone that looks along its path."""
 SHOWN = 400
-"""Places of a path on the page."""
+"""Number of places of a path on the page."""
 STEP = 0.002
-"""m between two places of a stroke that was loaded, at least."""
+"""m: smallest distance between two places of a loaded stroke."""
 LOADED = 5000
-"""Rows of all strokes of a file, if they are fewer than half as many: what a page can send at once."""
+"""Largest number of rows of all strokes of a loaded file.
+
+It is what a page can send at once, for files with less than half as many strokes.
+"""
 PACE = 0.02
-"""s between two places of a stroke that says no times."""
+"""s between two places of a stroke without times."""
 MOST_ROWS = 20_000
-"""Of all strokes of a drawing."""
+"""Largest number of rows of all strokes of a drawing."""
 SLOWEST = 20.0
-"""Times as long as the limits ask for, at most."""
+"""Largest factor on the time that the limits need."""
 LONGEST = 1800.0
-"""s, of the flight along a drawing: a battery lasts for a fifth of that."""
+"""s: longest flight along a drawing. A battery lasts for a fifth of that."""
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A flight as it will be flown, before it is shifted.
-
-    deviation: m, the largest distance of the flown lines from the drawn ones;  speed: m/s, acceleration: m/s2: largest.
-    """
+    """A flight as it will be flown, before it is shifted."""
 
     path: Piecewise
+    """The path."""
     deviation: float
+    """m: largest distance of the flown lines from the drawn lines."""
     speed: float
+    """m/s: largest."""
     acceleration: float
+    """m/s2: largest."""
 
     def shown(self) -> dict[str, Any]:
-        """For the page: places, and its speed and acceleration at equal times."""
+        """Return the flight for the page: places, speeds and accelerations at equal times."""
         t = np.linspace(0.0, self.path.duration, SHOWN)
         x = self.path.samples(t)
         return {
@@ -82,10 +88,17 @@ def planned(
     a_max: float = 1.0,
     slower: float = 1.0,
 ) -> Planned:
-    """The flight along the strokes, in `slower` (1 to SLOWEST) times the time of its limits; raises ConfigError.
+    """Return the flight along the strokes.
 
-    What is far too large is refused before it costs more than a look at its rows.
-    strokes: each (n, 3), rows t s, x, y m;  v_max m/s, a_max m/s2: at most those of [flight].
+    A drawing that is far too large is refused before it takes much computing time.
+
+    strokes: each (n, 3), rows t s, x, y m.
+    pen: how to fly the strokes.
+    config: the swarm file.
+    v_max: m/s, at most that of [flight].
+    a_max: m/s2, at most that of [flight].
+    slower: factor on the time that the limits need, 1 to SLOWEST.
+    Raises ConfigError for a drawing that cannot be flown.
     """
     if not 1.0 <= slower <= SLOWEST:
         raise ConfigError(
@@ -114,9 +127,10 @@ def planned(
 
 
 def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> None:
-    """Raise a ConfigError for too many rows, places beyond the fence, lines too long for a message or for LONGEST.
+    """Raise ConfigError for a drawing that is too large.
 
-    The hand may stray beyond the fence by the smoothing: what is flown is looked at again.
+    It may have too many rows, places beyond the fence, or lines too long for a message or for
+    LONGEST. The hand may stray beyond the fence by the smoothing: the flown path is checked again.
     """
     if (rows := sum(map(len, strokes))) > MOST_ROWS:
         raise ConfigError(
@@ -131,7 +145,7 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
         )
     lines = sum(_length(stroke[:, 1:3]) for stroke in strokes)
     longest = MOST_PIECES * pen.spacing
-    if lines > 2.0 * longest:  # much of it may be tremor
+    if lines > 2.0 * longest:  # much of the length may be tremor of the hand
         raise ConfigError(
             "drawing",
             f"{lines:.0f} m",
@@ -159,7 +173,11 @@ def _length(places: Mat) -> float:
 def places(
     p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig
 ) -> dict[int, list[float]]:
-    """Where each goes: the k-th k times `offset` from p, m, world; ConfigError where two would be too near."""
+    """Return the goals of several drones, (3,) m each, world.
+
+    The k-th drone flies to p + k offset. Raises ConfigError if two goals are too near to each
+    other.
+    """
     _check_apart(drones, offset, config)
     return _beside(p, offset, drones)
 
@@ -174,7 +192,7 @@ def _beside(
 
 
 def shifted(path: Piecewise, by: Sequence[float]) -> Piecewise:
-    """The same flight elsewhere; by: m."""
+    """Return the same flight shifted by `by`, (3,) m."""
     coefficients = path.coefficients.copy()
     coefficients[:, 0:3, 0] += np.array(by)
     return Piecewise(coefficients, path.durations)
@@ -183,10 +201,11 @@ def shifted(path: Piecewise, by: Sequence[float]) -> Piecewise:
 def messages(
     path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig
 ) -> dict[int, dict[str, Any]]:
-    """What each drone is told: the k-th flies it k times `offset` m away; raises ConfigError if that leaves the fence.
+    """Return the command for each drone: the k-th flies the path k times `offset` away.
 
-    Refused, too, where two would fly so near that one had to give way to the other all the time; leaders of a formation
-    fly it side by side from where they are.
+    Leaders of a formation fly it side by side from where they are.
+    Raises ConfigError if a path leaves the fence, or if two drones would be so near that one always
+    had to give way to the other.
     """
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
@@ -200,7 +219,7 @@ def messages(
 
 
 def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
-    """Raise ConfigError where two of several drones would be nearer than the collision filter lets them be."""
+    """Raise ConfigError if two drones would be nearer than the collision filter allows."""
     collision = config.collision
     if len(drones) > 1 and collision.method != "off" and _near(offset, collision):
         (a, _, c), margin = collision.semi_axes, collision.margin
@@ -211,7 +230,7 @@ def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> 
 
 
 def _near(offset: Offset, collision: Collision) -> bool:
-    """Whether two so far from each other are nearer than the collision filter lets them be."""
+    """Return whether two drones at this offset are nearer than the collision filter allows."""
     (a, _, c), (x, y, z) = collision.semi_axes, offset
     return (
         math.hypot(math.hypot(x, y) / (2.0 * a + collision.margin), z / (2.0 * c)) < 1.0
@@ -221,16 +240,20 @@ def _near(offset: Offset, collision: Collision) -> bool:
 def loaded_with_words(
     text: str, name: str
 ) -> tuple[list[list[list[float]]], list[str]]:
-    """Return the strokes of a CSV or SVG text, rows t s, x, y m, thinned, and remarks on what is not flown.
+    """Return the strokes of a CSV or SVG text, thinned, and remarks on what is not flown.
 
-    Errors: ConfigError.
+    The strokes have rows t s, x, y m.
+    Raises ConfigError if the text is not a drawing.
     """
     drawn = parse_drawing(text, name)
     return _thinned(drawn), drawn.words
 
 
 def loaded_file(path: Path) -> list[list[list[float]]]:
-    """Return the strokes of a CSV or SVG file, in any encoding that it may have. Errors: ConfigError."""
+    """Return the strokes of a CSV or SVG file, in any encoding that it may have.
+
+    Raises ConfigError if the file is not a drawing.
+    """
     return _thinned(read_drawing(path))
 
 
@@ -247,7 +270,7 @@ def _thinned(drawn: DrawingFile) -> list[list[list[float]]]:
 
 
 def saved(strokes: list[Mat], kind: str) -> str:
-    """The strokes as a CSV or SVG text."""
+    """Return the strokes as a CSV or SVG text."""
     timed = [_timed(stroke) for stroke in strokes]
     return svg_of(timed) if kind == "svg" else csv_of(timed)
 

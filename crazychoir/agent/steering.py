@@ -1,4 +1,7 @@
-"""Where an operator lets a drone fly while its mission waits for him: it is held, or it waits for his start."""
+"""Flights that an operator commands while the mission waits.
+
+The mission waits while the drone is held, and before the start.
+"""
 
 from typing import Annotated, Any, NoReturn
 
@@ -17,25 +20,34 @@ from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Vec
 
 POLL = 0.05
+"""s: interval at which a flight is checked."""
 LATE = 60.0
-"""s beyond the planned time of a flight that an operator's goal may take, among others that are in the way."""
+"""s beyond the planned time of a flight to an operator's goal, for other drones in the way."""
 STOPPED = "emergency stop in force: no flight until `crazychoir stop --clear`"
+"""Reason for a refusal during an emergency stop."""
 PIECE = 8 * (4 * (DEGREE + 1) + 1)
+"""Bytes of a piece of a path in a message."""
 MOST_PIECES = MAX_PAYLOAD // PIECE - 10
-"""Of a path that travels in one message."""
+"""Largest number of pieces of a path in one message."""
 Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 
 
 class Goal(Struct, frozen=True, forbid_unknown_fields=True):
-    """p: m, world;  yaw: rad, None: as it is;  duration: s, 0: as fast as the limits allow."""
+    """A goal of an operator."""
 
     p: tuple[Metres, Metres, Metres]
+    """(3,) m, world."""
     yaw: Annotated[float, Meta(ge=-7.0, le=7.0)] | None = None
+    """rad. None: keep the present yaw."""
     duration: Annotated[float, Meta(ge=0.0, le=600.0)] = 0.0
+    """s, or 0: as fast as the limits allow."""
 
 
 def path_message(path: Piecewise) -> dict[str, Any]:
-    """The arguments of `fly`; raises ConfigError for a path that is too long for one message."""
+    """Return the arguments of `fly`.
+
+    Raises ConfigError for a path that is too long for one message.
+    """
     if len(path.durations) > MOST_PIECES:
         raise ConfigError(
             "path",
@@ -47,14 +59,17 @@ def path_message(path: Piecewise) -> dict[str, Any]:
 
 
 class Steering:
-    """One drone's; a newer command ends the older one."""
+    """The operator's flights of one drone. A newer command ends an older one."""
 
     def __init__(self, drone: Drone) -> None:
         self.drone = drone
         self._count = 0
 
     async def go_to(self, arguments: dict[str, Any]) -> str:
-        """Be at the Goal in the arguments; raises Refused with what keeps it from there."""
+        """Fly to the Goal in the arguments, and return when the drone is there.
+
+        Raises Refused with the reason if it does not get there.
+        """
         try:
             goal = msgspec.convert(arguments, Goal)
         except msgspec.ValidationError as error:
@@ -71,9 +86,10 @@ class Steering:
         return "there"
 
     async def fly(self, arguments: dict[str, Any]) -> str:
-        """Fly the pieces in the arguments, from their beginning; raises Refused.
+        """Go to the start of the path in the arguments, and fly the path.
 
-        A leader of a formation that flies its mission takes the path into that.
+        A leader of a formation that flies its mission takes the path into the mission.
+        Raises Refused with the reason if the path is not flown.
         """
         self._require_cleared()
         try:
@@ -106,7 +122,11 @@ class Steering:
         return self._count
 
     def _require_cleared(self) -> None:
-        """A stop in force is not flown against, whoever's motors still turn; one without guidance is to land."""
+        """Raise Refused during an emergency stop, and for a drone without a guidance.
+
+        During a stop the command is refused even if the motors still turn. When its guidance has
+        failed a drone must land.
+        """
         if self.drone.port.bus.stopped:
             self._refuse(STOPPED)
         if why := self.drone.pilot.unguided:
@@ -133,7 +153,7 @@ class Steering:
         ends = clock.now() + duration + LATE
         while attempts < ATTEMPTS:
             seconds = pilot.go_to(p, yaw, duration, commanded=True)
-            if pilot.guard.acts:  # it flies as soon as the safety table lets it
+            if pilot.guard.acts:  # flies as soon as the safety table allows it
                 if clock.now() > ends:
                     break
                 await self._look(turn)
@@ -153,7 +173,7 @@ class Steering:
         )
 
     async def _look(self, turn: int) -> None:
-        """Let time pass; Refused when somebody else flies it."""
+        """Wait for POLL s. Raises Refused when the drone does not fly for this command any more."""
         await self.drone.pilot.clock.sleep(POLL, drone=self.drone.id)
         if turn != self._count:
             self._refuse("it does what was commanded later")

@@ -1,4 +1,7 @@
-"""The simulated worlds of a process, wired: engines, cameras, owners; and the process that owns them for all."""
+"""The simulated worlds of a process: engines, cameras and owners.
+
+WorldProcess is the process that owns the worlds of all drones.
+"""
 
 import logging
 import math
@@ -23,11 +26,11 @@ from crazychoir.simulation.remote import RemoteBody
 
 log = logging.getLogger(__name__)
 LEFT_ALONE = 1.0
-"""s without a command after which nobody flies a body any more."""
+"""s without a command after which a body counts as not flown any more."""
 LOOKS = 20.0
-"""Hz, at which it is seen who still flies."""
+"""Hz: rate at which the world checks which bodies are flown."""
 KEPT = 20_000
-"""Latencies that are kept, the newest."""
+"""Number of latencies that are kept, the newest."""
 
 
 def owners(
@@ -38,7 +41,14 @@ def owners(
     trace: Digest | None = None,
     base: int = 0,
 ) -> list[WorldOwner]:
-    """Who steps the worlds of these drones and looks at them; their ports are at base + id."""
+    """Return the actors that step the worlds of these drones and observe them with cameras.
+
+    bus: the bus of the process.
+    config: the swarm file.
+    ids: ids of the drones.
+    trace: digest of virtual time.
+    base: the ports of the drones are at base + id.
+    """
     return [
         WorldOwner(
             bus,
@@ -69,21 +79,27 @@ def _cameras(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
 
 @dataclass
 class Latency:
-    """From a look of the cameras to the command that comes back for it, through two processes and the network."""
+    """Measures the time from a look of the cameras to the command that answers it.
+
+    The way goes through two processes and the network.
+    """
 
     owner: WorldOwner
+    """Owner of the world."""
     kept: deque[int]
+    """ns: the newest latencies."""
 
     def note(self) -> None:
-        """A command has arrived."""
+        """Record the latency of a command that has arrived."""
         self.kept.append(self.owner.bus.clock.now_ns() - self.owner.looked_ns)
 
 
 class WorldProcess(Actor):
-    """The owner of all worlds of a swarm, whose drones have their pilots in other processes.
+    """The owner of all worlds of a swarm. The pilots of its drones are in other processes.
 
-    Drones that nobody commands are left to their engines. It ends when it is told to and nobody flies any more, so that
-    drones that land see the floor; at once when its network or a world fails.
+    A drone without commands is left to its engine. The process ends when it is told to and no drone
+    flies any more, so that landing drones still have a floor. It ends at once when its network or a
+    world fails.
     """
 
     name = "bodies"
@@ -131,11 +147,11 @@ class WorldProcess(Actor):
         ]
 
     async def serve(self, *services: Actor) -> None:
-        """Until its end."""
+        """Run until the end."""
         await self._supervisor.run([*services, *self.owners, self])
 
     async def run(self) -> None:
-        """Look after the bodies that nobody commands."""
+        """Look after the bodies without commands."""
         async for _ in self.clock.ticks(LOOKS):
             for body in self.bodies:
                 body.look()
@@ -144,15 +160,15 @@ class WorldProcess(Actor):
 
     @property
     def flown(self) -> list[int]:
-        """Drones that somebody commands."""
+        """Ids of the drones that receive commands."""
         return [body.drone for body in self.bodies if body.silence < LEFT_ALONE]
 
     def end(self, reason: str) -> None:
-        """As soon as nobody flies."""
+        """End as soon as no drone flies."""
         self._ending, self._patient_until = reason, self.clock.now() + 2.0 * LEFT_ALONE
 
     def _end_if_alone(self) -> None:
-        """Say it once if it takes longer than agents that have just ended need."""
+        """End if no drone flies. Log once if agents take longer to end than usual."""
         flown = self.flown
         if not flown:
             self._supervisor.stop()
@@ -166,20 +182,24 @@ class WorldProcess(Actor):
             )
 
     def abort(self, reason: str) -> None:
-        """Now; whoever flies sees nothing any more."""
+        """End now. Drones in flight lose their poses."""
         self.failure = self.failure or reason
         log.error("world: %s", reason)
         self._supervisor.stop()
 
     def refuse(self, refused: Refused) -> None:
-        """Another process owns these worlds already."""
+        """End, because another process owns these worlds already."""
         self.abort(str(refused))
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
         self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
 
     def report(self) -> dict[str, Any]:
-        """What it was like: steps in all and missed, and ms from a look to the command that came back for it."""
+        """Return the result of the process.
+
+        It holds the steps in all, the missed steps, and the ms from a look to the command that
+        answers it.
+        """
         kept = np.array(self.latencies_ns) / SECOND * 1e3
         p50, p99 = (
             round(float(np.percentile(kept, q)), 3) if len(kept) else None

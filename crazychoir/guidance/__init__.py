@@ -1,1 +1,1 @@
-"""What the drones decide together."""
+"""Guidance: the decisions that the drones make together."""

@@ -1,4 +1,4 @@
-"""Aggregative optimisation in flight: a team tracks what all of it wants together, and flies there meanwhile."""
+"""Aggregative optimisation in flight: a team tracks its common optimum while it flies there."""
 
 import asyncio
 import contextlib
@@ -18,40 +18,53 @@ from crazychoir.planning.smoothing import Smoother
 from crazychoir.types import FullState, Heard, Mat, State, Vec
 
 CHANNEL = "aggregative"
-SPEED_SHARE, ACCELERATION_SHARE = 0.5, 0.9
-"""Of [flight], that references use: what is left is for who is pushed off its reference."""
+"""Channel of the tracking rounds."""
+SPEED_SHARE = 0.5
+"""Share of speed_limit that references use.
+
+The rest is left for a drone that is pushed off its reference.
+"""
+ACCELERATION_SHARE = 0.9
+"""Share of acceleration_limit that references use."""
 
 
 @dataclass(frozen=True)
 class Defence:
-    """A defender between its intruder, the target of all, and its team.
+    """The cost of a defender between its intruder, the common target, and its team.
 
         f_i(x_i, s) = a |x_i - r_i|^2 + b |s - t|^2 + c |x_i - s|^2,   s = (1/N) sum_j x_j
         grad_1 f_i = 2 a (x_i - r_i) + 2 c (x_i - s),   grad_2 f_i = 2 b (s - t) - 2 c (x_i - s)
 
-    r_i: (d,) m, the intruder;  t: (d,) m, the target;  intruder, goal, team: the weights a, b, c >= 0,
-    a + b > 0, a + c > 0.
+    r_i is the place of the intruder, (d,) m. The weights a, b, c >= 0 satisfy a + b > 0 and a + c >
+    0.
     """
 
     target: Vec
+    """t: (d,) m, the target."""
     intruder: float = 1.0
+    """a: weight of the distance to the intruder."""
     goal: float = 1.0
+    """b: weight of the distance between the team's mean and the target."""
     team: float = 1.0
+    """c: weight of the distance to the team's mean."""
 
     def gradient_own(self, x: Vec, s: Vec, r: Vec) -> Vec:
-        """grad_1 f_i (d,)."""
+        """Return grad_1 f_i, (d,)."""
         return 2.0 * self.intruder * (x - r) + 2.0 * self.team * (x - s)
 
     def gradient_mean(self, x: Vec, s: Vec) -> Vec:
-        """grad_2 f_i (d,)."""
+        """Return grad_2 f_i, (d,)."""
         return 2.0 * self.goal * (s - self.target) - 2.0 * self.team * (x - s)
 
     def optimum(self, r: Mat) -> Mat:
-        """Where all x_i are at the minimum of sum_i f_i, in closed form.
+        """Return the minimum of sum_i f_i over all x_i, in closed form.
 
             s = (a mean(r) + b t) / (a + b),   x_i = (a r_i + c s - b (s - t)) / (a + c)
 
-        With equal weights x_i = (r_i + t) / 2.  r: (N, d);  returns (N, d).
+        With equal weights x_i = (r_i + t) / 2.
+
+        r: (N, d) m: places of the intruders.
+        Returns (N, d) m.
         """
         a = self.intruder
         b = self.goal
@@ -62,17 +75,23 @@ class Defence:
 
 
 class AggregativeGuidance(CFDistributedFeedback):
-    """Flies to its own x_i of an aggregative problem while its team solves it, over lossy links, and as it changes.
+    """Flies to its own x_i of an aggregative problem while its team solves the problem.
 
-    A subclass writes `algorithm`. Rounds run beside the law, at most `round_rate` a second, with the `mates` alone, and
-    repeat what is lost; the law never waits for them: it flies to the newest x_i, through a Smoother, and comes to
-    rest there when no round ends. A mate that is lost for good ends the law, with the reason.
-    mates: the neighbours that take part;  round_rate: Hz.
-    Result: rounds;  x: (d,) m, the last;  way, of `Way`.
+    The problem may change, and messages may be lost. A subclass writes `algorithm`. The rounds run
+    beside the law, at most `round_rate` a second, and repeat lost messages. The law never waits for
+    them: it flies to the newest x_i through a Smoother, and comes to rest there when no round ends.
+    The permanent loss of a mate ends the law, with the reason.
+
+    The result also holds rounds, x ((d,) m, the last x_i), and way, see `Way`.
+
+    mates: ids of the neighbours that take part.
+    round_rate: Hz.
     """
 
     agent: AggregativeTracking
+    """This drone's part of the algorithm."""
     smoother: Smoother
+    """Limits speed and acceleration of the reference."""
 
     def __init__(self, mates: tuple[int, ...], round_rate: float = 20.0) -> None:
         self.mates = mates
@@ -81,16 +100,21 @@ class AggregativeGuidance(CFDistributedFeedback):
 
     @abstractmethod
     def algorithm(self, place: Vec) -> AggregativeTracking:
-        """This drone's part, from its place (3,) m when the law begins; x_i is where it is to be, (2,) or (3,) m."""
+        """Return this drone's part of the algorithm.
+
+        Its x_i, (2,) or (3,) m, is where the drone should be.
+
+        place: (3,) m: where the drone is when the law begins.
+        """
 
     def bind(self, member: Member) -> None:
-        """Meet the drone."""
+        """Connect the law to its drone."""
         super().bind(member)
         self._place = np.zeros(3)
         self._last = 0.0
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """One period on the way to x_i."""
+        """Return a reference one period further on the way to x_i."""
         now = self.member.clock.now()
         x = self.agent.x
         self.way.note(now, me.p)
@@ -99,7 +123,7 @@ class AggregativeGuidance(CFDistributedFeedback):
         return self.smoother.step(np.array([*x, *self._place[len(x) :]]), seconds)
 
     async def run_law(self) -> None:
-        """The law, and the rounds beside it as long as it lasts."""
+        """Run the law, and beside it the rounds as long as the law lasts."""
         flight = self.member.config.flight
         place = self.state.p.copy()
         self._place, self._last = place, self.member.clock.now()
@@ -116,7 +140,7 @@ class AggregativeGuidance(CFDistributedFeedback):
                 await rounds
 
     async def _rounds(self) -> None:
-        """Round after round; what ends them ends the law."""
+        """Run round after round. An error of a round ends the law."""
         clock = self.member.clock
         agent = self.agent
         due = self.member.clock.now()
@@ -133,11 +157,11 @@ class AggregativeGuidance(CFDistributedFeedback):
                 self._law.set_exception(error)
             elif not isinstance(
                 error, CrazyChoirError
-            ):  # of a team that has ended, nothing is lost any more
+            ):  # the law has ended: errors of the team do not matter any more
                 raise
 
     async def mission(self) -> dict[str, Any]:
-        """The law, with what came of the optimisation."""
+        """Run the law, and add the result of the optimisation."""
         result = await super().mission()
         return {
             **result,
@@ -148,10 +172,18 @@ class AggregativeGuidance(CFDistributedFeedback):
 
 
 class Defender(AggregativeGuidance):
-    """A drone of a Defence: between its own intruder, which it sees where it is now, and the target.
+    """A drone of a Defence, between the target and its own intruder.
 
-    intruder: the drone that it hears of, or the place (2,) m where it stands;  weights: row {j: w_ij} of the mates and
-    itself, doubly stochastic;  step_size: of AggregativeTracking.  Result: also intruder_way, of `Way`.
+    It sees the intruder's present place.
+
+    The result also holds intruder_way, see `Way`.
+
+    mates: ids of the neighbours that take part.
+    defence: the cost.
+    intruder: id of the drone to watch, or the place (2,) m of an intruder that stands still.
+    weights: row {j: w_ij} of the mates and itself, doubly stochastic.
+    step_size: step size of AggregativeTracking.
+    round_rate: Hz.
     """
 
     def __init__(
@@ -174,7 +206,10 @@ class Defender(AggregativeGuidance):
         self.intruder_way = Way()
 
     def algorithm(self, place: Vec) -> AggregativeTracking:
-        """phi_i(x) = x in the plane; an intruder that was not heard of yet is where it stands before the flight."""
+        """Return the tracking with phi_i(x) = x in the plane.
+
+        An intruder that was not heard yet is where it stands before the flight.
+        """
         one = np.eye(2)
         if self.seen is not None:
             self.r = np.array(self.member.config.drone(self.seen).home[:2])
@@ -190,12 +225,12 @@ class Defender(AggregativeGuidance):
         )
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """See the intruder, while it is heard of, and fly on."""
+        """Update the place of the intruder while it is heard, and fly on."""
         if self.seen is not None and self.seen in heard:
             self.r = heard[self.seen].p[:2].copy()
         self.intruder_way.note(self.member.clock.now(), self.r)
         return super().step(me, heard)
 
     async def mission(self) -> dict[str, Any]:
-        """The law, with where its intruder was."""
+        """Run the law, and add where its intruder was."""
         return {**await super().mission(), "intruder_way": self.intruder_way.rows}

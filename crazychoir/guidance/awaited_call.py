@@ -1,4 +1,7 @@
-"""The mission's coroutines, which remember whether they were awaited: a forgotten `await` is named, not lost."""
+"""Coroutines of a mission that remember whether they were awaited.
+
+A forgotten `await` is therefore reported.
+"""
 
 import functools
 import inspect
@@ -14,12 +17,15 @@ R = TypeVar("R")
 
 
 class Call(Coroutine[Any, Any, R], Generic[R]):
-    """A call of a coroutine function of a guidance: nothing happens before it is awaited, or made into a task.
+    """A call of a coroutine function of a guidance.
+
+    Nothing happens before it is awaited or made a task.
 
     inner: the coroutine.
-    name: of the function, such as "take_off".
+    name: name of the function, such as "take_off".
     place: where it is called, as "file:line".
-    unawaited: the calls of this guidance that nothing has awaited yet; this one leaves it when it begins.
+    unawaited: the calls of this guidance that have not begun yet. This call leaves it when it
+        begins.
     """
 
     def __init__(
@@ -43,7 +49,11 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
         return self._begin().__await__()
 
     def send(self, value: Any) -> Any:
-        """Go on with the coroutine, as a task does: a task that calls sys.exit would end the process."""
+        """Continue the coroutine, as a task does.
+
+        SystemExit becomes a RuntimeError, because a task that raises SystemExit would end the
+        process.
+        """
         try:
             return self._begin().send(value)
         except SystemExit as end:
@@ -53,7 +63,7 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
     def throw(
         self, kind: Any, value: Any = None, traceback: TracebackType | None = None
     ) -> Any:
-        """Raise an exception in the coroutine, as a task does that is cancelled."""
+        """Raise an exception in the coroutine, as a cancelled task does."""
         error = (
             kind
             if isinstance(kind, BaseException)
@@ -67,22 +77,22 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
 
     @property
     def cr_await(self) -> Any:
-        """What it waits for, as of a coroutine."""
+        """What the coroutine waits for."""
         return getattr(self.inner, "cr_await", None)
 
     @property
     def cr_frame(self) -> Any:
-        """Where it stands, as of a coroutine."""
+        """The frame of the coroutine."""
         return getattr(self.inner, "cr_frame", None)
 
     @property
     def cr_code(self) -> Any:
-        """Its code, as of a coroutine."""
+        """The code of the coroutine."""
         return getattr(self.inner, "cr_code", None)
 
     @property
     def cr_running(self) -> bool:
-        """Whether it runs now, as of a coroutine."""
+        """The coroutine runs now."""
         return bool(getattr(self.inner, "cr_running", False))
 
     def __repr__(self) -> str:
@@ -92,7 +102,7 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
 def awaited(
     function: Callable[P, Coroutine[Any, Any, R]],
 ) -> Callable[P, Coroutine[Any, Any, R]]:
-    """Decorate a coroutine function of a guidance: its calls are known until they are awaited."""
+    """Decorate a coroutine function of a guidance: remember its calls until they are awaited."""
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> Coroutine[Any, Any, R]:
@@ -123,9 +133,10 @@ def called_from(
 
 
 def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
-    """Decorate the coroutine functions that a class of a user defines itself.
+    """Decorate the coroutine functions that a user's class defines itself.
 
-    kept: names that stay as they are, as the runtime looks at them.
+    kind: the class.
+    kept: names of functions that stay unchanged, because the runtime inspects them.
     """
     for name, value in list(vars(kind).items()):
         if inspect.iscoroutinefunction(value) and name not in kept:
@@ -133,7 +144,12 @@ def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
 
 
 def forgotten(guidance: object) -> str:
-    """Say which calls of a guidance nothing has awaited, and what to write; empty if there are none. They are ended."""
+    """Return which calls of a guidance were never awaited, and what to write.
+
+    Empty if there are none.
+
+    It ends these calls.
+    """
     calls: dict[int, Call[Any]] = getattr(guidance, "__dict__", {}).get(
         "_unawaited", {}
     )

@@ -1,4 +1,7 @@
-"""A law as a mission: CFDistributedFeedback, and what is said of a law that returns what cannot be flown."""
+"""CFDistributedFeedback: a feedback law as a mission.
+
+`amiss` reports references that cannot be flown.
+"""
 
 import asyncio
 import logging
@@ -32,40 +35,62 @@ from crazychoir.types import (
 
 log = logging.getLogger(__name__)
 LAW = "feedback law"
-"""The task that a status names while a CFDistributedFeedback runs."""
-SLOWEST, FASTEST = 1e-3, 1000.0
-"""Hz, of a law."""
+"""The task in the status while a CFDistributedFeedback runs."""
+SLOWEST = 1e-3
+"""Hz: lowest rate of a law."""
+FASTEST = 1000.0
+"""Hz: highest rate of a law."""
 FOR_EVER = 1e9
-"""s, of a law that does not end: timers count in nanoseconds."""
-TAKEOFF, LAW_MODES = Mode.TAKEOFF, (Mode.HOVER, Mode.FOLLOW)
+"""s: duration of a law without an end, since timers count in nanoseconds."""
+TAKEOFF = Mode.TAKEOFF
+"""The mode in which a law waits for the end of the take-off."""
+LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
+"""The modes of the pilot in which a law may fly."""
 
 
 class CFDistributedFeedback(CFGuidance):
-    """A feedback law on own and neighbours' states. Write `step`; it runs at `rate` Hz and never waits.
+    """A feedback law on the states of this drone and its neighbours. Write `step`.
 
-    `heard[j]` is the newest State of neighbour j, with its `age`; absent when beyond the topic's maximum age. If none
-    has come since the last step it is moved on, p + v age, attitude as it was. Velocities, its own too, make up for
-    those that were lost or flown for too long because a step was late, see VelocitySum: a law may sum them up.
-    A new state of its own triggers it: what it wants is flown in the same tick.
-    rate: Hz, at most that of the poses;  duration: s of the law, after everybody hovers;  gains: of the control that
-    flies its Accelerations;  rest: s that it hovers before: what its control learns of thrust and trim while it hovers
-    is all that it knows while it flies Accelerations;  paired: whether it hears neighbours as Paired does: place and
-    velocity of the tick in which their acceleration was commanded, held with it while nothing comes; its own velocity
-    is then what its neighbours hear: differences would be amplified by a large graph.
+    `step` runs at `rate` Hz and never waits. A new state of the drone triggers it, and its
+    reference is flown in the same tick.
+
+    `heard[j]` is the newest State of neighbour j, with its `age`. It is absent when it is older
+    than the maximum age of the topic. If no state has come since the last step it is extrapolated:
+    position p + v age, attitude unchanged. All velocities, also the drone's own, are corrected for
+    states that were lost, or were flown for too long because a step was late (see VelocitySum). A
+    law may therefore sum them up.
     """
 
     rate = 100.0
+    """Hz, at most the rate of the poses."""
     duration = 20.0
+    """s: duration of the law, from the moment when all drones hover."""
     gains: Gains = FORMATION
+    """Gains of the control that flies the Accelerations of the law."""
     rest = 0.0
+    """s: how long the drone hovers before the law.
+
+    While it hovers its control learns thrust and trim. It learns nothing more while it flies
+    Accelerations.
+    """
     paired = False
+    """Receive the states of neighbours as Paired delivers them.
+
+    Position and velocity are those of the tick in which the acceleration was commanded, and all
+    three are held together while no message comes. The drone's own velocity is then the velocity
+    that its neighbours receive, because a large graph would amplify any difference.
+    """
 
     @abstractmethod
     def step(self, me: State, heard: Heard) -> Reference | None:
-        """The reference to fly until the next step; None lets the drone come to rest and hover."""
+        """Return the reference to fly until the next step. None lets the drone stop and hover.
+
+        me: the drone's own state.
+        heard: {j: state of neighbour j}.
+        """
 
     def bind(self, member: Member) -> None:
-        """Meet the drone, and listen to the neighbours' states."""
+        """Connect the law to its drone, and subscribe to the states of the neighbours."""
         super().bind(member)
         member.pilot.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
@@ -105,9 +130,13 @@ class CFDistributedFeedback(CFGuidance):
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
 
-        Returns law_s: s that the law ran;  references: how often `step` returned one that could be flown;  place:
-        (3,) m, where it has ended;  unheard_s: {j: s of the law in which nothing fresh was heard of neighbour j}. It
-        has failed if `step` returned references of which none could be flown.
+        Returns a dictionary. The mission has failed if `step` returned references but none could be
+        flown.
+
+        law_s: s that the law ran.
+        references: number of references of `step` that could be flown.
+        place: (3,) m, world: where the law ended.
+        unheard_s: {j: s of the law without a fresh state of neighbour j}.
         """
         await self.take_off(self.height())
         await self.sleep(self.rest)
@@ -137,20 +166,25 @@ class CFDistributedFeedback(CFGuidance):
         )
 
     def _useless(self) -> str:
-        """Why a law of which nothing could be flown has failed."""
+        """Return why a law has failed: none of its references could be flown."""
         where = f"drone {self.id}: the law gave no usable reference in {self._refused} of {self._steps} steps"
         return (
             f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
         )
 
     def height(self) -> float | None:
-        """m, of the take-off; None for that of the swarm file. Asked before anybody flies, and at the take-off."""
+        """Return the take-off height in m above the ground, or None for that of the swarm file.
+
+        It is called before any drone flies, and again at the take-off.
+        """
         return None
 
     def foresee(self, member: Member) -> None:
-        """Raise ConfigError for a `height` that fails, or does not end, and for a take-off beyond the fence.
+        """Check `rate`, `duration` and `height` before any drone flies.
 
-        And for a `rate` and a `duration` that are no such numbers; a law may last for ever.
+        A law may last for ever.
+        Raises ConfigError for a rate or a duration that is not an allowed number, for a `height`
+        that fails or does not return, and for a take-off beyond the fence.
         """
         for name, least, most, unit in (
             ("rate", SLOWEST, FASTEST, "Hz"),
@@ -172,7 +206,10 @@ class CFDistributedFeedback(CFGuidance):
             del self.member
 
     def _foreseen(self) -> float | None:
-        """Its height; None, too, if that needs what `bind` or the mission gives: it is asked again at the take-off."""
+        """Return the height of the law as far as it is known before the flight.
+
+        None if `height` needs values that `bind` or the mission sets: the take-off calls it again.
+        """
         code = getattr(self.height, "__code__", None)
         file = code.co_filename if code else type(self).__name__
         hook = Hook(
@@ -192,7 +229,10 @@ class CFDistributedFeedback(CFGuidance):
         return height
 
     async def run_law(self) -> None:
-        """Let `step` run for `duration` s; raises what `step` raises, and Interrupted when the pilot stops obeying."""
+        """Call `step` at its rate for `duration` s.
+
+        Raises all errors of `step`, and Interrupted when the pilot stops obeying.
+        """
         clock = self.member.clock
         self._period_ns = round(SECOND / self.rate)
         self._due_ns = clock.now_ns()
@@ -211,13 +251,17 @@ class CFDistributedFeedback(CFGuidance):
             end.cancel()
 
     def _moved(self, me: State, age: float) -> None:
-        """A new state: decide when all drones of this process have said theirs."""
+        """Take a new state: decide when all drones of this process have published theirs."""
         if self._law is not None:
             self._me = me
             self._stages.decide.append(self._decide)
 
     def _decide(self) -> None:
-        """Call `step` if it is due. Its errors end the law, not the tick, which is not its alone."""
+        """Call `step` if it is due.
+
+        Its errors end the law. They do not end the tick, because the tick belongs to other drones
+        too.
+        """
         law = self._law
         if law is None or law.done():
             return
@@ -238,11 +282,11 @@ class CFDistributedFeedback(CFGuidance):
                 self._not_taken(reference)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # noqa: BLE001 - whoever awaits the law gets it
+        except BaseException as error:  # noqa: BLE001 - run_law raises it
             law.set_exception(raisable(error, f"drone {self.id}: step"))
 
     def _stepped(self, me: State) -> Reference | None:
-        """What `step` wants, under the eyes of the watchdog."""
+        """Return the reference of `step`, guarded by the watchdog."""
         watchdog = self.member.watchdog
         measured = self.member.pilot.filter.measured
         poses = round(
@@ -263,7 +307,7 @@ class CFDistributedFeedback(CFGuidance):
             return self.step(me, heard)
 
     def _not_taken(self, reference: object) -> None:
-        """Count what can never be flown, and say once why."""
+        """Count a reference that can never be flown, and log the reason once."""
         self._refused += 1
         if taken(reference) is None:
             why = f"{amiss(reference)}; {unflyable(reference)}"
@@ -274,14 +318,20 @@ class CFDistributedFeedback(CFGuidance):
             log.warning("drone %d: %s: not flown", self.id, self._amiss)
 
     def _deaf(self) -> str:
-        """Whom it does not hear: the usual reason of a law that says nothing."""
+        """Return the silent neighbours in words, or "".
+
+        Missing neighbours are the usual reason for a law that gives no reference.
+        """
         silent = ", ".join(
             str(j) for j, box in self._hearings.items() if box.fresh() is None
         )
         return f"; hears nothing of drone(s) {silent}" if silent else ""
 
     def hear(self, held: int) -> Heard:
-        """The neighbours' states for this step, those that are not stale; held: poses since the last step."""
+        """Return the states of the neighbours for this step, without the stale ones.
+
+        held: number of poses since the last step.
+        """
         heard: Heard = {}
         now_ns = self.member.clock.now_ns()
         for j, hearing in self._hearings.items():
@@ -292,7 +342,7 @@ class CFDistributedFeedback(CFGuidance):
 
 
 def amiss(reference: object) -> str:
-    """Why what a law has returned can never be flown."""
+    """Return why a return value of a law can never be flown."""
     numbers: list[Any]
     match reference:
         case Acceleration():
@@ -320,7 +370,10 @@ def amiss(reference: object) -> str:
 
 
 def idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
-    """Whether all drones flew laws that returned None in every step: nobody moved."""
+    """Return whether all drones flew laws that returned None in every step.
+
+    Then no drone has moved.
+    """
     return bool(results) and all(
         r.get("success") and r.get("references") == 0 for r in results.values()
     )

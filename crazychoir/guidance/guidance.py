@@ -1,4 +1,4 @@
-"""What a mission is written in: CFGuidance, a coroutine with the paper's verbs."""
+"""CFGuidance, the base class of missions: a coroutine with the verbs of the paper."""
 
 import logging
 import sys
@@ -48,27 +48,43 @@ log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 FLYING = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
+"""Modes in which guidance flies the drone."""
 UNFIT = 5.0
-"""s that a drone gets to mend what keeps it on the ground, as a pose that does not come for a moment."""
+"""s: how long a drone may take to become fit to fly, for example while a pose is missing."""
 ARRIVED = 0.2
-"""m from a goal that counts as there."""
+"""m: a drone nearer to its goal has arrived."""
 RISEN = 0.04
-"""m from its height, above where it stood, beyond which a drone has not flown its take-off to the end."""
-THERE, STILL, STOOD = 0.003, 0.02, 0.3
-"""m, m/s, s: so near, slow and long a drone that has risen stands, and knows its thrust to some thousandths."""
+"""m: a drone farther from its take-off goal has not completed its take-off."""
+THERE = 0.003
+"""m: distance from the take-off goal within which a drone counts as settled.
+
+After take-off a drone is settled when it stays this close, slower than STILL, for STOOD seconds.
+Its thrust trim is then known to about 0.1 %.
+"""
+STILL = 0.02
+"""m/s: speed below which a drone counts as settled."""
+STOOD = 0.3
+"""s: how long a drone must stay close and slow to count as settled."""
 PATIENT = 5.0
-"""s that it gets for that."""
-ATTEMPTS, TICK = 5, 1e-3
+"""s: how long a mission waits for a drone to settle."""
+ATTEMPTS = 5
+"""Number of attempts to reach a goal, or to fly a trajectory, before the mission gives up."""
+TICK = 1e-3
+"""s: shortest wait for the rest of a flight."""
 BLOWN = 2.0
-"""s after the planned time of a flight in which a drone may still arrive: in a wind that it has yet to learn."""
+"""s: how long after its planned time a flight may still arrive.
+
+A drone may be late in a wind that its control has yet to learn.
+"""
 TOUCHDOWN = 5.0
-"""s beyond the planned time of a landing that a mission waits for its end."""
+"""s: how long a mission waits for a landing beyond its planned time."""
 UNCOMMANDED = 1800.0
-"""s that a drone waits on the ground for an operator, in a run that has one."""
+"""s: how long a drone waits on the ground for an operator, in a run that has one."""
 GATES = {
     "take-off": "waits for its operator: take-off",
     "start": "waits for its operator: start",
 }
+"""Text of the status while a mission waits for a command of its operator."""
 
 
 WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
@@ -76,7 +92,10 @@ WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
 
 
 class Verb(Generic[P, R]):
-    """A method of the communicator as a method of CFGuidance: the same arguments, defaults and documentation."""
+    """A method of the communicator, offered as a method of CFGuidance.
+
+    Arguments, defaults and documentation stay those of the communicator.
+    """
 
     def __init__(self, verb: Callable[Concatenate[Communicator, P], R]) -> None:
         self.verb = verb
@@ -96,7 +115,7 @@ class Verb(Generic[P, R]):
 def _talk(
     verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any
 ) -> Any:
-    """Call a verb of the communicator of a guidance, which is known until it is awaited."""
+    """Call a verb of the communicator for a guidance, and remember the call until it is awaited."""
     caller = sys._getframe(1)
     guidance, function = verb
     communicator = guidance.member.communicator
@@ -112,63 +131,85 @@ def _talk(
 
 
 class CFGuidance:
-    """One drone's decisions. Write `mission`; what it returns is this drone's part of the result.
+    """The decisions of one drone. Write `mission`.
 
-    `bind` is called by the runtime before `mission`; so `__init__` is free for the mission's own parameters.
+    The return value of `mission` is this drone's part of the result.
+
+    The runtime calls `bind` before `mission`, so `__init__` is free for the parameters of the
+    mission.
     """
 
     member: Member
+    """The drone, its team and its communicator. Set by `bind`."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Know the calls of a user's own coroutine functions until they are awaited."""
+        """Remember the calls of a user's own coroutine functions until they are awaited."""
         super().__init_subclass__(**kwargs)
         watch_coroutines(cls, WATCHED_BY_RUNTIME)
 
     def bind(self, member: Member) -> None:
-        """Meet the drone."""
+        """Connect this guidance to its drone."""
         self.member = member
 
     @abstractmethod
     async def mission(self) -> dict[str, Any]:
-        """The whole mission, from the ground to the ground."""
+        """Fly the whole mission, from the ground to the ground, and return its result."""
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """What an operator asks of this mission alone; returns the answer, or raises Refused."""
+        """Answer a command of an operator that only this mission knows.
+
+        Raises Refused if the mission does not know the command, or will not obey it.
+        """
         raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
 
     def route(self) -> list[Vec]:
-        """The places that it flies to one after the other, (3,) m, world, as far as they are planned: for a picture."""
+        """Return the places that the drone flies to, in their order, as far as they are planned.
+
+        Each place is (3,) m, world. A picture shows them.
+        """
         return []
 
     def led(self, path: Trajectory) -> str:
-        """An operator wants it to fly this path, as part of its mission; returns what it does, or raises Refused."""
+        """Fly a path of the operator as part of the mission.
+
+        Returns what the drone does, in words.
+
+        Raises Refused if the mission does not allow it.
+        """
         raise Refused(f"drone {self.id}", "its mission flies it: hold it first")
 
     @property
     def id(self) -> int:
-        """This drone."""
+        """The id of this drone."""
         return self.member.id
 
     @property
     def graph(self) -> Graph:
-        """Who talks to whom."""
+        """The communication graph of the team."""
         return self.member.communicator.graph.at(0)
 
     @property
     def state(self) -> State:
-        """The newest estimate of this drone's own state."""
+        """The newest estimate of this drone's own state.
+
+        Before the first pose it is a level state at the home of the drone.
+        """
         state = self.member.pilot.state
         return (
             State.at(self.member.config.drone(self.id).home) if state is None else state
         )
 
     def log(self, *names: str, period: float = 0.1) -> Readings:
-        """What this drone's sensors say, by the firmware's names: `self.log("pm.vbat", period=0.5)["pm.vbat"]`, V.
+        """Return the readings of this drone's sensors, by the firmware's names.
 
-        A new value comes every `period` s, a multiple of 0.01 s up to 2.55 s, and `age(name)` says how old it is. None
-        before the first, and when three are missing. The same call again returns the same readings.
-        On the radio 26 bytes, as six floats, fit into one packet: ask for few, and seldom.
-        Raises ConfigError for names that its platform does not have, with the nearest that it has.
+        Example: `self.log("pm.vbat", period=0.5)["pm.vbat"]` is the battery voltage in V. A reading
+        is None before the first value, and when three values in a row are missing. `age(name)` is
+        the age of a value in s. Another call with the same arguments returns the same readings. On
+        the radio one packet carries 26 bytes, such as six floats: ask for few values, and seldom.
+
+        names: log variables of the firmware.
+        period: s between two values, a multiple of 0.01 s up to 2.55 s.
+        Raises ConfigError for names that the platform does not have; it suggests the nearest name.
         """
         if self.member.sensors is None:
             raise ConfigError(
@@ -178,7 +219,7 @@ class CFGuidance:
             )
         return self.member.sensors.log(names, period)
 
-    # Talking --------------------------------------------------------------------------------------------------
+    # Talking --------------------------------------------------------------------------
 
     send = Verb(Communicator.send)
     receive = Verb(Communicator.receive)
@@ -193,13 +234,19 @@ class CFGuidance:
         deadline: float | None = None,
         pace: Pace | None = None,
     ) -> None:
-        """Run a distributed algorithm to its end, together with the neighbours, and end the channel.
+        """Run a distributed algorithm to its end, together with the neighbours; end the channel.
 
-        deadline: s for each round, None for 60 s. All drones must be done in the same round: who is done earlier ends
-        the channel, and who waits for it then gets ChannelEnded. One with `asynchronous = True` is woken at its `pace`,
-        steps with the latest of each neighbour, and waits for nobody.
-        Where it fails at one drone it ends at all, with the error there and AgentFailed elsewhere.
-        Raises ConfigError if the graph is none for it.
+        All drones must be done in the same round. A drone that is done earlier ends the channel,
+        and a drone that waits for it gets ChannelEnded. An algorithm with `asynchronous = True`
+        wakes at its `pace`, steps with the latest message of each neighbour, and never waits for a
+        neighbour. If the algorithm fails at one drone it ends at all drones: there with the error,
+        elsewhere with AgentFailed.
+
+        algorithm: the algorithm, with the problem of this drone.
+        channel: name of the channel for its messages.
+        deadline: s for each round, None for 60 s.
+        pace: when an asynchronous algorithm wakes.
+        Raises ConfigError if the algorithm does not work on the graph.
         """
         communicator = self.member.communicator
         require_graph(algorithm, communicator.graph)
@@ -211,25 +258,30 @@ class CFGuidance:
 
     @awaited
     async def rendezvous(self, channel: str = "rendezvous") -> None:
-        """Go on only when the whole team is here: as many empty rounds as the graph's diameter.
+        """Wait until the whole team has come to this point.
 
-        In a run with an operator it waits for those whom he starts later, at most PATIENCE s.
+        The drones exchange as many empty rounds as the diameter of the graph.
+        In a run with an operator a drone waits up to PATIENCE s for drones that are started later.
         """
         deadline = PATIENCE if self.member.config.flight.operator else None
         for _ in range(max(1, self.graph.diameter())):
             await self.neighbors_exchange(None, channel=channel, deadline=deadline)
 
-    # Flying ---------------------------------------------------------------------------------------------------
+    # Flying ---------------------------------------------------------------------------
 
     @awaited
     async def take_off(self, height: float | None = None) -> None:
-        """Rise to `height` m above the ground (None: that of the swarm file), inside the fence, and be there.
+        """Take off to `height`, and return when the drone is there.
 
-        In a run with an operator it waits, the first time, for his take-off, at most UNCOMMANDED s on the ground, and
-        then in the air for his start, at most PATIENCE s. It stays 0.1 m off the fence.
-        A drone that is held, or not seen yet, waits on the ground; a rise that the safety table or an operator has
-        stopped goes on as in `go_to`, which is also how a drone in the air gets to the height.
-        Raises ConfigError for a height beyond the fence, Interrupted when it may not rise, and as `go_to`.
+        The goal stays inside the fence, 0.1 m off its edge. In a run with an operator the first
+        take-off waits for two commands: for the take-off, at most UNCOMMANDED s on the ground, and
+        then for the start, at most PATIENCE s in the air. A drone that is held or has no pose yet
+        waits on the ground. If the safety table or an operator stops the rise, the drone continues
+        as in `go_to`. A drone that is already in the air goes to the height in the same way.
+
+        height: m above the ground, None for the take-off height of the swarm file.
+        Raises ConfigError for a height beyond the fence, Interrupted if the drone may not rise, and
+        all errors of `go_to`.
         """
         self.require_height(height, "take_off()")
         pilot = self.member.pilot
@@ -258,7 +310,11 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: {why}")
 
     def require_height(self, height: object, where: str) -> None:
-        """Raise ConfigError for a take-off to `height` m above the ground (None: the swarm file's) beyond the fence."""
+        """Raise ConfigError for a take-off to a height beyond the fence.
+
+        height: m above the ground, None for the take-off height of the swarm file.
+        where: the call, for the error.
+        """
         pilot = self.member.pilot
         top = pilot.fence.high[2] - pilot.limits.ground
         if height is None or not pilot.controls.takes_off:
@@ -278,13 +334,17 @@ class CFGuidance:
             )
 
     def foresee(self, member: Member) -> None:
-        """Look ahead, before anybody flies: compile what takes long; raise ConfigError for what cannot be flown."""
+        """Prepare the mission before any drone flies: compile code that takes long to compile.
+
+        Raises ConfigError for flights that are not possible.
+        """
 
     @awaited
     async def wait_for_start(self) -> None:
-        """In a run with an operator, wait on the ground for his start, and for the team's; else go on at once.
+        """Wait on the ground for the start command of the operator, and then for the team.
 
-        For missions that take off by themselves, each drone at its time or not at all: they call it before.
+        In a run without an operator it returns at once. It is for missions in which each drone
+        takes off at its own time, or not at all. Such a mission calls it first.
         """
         pilot = self.member.pilot
         if pilot.awaits_start:
@@ -293,7 +353,13 @@ class CFGuidance:
             await self.member.communicator.close("started")
 
     async def _told(self, gate: str, seconds: float, waits: Callable[[], bool]) -> None:
-        """Wait for a command of the operator, as long as `waits` says so; Interrupted after so many s without it."""
+        """Wait for a command of the operator.
+
+        gate: the command, a key of GATES.
+        seconds: s to wait; the time starts again while the operator flies the drone.
+        waits: returns whether the command has not come yet.
+        Raises Interrupted if the command does not come in time.
+        """
         member = self.member
         pilot = self.member.pilot
         ends = member.clock.now() + seconds
@@ -323,7 +389,10 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     async def _settle(self, goal: Vec) -> None:
-        """Wait, at most PATIENT s, until it has stood still at goal: then it has learnt its thrust and its trim."""
+        """Wait, at most PATIENT s, until the drone has stood still at the goal for STOOD s.
+
+        Its control has then learnt its thrust and its trim.
+        """
         clock = self.member.clock
         pilot = self.member.pilot
         stood = 0
@@ -341,12 +410,18 @@ class CFGuidance:
     async def go_to(
         self, p: Point, duration: float = 0.0, yaw: float | None = None
     ) -> None:
-        """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
+        """Fly to a place, and return when the drone is there.
 
-        It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
-        gives way to others, as to one who stands at p.
-        Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
-        the floor; Interrupted when the pilot lands, and when p cannot be reached.
+        If the safety table stops the drone, it flies again. It waits, at most PATIENCE s, while an
+        operator holds it, while the safety table brakes it, and while it gives way to others, for
+        example to a drone that stands at p.
+
+        p: (3,) m, world.
+        duration: s, or 0: as fast as the limits allow.
+        yaw: rad, None: keep the present yaw.
+        Raises ConfigError, before the drone moves, for a value that is not a place, and for a place
+        outside the fence, at its edge or on the floor. Raises Interrupted if the pilot lands, or if
+        p cannot be reached.
         """
         place = self.member.pilot.require_goal(
             f"drone {self.id}: go_to()", p, yaw, duration
@@ -356,7 +431,13 @@ class CFGuidance:
     async def _fly_to_place(
         self, p: Vec, duration: float = 0.0, yaw: float | None = None
     ) -> None:
-        """Fly to p (3,) m, which may be flown to, and be there."""
+        """Fly to a place that has been checked, and return when the drone is there.
+
+        p: (3,) m, world.
+        duration: s, or 0: as fast as the limits allow.
+        yaw: rad, None: keep the present yaw.
+        Raises Interrupted if p cannot be reached.
+        """
         attempts = 0
         hindered = 0
         pilot = self.member.pilot
@@ -383,7 +464,7 @@ class CFGuidance:
         )
 
     async def _wait_aside(self, p: Vec) -> None:
-        """Leave a place to another one whose turn it is, at most TURN s."""
+        """Move aside, at most TURN s, while it is another drone's turn at the place p (3,) m."""
         pilot = self.member.pilot
         clock = self.member.clock
         ends = clock.now() + TURN
@@ -393,13 +474,16 @@ class CFGuidance:
 
     @awaited
     async def fly(self, trajectory: Trajectory) -> None:
-        """Go to where a trajectory begins, fly it, and be at its end.
+        """Go to the start of a trajectory, fly it, and return when the drone is at its end.
 
-        trajectory: anything with `duration` s, `sample(t)` and `done(t)`, as planning/ makes them: `minimum_snap(...)`,
-        `circle(...)`.
-        Braked by the safety table, as while the cameras do not see it, it goes on from where it was stopped.
-        Raises ConfigError, before it leaves, if the trajectory leaves the fence or is faster than [flight] allows;
-        Interrupted when the flight is stopped on the way, as by a hold, or not ended where the trajectory ends.
+        If the safety table brakes the drone, for example while the cameras do not see it, the
+        flight continues from the place where it stopped.
+
+        trajectory: any object with `duration` s, `sample(t)` and `done(t)`, such as
+            `minimum_snap(...)` and `circle(...)` of planning/.
+        Raises ConfigError, before the drone moves, if the trajectory leaves the fence or is faster
+        than [flight] allows. Raises Interrupted if the flight is stopped on the way, such as by a
+        hold, or does not end where the trajectory ends.
         """
         require_trajectory(f"drone {self.id}: fly()", trajectory)
         require_feasible(trajectory, self.member.pilot)
@@ -433,7 +517,7 @@ class CFGuidance:
         )
 
     async def _flown(self, trajectory: Trajectory) -> float:
-        """Begin it, and wait until it ends, or is stopped: s of it that were flown then."""
+        """Fly a trajectory until it ends or is stopped, and return how many s of it were flown."""
         pilot = self.member.pilot
         clock = self.member.clock
         t = 0.0
@@ -446,9 +530,11 @@ class CFGuidance:
 
     @awaited
     async def land(self) -> None:
-        """Come down and stop the motors; a drone that its operator holds waits in the air, at most PATIENCE s.
+        """Come down and stop the motors.
 
-        Raises Interrupted unless it ends on the ground, as when its motors were cut.
+        A drone that its operator holds waits in the air, at most PATIENCE s.
+        Raises Interrupted if it does not end on the ground, for example because its motors were
+        cut.
         """
         pilot = self.member.pilot
         ends = self.member.clock.now() + PATIENCE
@@ -460,7 +546,11 @@ class CFGuidance:
             raise Interrupted(f"drone {self.id}: {standing(pilot)}")
 
     def follow(self, reference: Reference) -> None:
-        """Fly this reference; renew it before it is stale. One that cannot be flown is none, and the log says why."""
+        """Fly this reference. Renew it before it is stale.
+
+        A reference that cannot be flown is ignored. The log names the reason, once for each line of
+        code.
+        """
         self._may_fly()
         pilot = self.member.pilot
         if pilot.follow(reference) is False:
@@ -468,27 +558,29 @@ class CFGuidance:
             place = f"{caller.f_code.co_filename}:{caller.f_lineno}"
             said: set[str] = self.__dict__.setdefault(
                 "_said_at", set()
-            )  # places whose reference was not flown
+            )  # lines of code with a reference that was not flown
             if place not in said:
                 said.add(place)
                 log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
 
     @awaited
     async def sleep(self, seconds: float) -> None:
-        """Wait, in the swarm's time."""
+        """Wait for some seconds, in the time of the swarm."""
         await self.member.clock.sleep(seconds, drone=self.id)
 
     def _may_fly(self) -> None:
-        """A mission that is over does not fly."""
+        """Raise Interrupted if the mission is over: it must not fly any more."""
         if self.member.ended:
             raise Interrupted(
                 f"drone {self.id}: its mission is over: {self.member.ended}"
             )
 
     async def _while(self, seconds: float, *modes: Mode) -> None:
-        """Wait for a flight of `seconds`, and while others hinder it.
+        """Wait for a flight, and as long as others hinder it.
 
-        Raises Interrupted in other modes than these and hovering, as landing.
+        seconds: s: duration of the flight.
+        modes: modes of the pilot during the flight, beside HOVER.
+        Raises Interrupted in any other mode, such as landing.
         """
         pilot = self.member.pilot
         flying = (*modes, Mode.HOVER)
@@ -504,7 +596,10 @@ class CFGuidance:
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
-    """Raise ConfigError for a trajectory that leaves the guard's room, or that the drone or [flight] forbids."""
+    """Raise ConfigError for a trajectory that leaves the room of the guard, or breaks a limit.
+
+    The limits are those of the drone and of [flight].
+    """
     flight = pilot.limits
     platform = pilot.controls.platform
     t, path = references(trajectory)
@@ -520,7 +615,10 @@ def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
 
 
 def _number(value: object) -> float | None:
-    """The number that it is, None if it is none: an array is none, even of one."""
+    """Return the value as a float, or None if it is not one number.
+
+    An array is not a number, even with one element.
+    """
     try:
         return (
             float(value)

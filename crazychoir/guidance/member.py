@@ -1,4 +1,4 @@
-"""What a guidance gets from its drone, and what both of them know about flights: how they end, and how they fail."""
+"""Member: what a guidance gets from its drone; and how flights end or fail."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,36 +15,52 @@ from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.communicator import Communicator
 
 SETTLE = 0.05
+"""s: interval at which a mission looks again."""
 PATIENCE = 300.0
-"""s that a flight waits for a pilot that is held, or that the safety table has stopped; and for a first pose."""
+"""s: how long a flight waits while the pilot is held or the safety table stops it.
+
+A take-off also waits this long for the first pose.
+"""
 
 
 @dataclass
 class Member:
-    """What a guidance gets from its drone: who it is, its team, its way to talk, its way to fly."""
+    """What a guidance gets from its drone: its id, its team, its communicator and its pilot."""
 
     id: int
+    """Id of the drone."""
     config: SwarmConfig
+    """The swarm file."""
     clock: Clock
+    """Clock of the swarm."""
     communicator: Communicator
+    """The link to the neighbours."""
     pilot: Pilot
+    """The pilot that flies the drone."""
     watchdog: Guards | None = None
+    """Guard against user code that does not return. None: no guard."""
     report: Callable[[], dict[str, Any]] = dict
-    """Says how the mission goes: task, round, cost, for the status."""
-    announce: Callable[[], None] = lambda: (
-        None
-    )  # publishes the status now, not at its next tick
+    """Returns the state of the mission for the status: task, round, cost."""
+    announce: Callable[[], None] = lambda: None
+    """Publishes the status now, not at its next tick."""
     ended: str = ""
-    """Why the mission is over; from then on it flies no more, whatever it catches and goes on with."""
+    """Why the mission is over. Empty while it runs.
+
+    From then on the mission cannot fly, even if it catches the exception and continues.
+    """
     sensors: Sensors | None = None
+    """Readings of the drone's sensors. None: it has none."""
     gate: str = ""
-    """The command of its operator, of GATES, that the mission waits for."""
+    """Key of GATES: the command of the operator that the mission waits for. Empty: none."""
     rise: float | None = None
-    """m, the height of the take-off that it waits for; None: that of the swarm file."""
+    """m above the ground: height of the take-off that the mission waits for.
+
+    None: that of the swarm file.
+    """
 
 
 class Interrupted(CrazyChoirError):
-    """The pilot does something else than what guidance asked: it lands, or its motors are cut."""
+    """The pilot does something else than the guidance asked: it lands, or its motors are cut."""
 
 
 UNSAID_OF = {
@@ -56,24 +72,30 @@ UNSAID_OF = {
     Mode.LAND: "it was told to land",
     Mode.CUT: "its motors were cut",
 }
-"""Why a drone is in a mode, where its pilot has noted nothing."""
+"""Reason for each mode when the pilot has noted none."""
 
 
 def standing(pilot: Pilot) -> str:
-    """Return what a drone does and why, such as "landing: pose 0.61 s old"; the why is never empty."""
+    """Return what a drone does and why, such as "landing: pose 0.61 s old".
+
+    The reason is never empty.
+    """
     return f"{pilot.mode.value}: {pilot.note or UNSAID_OF[pilot.mode]}"
 
 
 async def touch_down(pilot: Pilot, grace: float) -> None:
-    """Wait until a pilot's motors are off; at most `grace` s beyond the flight that it has planned, whenever it did.
+    """Wait until the motors of a pilot are off.
 
-    At most PATIENCE s while it gives way to others.
+    While the drone gives way to others it waits at most PATIENCE s.
+
+    grace: s to wait beyond the end of the planned flight, even if the pilot plans a new one
+        meanwhile.
     """
     clock = pilot.clock
     ends = clock.now() + grace
     patient = clock.now() + PATIENCE
     while pilot.airborne and clock.now() < ends:
-        if pilot.held and pilot.mode is Mode.HOVER:  # on its way home
+        if pilot.held and pilot.mode is Mode.HOVER:  # the operator has sent it home
             ends = clock.now() + grace
             if clock.now() > patient:
                 pilot.land(f"held for {PATIENCE:g} s, with its mission over: landing")
@@ -83,7 +105,13 @@ async def touch_down(pilot: Pilot, grace: float) -> None:
 
 
 def raisable(error: BaseException, where: str) -> BaseException:
-    """An error that a task may end with: what asyncio and generators take for signals of their own becomes ordinary."""
+    """Return an error with which a task may end.
+
+    asyncio and generators use some exceptions as signals of their own, such as StopIteration. Such
+    an exception becomes an ordinary RuntimeError.
+
+    where: the code that raised it, for the text.
+    """
     if isinstance(error, Exception | SystemExit) and not isinstance(
         error, StopIteration
     ):

@@ -1,4 +1,4 @@
-"""A mission is one Python file: in agents/, or anywhere. What it may define, and how it is found."""
+"""A mission is one Python file, in agents/ or anywhere: what it may define, and how it is found."""
 
 import hashlib
 import importlib
@@ -20,46 +20,64 @@ from crazychoir.runtime.user_code_guard import HOOK, limited
 from crazychoir.types import Point
 
 PACKAGE = "crazychoir.agents"
+"""The package with the missions that come with crazychoir."""
 
 
 class Mission(Protocol):
-    """What a mission file defines: `guidance`; the rest may be left out."""
+    """The functions of a mission file. `guidance` is required; all others are optional."""
 
     def guidance(self, i: int, config: SwarmConfig) -> CFGuidance:
-        """The guidance of drone i."""
+        """Return the guidance of drone i."""
         ...
 
     def swarm(self, drones: int | None) -> SwarmConfig:
-        """The swarm when no swarm file is given, with so many drones if the mission can."""
+        """Return the swarm for a run without a swarm file.
+
+        drones: number of drones, if the mission can choose it. None: the mission's own number.
+        """
         ...
 
     def scatter(self, config: SwarmConfig) -> SwarmConfig:
-        """The mission's own swarm as it starts with the seed of this run."""
+        """Return the mission's own swarm with the starting places for the seed of this run."""
         ...
 
     def check(self, config: SwarmConfig, force: bool) -> list[str]:
-        """Look before anybody flies: warnings; raises ConfigError or Refused."""
+        """Check the swarm before any drone flies, and return warnings.
+
+        force: fly in spite of doubts.
+        Raises ConfigError or Refused.
+        """
         ...
 
     def goal(self, config: SwarmConfig) -> dict[int, Point]:
-        """Where the drones are to be at the end of the law, if the mission has such a place."""
+        """Return {i: (3,) m}, the places of the drones at the end of the law.
+
+        Optional: only if there are such places.
+        """
         ...
 
     def report(
         self, config: SwarmConfig, results: dict[int, dict[str, Any]]
     ) -> dict[str, Any]:
-        """What all drones' results say together; among it `success`, and `reasons` by drone if it failed."""
+        """Combine the results of all drones into one report.
+
+        It has `success`, and if that is false `reasons` by drone.
+        """
         ...
 
     def picture(
         self, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str
     ) -> None:
-        """Draw what was planned or flown."""
+        """Draw the plan or the flight into the file `path`."""
         ...
 
 
 def load(name: str) -> Mission:
-    """The mission of this name in agents/, or of this .py file, with its hooks guarded; raises ConfigError."""
+    """Return a mission with its hooks guarded.
+
+    name: name of a mission in agents/, or path of a .py file.
+    Raises ConfigError if there is no such mission.
+    """
     module = (
         from_file(Path(name), "mission")
         if name.endswith(".py")
@@ -77,16 +95,17 @@ def load(name: str) -> Mission:
 
 
 def has(mission: Mission, what: str) -> bool:
-    """Whether the mission file defines one of the optional functions."""
+    """Return whether the mission file defines this optional function."""
     return callable(getattr(mission, what, None))
 
 
 def look_before(
     mission: Mission, config: SwarmConfig, force: bool = False
 ) -> list[str]:
-    """The warnings of the mission's check; raises what it raises, and ConfigError for goals that are in conflict.
+    """Check a mission before any drone flies, and return its warnings.
 
-    And for dongles that do not carry what their drones would be sent.
+    Raises all errors of the mission's check. Raises ConfigError for goals that are in conflict, and
+    for radio dongles that cannot carry the traffic of their drones.
     """
     rates(config)
     warnings = mission.check(config, force) if has(mission, "check") else []
@@ -100,9 +119,9 @@ def look_before(
 
 
 def mission_hash(config: SwarmConfig, mission: Mission) -> str:
-    """What all hosts must have in common: the swarm file, and the text of the mission; then, after a colon, its parts.
+    """Return a hash of all that hosts must have in common: swarm file and mission text.
 
-    See strangers.difference.
+    After a colon follow the hashes of the parts, see strangers.difference.
     """
     text = Path(getattr(mission, "__file__", None) or "")
     code = text.read_bytes() if text.is_file() else b""
@@ -113,7 +132,7 @@ def mission_hash(config: SwarmConfig, mission: Mission) -> str:
 
 
 def names() -> list[str]:
-    """Missions in agents/."""
+    """Return the names of the missions in agents/."""
     package = importlib.import_module(PACKAGE)
     return sorted(module.name for module in pkgutil.iter_modules(package.__path__))
 
@@ -126,7 +145,11 @@ def _from_package(name: str) -> ModuleType:
 
 
 def from_file(path: Path, kind: str) -> ModuleType:
-    """The module of a user's .py file; kind: what errors call it."""
+    """Return the module of a user's .py file.
+
+    kind: what errors call the file, such as "mission".
+    Raises ConfigError if the file cannot be imported.
+    """
     if not path.is_file():
         raise ConfigError(kind, str(path), "a Python file that exists")
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -159,9 +182,10 @@ def from_file(path: Path, kind: str) -> ModuleType:
 
 
 def _see_neighbors(path: Path) -> None:
-    """A mission file may import the files beside it, as a script may; installed modules of the same name come first.
+    """Let a mission file import the files beside it, as a script may.
 
-    For good, because it may import when it flies.
+    Installed modules of the same name come first. The folder stays in the import path, because a
+    mission may import during the flight.
     """
     folder = str(path.resolve().parent)
     if folder not in sys.path:

@@ -1,7 +1,8 @@
-"""The hooks of a mission file as the runtime calls them: checked when the file is loaded, and whenever they return.
+"""The hooks of a mission file as the runtime calls them.
 
-Whatever is wrong is said with the user's file and line, the hook, what was found and what is allowed. A hook that runs
-after the flight never costs its result.
+They are checked when the file is loaded and at every return. Errors name the user's file and line,
+the hook, what was found and what is allowed. A failing hook that runs after the flight never loses
+the result of the flight.
 """
 
 import inspect
@@ -25,10 +26,10 @@ log = logging.getLogger(__name__)
 
 
 class MissionFile:
-    """A mission file with its hooks guarded; its other names are those of the module."""
+    """A mission file with its hooks guarded. All other names are those of the module."""
 
     def __init__(self, module: ModuleType) -> None:
-        """Raises ConfigError for a hook that cannot be called as it will be."""
+        """Raise ConfigError for a hook that cannot be called with its arguments."""
         self._module = module
         self.__file__ = str(module.__file__)
         self._guarded: dict[str, Callable[..., Any]] = {}
@@ -44,7 +45,11 @@ class MissionFile:
 
 
 def require_complete(guidance: CFGuidance, where: str) -> None:
-    """Raise ConfigError for a law without a `step`, a CFGuidance without a `mission`, or with others than are called.
+    """Raise ConfigError for a guidance without its own `step` or `mission`.
+
+    Wrong arguments are an error, too.
+
+    A law needs `step`. A CFGuidance needs `mission`.
 
     where: what errors call the place, such as the mission file.
     """
@@ -83,7 +88,7 @@ def _require_own(
     raise ConfigError(kind, f"no {name} of its own", wanted, do)
 
 
-# What each hook may return ------------------------------------------------------------------------------------------
+# What each hook may return ------------------------------------------------------------
 
 
 def _guidance(hook: Hook, i: int, config: SwarmConfig) -> CFGuidance:
@@ -123,7 +128,7 @@ def _goal(hook: Hook, config: SwarmConfig) -> dict[int, Any]:
 def _report(
     hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]]
 ) -> dict[str, Any]:
-    """What it reports; where it fails, that, and not the loss of what was flown."""
+    """Return the report of the hook. If the hook fails, return a report with that error."""
     try:
         found = hook(config, results)
         if found is not None and not isinstance(found, Mapping):
@@ -140,7 +145,7 @@ def _report(
 def _picture(
     hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str
 ) -> None:
-    """Draw it, or say why there is no picture."""
+    """Draw the picture, or log why there is none."""
     try:
         hook(config, results, path)
     except CrazyChoirError as error:
@@ -172,4 +177,4 @@ HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
         _picture,
     ),
 }
-"""Arguments, result in words, and guard of each hook."""
+"""Arguments, allowed result in words, and guard of each hook."""

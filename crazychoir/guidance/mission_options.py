@@ -1,4 +1,7 @@
-"""[mission_options] and the `options` of drones, as tables: one way to read them, and the types that missions share."""
+"""[mission_options] and the `options` of drones as tables.
+
+It holds the functions that read them, and the types that missions share.
+"""
 
 from collections.abc import Collection
 from typing import Annotated, Literal, TypeVar
@@ -12,6 +15,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.team.graph import span
 
 T = TypeVar("T", bound=Table)
+"""The table that a mission reads."""
 Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]
 Spot = Annotated[
     tuple[Coordinate, Coordinate],
@@ -82,24 +86,31 @@ Yaw = Annotated[
 
 
 class NoOptions(Table, frozen=True, kw_only=True):
-    """Of a mission, or of its drones, that has none."""
+    """The table of a mission without options, or of drones without options."""
 
 
 class HeightOption(Table, frozen=True, kw_only=True):
-    """`options` of a drone.  height: m above the ground, of its take-off, instead of that of the swarm file."""
+    """`options` of a drone that may take off to its own height."""
 
     height: Height | None = None
+    """m above the ground: take-off height, instead of that of the swarm file."""
 
 
 def given(config: SwarmConfig, kind: type[T]) -> T:
-    """[mission_options] as the table `kind`; raises ConfigError that names the key, what was found, what is allowed."""
+    """Return [mission_options] as the table `kind`.
+
+    Raises ConfigError with the key, what was found and what is allowed.
+    """
     return read(
         config.mission_options, kind, f"swarm {config.name}", "mission_options", Swarm
     )
 
 
 def own(config: SwarmConfig, drone: Drone, kind: type[T]) -> T:
-    """`options` of a drone as the table `kind`; raises ConfigError as `given`."""
+    """Return the `options` of a drone as the table `kind`.
+
+    Raises ConfigError with the key, what was found and what is allowed.
+    """
     return read(
         drone.options, kind, f"swarm {config.name}: drone {drone.id}", "options", Swarm
     )
@@ -112,7 +123,11 @@ def require_none(config: SwarmConfig) -> None:
 
 
 def require_each(config: SwarmConfig, found: Collection[int], key: str) -> None:
-    """Raise ConfigError unless [mission_options] has a place for each drone under this key, and for nobody else."""
+    """Raise ConfigError unless [mission_options] has a place for each drone, and for no other id.
+
+    found: the ids with a place.
+    key: the key of the places, for the error.
+    """
     if tuple(sorted(found)) != config.ids:
         where = f"swarm {config.name}: mission_options.{key}"
         allowed = f"one for each drone, {span(config.ids)}"

@@ -1,4 +1,7 @@
-"""Distributed model predictive control in flight: plans are agreed on one step ahead, beside a law that flies them."""
+"""Distributed model predictive control in flight.
+
+The drones agree on plans one step ahead, beside the law that flies them.
+"""
 
 import asyncio
 import contextlib
@@ -21,33 +24,44 @@ from crazychoir.types import FullState, Heard, State, Vec
 
 log = logging.getLogger(__name__)
 CHANNEL = "mpc"
+"""Channel of the plans."""
 TALKS = 10
-"""Times in a step that a drone listens, and says again what it has decided: so often it may be lost."""
+"""How often a drone listens and repeats its decision in a step.
+
+It works if at least one of these messages arrives.
+"""
 TUBE = 0.1
-"""m, off its plan, from which on a drone plans from where it is."""
+"""m: a drone farther from its plan plans from where it is."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How a drone may move in the plane, and what it wants: to be at its goal, at rest.
-
-    step: h s;  horizon: T steps;  speed, acceleration, jerk: largest in x and in y, m/s, m/s2, m/s3;
-    place, rate, effort: weights of the distance from the goal, of v and a, of the jerk.
-    """
+    """How a drone may move in the plane. It wants to be at rest at its goal."""
 
     step: float = 0.4
+    """h, s."""
     horizon: int = 10
+    """T, number of steps."""
     speed: float = 0.6
+    """m/s: largest, in x and in y."""
     acceleration: float = 1.0
+    """m/s2: largest, in x and in y."""
     jerk: float = 4.0
+    """m/s3: largest, in x and in y."""
     place: float = 1.0
+    """Weight of the distance from the goal."""
     rate: float = 0.1
+    """Weight of v and a."""
     effort: float = 0.05
+    """Weight of the jerk."""
 
     def prediction(self, low: Vec, high: Vec) -> Prediction:
-        """x = (p - goal, v, a), u the jerk, each of x and y; a plan ends at rest, and stays there.
+        """Return the prediction model with x = (p - goal, v, a) and the jerk u, each in x and y.
 
-        low, high: (2,) m, the box in which p - goal stays.
+        A plan ends at rest, and stays there.
+
+        low: (2,) m: lower corner of the box in which p - goal stays.
+        high: (2,) m: upper corner of that box.
         """
         A, B = integrators(self.step, 2)
         most = [*2 * [self.speed], *2 * [self.acceleration]]
@@ -69,17 +83,31 @@ class Motion:
 
 
 class MPCGuidance(CFDistributedFeedback):
-    """Flies to its goal in the plane while it stays within `reach` of what its neighbours still have to go.
+    """Flies to its goal in the plane, within `reach` of what its neighbours still have to go.
 
-        |(p_i - goal_i) - (p_j - goal_j)| <= reach  in x and in y, at the steps of all plans
+        |(p_i - goal_i) - (p_j - goal_j)| <= reach   in x and in y, at the steps of all plans
 
-    The plan of a step is agreed on during the step before, see SequentialMPC, beside the law, which never waits: it
-    flies what was decided when the step begins, else its own last plan. A plan begins where the last one leads (the
-    nominal state of a tube controller; what flies it holds the drone in the tube); a drone that is pushed further than
-    TUBE off stays there, and plans from there. The constraints hold for the plans: they are not tightened by the tube,
-    but by what is left for tracking in flight, and a drone that is pushed may leave `reach` until its next plan.
-    goal: (2,) m;  reach: m.  Result: how many steps were solved, loosened, kept, infeasible, see Tally;  way, of `Way`.
-    Source: Richards & How 2007, see SequentialMPC; Mayne, Seron & Rakovic 2005, Automatica 41(2), for the tube.
+    The drones agree on the plan of a step during the step before, see SequentialMPC, beside the
+    law. The law never waits: when the step begins it flies the decided plan, else its own last
+    plan.
+
+    A plan begins where the last plan leads: the nominal state of a tube controller, while the
+    flight control holds the drone in the tube. A drone that is pushed more than TUBE off its plan
+    stops and plans from where it is. The constraints hold for the plans. They are not tightened by
+    the tube, but by a margin for tracking in flight. A drone that is pushed may leave `reach` until
+    its next plan.
+
+    The result also holds the number of steps that were solved, loosened, kept and infeasible, see
+    Tally, and way, see `Way`.
+
+    goal: (2,) m.
+    motion: how the drone may move.
+    low: (2,) m: lower corner of the box in which p - goal stays.
+    high: (2,) m: upper corner of that box.
+    reach: m.
+    neighbors: ids of the neighbours.
+    Source: Richards & How 2007, see SequentialMPC; Mayne, Seron & Rakovic 2005, Automatica 41(2),
+    for the tube.
     """
 
     def __init__(
@@ -100,7 +128,7 @@ class MPCGuidance(CFDistributedFeedback):
         self.mates = neighbors
 
     async def run_law(self) -> None:
-        """The law, and the talk beside it as long as it lasts."""
+        """Run the law, and beside it the messages as long as the law lasts."""
         place = self.state.p
         self._next = self.member.clock.now() + self.motion.step
         self._z = place[2]
@@ -117,7 +145,10 @@ class MPCGuidance(CFDistributedFeedback):
                 await talk
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """Where the plan is now: a polynomial of degree 3 from step to step."""
+        """Return the point of the plan that is due now.
+
+        The plan is a polynomial of degree 3 from step to step.
+        """
         now = self.member.clock.now()
         h = self.motion.step
         while now >= self._next - 1e-9:
@@ -139,14 +170,14 @@ class MPCGuidance(CFDistributedFeedback):
         )
 
     def _begin(self, me: State) -> None:
-        """A step begins: what is decided is flown, and the next one is to be decided from where it leads."""
+        """Begin a step: fly the decided plan, and plan the next step from where it leads."""
         if self._off:
             self.scheme.restart(np.concatenate([me.p[:2] - self.goal, np.zeros(4)]))
         self._x, self._u = self.scheme.x, self.scheme.advance()
         self._next += self.motion.step
 
     async def _talk(self) -> None:
-        """Listen, decide, say it, again and again: what is lost is said once more."""
+        """Listen, decide and send the decision, again and again, because messages may be lost."""
         clock = self.member.clock
         scheme = self.scheme
         pause = self.motion.step / TALKS
@@ -169,11 +200,11 @@ class MPCGuidance(CFDistributedFeedback):
                 self._law.set_exception(error)
             elif not isinstance(
                 error, CrazyChoirError
-            ):  # of a team that has ended, nothing is lost any more
+            ):  # the law has ended: errors of the team do not matter any more
                 raise
 
     async def mission(self) -> dict[str, Any]:
-        """The law, with how its steps went."""
+        """Run the law, and add how its steps went."""
         return {
             **await super().mission(),
             **asdict(self.scheme.tally),

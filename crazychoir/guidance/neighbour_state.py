@@ -1,4 +1,7 @@
-"""What a law is told of its own state and of its neighbours', such that late, lost and repeated ones leave no trace."""
+"""The states that a law receives: its own and its neighbours'.
+
+They are corrected for late, lost and repeated messages.
+"""
 
 import math
 
@@ -10,8 +13,8 @@ from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import STILL, State, Vec
 
-SPREAD = 10.0  # steps within which a law is told what the velocities so far have lacked
-NOTHING = 1e-7  # m; less is not owed
+SPREAD = 10.0  # steps in which a missing amount of velocity is made up
+NOTHING = 1e-7  # m: smaller amounts are not made up
 
 
 @kernel(vector, real, vector, real, real, real, real, memory, memory)
@@ -26,9 +29,19 @@ def _settle(
     mem: Vec,
     out: Vec,
 ) -> float:
-    """The law of VelocitySum from the state `last` to x, into out (13,); returns the largest part that is owed, m.
+    """Correct the velocity of state x by the law of VelocitySum, into out.
 
-    mem: (6,) = velocity that was told, owed m.
+    Returns the largest component of the amount that is still owed, in m.
+
+    x: (13,): the new state.
+    reach: s: T of VelocitySum, plus the age of x.
+    last: (13,): the state before.
+    last_reach: s: the same for `last`.
+    held: s for which the velocity before was flown.
+    spread: s in which an owed amount is made up.
+    new: above 0 if x is a new measurement.
+    mem: (6,) = the velocity that the law received last, m/s; the owed amount, m. Both are updated.
+    out: (13,): x with the corrected velocity.
     """
     most = 0.0
     out[:] = x
@@ -45,24 +58,29 @@ def _settle(
 
 
 class VelocitySum:
-    """Keeps the sum of the velocities that a law is told right, so that a law may sum them up.
+    """Corrects the velocities that a law receives, so that a law may sum them up.
 
-    Velocities are low-passed derivatives of measured places,
+    Velocities are low-passed derivatives of measured positions,
 
-        v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,  e = exp(-cutoff h)
+        v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,   e = exp(-cutoff h)
 
-    so when each is flown for h, the noise in the sum of all of them is that of two places:
+    If each velocity is flown for h, the noise in their sum is the noise of two positions only:
 
-        h (v_a + ... + v_b-1) = P_b - P_a,  P = p - T v,  T = h / (1 - e)
+        h (v_a + ... + v_b-1) = P_b - P_a,   P = p - T v,   T = h / (1 - e)
 
-    One that is flown for longer because the next step is late, or is heard twice or never, leaves its own noise behind:
-    the sum is a random walk, on which a formation drifts by centimetres. What is missing is therefore told too, within
-    some steps, so that none of them is a jerk:
+    A velocity that is flown for longer because the next step is late, or that is received twice or
+    never, leaves its own noise in the sum. The sum is then a random walk, on which a formation
+    drifts by centimetres. The law therefore also receives the missing amount, spread over some
+    steps to avoid jerks:
 
-        owed += P_b - P_a - (what was told, for as long as it was flown),  told = v_b + owed / spread
+        owed += P_b - P_a - (sum of each received velocity times the time for which it was flown)
+        received = v_b + owed / spread
 
-    What was held for 2 spread or longer would be made up for too much: then it starts anew.
-    cutoff: rad/s of the filter;  h: s between its poses;  period: s of the law, spread = SPREAD period.
+    After a hold of 2 spread or longer the correction would be too large. Then it starts anew.
+
+    cutoff: rad/s of the filter.
+    h: s between two poses of the filter.
+    period: s of the law; spread = SPREAD period.
     """
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:
@@ -70,21 +88,26 @@ class VelocitySum:
         self.reach = -h / math.expm1(-cutoff * h)
         self.spread = SPREAD * period
         self.even = True
-        """Nothing is owed: while each state is told for h, the next may be told as it is; `last` is to know it."""
+        """Nothing is owed.
+
+        While each state is used for h, the next state may be used unchanged. Keep it in `last`.
+        """
         self.last: State | None = None
-        """What was told last, before its velocity was corrected."""
+        """The state that the law received last, before its velocity was corrected."""
         self._memory = np.zeros(6)
 
     def forget(self) -> None:
-        """As before the first state: nothing was told, there is nothing to make up for."""
+        """Start anew: no velocity was received, and nothing is owed."""
         self.last = None
         self.even = True
 
     def told(self, state: State, age: float, held: int, steps: int) -> State:
-        """The state with the velocity that keeps the sum right, and this age.
+        """Return the state with this age, and with the velocity that keeps the sum right.
 
-        state: its place was moved on from the measurement by its own age, at constant velocity;  held: poses for which
-        what was told last was flown;  steps: poses from the measurement before to this one, 0: it is the same.
+        state: extrapolated from the measurement by its own age, at constant velocity.
+        age: s: age of the returned state.
+        held: number of poses for which the state before was flown.
+        steps: number of poses from the measurement before to this one; 0: the same measurement.
         """
         last = self.last
         if (held == 1 and steps == 1 and self.even) or last is None:
@@ -116,9 +139,10 @@ class VelocitySum:
 
 
 class Hearing(Latest[State]):
-    """The mailbox for the states of one neighbour, as a law takes them, once a step.
+    """The mailbox for the states of one neighbour. A law takes a state from it once a step.
 
-    In a step without a new message the newest state is moved on, p + v age. Velocities are those of a VelocitySum.
+    In a step without a new message the newest state is extrapolated, p + v age. Velocities are
+    those of a VelocitySum.
     """
 
     def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
@@ -130,13 +154,16 @@ class Hearing(Latest[State]):
         self._told_version = self._told_ns = 0
 
     def forget(self) -> None:
-        """Steps begin now: there is nothing to make up for."""
+        """Start anew: the steps of the law begin now, and nothing is owed."""
         self.sums.forget()
 
     def state(self, now_ns: int, held: int) -> State | None:
-        """The neighbour's state for this step, with the age of the message; None if that is too old.
+        """Return the state of the neighbour for this step, with the age of the message.
 
-        held: poses for which the last step's reference was flown.
+        None if the message is too old.
+
+        now_ns: ns: the present time.
+        held: number of poses for which the reference of the last step was flown.
         """
         born_ns = self._born_ns
         sums = self.sums
@@ -152,7 +179,7 @@ class Hearing(Latest[State]):
         self._seen = version
         if (
             steps == 1 == held and sums.even
-        ):  # as a rule: all is as the filter adds it up
+        ):  # usual case: no message is late or missing
             self._told_version = version
             sums.last = state
             return state if age == state.age else State(state.flat, age, state.a)
@@ -163,15 +190,19 @@ class Hearing(Latest[State]):
 
 
 class Paired(Latest[State]):
-    """The mailbox for the states of one neighbour, for a law that adds up what its neighbours command.
+    """The mailbox for the states of one neighbour, for a law that uses its acceleration.
 
-    Place and velocity are those of the tick in which the acceleration was commanded, that is of message m - 1; where
-    n - 1 messages before m were lost, of the way from the last that came:
+    Message m holds the acceleration that was commanded in the tick of message m - 1. Position and
+    velocity are therefore those of that tick. If n - 1 messages before m were lost, they are
+    interpolated from the last message that arrived:
 
         x = x_m + (x_m-n - x_m) / n,   a = a_m
 
-    In a step without a new message it tells the same again, older: a + kv v + kp p says where a drone is on its way to,
-    which changes less than where it is. The first is told as it is.  h: s between two states.
+    In a step without a new message it returns the same state again, older: a + kv v + kp p says
+    where a drone is going, which changes less than where it is. The first state is returned
+    unchanged.
+
+    h: s between two states.
     """
 
     def __init__(self, clock: Clock, name: str, h: float) -> None:
@@ -183,11 +214,14 @@ class Paired(Latest[State]):
         self._flat = STILL
 
     def forget(self) -> None:
-        """Steps begin now."""
+        """Start anew: the steps of the law begin now."""
         self._last = None
 
     def state(self, now_ns: int, held: int) -> State | None:
-        """The neighbour's state for this step, with the age of the message; None if that is too old."""
+        """Return the state of the neighbour for this step, with the age of the message.
+
+        None if the message is too old.
+        """
         born_ns = self._born_ns
         state = self._value
         last = self._last
@@ -209,14 +243,17 @@ class Paired(Latest[State]):
 
 
 def between(flat: Vec, before: Vec, share: float) -> Vec:
-    """A state (13,) with the place and velocity of this share of the way back to the one before."""
+    """Return a state (13,) with p and v moved by this share of the way back to the state before."""
     now = flat.copy()
     now[0:6] += share * (before[0:6] - now[0:6])
     return now
 
 
 def moved_on(flat: Vec, seconds: float) -> Vec:
-    """A state (13,) as it is some seconds later at constant velocity, attitude and body rates left as they were."""
+    """Return a state (13,) extrapolated by some seconds at constant velocity.
+
+    Attitude and body rates stay the same.
+    """
     now = flat.copy()
     now[0:3] += seconds * now[3:6]
     return now

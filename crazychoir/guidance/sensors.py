@@ -1,4 +1,7 @@
-"""What a drone's own sensors say, for its guidance: log variables by the firmware's names, with their ages."""
+"""The sensor readings of a drone for its guidance: log variables with their ages.
+
+The names are those of the firmware.
+"""
 
 import logging
 from collections.abc import Callable, Iterable
@@ -11,12 +14,16 @@ from crazychoir.simulation.telemetry import check, check_period
 
 log = logging.getLogger(__name__)
 MISSED = 3.0
-"""Periods without a value after which the last one is stale."""
+"""Periods without a value after which the last value is stale."""
 Ask = Callable[[tuple[str, ...], float], None]
+"""Requests log variables (names, period s) from the drone."""
 
 
 class Readings:
-    """The newest values of some log variables: `readings["pm.vbat"]`, None before the first and when it is stale."""
+    """The newest values of some log variables.
+
+    `readings["pm.vbat"]` is None before the first value, and when the last value is stale.
+    """
 
     def __init__(self, clock: Clock, names: tuple[str, ...], max_age: float) -> None:
         self.clock = clock
@@ -26,7 +33,11 @@ class Readings:
         self._values: dict[str, float] = {}
 
     def put(self, said: dict[str, list[float]], age: float) -> None:
-        """Take what has come; older values than those that are there do not count."""
+        """Store new values. A value that is older than the stored value is ignored.
+
+        said: {name: [value, s that it is older than the message]}.
+        age: s: age of the message.
+        """
         now_ns = self.clock.now_ns()
         for name in self.names:
             if name in said:
@@ -44,7 +55,7 @@ class Readings:
         return self._values[name] if self.age(name) <= self.max_age else None
 
     def age(self, name: str) -> float:
-        """s since the value was measured; infinite before the first."""
+        """Return the s since a value was measured; infinite before the first value."""
         born_ns = self._born_ns.get(name)
         return (
             float("inf")
@@ -53,15 +64,18 @@ class Readings:
         )
 
     def fresh(self) -> dict[str, float]:
-        """All that are not stale."""
+        """Return all values that are not stale."""
         return {name: value for name in self.names if (value := self[name]) is not None}
 
 
 class Sensors:
     """The log variables of one drone.
 
-    body: the address that says them;  known: their names, None if only the body knows;  ask: lets it say some, every
-    so many s; raises ConfigError, or says later in the log what it does not have.
+    port: the bus port of the drone.
+    body: the address that publishes the variables.
+    known: names of the variables, None if only the body knows them.
+    ask: requests variables from the body. It raises ConfigError for unknown names, or logs them
+        later.
     """
 
     def __init__(
@@ -74,7 +88,12 @@ class Sensors:
         self._body = body
 
     def log(self, names: tuple[str, ...], period: float) -> Readings:
-        """The newest values of these, one every `period` s; ConfigError for names that there are not."""
+        """Return the newest values of these variables.
+
+        names: names of the variables.
+        period: s between two values.
+        Raises ConfigError for names that do not exist.
+        """
         if (names, period) in self._readings:
             return self._readings[names, period]
         where = f"drone {self.port.address}: log"

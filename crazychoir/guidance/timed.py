@@ -1,4 +1,4 @@
-"""Laws for places that are known before the flight: a trajectory in its time, and a list of targets one by one."""
+"""Laws for places that are known before the flight: a trajectory in time, and a list of targets."""
 
 import asyncio
 import contextlib
@@ -16,24 +16,27 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Goto, Heard, Point, State, Vec
 
 SETTLE = 1.0
-"""s after the end of a trajectory in which its drone comes to rest."""
+"""s: time after the end of a trajectory in which the drone comes to rest."""
 THERE = 0.05
-"""m, from a target that counts as reached."""
+"""m: distance from a target at which it counts as reached."""
 SLACK = 1.5
-"""Of the time that a list of targets needs by plan: so long its law waits for the last one."""
+"""Duration of a law for targets, as a multiple of the planned time."""
 NOTED = 0.1
-"""s between two rows of a way."""
+"""s: time between two rows of a way."""
 
 
 class Way:
-    """Where a drone was during its law, by its own estimate: rows [t s, x, y, z m], ten a second."""
+    """The places of a drone during its law, by its own estimate.
+
+    rows: [t s, x, y, z m], ten a second.
+    """
 
     def __init__(self) -> None:
         self.rows: list[list[float]] = []
         self._began = 0.0
 
     def note(self, now: float, p: Vec) -> float:
-        """It is at p (3,) m; returns s since it was noted first."""
+        """Record the place p (3,) m, and return the s since the first record."""
         self._began = self._began if self.rows else now
         t = now - self._began
         if not self.rows or t >= self.rows[-1][0] + NOTED - 1e-6:
@@ -43,7 +46,7 @@ class Way:
 
 @contextlib.asynccontextmanager
 async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
-    """Where a drone is gets noted as long as the block lasts.
+    """Record where a drone is while the block runs.
 
     async with noted(self, way):
         await self.fly(...)
@@ -64,10 +67,13 @@ async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
 
 
 class TimedFlight(CFDistributedFeedback):
-    """Flies a trajectory in the time of its law, which begins at all drones of a team together.
+    """Flies a trajectory in the time of its law. The law begins at all drones of a team together.
 
-    trajectory: begins above the drone's home, where its take-off ends;  marks: s, at which it says how far it was from
-    the trajectory.  Result: mark_errors_m, one a mark;  tracking_rms_m, tracking_max_m;  way, of `Way`.
+    The result also holds mark_errors_m (one a mark), tracking_rms_m, tracking_max_m, and way, see
+    `Way`.
+
+    trajectory: begins above the drone's home, where its take-off ends.
+    marks: s at which the distance from the trajectory is recorded.
     """
 
     def __init__(self, trajectory: Trajectory, marks: Sequence[float] = ()) -> None:
@@ -77,13 +83,13 @@ class TimedFlight(CFDistributedFeedback):
         self.way, self._at_marks, self._off = Way(), list[float](), list[float]()
 
     def height(self) -> float:
-        """m above the ground, of where the trajectory begins."""
+        """Return the height at which the trajectory begins, in m above the ground."""
         return (
             float(self.trajectory.sample(0.0).p[2]) - self.member.config.flight.ground
         )
 
     def step(self, me: State, heard: Heard) -> FullState:
-        """Where the trajectory is now."""
+        """Return the point of the trajectory that is due now."""
         t = self.way.note(self.member.clock.now(), me.p)
         wanted = self.trajectory.sample(t)
         off = float(np.linalg.norm(me.p - wanted.p))
@@ -96,7 +102,7 @@ class TimedFlight(CFDistributedFeedback):
         return wanted
 
     async def mission(self) -> dict[str, Any]:
-        """The law, with how well it was flown."""
+        """Run the law, and add how well it was flown."""
         result = await super().mission()
         off = np.array(self._off)
         figures = {
@@ -112,10 +118,14 @@ class TimedFlight(CFDistributedFeedback):
 
 
 class TargetList(CFDistributedFeedback):
-    """Flies to targets one after the other: on to the next where it is within THERE m of one.
+    """Flies to targets, one after the other: to the next within THERE m of the present one.
 
-    targets: (3,) m each, world;  home: where it stands;  flight: its limits, from which the duration of the law comes.
-    Result: reached_s, when each was reached, s of the law;  way, of `Way`.
+    The result also holds reached_s, the s of the law at which each target was reached, and way, see
+    `Way`.
+
+    targets: (3,) m each, world.
+    home: where the drone stands before the flight.
+    flight: limits from which the duration of the law follows.
     """
 
     rate = 20.0
@@ -127,7 +137,7 @@ class TargetList(CFDistributedFeedback):
         self.way, self._reached = Way(), list[float]()
 
     def step(self, me: State, heard: Heard) -> Goto:
-        """To the first target that was not reached; to the last one when all were."""
+        """Return the first target that is not reached yet, or the last one."""
         t = self.way.note(self.member.clock.now(), me.p)
         k = len(self._reached)
         if k < len(self.targets) and np.linalg.norm(me.p - self.targets[k]) <= THERE:
@@ -135,7 +145,7 @@ class TargetList(CFDistributedFeedback):
         return Goto(self.targets[min(len(self._reached), len(self.targets) - 1)])
 
     async def mission(self) -> dict[str, Any]:
-        """The law, with when it was where."""
+        """Run the law, and add when each target was reached."""
         return {
             **await super().mission(),
             "reached_s": [round(t, 2) for t in self._reached],
@@ -144,7 +154,10 @@ class TargetList(CFDistributedFeedback):
 
 
 def planned_s(places: Sequence[Vec], flight: Flight) -> float:
-    """s from each place to the next, as fast as the limits allow, at rest at each."""
+    """Return the s that a drone needs from each place to the next, as fast as the limits allow.
+
+    The drone is at rest at each place.
+    """
     v = flight.speed_limit
     a = flight.acceleration_limit
     pairs = pairwise(places)

@@ -1,4 +1,4 @@
-"""Whose turn it is at a place that several drones want: the lowest id's. The others wait around it."""
+"""The order of drones that want the same place: the lowest id first, the others wait around it."""
 
 import math
 
@@ -10,28 +10,49 @@ from crazychoir.safety.collision.neighbour_table import BORN, USABLE
 from crazychoir.safety.rules.guard import EDGE, Fence
 from crazychoir.types import Vec
 
-NEAR, AROUND = 0.5, 0.75
-"""m from a place, in the plane: who flies within wants it too, it may be; who waits for it does so outside."""
-BLOCKED, CLOSE, TURN = 0.5, 0.1, 10.0
-"""s since it gave way in which others are in its way; m from a goal that then counts as there; s that it leaves it to
-one whose turn it is."""
-PATIENT, LEAVES = 3.0, 5.0
-"""s that others, who may want nothing, are given to get out of its way before it goes aside; s that it does so."""
+NEAR = 0.5
+"""m, in the plane: a drone that flies nearer to a place probably wants it too."""
+AROUND = 0.75
+"""m, in the plane: distance from the place at which a drone waits for its turn."""
+BLOCKED = 0.5
+"""s: a drone that gave way less than this ago is blocked by others."""
+CLOSE = 0.1
+"""m: a blocked drone that is nearer to its goal has arrived."""
+TURN = 10.0
+"""s: how long a drone leaves a place to another drone that comes first."""
+PATIENT = 3.0
+"""s: how long a drone waits for others to clear its way before it moves aside.
+
+The others may not want the place.
+"""
+LEAVES = 5.0
+"""s: how long a drone stays aside."""
 SIDES = (0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi)
+"""rad: directions to move aside, from the drone's own side of the place, in order of preference."""
 
 
 def blocked(pilot: Pilot) -> bool:
-    """Whether others are in its way, or it is in theirs."""
+    """Return whether other drones are in this drone's way, or it is in theirs."""
     return pilot.clock.now() < pilot.clearance.gave_way + BLOCKED
 
 
 def first_at(pilot: Pilot, p: Vec) -> int:
-    """The lowest id of those that fly near a place p (3,) m, as far as this drone hears; its own if there is none."""
+    """Return the lowest id of the drones that fly near a place p (3,) m.
+
+    It is this drone's own id if it hears of no drone there.
+    """
     return min(_flying_near(pilot, p, NEAR), default=pilot.drone)
 
 
 def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
-    """Where a drone at `at` (3,) m waits for its turn at p (3,) m, as high: on its own side, if the fence allows."""
+    """Return the place where a drone waits for its turn at p, at the same height as p.
+
+    It is on the drone's own side if the fence allows.
+
+    at: (3,) m: where the drone is.
+    p: (3,) m: the place that several drones want.
+    fence: the fence of the drone.
+    """
     angle = math.atan2(at[1] - p[1], at[0] - p[0])
     places = [
         p + AROUND * np.array([math.cos(angle + side), math.sin(angle + side), 0.0])
@@ -46,7 +67,11 @@ def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
 
 
 def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
-    """Where those are that fly less than `far` m from p (3,), in the plane, as far as this drone hears."""
+    """Return {id: (3,) m} of the drones that fly near a place, as far as this drone hears them.
+
+    p: (3,) m: the place.
+    far: m, in the plane: largest distance.
+    """
     traffic = pilot.clearance.traffic
     if traffic is None:
         return {}
@@ -59,16 +84,19 @@ def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
 
 
 class Turns:
-    """Where a drone flies whose guidance decides again and again: to its place, or aside for others."""
+    """Where a drone flies that decides again and again: to its own place, or aside for others."""
 
     def __init__(self, pilot: Pilot) -> None:
         self.pilot = pilot
         self._aside = np.zeros(3)
         self._until = 0.0
-        self._free = 0.0  # s, when nobody was in its way for the last time
+        self._free = 0.0  # s: last time without another drone in the way
 
     def to(self, p: Vec) -> Vec:
-        """Where to fly now for who wants to be at p (3,) m: aside, while it is another one's turn, at most LEAVES s."""
+        """Return where to fly now, for a drone that wants to be at p (3,) m.
+
+        It is a place aside, for at most LEAVES s, while it is another drone's turn.
+        """
         pilot = self.pilot
         now = self.pilot.clock.now()
         if not blocked(pilot):
@@ -85,10 +113,13 @@ class Turns:
         return p
 
     def away(self) -> Vec | None:
-        """Where to fly for who wants nothing, but is in another's way; None: nowhere."""
+        """Return where to fly for a drone that wants no place but is in another drone's way.
+
+        None: stay.
+        """
         pilot = self.pilot
         now = self.pilot.clock.now()
-        assert pilot.state is not None  # noqa: S101 - who flies has a state
+        assert pilot.state is not None  # noqa: S101 - a drone in flight has a state
         here = pilot.state.p
         if now < self._until and pilot.gap(self._aside) > CLOSE:
             return self._aside
@@ -101,7 +132,7 @@ class Turns:
         return self._leave(np.array([nearest[0], nearest[1], here[2]]))
 
     def _leave(self, p: Vec) -> Vec:
-        assert self.pilot.state is not None  # noqa: S101 - who flies has a state
+        assert self.pilot.state is not None  # noqa: S101 - a drone in flight has a state
         self._aside = aside(self.pilot.state.p, p, self.pilot.fence)
         self._until = self.pilot.clock.now() + LEAVES
         return self._aside

@@ -1,4 +1,7 @@
-"""A function that a user has written, as the runtime calls it: an error of it names file, line, what is allowed."""
+"""A user's function as the runtime calls it.
+
+Its errors name the file, the line and what is allowed.
+"""
 
 import inspect
 import traceback
@@ -12,35 +15,38 @@ from crazychoir.errors import ConfigError, CrazyChoirError, Hung, without_exit
 from crazychoir.runtime.user_code_guard import HOOK, limited
 
 README = 'See "Write your own mission" in README.md.'
+"""Advice for the user: the chapter about missions."""
 CHAPTERS = {
     "mission": README,
     "algorithm": 'See "A new distributed algorithm" in README.md.',
 }
-"""Of README.md, by the kind of the file."""
+"""Advice for the user, by kind of file: the chapter of README.md."""
 
 
 @dataclass(frozen=True)
 class Hook:
-    """A function of a mission file.
-
-    file: where it is written;  arguments: as it is called, by position;  returns: what is allowed, in words;
-    kind: "mission", or "algorithm".
-    """
+    """A function of a user's file."""
 
     file: str
+    """The file that defines it."""
     name: str
+    """Its name."""
     function: Callable[..., Any]
+    """The function."""
     arguments: tuple[str, ...]
+    """Names of its arguments, passed by position."""
     returns: str
+    """What it may return, in words."""
     kind: str = "mission"
+    """"mission" or "algorithm"."""
 
     @property
     def call(self) -> str:
-        """How it is called."""
+        """The call in words, such as "swarm(drones)"."""
         return f"{self.name}({', '.join(self.arguments)})"
 
     def check(self) -> None:
-        """Raise ConfigError unless it is a plain function that takes its arguments."""
+        """Raise ConfigError unless it is a plain function that takes these arguments."""
         require_signature(
             self.function,
             self.arguments,
@@ -50,7 +56,11 @@ class Hook:
         )
 
     def __call__(self, *values: Any) -> Any:
-        """Call it; an error that is no word of this package becomes one that names file, line and hook."""
+        """Call the function, and return its result.
+
+        Raises ConfigError with file, line and hook for errors of other packages than crazychoir,
+        for calls that do not return in time, and for sys.exit.
+        """
         try:
             with (
                 limited(HOOK, f"{self.kind} {self.file}: {self.call}"),
@@ -66,7 +76,7 @@ class Hook:
             raise self.wrong(found, self._line(error)) from error
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
-        """The error of a hook that did not return what is allowed."""
+        """Return the error of a hook with a result that is not allowed."""
         return ConfigError(
             f"{self.kind} {self.file}{line}: {self.call}",
             found,
@@ -75,7 +85,7 @@ class Hook:
         )
 
     def _line(self, error: Exception) -> str:
-        """Where in the user's file it happened."""
+        """Return the line of the user's file in which the error was raised, as ":line"."""
         lines = [
             at.lineno
             for at in traceback.extract_tb(error.__traceback__)
@@ -91,7 +101,12 @@ def require_signature(
     name: str,
     chapter: str = README,
 ) -> None:
-    """Raise ConfigError unless `function` is a plain function that can be called with `arguments`, by position."""
+    """Raise ConfigError unless `function` is a plain function that takes `arguments` by position.
+
+    where: the file or class, for the error.
+    name: name of the function.
+    chapter: advice for the user.
+    """
     wanted = f"def {name}({', '.join(arguments)})"
     if not callable(function):
         raise ConfigError(
@@ -117,7 +132,10 @@ def require_signature(
 
 
 def place_of(function: Callable[..., Any]) -> str:
-    """Return where a user's function is written, as "file:line name"; its name alone where that is not known."""
+    """Return where a user's function is defined, as "file:line name".
+
+    Its name alone if the file is not known.
+    """
     plain = inspect.unwrap(getattr(function, "__func__", function))
     code = getattr(plain, "__code__", None)
     name = getattr(plain, "__qualname__", type(function).__qualname__)
@@ -125,7 +143,7 @@ def place_of(function: Callable[..., Any]) -> str:
 
 
 def shown(value: object) -> str:
-    """What a value is, in a few words."""
+    """Return a value in a few words."""
     if value is None:
         return "None"
     return (

@@ -1,1 +1,1 @@
-"""Pickup and delivery in flight, planned before or while flying."""
+"""Pickup and delivery, planned before the flight or during the flight."""

@@ -1,4 +1,7 @@
-"""What one robot has promised its team and done: its route, to what it is bound, what is aboard. No flight."""
+"""The commitments of one robot to its team: its route, its bonds, and what is aboard.
+
+Nothing here flies.
+"""
 
 from collections.abc import Sequence
 
@@ -11,8 +14,10 @@ from crazychoir.routing.instance.plan import Stop
 class Commitments:
     """The commitments of the robot of these news, and what they allow.
 
-    route: stops, in order;  planning: whether it takes part in a planning whose plan it has not adopted;
-    bound: tasks that it has named in its first message of that planning: nobody else gets them.
+    news: the news of the robot.
+    route: stops, in order.
+    planning: the robot takes part in a planning and has not adopted a plan of it yet.
+    bound: tasks that it named in its first message of that planning. No other robot gets them.
     """
 
     def __init__(self, news: TeamNews) -> None:
@@ -23,7 +28,7 @@ class Commitments:
         self._head: list[Stop] = []
 
     def aboard(self) -> dict[int, None]:
-        """Tasks whose goods it carries, in the order of their pickups."""
+        """Return the tasks of the goods that it carries, in the order of their pickups."""
         found: dict[int, None] = {}
         for deed in self.news.record.deeds:
             if deed.kind == "pickup":
@@ -33,9 +38,9 @@ class Commitments:
         return found
 
     def next(self) -> Stop | None:
-        """The next stop; one whose goods are not there to be picked up is left out.
+        """Return the next stop, without pickups of goods that are not there any more.
 
-        Who has said that it flies no more serves nothing more: others may be under way to what it has aboard.
+        None if the robot has said that it flies no more: others may be on their way to its goods.
         """
         while self.route and not self.news.record.out:
             stop = self.route[0]
@@ -48,14 +53,20 @@ class Commitments:
         return None
 
     def allow(self, stop: Stop) -> bool:
-        """Whether it may begin a stop now: goods that may be given to somebody else stay where they are."""
+        """Return whether the robot may begin a stop now.
+
+        Goods that a plan may give to another robot stay where they are.
+        """
         free = self.news.quorate and (not self.planning or stop.task in self.bound)
         return stop.kind == "delivery" or free
 
-    # A planning -----------------------------------------------------------------------------------------------
+    # A planning -----------------------------------------------------------------------
 
     def begin(self, head: Sequence[Stop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Take part in a planning, bound to the stops `head`: the tasks of these, and what is aboard after them."""
+        """Take part in a planning, bound to the stops `head`.
+
+        Returns the tasks of these stops, and the tasks that are aboard after them.
+        """
         aboard = self.aboard()
         for stop in head:
             if stop.kind == "pickup":
@@ -70,7 +81,7 @@ class Commitments:
         return tuple(j for j in self.bound if j not in aboard), tuple(aboard)
 
     def adopt(self, share: Share) -> None:
-        """From now on this is the route: what it was bound to and has not done yet, then the new stops."""
+        """Take a new route: the bound stops that are not done yet, then the stops of the plan."""
         self.news.book.merge(share.book)
         for i, error in share.dropped.items():
             self.news.drop(i, error)
@@ -87,13 +98,16 @@ class Commitments:
             self.news.say(idle=False)
 
     def keep_aboard(self) -> None:
-        """No plan holds any more: only what is aboard is delivered."""
+        """Drop the plan: deliver only what is aboard."""
         self.route = [Stop(j, "delivery") for j in self.aboard()]
 
-    # A stop ---------------------------------------------------------------------------------------------------
+    # A stop ---------------------------------------------------------------------------
 
     def announce(self, stop: Stop) -> int:
-        """It stands at a stop, and serves it; returns the edition of the record that says so."""
+        """Record that the robot stands at a stop and serves it.
+
+        Returns the edition of the record that says so.
+        """
         self.route.remove(stop)
         standing = self.news.standings()[stop.task]
         deed = Deed(stop.task, stop.kind, standing.generation + (stop.kind == "pickup"))
@@ -102,7 +116,7 @@ class Commitments:
         )
 
     def take_back(self, task: int) -> None:
-        """A pickup that has not happened: the goods stay, and there is nothing to deliver."""
+        """Undo a pickup that does not count: the goods stay, and there is nothing to deliver."""
         self.news.say(
             deeds=tuple(deed for deed in self.news.record.deeds if deed.task != task)
         )

@@ -1,4 +1,4 @@
-"""What must hold between the options, the instance and the swarm of the online mission, before anybody flies."""
+"""Checks of options, instance and swarm of the online mission, before any drone flies."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -15,12 +15,13 @@ from crazychoir.routing.instance.vehicle import TOTAL
 from crazychoir.team.graph import span
 
 IDLE = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
-"""Keys that say nothing beside others."""
+"""(key, other): a key that has no effect beside the other key."""
 STRAIGHT_HOME = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
+"""What robots can do in flight, for the error."""
 
 
 def require_used(written: Mapping[str, Any], where: str) -> None:
-    """Raise ConfigError for a key that says nothing beside another one."""
+    """Raise ConfigError for a key that has no effect beside another key."""
     for key, other in IDLE:
         if key in written and other in written:
             allowed = "no tasks are drawn then"
@@ -36,9 +37,14 @@ def require_flown(
     flown: Collection[str] = (),
     allowed: str = STRAIGHT_HOME,
 ) -> None:
-    """Raise ConfigError for what no robot minds in flight, and silence would hide.
+    """Raise ConfigError for features of an instance that no robot obeys in flight.
 
-    flown: what the robots of a mission do mind;  allowed: what they do, in words.
+    Without this error they would be ignored silently.
+
+    problem: the instance.
+    key: key of the instance, for the error.
+    flown: features that the robots of this mission obey.
+    allowed: what the robots do, in words.
     """
     tasks = problem.tasks
     there = {
@@ -73,9 +79,15 @@ def require_servable(
     chosen: DeliveryOptions,
     where: str,
 ) -> None:
-    """Raise ConfigError unless drones can stand where each task lies, and one can carry it; and all who are named are.
+    """Raise ConfigError unless drones can stand where each task lies, and a drone can carry it.
 
-    known: at the start;  appearing: as the options say, or as they are drawn.
+    All robots that are named must exist, too.
+
+    site: where goods may lie.
+    known: tasks that are known at the start.
+    appearing: tasks that appear, from the options or drawn.
+    chosen: the options.
+    where: the key of the options, for the error.
     """
     if len(known) + len(appearing) > ADDED:
         raise ConfigError(

@@ -1,4 +1,7 @@
-"""[mission_options] of the online mission: its keys, units, ranges and defaults. The reader checks with them."""
+"""[mission_options] of the online mission: keys, units, ranges and defaults.
+
+The reader checks with them.
+"""
 
 from typing import Annotated
 
@@ -21,6 +24,7 @@ Load = Annotated[
     ),
 ]
 MOST = ADDED // 2
+"""Largest number of tasks of an option."""
 Number = Annotated[
     int,
     Meta(ge=1, le=MOST, description=f"a number of tasks, 1 to {MOST}", examples=[15]),
@@ -52,25 +56,31 @@ Method = Annotated[
 
 
 class Appearance(Table, frozen=True, kw_only=True):
-    """One [[mission_options.appear]]: a task, t s after the start; robots: who alone may serve it, empty: all.
-
-    heard_by: who hears of it, and tells the others, empty: all.
-    """
+    """One [[mission_options.appear]]: a task that appears in flight."""
 
     t: Seconds
+    """s after the start."""
     pickup: Spot
+    """(2,) m."""
     delivery: Spot
+    """(2,) m."""
     load: Load = 1.0
+    """Load of the goods, in the unit of the capacities."""
     robots: Ids = ()
+    """Ids of the only robots that may serve it. Empty: all robots."""
     heard_by: Ids = ()
+    """Ids of the robots that learn of it first, and tell the others. Empty: all robots."""
 
 
 class Cancellation(Table, frozen=True, kw_only=True):
-    """One [[mission_options.cancel]], t s after the start."""
+    """One [[mission_options.cancel]]: a task that is cancelled in flight."""
 
     t: Seconds
+    """s after the start."""
     task: TaskId
+    """Number of the task."""
     heard_by: Ids = ()
+    """Ids of the robots that learn of it first, and tell the others. Empty: all robots."""
 
 
 Appearances = Annotated[
@@ -87,21 +97,25 @@ Cancellations = Annotated[
 
 
 class DeliveryOptions(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    instance: a file; without one `tasks` are drawn from the seed, and unless `appear` says which, `later` more;
-    recover: goods of a robot that is gone are fetched from where it was last;  service_time: s at each stop;
-    until: s after the start before which the mission does not end;  clearance: m from other robots' homes,
-    in the plane;  method: how tasks are shared out, see Replanning.
-    """
+    """[mission_options]."""
 
     instance: Text | None = None
+    """File of the instance. None: tasks are drawn from the seed."""
     tasks: Number = 15
+    """Number of tasks to draw, without an instance."""
     later: Further = 5
+    """Number of further tasks to draw that appear in flight, without an instance and `appear`."""
     appear: Appearances = ()
+    """Tasks that appear in flight."""
     cancel: Cancellations = ()
+    """Tasks that are cancelled in flight."""
     recover: Flag = False
+    """Goods of a lost robot are fetched from its last place."""
     service_time: Seconds = 1.0
+    """s at each stop."""
     until: Seconds = 0.0
+    """s after the start before which the mission does not end."""
     clearance: Gap = 0.4
+    """m, in the plane: distance of goods from other robots' homes."""
     method: Method = AUCTION
+    """How tasks are shared out, see Replanning."""

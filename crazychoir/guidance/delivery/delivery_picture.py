@@ -1,4 +1,4 @@
-"""What was flown for tasks that came and went, as a picture."""
+"""A picture of what was flown for tasks that came and went."""
 
 from collections.abc import Collection, Mapping
 from itertools import pairwise
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 RED = "#c00000"
+"""Colour of lost robots and undelivered tasks."""
 
 
 def draw_flown(
@@ -28,10 +29,16 @@ def draw_flown(
     lost: Collection[int],
     title: str,
 ) -> None:
-    """Write a PNG (or what the suffix of `path` says): the room from above, in m.
+    """Draw the room from above, in m, as a PNG or in the format of the suffix of `path`.
 
-    Squares: homes;  lines with arrows: ways (n, 2) m, flown from home;  triangles up: pickups;  down: deliveries, with
-    their tasks, in red those of `undelivered`;  red crosses: the last known places of robots `lost`, home if unknown.
+    path: the file to write.
+    homes: (2,) m by robot; squares.
+    ways: (n, 2) m by robot, flown from home; lines with arrows.
+    pickups: (2,) m by task; triangles up.
+    deliveries: (2,) m by task; triangles down.
+    undelivered: tasks with red numbers.
+    lost: lost robots; red crosses at their last known places, at home if unknown.
+    title: title of the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -1,15 +1,21 @@
-"""OnlinePDVRPGuidance: pickup and delivery while tasks come and go, and robots too. No drone stops to think.
+"""OnlinePDVRPGuidance: pickup and delivery while tasks and robots come and go.
 
-Four things at once, at each robot: it flies its route; it gossips its task book; it hears of new tasks; and it plans
-again with the team, in rounds, whenever tasks or team are others than those that its route was made for.
+No drone stops to plan. Each robot does four things at the same time. It flies its route. It gossips
+its task book. It learns of new tasks. And it plans again with the team, in rounds, whenever tasks
+or team differ from those of its present route.
 
-Who may serve what. A plan gives each free task to one robot. From the first message of a planning until its own
-adoption of the new plan, a robot begins no pickup but those that it has named in that message (`bound`): so any two who
-could both think that a task is theirs have adopted the same plan. A stop counts from when the robot that stands there
-announces it, and the robot leaves only when more than half of the team are known to have heard so. A robot that is
-lost in between lies at that very place, and so do the goods: a pickup that nobody has heard of has not happened, a
-delivery that anybody has heard of has. A part of the team that is cut off, not more than half of those before, picks
-nothing up.
+Three rules prevent a task from being served twice.
+
+A plan gives each free task to one robot. From the first message of a planning until it adopts the
+new plan, a robot begins no pickup except those named in that message (`bound`). Two robots that
+both hold a task as their own have therefore adopted the same plan.
+
+A stop counts from the moment when the robot that stands there announces it. The robot leaves only
+when more than half of the team are known to have received the announcement. A robot that is lost in
+between lies at that very place, with its goods. A pickup that no robot has heard of has not
+happened. A delivery that any robot has heard of has happened.
+
+A part of the team that is cut off, with at most half of the robots before, picks nothing up.
 """
 
 import asyncio
@@ -45,39 +51,49 @@ from crazychoir.types import FullState, Vec
 
 log = logging.getLogger(__name__)
 POLL = 0.05
-"""s between two looks at what may have changed."""
+"""s: interval at which the robot looks for changes."""
 HORIZON = 3.0
-"""s of its flight to which a robot is bound when a planning begins: as long as one takes in which somebody is lost."""
+"""s of its flight to which a robot is bound when a planning begins.
+
+A planning in which a robot is lost takes this long.
+"""
 LATE = 5.0
-"""s by which a robot is later than its plan said when the team plans again."""
+"""s: the team plans again when a robot is this much later than its plan."""
 REUNION = 30.0
-"""s after which who neither flies nor serves ends its mission, when it is cut off, or nobody else flies."""
+"""s after which a robot that neither flies nor serves ends its mission.
+
+It applies when the robot is cut off, or when no other robot flies.
+"""
 NO_PLAN = "no plan, only what is aboard is delivered"
+"""Reason when all methods have failed."""
 TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
+"""Reason when no robot has enough range left."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What all robots of a mission have in common.
-
-    site: where goods may lie, and who may serve which;  service_time: s at each stop;
-    recover: goods of a robot that is gone are fetched from where it was last;
-    until: s after GO before which nobody thinks that the mission is over;
-    method: how tasks are shared out, see Replanning.
-    """
+    """What all robots of a mission have in common."""
 
     site: Site
+    """Where goods may lie, and which robots may serve which."""
     service_time: float = 1.0
+    """s at each stop."""
     recover: bool = False
+    """Goods of a lost robot are fetched from its last place."""
     until: float = 0.0
+    """s after GO before which no robot considers the mission over."""
     method: str = AUCTION
+    """How tasks are shared out, see Replanning."""
 
 
 class OnlinePDVRPGuidance(CFGuidance):
-    """Robot i: its own home, capacity, limit and capability; the tasks that are known at the start; what it will hear.
+    """Robot i of the online mission, with its own home, capacity, limit and capability.
 
-    own: this robot's part of the instance; its capability counts for the first `len(own.tasks)` tasks, all later ones
-    say themselves who may serve them.
+    own: this robot's part of the instance. Its capability counts for the first `len(own.tasks)`
+        tasks. All later tasks name the robots that may serve them.
+    tasks: the tasks that are known at the start.
+    events: the tasks and cancellations that will come.
+    options: what all robots have in common.
     """
 
     def __init__(
@@ -104,7 +120,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         self._serving_until = 0.0
 
     def bind(self, member: Member) -> None:
-        """Meet the drone."""
+        """Connect this guidance to its drone."""
         super().bind(member)
         self._seen = _flat(self.own.home)
         self.news = TeamNews(
@@ -118,7 +134,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         member.report = lambda: {"task": self._task()}
 
     async def mission(self) -> dict[str, Any]:
-        """Fly, gossip, hear and plan, until the team agrees that nothing is left to do."""
+        """Fly, gossip, listen and plan, until the team agrees that no work is left."""
         await self.wait_for_start()
         try:
             async with asyncio.TaskGroup() as group:
@@ -149,12 +165,15 @@ class OnlinePDVRPGuidance(CFGuidance):
         return self.outcome()
 
     async def _come_down(self, reason: str) -> None:
-        """Be on the ground before the others hear that it is out: they come to where it is, for its goods."""
+        """Land before the others learn that the robot is out.
+
+        They then come to its place for its goods.
+        """
         self.member.pilot.land(reason)
         await touch_down(self.member.pilot, TOUCHDOWN)
 
     def outcome(self) -> dict[str, Any]:
-        """This drone's part of the report."""
+        """Return this drone's part of the report."""
         return {
             "served": self.served,
             "way": self.way,
@@ -181,18 +200,22 @@ class OnlinePDVRPGuidance(CFGuidance):
         return self.member.clock.now()
 
     def _here(self) -> Place:
-        """Where it is; or was last, when its estimate is no place: that would be news that nobody can read."""
+        """Return the place of the robot, (2,) m.
+
+        If its estimate is beyond LARGEST, it is the last valid place: other robots could not read
+        the new one.
+        """
         place = _flat(self.state.p)
         if all(abs(x) <= LARGEST for x in place):
             self._seen = place
         return self._seen
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """An operator adds a task, cancels one, or wants the list; see TaskSource."""
+        """Answer an operator: add a task, cancel a task, or list the tasks. See TaskSource."""
         return await self.source.asked(verb, arguments)
 
     def route(self) -> list[Vec]:
-        """Over the stops that it is to serve, home."""
+        """Return the stops that it is to serve, then its home."""
         stops = [] if self.news.record.out else self.commitments.route
         places = (
             [*map(self._place, stops), self.own.home[:2]] if self.up or stops else []
@@ -200,20 +223,26 @@ class OnlinePDVRPGuidance(CFGuidance):
         return [self._above(p) for p in places]
 
     def _may_end(self) -> bool:
-        """Whether a planning runs after which the mission may be over: it does not know of what is heard now."""
+        """Return whether a planning runs that may end the mission.
+
+        It does not know of tasks that come now.
+        """
         return self.commitments.planning and self.news.record.idle
 
-    # Planning -------------------------------------------------------------------------------------------------
+    # Planning -------------------------------------------------------------------------
 
     async def _plan(self) -> None:
-        """Plan at the start, when the team has changed, and whenever it is wanted; until the team has ended."""
+        """Plan at the start, and whenever a planning is due, until the team has ended.
+
+        A change of the team also needs a planning.
+        """
         while not self.news.ended:
             key = self.news.key()
             self.news.changed.clear()
             if not self.news.count():
                 await self._cut_off(key)
             elif self.id in key[1]:
-                await self.sleep(PERIOD)  # out: the others go on without
+                await self.sleep(PERIOD)  # out: the others continue without this robot
             else:
                 try:
                     await self._plannings(key)
@@ -221,7 +250,10 @@ class OnlinePDVRPGuidance(CFGuidance):
                     continue
 
     async def _plannings(self, key: Key) -> None:
-        """The plannings of one team, one after the other; all its robots begin each as soon as one has begun it."""
+        """Run the plannings of one team.
+
+        When a robot begins a planning, all others begin it too.
+        """
         n = 0
         while self.news.key() == key and not self.news.ended:
             if n and not self._wanted(key, n):
@@ -237,7 +269,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             self._adopt(share)
 
     def _wanted(self, key: Key, n: int) -> bool:
-        """Whether somebody plans already, or there is reason to."""
+        """Return whether a planning is due: a robot plans already, or there is a reason to plan."""
         alive = self.news.book.alive(self.graph.ids).values()
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
         return (
@@ -252,7 +284,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         return bool(route) and self._now + self._seconds(route) > self._promised + LATE
 
     async def _planned(self, key: Key) -> Share | None:
-        """One planning, together; None if the team has changed meanwhile."""
+        """Run one planning with the team. Returns None if the team has changed meanwhile."""
         links = self.news.links(without=key[1])
         head, start, ready = self._head()
         bound, aboard = self.commitments.begin(head)
@@ -278,10 +310,11 @@ class OnlinePDVRPGuidance(CFGuidance):
         )
 
     def _head(self) -> tuple[list[Stop], Vec, float]:
-        """The stops to which this robot is bound, where it will be after them, and in how many s.
+        """Return the stops to which this robot is bound, the place after them, and the s until
+        then.
 
-        That is where it flies now, and what follows within the HORIZON. While a planning has not led to a plan, others
-        may have one: it is bound to nothing new.
+        These are the stop to which it flies now and the stops within HORIZON. While a planning has
+        not led to a plan, other robots may have one: then the robot is bound to nothing new.
         """
         head: list[Stop] = []
         p = np.array(self._here())
@@ -298,9 +331,14 @@ class OnlinePDVRPGuidance(CFGuidance):
     def _problem(
         self, goods: Goods, start: Vec, ready: float, left: float
     ) -> LocalProblem:
-        """This robot's own problem: from where it will be, with what is aboard then, and m that are left.
+        """Return this robot's own problem of a planning.
 
-        No robot is capable of what lies where none can stand: so all leave it alone.
+        No robot is capable of goods that lie where no drone can stand, so all leave them alone.
+
+        goods: the tasks of the planning.
+        start: (2,) m: where the robot will be.
+        ready: s until it is there.
+        left: m that it may still fly from there.
         """
         own = self.own
         site = self.options.site
@@ -334,7 +372,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         self._redirected.set()
 
     def _why(self, j: int) -> str:
-        """Why nobody serves a task that is free."""
+        """Return why no robot serves a free task."""
         task = self.news.book.tasks[j]
         standing = self.news.standings()[j]
         site = self.options.site
@@ -344,11 +382,11 @@ class OnlinePDVRPGuidance(CFGuidance):
 
     @property
     def _speaks(self) -> bool:
-        """Whether it is the robot that says for all what all know: the lowest that flies."""
+        """This robot logs what all robots know: it has the lowest id of all that fly."""
         return self.id == min(self.news.book.alive(self.news.members), default=self.id)
 
     def _say_trouble(self, trouble: dict[str, str]) -> None:
-        """Which methods have found no plan, and why: in the log once, and in the result."""
+        """Record which methods have found no plan, and why: once in the log, and in the result."""
         n = len(self.plannings)
         for method, why in trouble.items():
             instead = NO_PLAN if method == AUCTION else f"planned by {AUCTION}"
@@ -366,14 +404,17 @@ class OnlinePDVRPGuidance(CFGuidance):
                 )
 
     def _say_unserved(self, unserved: dict[int, str]) -> None:
-        """What is new of that, in the log once."""
+        """Log new reasons why tasks are left alone, each once."""
         for j, why in unserved.items():
             if self._speaks and self.unserved.get(j) != why:
                 log.warning("drone %d: task %d is left alone: %s", self.id, j, why)
         self.unserved = unserved
 
     async def _cut_off(self, key: Key) -> None:
-        """Too few to decide: deliver what is aboard, go home; or, where others may fetch it, stay where one is."""
+        """Deliver what is aboard and go home, while too few robots are here to decide.
+
+        If others may fetch the goods of a lost robot, it stays where it is.
+        """
         log.warning("drone %d: %s", self.id, UNREACHED)
         if self.options.recover and self.up:
             self.reason = UNREACHED
@@ -384,7 +425,7 @@ class OnlinePDVRPGuidance(CFGuidance):
             await self.sleep(PERIOD)
 
     async def _left_alone(self) -> None:
-        """End the mission of who waits for others that are gone, wherever it waits."""
+        """End the mission if it waits for robots that are lost. Raises Interrupted."""
         why = await self.news.left_alone(REUNION, self._busy)
         raise Interrupted(
             f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
@@ -393,16 +434,16 @@ class OnlinePDVRPGuidance(CFGuidance):
     def _busy(self) -> bool:
         return self.member.pilot.remaining() > 0.0 or self._now < self._serving_until
 
-    # The route ------------------------------------------------------------------------------------------------
+    # The route ------------------------------------------------------------------------
 
     def _place(self, stop: Stop) -> Vec:
-        """(2,) m, where a stop is."""
+        """Return the place of a stop, (2,) m."""
         if stop.kind == "delivery":
             return np.array(self.news.book.tasks[stop.task].delivery)
         return np.array(self.news.standings()[stop.task].pickup)
 
     def _above(self, p: Vec) -> Vec:
-        """(3,) m, over a place of the plane."""
+        """Return the point (3,) m above a place in the plane."""
         flight = self.member.config.flight
         return np.array([*p, flight.ground + flight.takeoff_height])
 
@@ -415,7 +456,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         )
 
     def _seconds(self, route: Sequence[Stop]) -> float:
-        """s that a route takes from here."""
+        """Return the s that a route takes from here."""
         p = np.array(self._here())
         total = max(0.0, self._serving_until - self._now)
         for stop in route:
@@ -424,10 +465,13 @@ class OnlinePDVRPGuidance(CFGuidance):
             p = goal
         return total
 
-    # Flying ---------------------------------------------------------------------------------------------------
+    # Flying ---------------------------------------------------------------------------
 
     async def _fly(self) -> None:
-        """Stop by stop; without stops go home and wait on the ground. Who cannot fly on says so, and stays a talker."""
+        """Serve stop by stop. Without stops go home and wait on the ground.
+
+        A robot that cannot fly on says so, and continues to pass messages on.
+        """
         try:
             while not self.news.record.out:
                 stop = self.commitments.next()
@@ -444,7 +488,11 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.news.say(out=True)
 
     async def _reach(self, stop: Stop) -> bool:
-        """Fly to a stop; False if it is not the next one any more, or is elsewhere by what is known now."""
+        """Fly to a stop.
+
+        Returns False if it is not the next stop any more, or if it is elsewhere by what is known
+        now.
+        """
         if not self.up:
             self.up = True
             self.news.say(landed=False, idle=False)
@@ -454,14 +502,17 @@ class OnlinePDVRPGuidance(CFGuidance):
         )
 
     def _leads_to(self, stop: Stop, goal: Vec) -> bool:
-        """Whether a stop is the next one, and still there: of a robot that is gone something newer may be heard."""
+        """Return whether a stop is still the next one, and still at this place.
+
+        A newer record of a lost robot may move its goods.
+        """
         return (
             self.commitments.next() == stop
             and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
         )
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
-        """Fly straight to a place, as long as it is where to fly."""
+        """Fly straight to a place, as long as it is the right goal. Returns whether it still is."""
         await self._come_to_rest()
         leg = asyncio.ensure_future(self.go_to(self._above(goal)))
         began = np.array(self._here())
@@ -479,7 +530,10 @@ class OnlinePDVRPGuidance(CFGuidance):
         return valid()
 
     async def _come_to_rest(self) -> None:
-        """A flight that turns round under way swings far out: who flies elsewhere now stops first, for a moment."""
+        """Stop before a flight to another place.
+
+        A flight that turns round on its way swings far out.
+        """
         pilot = self.member.pilot
         if pilot.remaining() > 0.0:
             pilot.hover()
@@ -498,7 +552,10 @@ class OnlinePDVRPGuidance(CFGuidance):
             )
 
     async def _permitted(self, stop: Stop) -> bool:
-        """Wait, above the stop, while it may be given to somebody else; False if it is not the next one any more."""
+        """Wait above the stop while a plan may give it to another robot.
+
+        Returns False if it is not the next stop any more.
+        """
         since = self._now
         while self.commitments.next() == stop:
             if self.commitments.allow(stop):
@@ -508,9 +565,10 @@ class OnlinePDVRPGuidance(CFGuidance):
         return False
 
     async def _known(self, number: int, stop: Stop) -> bool:
-        """Wait until more than half of the team have heard of a stop; False for one that does not count.
+        """Wait until more than half of the team have received the announcement of a stop.
 
-        Cut off, it takes a pickup back; and where others may fetch what it carries, they decide about a delivery.
+        Returns False if the stop does not count. A robot that is cut off takes a pickup back. If
+        others may fetch what it carries, they decide about a delivery.
         """
         since = self._now
         while True:
@@ -527,7 +585,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         self.longest_wait = max(self.longest_wait, self._now - since)
 
     async def _rest(self) -> None:
-        """Go home, land, wait for something to do."""
+        """Go home, land, and wait for something to do."""
         if self.up:
             if not await self._to(
                 self.own.home[:2], lambda: self.commitments.next() is None
@@ -547,5 +605,5 @@ class OnlinePDVRPGuidance(CFGuidance):
 
 
 def _flat(p: Vec) -> Place:
-    """A place in the plane."""
+    """Return a place in the plane, in m."""
     return float(p[0]), float(p[1])

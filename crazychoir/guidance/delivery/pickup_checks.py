@@ -1,4 +1,4 @@
-"""What must hold between the options, the instance and the swarm of pickup and delivery, before anybody flies."""
+"""Checks of options, instance and swarm of pickup and delivery, before any drone flies."""
 
 import math
 from itertools import combinations
@@ -14,24 +14,29 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.types import Vec
 
 FLOWN = ("end", "service_time", "penalty", "recharge")
-"""Of what `require_flown` looks for."""
+"""Features of an instance, of those in `require_flown`, that robots obey in flight."""
 CLEARANCE = 0.4
-"""m, in the plane, between where one lands and where others stand and land."""
+"""m, in the plane: distance of a landing place from the places where others stand and land."""
 LOWEST = 0.1
-"""m above the ground of a stop, as nobody touches down there."""
+"""m above the ground: lowest stop, since no drone touches down at a stop."""
 
 
 def require_ready(
     config: SwarmConfig, problem: Instance, method: str, where: str
 ) -> None:
-    """Raise ConfigError unless the swarm is that of the instance, its method fits, and all of it can be flown."""
+    """Check the swarm and the method against the instance, and that all of it can be flown.
+
+    where: the key of the instance, for the error.
+    Raises ConfigError if the swarm is not that of the instance, if the method does not fit, or if a
+    part of the instance cannot be flown.
+    """
     allowed = "in flight robots fly straight, as soon as they can, and come down at home or at their end"
     require_flown(problem, where, FLOWN, allowed)
     _require_homes(config, problem)
     _require_graph(config)
     PickupDelivery(
         problem.local(0), [], problem.robots, 1, {}, method
-    )  # which says whether the method fits
+    )  # raises ConfigError if the method does not fit
     _require_places(config, problem, where)
     _require_ends(config, problem, where)
 
@@ -65,7 +70,7 @@ def _require_graph(config: SwarmConfig) -> None:
 
 
 def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
-    site = Site(config, 0.0, problem)  # above homes drones wait for each other
+    site = Site(config, 0.0, problem)  # drones wait for each other above homes
     for name, points in (
         ("pickup", problem.tasks.pickup),
         ("delivery", problem.tasks.delivery),
@@ -85,7 +90,7 @@ def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
 
 
 def _height(config: SwarmConfig, p: Vec) -> str:
-    """Why no drone may stand at the height of a place of space; empty if it may."""
+    """Return why no drone may stand at the height of a place in space. Empty if it may."""
     low = config.flight.ground + LOWEST
     high = config.fence.max[2]
     return (
@@ -96,7 +101,10 @@ def _height(config: SwarmConfig, p: Vec) -> str:
 
 
 def _require_ends(config: SwarmConfig, problem: Instance, where: str) -> None:
-    """Each lands away from others' homes, over which they rise, and from others' ends."""
+    """Raise ConfigError if a robot's end is too near to the home or the end of another robot.
+
+    Drones rise above their homes.
+    """
     if problem.end is None:
         return
     site = Site(config, CLEARANCE, problem)

@@ -1,4 +1,4 @@
-"""PDVRPGuidance: the team solves one pickup-and-delivery problem together, then each drone flies its route."""
+"""PDVRPGuidance: the team solves a pickup-and-delivery problem, then each drone flies its route."""
 
 from typing import Any
 
@@ -14,15 +14,18 @@ from crazychoir.routing.instance.plan import Route, Solution, Stop
 from crazychoir.types import Vec
 
 DEADLINE = 120.0
-"""s for one round: the slowest neighbour prices its routes in it."""
+"""s for one round, in which the slowest neighbour prices its routes."""
 
 
 class PDVRPGuidance(CFGuidance):
-    """Robot i: its own home, capacity and capability, and the public task list; nothing of the other robots.
+    """Robot i knows its own home, capacity and capability, and the public task list.
 
-    service_time: s at each stop, at least: where the instance says more for a pickup or a delivery, it holds;
+    It knows nothing of the other robots. It recharges and ends where the instance says: above its
+    end, or above its home without an end. There it lands at last.
+
+    problem: this robot's part of the instance.
     method: how the integer plan is recovered, see PickupDelivery.
-    It recharges, and ends, where the instance says: above its end, without one above its home; there it lands at last.
+    service_time: s at each stop, at least. A longer time of the instance holds.
     """
 
     def __init__(
@@ -32,15 +35,18 @@ class PDVRPGuidance(CFGuidance):
         self.method = method
         self.service_time = service_time
         self.served: list[dict[str, Any]] = []
-        self._stops: tuple[Stop, ...] = ()  # of the route that it flies, or will
+        self._stops: tuple[Stop, ...] = ()  # stops of its present or next route
         self.history: list[tuple[int, float | None, float | None]] = []
 
     def foresee(self, member: Member) -> None:
-        """Compile the route search, or load it, before anybody waits for this robot."""
+        """Compile or load the route search before another robot waits for this one."""
         warm(self.problem, self.method)
 
     async def mission(self) -> dict[str, Any]:
-        """Plan together, then fly, each its own route at once: the collision filter keeps them apart."""
+        """Plan together, then fly the routes, all at the same time.
+
+        The collision filter keeps the drones apart.
+        """
         solution = await self.plan()
         route = solution.routes[0] if solution.routes else Route(self.id, (), 0.0)
         self._stops = route.stops
@@ -56,7 +62,7 @@ class PDVRPGuidance(CFGuidance):
         return self.outcome(solution, route)
 
     async def plan(self) -> Solution:
-        """The distributed mixed-integer program."""
+        """Solve the distributed mixed-integer program, and return its solution."""
         graph = self.graph
         solver = PickupDelivery(
             self.problem,
@@ -77,7 +83,7 @@ class PDVRPGuidance(CFGuidance):
         return solver.solution
 
     async def fly_route(self, route: Route, solution: Solution) -> None:
-        """Take off, serve stop by stop, go to where it ends, land."""
+        """Take off, serve stop by stop, go to the end, land."""
         self.member.report = lambda: self.news(
             f"flying: {len(self.served)}/{len(route.stops)} stops", solution
         )
@@ -93,17 +99,18 @@ class PDVRPGuidance(CFGuidance):
         await self.land()
 
     def route(self) -> list[Vec]:
-        """Over the stops that are left to where it ends."""
+        """Return the stops that are left, then the end."""
         left = self._stops[len(self.served) :]
         return [*map(self.place, left), self.above_end()] if self._stops else []
 
     def news(self, task: str, solution: Solution) -> dict[str, Any]:
-        """Of a mission that flies its plan."""
+        """Return the status of a mission that flies its plan."""
         return {"task": task, "cost": solution.cost, "relaxed": solution.lower_bound}
 
     def place(self, stop: Stop) -> Vec:
-        """(3,) m where it stands at a stop; a point of the plane is visited at take-off height.
+        """Return where the robot stands at a stop, (3,) m.
 
+        A point in the plane is visited at take-off height.
         Raises ConfigError for a kind of stop that it cannot fly.
         """
         tasks = self.problem.tasks
@@ -123,7 +130,7 @@ class PDVRPGuidance(CFGuidance):
         return np.array([*p[:2], p[2] if len(p) == 3 else self._height])
 
     def seconds(self, stop: Stop) -> float:
-        """How long it stays at a stop."""
+        """Return how long the robot stays at a stop, in s."""
         if stop.kind == "recharge":
             return self.service_time
         service = self.problem.tasks.service
@@ -133,7 +140,10 @@ class PDVRPGuidance(CFGuidance):
         )
 
     def above_end(self) -> Vec:
-        """(3,) m where the flight ends: over the end that the instance gives, else over where it stood."""
+        """Return where the flight ends, (3,) m.
+
+        It is above the end of the instance, else above the home of the drone.
+        """
         home = self.problem.home
         end = self.problem.end
         elsewhere = end is not None and not np.array_equal(end, home)
@@ -146,12 +156,12 @@ class PDVRPGuidance(CFGuidance):
 
     @property
     def _height(self) -> float:
-        """m, world frame, of the take-off."""
+        """m, world: height of the take-off."""
         flight = self.member.config.flight
         return flight.ground + flight.takeoff_height
 
     def outcome(self, solution: Solution, route: Route) -> dict[str, Any]:
-        """This drone's part of the report."""
+        """Return this drone's part of the report."""
         return {
             "served": self.served,
             "route": route.to_json(),

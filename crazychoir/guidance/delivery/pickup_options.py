@@ -1,4 +1,7 @@
-"""[mission_options] of pickup and delivery: its keys, units, ranges and defaults. The reader checks with them."""
+"""[mission_options] of pickup and delivery: keys, units, ranges and defaults.
+
+The reader checks with them.
+"""
 
 from typing import Annotated
 
@@ -18,12 +21,11 @@ Method = Annotated[
 
 
 class PickupOptions(Table, frozen=True, kw_only=True):
-    """[mission_options].
-
-    instance: a file, without one that of the demonstration;  method: how the integer plan is recovered, see
-    PickupDelivery;  service_time: s at each stop, at least: where the instance says more, it holds.
-    """
+    """[mission_options]."""
 
     instance: Text | None = None
+    """File of the instance. None: the instance of the demonstration."""
     method: Method = METHODS[0]
+    """How the integer plan is recovered, see PickupDelivery."""
     service_time: Seconds = 1.0
+    """s at each stop, at least. A longer time of the instance holds."""

@@ -1,4 +1,9 @@
-"""One planning of a team in flight, as rounds: agree on what is known, share out what is free, from where all are."""
+"""One planning of a team in flight, as rounds.
+
+The robots agree on what is known, then share out the free tasks.
+
+Each robot plans from where it will be.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -18,46 +23,56 @@ from crazychoir.routing.search.parallel_auction import parallel_auction
 from crazychoir.team.graph import Graph
 
 AUCTION = "parallel-auction"
+"""The method that uses the auction alone."""
 KINDS = (AUCTION, *METHODS)
-"""How tasks may be shared out in flight: by the auction alone, or by a method of PickupDelivery after it."""
+"""Methods to share out tasks in flight.
+
+The auction alone, or a method of PickupDelivery after the auction.
+"""
 Mark = tuple[tuple[int, int, bool], ...]
 """The tasks that a plan was made for: (id, version, cancelled) of each."""
 Dropped = dict[int, CodecError]
+"""By robot: why its message was ignored."""
 
 
 @dataclass(frozen=True)
 class Share:
-    """What one robot has of a plan.
-
-    stops: after those that it was bound to;  unserved: tasks that nobody can serve;  book: what the plan was made with,
-    the same at all robots;  ended: nothing is left to do, and all have landed;  dropped: why, by robot, what it said
-    counts for nothing;  trouble: why, by method, it has found no plan, the same at all robots.
-    """
+    """One robot's part of a plan."""
 
     stops: tuple[Stop, ...]
+    """The stops after those to which the robot is bound."""
     unserved: tuple[int, ...]
+    """Tasks that no robot can serve."""
     book: TaskBook
+    """The book from which the plan was made, the same at all robots."""
     ended: bool
+    """No work is left, and all robots have landed."""
     dropped: Dropped
+    """By robot: why its message was ignored."""
     trouble: dict[str, str] = field(default_factory=dict)
+    """By method: why it has found no plan, the same at all robots."""
 
 
 @dataclass(frozen=True)
 class Goods:
-    """The tasks of one planning, in the order of their ids: free ones, and those aboard a robot that goes on with them.
+    """The tasks of one planning, in the order of their ids.
 
-    pickup: (2,) m of each, where it lies;  mine: whether it is aboard this robot at its start;  free: to be shared out;
-    left_by: the robot that is gone with which it lies there, None if it lies where it always did.
+    These are the free tasks, and the tasks aboard a robot that continues with them.
     """
 
     tasks: tuple[Task, ...]
+    """The tasks."""
     pickup: tuple[Place, ...]
+    """(2,) m of each: where it lies."""
     mine: tuple[bool, ...]
+    """For each: it is aboard this robot at its start."""
     free: tuple[bool, ...]
+    """For each: it is to be shared out."""
     left_by: tuple[int | None, ...]
+    """For each: the lost robot with which it lies there. None: it lies at its first place."""
 
     def public(self, service: float) -> Tasks:
-        """As the solvers have them."""
+        """Return the tasks in the form that the solvers use; service: s at each stop."""
         return Tasks(
             np.array(self.pickup, dtype=float).reshape(-1, 2),
             np.array([task.delivery for task in self.tasks], dtype=float).reshape(
@@ -71,17 +86,28 @@ class Goods:
 class Replanning(Program[Share]):
     """A Round: all robots of `members` end it in the same round, each with its share of one plan.
 
-        flood of books and bonds  ->  auction of the free tasks  ->  a better plan of those that were sold
+        flood of books and bonds
+        ->  auction of the free tasks
+        ->  a better plan of the sold tasks
 
-    A method that raises, at one robot or at all, leaves the plan of the auction; an auction that does, no plan: what is
-    aboard is delivered, and the free tasks are left.
+    If a method raises an error, at one robot or at all, the plan of the auction holds. If the
+    auction raises an error, there is no plan: what is aboard is delivered, and the free tasks are
+    left.
 
-    graph: of the members, connected and undirected;  book: what this robot knows;  bound: tasks that it is about to
-    serve, or to deliver, before its start; nobody else gets them;  carried: tasks that are aboard at its start;
-    problem: this robot's problem of these goods;  recover: see TaskBook.standings;  method: of KINDS; the auction alone
-    takes some tens of rounds and milliseconds, the others find shorter plans and compute for seconds.
-    What robots know is theirs as of the first round: what they hear later is for the next planning.
-    What somebody says that is no book is dropped, by all alike, as everybody hears the same of it.
+    A robot plans with what it knows in the first round. What it learns later is for the next
+    planning. A message that is not a valid book is ignored, by all robots alike, since all receive
+    the same message.
+
+    robot: id of this robot.
+    graph: of the members, connected and undirected.
+    book: what this robot knows.
+    bound: tasks that it is about to serve, or to deliver, before its start. No other robot gets
+        them.
+    carried: tasks that are aboard at its start.
+    problem: returns this robot's problem of these goods.
+    recover: see TaskBook.standings.
+    method: of KINDS. The auction alone takes some tens of rounds and milliseconds. The others find
+        shorter plans and compute for seconds.
     """
 
     def __init__(
@@ -106,7 +132,7 @@ class Replanning(Program[Share]):
         super().__init__()
 
     def run(self) -> Exchange[Share]:
-        """Agree, then share out."""
+        """Agree on what is known, then share out the free tasks."""
         said = yield from flood(self.robot, self._mine, self.diameter)
         book, bound, carried, dropped = _merged(said)
         goods = self._goods(book, bound, carried)
@@ -124,7 +150,10 @@ class Replanning(Program[Share]):
     def _shared_out(
         self, goods: Goods
     ) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
-        """This robot's stops, the tasks that are left, as indices, and the methods that have found no plan."""
+        """Return this robot's stops, the tasks left, and the methods without a plan.
+
+        The tasks are given as indices.
+        """
         m = len(goods.tasks)
         trouble = dict[str, str]()
         found, why = yield from attempt(self.robot, self._auction(goods), self.diameter)
@@ -158,7 +187,7 @@ class Replanning(Program[Share]):
     def _auction(
         self, goods: Goods
     ) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
-        """This robot's problem, its route, as nodes, and the tasks that are left, as indices."""
+        """Return this robot's problem, its route as nodes, and the tasks left as indices."""
         local = self._problem(goods)
         free = [n for n, is_free in enumerate(goods.free) if is_free]
         route, left = yield from parallel_auction(
@@ -169,9 +198,14 @@ class Replanning(Program[Share]):
     def _better(
         self, local: LocalProblem, route: tuple[int, ...], sold: list[int]
     ) -> Exchange[tuple[int, ...]]:
-        """This robot's route, as nodes, in a plan of PickupDelivery, for which robots and tasks count from 0.
+        """Return this robot's route, as nodes, in a plan of PickupDelivery.
 
-        Goods aboard are delivered whatever the way, so a plan as long as this route must be allowed.
+        PickupDelivery counts robots and tasks from 0. Goods aboard must be delivered however long
+        the way is, so a plan as long as the present route is allowed.
+
+        local: this robot's problem.
+        route: its route from the auction, as nodes.
+        sold: the tasks that the auction has sold, as indices.
         """
         index = {i: n for n, i in enumerate(self.members)}
         chosen = np.array(sold)
@@ -234,7 +268,7 @@ class Replanning(Program[Share]):
 
 
 def mark(book: TaskBook) -> Mark:
-    """What a plan made with this book was made for."""
+    """Return the tasks that a plan made with this book was made for."""
     return tuple(
         (task.id, task.version, task.cancelled)
         for _, task in sorted(book.tasks.items())
@@ -244,9 +278,12 @@ def mark(book: TaskBook) -> Mark:
 def _merged(
     said: dict[int, Any],
 ) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
-    """What all know together: the book, the bound tasks, who carries which, and what was no book or no bonds.
+    """Combine the messages of all robots.
 
-    Bonds hold though the book that came with them is none: else two would serve what one is bound to.
+    The bonds of a message hold even if its book is not valid. Else two robots would serve a task to
+    which one of them is bound.
+    Returns the book, the bound tasks, the robot that carries each task, and by robot why its
+    message was ignored.
     """
     book = TaskBook()
     bound = dict[int, None]()
@@ -265,7 +302,10 @@ def _merged(
 
 
 def _read(value: Any) -> tuple[Any, list[int], list[int]]:
-    """Book as a message, bonds and goods as one robot says them; raises CodecError."""
+    """Return the book (as a message), the bonds and the goods aboard of one robot's message.
+
+    Raises CodecError.
+    """
     try:
         wire, bonds, aboard = value
         return wire, list(map(int, bonds)), list(map(int, aboard))

@@ -1,4 +1,7 @@
-"""Where goods may lie, and who may serve which: what all robots of a mission know alike before anybody flies."""
+"""Where goods may lie, and which robots may serve which goods.
+
+All robots know this before the flight.
+"""
 
 import math
 from collections.abc import Collection
@@ -16,27 +19,32 @@ from crazychoir.types import Vec
 
 @dataclass(frozen=True)
 class Site:
-    """The fence and the homes, over which drones rise and come down; and what each robot may carry.
-
-    clearance: m that goods keep from the homes, in the plane;  crew: capacity, and capability for the first tasks,
-    those of the instance.
-    """
+    """The fence, the homes above which drones rise and land, and the loads of the robots."""
 
     config: SwarmConfig
+    """The swarm file."""
     clearance: float
+    """m, in the plane: distance of goods from the homes."""
     crew: Instance
+    """Capacities, and capabilities for the first tasks: those of the instance."""
     low: Vec = field(init=False)
+    """(2,) m: lower corner of the area that drones fly to."""
     high: Vec = field(init=False)
+    """(2,) m: upper corner of that area."""
 
     def __post_init__(self) -> None:
-        """low, high: (2,) m, corners of where drones fly to."""
+        """Compute the corners of the area."""
         object.__setattr__(self, "low", np.array(self.config.fence.min[:2]) + EDGE)
         object.__setattr__(self, "high", np.array(self.config.fence.max[:2]) - EDGE)
 
-    # Where ----------------------------------------------------------------------------------------------------
+    # Where ----------------------------------------------------------------------------
 
     def objection(self, place: Place, besides: int | None = None) -> str:
-        """Why no drone may stand above a place; empty if it may. besides: a robot that lies there, with its goods."""
+        """Return why no drone may stand above a place. Empty if it may.
+
+        place: (2,) m.
+        besides: a robot that lies at this place, with its goods. Its own home does not matter.
+        """
         if not all(
             a <= x <= b for a, x, b in zip(self.low, place, self.high, strict=True)
         ):
@@ -51,7 +59,14 @@ class Site:
         return ""
 
     def lies_badly(self, task: Task, pickup: Place, besides: int | None = None) -> str:
-        """Why its goods cannot be fetched from `pickup`, or not delivered; empty if they can."""
+        """Return why goods cannot be fetched from `pickup`, or cannot be delivered.
+
+        Empty if they can.
+
+        task: the task of the goods.
+        pickup: (2,) m: where the goods lie.
+        besides: a robot that lies there with the goods.
+        """
         for name, place, whose in (
             ("pickup", pickup, besides),
             ("delivery", task.delivery, None),
@@ -60,16 +75,16 @@ class Site:
                 return f"its {name} {_shown(place)} is {found}"
         return ""
 
-    # Who ------------------------------------------------------------------------------------------------------
+    # Robots ---------------------------------------------------------------------------
 
     def may(self, i: int, task: Task) -> bool:
-        """Whether a task is for robot i; its load does not count."""
+        """Return whether a task is meant for robot i, whatever its load."""
         if task.id < len(self.crew.tasks):
             return bool(self.crew.capability[i, task.id])
         return not task.robots or i in task.robots
 
     def able(self, task: Task) -> list[int]:
-        """Robots of the swarm that may serve a task and can carry it."""
+        """Return the robots of the swarm that may serve a task and can carry it."""
         return [
             i
             for i in self.config.ids
@@ -77,7 +92,10 @@ class Site:
         ]
 
     def never(self, task: Task) -> str:
-        """Why no robot of this swarm can serve a task, wherever its goods are; empty if one can."""
+        """Return why no robot of this swarm can serve a task, wherever its goods are.
+
+        Empty if one can.
+        """
         if strangers := [i for i in task.robots if i not in self.config.ids]:
             return f"there is no drone {span(strangers)}; this swarm has {span(self.config.ids)}"
         if self.able(task):
@@ -91,7 +109,10 @@ class Site:
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
     def waits(self, task: Task, flying: Collection[int]) -> str:
-        """Why none of those who fly can serve a task that somebody of the swarm could; empty if one can."""
+        """Return why no flying robot can serve a task that the swarm could serve.
+
+        Empty if one can.
+        """
         able = self.able(task)
         if any(i in flying for i in able):
             return ""

@@ -1,1 +1,1 @@
-"""Formation laws and the shapes that they hold."""
+"""Formation laws, and the shapes that they hold."""

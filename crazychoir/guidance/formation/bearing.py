@@ -1,4 +1,4 @@
-"""Bearing formations before they fly: is the formation rigid, how slow is it, do the drones bear it?"""
+"""Checks of a bearing formation before the flight: rigidity, convergence rate and stability."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,30 +22,50 @@ from crazychoir.numerics.math3d import projector
 from crazychoir.types import Mat, Point, Vec
 
 Neighbors = Mapping[int, Collection[int]]
+"""By drone: the ids that it hears."""
 Law = Literal["paper", "normalised"]
-KP, KV = 1.6, 4.6
-"""1/s2, 1/s: of the paper's law for its example, four drones, edges 01 03 12 13 23, leaders 0 and 1, whose body rates
-may be as late as RATE_LAG."""
-KP_ON_MOTORS, KV_ON_MOTORS = 4.0, 6.0
-"""The same behind rate loops on board."""
+"""The paper's law, or the normalised law."""
+KP = 1.6
+"""1/s2: gain of the paper's law for the paper's example.
+
+The example has four drones, edges 01 03 12 13 23 and leaders 0 and 1. Its body rates may be as late
+as RATE_LAG.
+"""
+KV = 4.6
+"""1/s: velocity gain of the paper's law for the same example."""
+KP_ON_MOTORS = 4.0
+"""1/s2: KP for drones with rate loops on board."""
+KV_ON_MOTORS = 6.0
+"""1/s: KV for drones with rate loops on board."""
 IN_HEIGHT = 0.5
-"""Share of the paper's gains with which height is held: thrust follows later than attitude, and where all drones fly
-at one height it is held by all their edges, so its modes are faster."""
-KP_NORMALISED, KV_NORMALISED = 8.0, 4.5
-"""1/s2, 1/s: of the normalised law, for any graph."""
-SLOWEST = 0.02  # 1/s, a formation slower than this needs minutes and is flown only if that is wanted
-FLEXIBLE = 1e-9  # of the largest eigenvalue: below this an eigenvalue is taken for zero
+"""Share of the paper's gains that holds the height.
+
+Thrust follows later than attitude. If all drones fly at one height, all their edges hold that
+height, so its modes are faster.
+"""
+KP_NORMALISED = 8.0
+"""1/s2: gain of the normalised law, for any graph."""
+KV_NORMALISED = 4.5
+"""1/s: velocity gain of the normalised law, for any graph."""
+SLOWEST = 0.02
+"""1/s: a slower formation needs minutes, and flies only with `force`."""
+FLEXIBLE = 1e-9
+"""Share of the largest eigenvalue below which an eigenvalue counts as zero."""
 
 
 def bearing_laplacian(
     shape: Shape, neighbors: Neighbors, leaders: Collection[int]
 ) -> tuple[Mat, Mat, list[int]]:
-    """Rows of the bearing Laplacian that belong to the followers.
+    """Return the rows of the bearing Laplacian that belong to the followers.
 
-        [B]_ij = - P_ij,  [B]_ii = sum_j P_ij,  j in N_i,  P_ij = I - g_ij g_ij^T,  g_ij along shape_j - shape_i
+        [B]_ij = - P_ij,   [B]_ii = sum_j P_ij,   j in N_i
+        P_ij = I - g_ij g_ij^T,   g_ij along shape_j - shape_i
 
-    shape: {id: (3,) m};  neighbors: {id: those that id hears}.
-    Returns B_ff (3 F, 3 F), B_fl (3 F, 3 L), both in ascending ids, and the followers.
+    shape: {id: (3,) m}.
+    neighbors: {id: ids that it hears}.
+    leaders: ids of the leaders.
+    Returns B_ff (3 F, 3 F), B_fl (3 F, 3 L), both in ascending ids, and the ids of the followers.
+    Raises ConfigError for a neighbour that is not in the shape, or at the same place.
     Source: Zhao & Zelazo 2017, IEEE TCNS 4(3).
     """
     ids = sorted(shape)
@@ -73,15 +93,17 @@ def bearing_laplacian(
 
 
 def _indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
-    """Rows of the coordinates of these drones."""
+    """Return the rows of the coordinates of these drones."""
     return [n for i in ids for n in range(row[i].start, row[i].stop)]
 
 
 def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
-    """K^-1 B_ff (3 F, 3 F) with K the blocks K_i = sum_j P_ij on the diagonal of B_ff.
+    """Return K^-1 B_ff (3 F, 3 F), with the blocks K_i = sum_j P_ij on the diagonal of B_ff.
 
-    Its eigenvalues l say how much a mode depends on leaders: 1 - l of it comes from other followers.
-    Refused, naming drones, where K_i has no inverse: all bearings of i are parallel, and nothing holds it along them.
+    An eigenvalue l is the share of a mode that depends on leaders. 1 - l of it comes from other
+    followers.
+    Raises Refused, with the drones, if K_i has no inverse: all bearings of i are parallel, and
+    nothing holds the drone along them.
     """
     blocks = [b_ff[k : k + 3, k : k + 3] for k in range(0, len(b_ff), 3)]
     alone = [
@@ -99,12 +121,16 @@ def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
 def equilibrium(
     shape: Shape, neighbors: Neighbors, leaders: Mapping[int, Point]
 ) -> dict[int, Vec]:
-    """Where everybody is when the followers are at rest and the leaders at these places.
+    """Return where each drone is when the followers are at rest and the leaders at these places.
 
         p_f = - B_ff^-1 B_fl p_l
 
-    The shape itself, moved and scaled as its leaders are; distorted where the leaders' bearings are not those of the
-    shape.  leaders: {id: (3,) m}.
+    It is the shape itself, moved and scaled as its leaders are. It is distorted if the leaders'
+    bearings are not those of the shape.
+
+    shape: {id: (3,) m}.
+    neighbors: {id: ids that it hears}.
+    leaders: {id: (3,) m}.
     """
     b_ff, b_fl, followers = bearing_laplacian(shape, neighbors, leaders)
     led = {i: np.array(leaders[i], dtype=float) for i in sorted(leaders)}
@@ -114,17 +140,18 @@ def equilibrium(
 
 @dataclass(frozen=True)
 class FormationReport:
-    """What a bearing formation will do.
-
-    lambda_min, lambda_max: of B_ff, or of K^-1 B_ff for the normalised law;  slowest: 1/s, the rate of the slowest
-    mode;  margin: s, the delay that the most delicate mode bears;  warnings: what to look at.
-    """
+    """How a bearing formation will behave."""
 
     lambda_min: float
+    """Smallest eigenvalue of B_ff, or of K^-1 B_ff for the normalised law."""
     lambda_max: float
+    """Largest eigenvalue of the same matrix."""
     slowest: float
+    """1/s: decay rate of the slowest mode."""
     margin: float
+    """s: smallest delay margin of all modes."""
     warnings: tuple[str, ...] = ()
+    """What the user should look at."""
 
 
 def check_formation(
@@ -140,11 +167,21 @@ def check_formation(
     chain: Chain | None = None,
     force: bool = False,
 ) -> FormationReport:
-    """What the bearing law with these gains will do on this graph; Refused if it cannot work.
+    """Return how the bearing law with these gains will behave on this graph.
 
-    kp: 1/s2;  kv: 1/s;  in_height: share of them, of the paper's law;  moving: whether leaders move, see age_margin;
-    chain: of the drones, None: the slowest body rates behind the gains of the law;  force: fly it though very slow.
-    Refused: all bearings of a follower parallel; not bearing-rigid; slower than 0.02 1/s without force; unstable.
+    shape: {id: (3,) m}.
+    neighbors: {id: ids that it hears}.
+    leaders: ids of the leaders.
+    kp: 1/s2.
+    kv: 1/s.
+    law: "paper" or "normalised".
+    in_height: share of the gains in height, for the paper's law.
+    moving: the leaders move, see age_margin.
+    chain: what lies between law and drone. None: the slowest body rates behind the gains of the
+        law.
+    force: fly a formation that is very slow.
+    Raises Refused if all bearings of a follower are parallel, if the graph is not bearing-rigid, if
+    the formation is slower than 0.02 1/s without force, or if it is unstable.
     """
     b_ff, _, followers = bearing_laplacian(shape, neighbors, leaders)
     if not followers:
@@ -194,7 +231,7 @@ def check_formation(
 
 
 def _flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
-    """Why a graph that is not bearing-rigid is refused, naming the drones that nothing holds."""
+    """Return why a graph is not bearing-rigid, with the drones that nothing holds."""
     loose = [
         i
         for i, part in zip(

@@ -1,4 +1,7 @@
-"""Leaders of a formation: they stand, or fly one path side by side, while their followers fly accelerations."""
+"""Leaders of a formation: they stand still, or fly one path side by side.
+
+Their followers fly accelerations.
+"""
 
 from typing import Annotated, Literal
 
@@ -29,7 +32,7 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Heard, Mat, Point, State, Vec
 
 SETTLING = 20.0
-"""s of the law, to form up where leaders stand."""
+"""s: duration of a law in which leaders stand still."""
 Kind = Annotated[
     Literal["still", "circle", "drawn"],
     Meta(
@@ -39,27 +42,37 @@ Kind = Annotated[
 
 
 class LeaderOptions(Table, frozen=True, kw_only=True):
-    """[mission_options] of every mission whose leaders may move.
-
-    leaders: what they do;  radius m, period s, laps, ramp s: of the circle;  drawing: a CSV file of rows stroke, t, x,
-    y, or an SVG picture;  begin: s of the law after which they begin;  duration: s of the law, without it SETTLING, or
-    as long as their path and 5 s more.
-    """
+    """[mission_options] of every mission with leaders that may move."""
 
     leaders: Kind = "still"
+    """What the leaders do."""
     radius: Length = 0.4
+    """m: radius of the circle."""
     period: Period = 40.0
+    """s: time of a lap of the circle."""
     laps: Laps = 1.0
+    """Number of laps."""
     ramp: Ramp = 5.0
+    """s: from rest to full speed."""
     drawing: Text = ""
+    """A CSV file of rows stroke, t, x, y, or an SVG picture."""
     begin: Ramp = 4.0
+    """s of the law before the leaders begin their path."""
     duration: Duration | None = None
+    """s: duration of the law.
+
+    None: SETTLING, or until 5 s after the end of the path.
+    """
 
 
 class Leader(CFDistributedFeedback):
-    """Stands at its place, or flies a path that begins there: its references are places, its followers' accelerations.
+    """Stands at its place, or flies a path that begins there.
 
-    place: (3,) m, where it hovers when the law begins;  path: None to stand;  begin: s of the law before it starts.
+    Its references are places, while those of its followers are accelerations.
+
+    place: (3,) m: where it hovers when the law begins.
+    path: its path. None: it stands still.
+    begin: s of the law before it starts the path.
     """
 
     def __init__(
@@ -71,7 +84,12 @@ class Leader(CFDistributedFeedback):
         self._started: float | None = None
 
     def led(self, path: Trajectory) -> str:
-        """From where it is to be now, the path that its operator has drawn: leaders that get it fly side by side."""
+        """Fly the path of the operator from the place where the leader should be now.
+
+        Leaders that get the same path fly side by side.
+        Returns what the leader does, in words.
+        Raises ConfigError if the path cannot be flown.
+        """
         if self.path is not None and self._started is not None:
             self.place = shifted(self.path, self.place, self._since()).p
         require_feasible(Moved(path, self.place), self.member.pilot)
@@ -81,11 +99,11 @@ class Leader(CFDistributedFeedback):
         return f"leads along it from {np.round(self.place, 2).tolist()}"
 
     def height(self) -> float:
-        """Of its place."""
+        """Return the height of its place above the ground, in m."""
         return float(self.place[2]) - self.member.config.flight.ground
 
     def step(self, me: State, heard: Heard) -> FullState | None:
-        """Where it is to be now."""
+        """Return where the leader should be now; None if it stands still."""
         if self.path is None:
             return None
         now = self.member.clock.now()
@@ -93,7 +111,7 @@ class Leader(CFDistributedFeedback):
         return shifted(self.path, self.place, self._since())
 
     def _since(self) -> float:
-        """s of its path, negative before."""
+        """Return the s since the begin of the path, negative before."""
         assert self._started is not None  # noqa: S101 - callers have looked
         return self.member.clock.now() - self._started - self.begin
 
@@ -107,23 +125,26 @@ class Moved:
         self.duration = path.duration
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         return shifted(self.path, self.place, t)
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         return self.path.done(t)
 
 
 def shifted(path: Trajectory, place: Vec, t: float) -> FullState:
-    """The path at t, moved so that it begins at `place`; at rest before and after it."""
+    """Return the path at t, moved so that it begins at `place`.
+
+    Before its begin and after its end the path is at rest.
+    """
     flat = path.sample(min(max(t, 0.0), path.duration)).flat.copy()
     flat[0:3] += place - path.sample(0.0).p
     return FullState(flat)
 
 
 def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
-    """What the leaders fly; None if they stand. Raises ConfigError."""
+    """Return the path of the leaders, or None if they stand still. Raises ConfigError."""
     match options.leaders:
         case "still":
             return None
@@ -151,7 +172,10 @@ def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
 
 
 def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
-    """Raise ConfigError for drones that hover outside the fence, and leaders whose path leaves it or [flight]."""
+    """Raise ConfigError for drones that hover outside the fence, and for leaders with a wrong path.
+
+    A path is wrong if it leaves the fence or exceeds [flight].
+    """
     flight = config.flight
     fence = config.fence
     room = Limits(
@@ -184,12 +208,18 @@ def _require_within(config: SwarmConfig, i: int, t: Vec, x: Mat, room: Limits) -
 
 
 def height_of(config: SwarmConfig, i: int) -> float | None:
-    """m above the ground, of the take-off of drone i; None for that of the swarm file."""
+    """Return the take-off height of drone i in m above the ground.
+
+    None: that of the swarm file.
+    """
     return own(config, config.drone(i), HeightOption).height
 
 
 def places(config: SwarmConfig) -> dict[int, Vec]:
-    """Where every drone hovers when the law begins: over its home, at its own `options.height` if it has one."""
+    """Return where every drone hovers when the law begins.
+
+    This is over its home, at its own `options.height` if it has one.
+    """
     ground = config.flight.ground
     rise = config.flight.takeoff_height
     return {
@@ -204,13 +234,13 @@ def places(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def leaders_of(config: SwarmConfig) -> dict[int, Vec]:
-    """The leaders' places when the law begins."""
+    """Return the leaders' places when the law begins."""
     at = places(config)
     return {drone.id: at[drone.id] for drone in config.drones if drone.leader}
 
 
 def leaders_at_last(config: SwarmConfig, options: LeaderOptions) -> dict[int, Vec]:
-    """The leaders' places when the law ends."""
+    """Return the leaders' places when the law ends."""
     path = path_of(config, options)
     leaders = leaders_of(config)
     if path is None:
@@ -220,14 +250,14 @@ def leaders_at_last(config: SwarmConfig, options: LeaderOptions) -> dict[int, Ve
 
 
 def leader_of(i: int, config: SwarmConfig, options: LeaderOptions) -> Leader:
-    """The law of leader i."""
+    """Return the law of leader i."""
     leader = Leader(leaders_of(config)[i], path_of(config, options), options.begin)
     leader.duration = duration_of(config, options)
     return leader
 
 
 def duration_of(config: SwarmConfig, options: LeaderOptions) -> float:
-    """s of the law."""
+    """Return the duration of the law in s."""
     if options.duration is not None:
         return options.duration
     path = path_of(config, options)

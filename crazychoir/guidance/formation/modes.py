@@ -1,4 +1,4 @@
-"""The modes of a formation behind the drones that fly it: how fast they decay, and how much delay they bear."""
+"""The modes of a formation with the dynamics of its drones: their decay and their delay margin."""
 
 import math
 from collections.abc import Sequence
@@ -21,37 +21,44 @@ from crazychoir.control.margin import (
 )
 from crazychoir.platforms import Platform
 
-TICK = 0.01  # s: an acceleration that is heard was commanded one tick before the state beside it
-WORSE = 1.3  # times the lag of the rotors that was identified
-LEVEL = 1e-6  # a mode with a smaller horizontal part moves in height only
+TICK = 0.01
+"""s: a received acceleration was commanded one tick before the state beside it."""
+WORSE = 1.3
+"""Factor on the identified lag of the rotors."""
+LEVEL = 1e-6
+"""A mode with a smaller horizontal part moves in height only."""
 FREQUENCIES = np.concatenate(
     [-np.geomspace(500.0, 1e-3, 3000), np.geomspace(1e-3, 500.0, 3000)]
-)  # rad/s
-OLDEST = 0.15  # s: longer nothing is asked about
+)
+"""rad/s: frequencies of the Nyquist plot."""
+OLDEST = 0.15
+"""s: larger ages are not checked."""
 
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True)
 class Chain:
-    """What lies between the acceleration that a law wants and the drone that has it.
-
-    gains: of the control behind the law;  lag: s, of the body rates, and of the thrust;  rates: W(s) of a rate loop on
-    board, if the rates are no such lag.
-    """
+    """The dynamics between the acceleration that a law wants and the acceleration of the drone."""
 
     gains: Gains = FORMATION
+    """Gains of the control behind the law."""
     lag: float = RATE_LAG
+    """s: lag of the body rates, and of the thrust."""
     rates: Loop | None = None
+    """W(s) of a rate loop on board. None: the body rates have only the lag."""
 
     @classmethod
     def of_motors(cls, gains: Gains, platform: Platform) -> "Chain":
-        """Of a drone with rotors and a rate loop on board, slower than it was identified."""
+        """Return the chain of a drone with a rate loop on board.
+
+        Its rotors are slower than identified.
+        """
         return cls(gains, WORSE * platform.rotor.lag, rate_loop(platform, 0, WORSE))
 
     @property
     def inner(self) -> Inner:
-        """Of roll and pitch."""
+        """The attitude loop of roll and pitch."""
         gains = self.gains
         return Inner(
             min(gains.kr[:2]),
@@ -63,14 +70,24 @@ class Chain:
 
 
 def slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
-    """Rate in 1/s at which the slowest mode decays: the smallest -Re s over s^2 + kv l s + kp l = 0."""
+    """Return the decay rate of the slowest mode in 1/s.
+
+    It is the smallest -Re s over s^2 + kv l s + kp l = 0.
+
+    eigenvalues: the values l.
+    kp: 1/s2.
+    kv: 1/s.
+    """
     return float(min(-np.roots([1.0, kv * e, kp * e]).real.max() for e in eigenvalues))
 
 
 def slowest_normalised(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
-    """Rate in 1/s at which the slowest mode of the normalised law decays.
+    """Return the decay rate of the slowest mode of the normalised law in 1/s.
 
-    s^2 + kv s + kp = 0,   or, as what neighbours command goes from one to the next in a tick h,  e^(s h) = 1 - l
+        s^2 + kv s + kp = 0,   or   e^(s h) = 1 - l
+
+    The second equation describes how commanded accelerations pass from one neighbour to the next in
+    a tick h.
     """
     through = min(-math.log(max(abs(1.0 - e), 1e-12)) / TICK for e in eigenvalues)
     return min(slowest_mode([1.0], kp, kv), through)
@@ -83,11 +100,18 @@ def mode_margin(
     kv: float,
     chain: Chain = Chain(),
 ) -> float:
-    """Smallest delay margin in s over the modes l, each with the gains kp l, kv l.
+    """Return the smallest delay margin in s over the modes l, each with the gains kp l and kv l.
 
-    A horizontal mode acts through the attitude; its delay may enter with the neighbours' data (guidance_loop) or with
-    everything (command_loop). A mode in height alone acts through the thrust, of the same lag. Half a tick of 100 Hz
-    is spent already; velocities come through a filter of 50 rad/s.
+    A horizontal mode acts through the attitude. Its delay may enter with the neighbours' data
+    (guidance_loop) or with all data (command_loop). A mode in height alone acts through the thrust,
+    which has the same lag. Half a tick of 100 Hz is subtracted. Velocities pass a filter of 50
+    rad/s.
+
+    eigenvalues: the values l.
+    horizontal: whether each mode moves horizontally.
+    kp: 1/s2.
+    kv: 1/s.
+    chain: dynamics of the drones.
     """
     loops = []
     for e, tilts in zip(eigenvalues, horizontal, strict=True):
@@ -108,14 +132,24 @@ def age_margin(
     chain: Chain,
     moving: bool = False,
 ) -> float:
-    """Largest s by which all that the normalised law hears may be older, in every mode l; 0 if it is unstable already.
+    """Return how much older, in s, the neighbours' data may be in the normalised law.
+
+    The bound holds for every mode l.
+
+    It is 0 if the law is unstable already.
 
         s^2 (1 - m e^(-(d + h) s)) + G(s) (kp + kv s F(s)) (1 - m e^(-(d + g) s)) = 0,   m = 1 - l
 
-    d: that age;  h: one tick, for which a_j is older than p_j, v_j;  g: h too, where the law takes p_j, v_j from the
-    tick of a_j, 0 where leaders move and it takes the newest;  G: of the attitude loop, or of the thrust;  F: of the
-    velocity filter. By Nyquist: along the imaginary axis the phase of the left side over its first bracket turns twice
-    by pi.
+    d is that age. h is one tick, by which a_j is older than p_j and v_j. g = h if the law takes p_j
+    and v_j from the tick of a_j, and g = 0 if leaders move and it takes the newest. G is the
+    attitude loop or the thrust, F the velocity filter. Stability follows from Nyquist: along the
+    imaginary axis the phase of the left side over its first bracket turns twice by pi.
+
+    eigenvalues: the values l.
+    kp: 1/s2.
+    kv: 1/s.
+    chain: dynamics of the drones.
+    moving: the leaders move.
     """
     lags = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1, OLDEST)
     m: Complex = np.array([[1.0 - e] for e in eigenvalues], dtype=np.complex128)
@@ -142,7 +176,10 @@ def _all_stable(
 
 
 def _attitude_response(chain: Chain) -> Complex:
-    """G(jw) = A W / (jw + KR W), half a tick late, A: from the desired attitude to the rates."""
+    """Return G(jw) = A W / (jw + KR W), half a tick late.
+
+    A is the response from the desired attitude to the rates.
+    """
     s = 1j * FREQUENCIES
     inner = chain.inner
     a = np.polyval(inner.attitude[0], s) / np.polyval(inner.attitude[1], s)
@@ -152,6 +189,7 @@ def _attitude_response(chain: Chain) -> Complex:
 
 
 def _thrust_response(chain: Chain) -> Complex:
+    """Return G(jw) = 1 / (lag jw + 1), half a tick late."""
     s = 1j * FREQUENCIES
     found: Complex = np.exp(-HOLD * s) / (chain.lag * s + 1.0)
     return found

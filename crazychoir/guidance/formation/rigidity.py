@@ -1,4 +1,7 @@
-"""Before formations fly that are held by distances, or that stay among leaders: is everybody held?"""
+"""Checks before the flight: does the graph hold each drone?
+
+They are for distance formations and containment.
+"""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
@@ -10,20 +13,26 @@ from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.types import Mat, Vec
 
 Edges = Iterable[tuple[int, int]]
+"""Pairs of ids."""
 FLEXIBLE = 1e-6
-"""m: a singular value of the rigidity matrix below this, for edges of some metres, counts as zero."""
+"""m: a smaller singular value of the rigidity matrix counts as zero, for edges of some metres."""
 CLOSE = 1e3
-"""How much more than its distance it counts that the weights of a hull sum up to one."""
+"""Weight of the condition that the weights of a hull sum up to one, relative to the distance."""
 
 
 def rigidity_matrix(
     shape: Shape, edges: Edges, leaders: Collection[int]
 ) -> tuple[Mat, list[int]]:
-    """The derivative of all distances squared, halved, by the followers' places; and the followers, ascending.
+    """Return half the derivative of all squared distances by the followers' places.
 
-        R has a row an edge (i, j):  (p_i - p_j)^T at i,  (p_j - p_i)^T at j
+    R has a row for each edge (i, j):
 
-    shape: {id: (D,) m}.  R: (edges, D F); edges between leaders are left out.
+        (p_i - p_j)^T at i,   (p_j - p_i)^T at j
+
+    shape: {id: (D,) m}.
+    edges: pairs of ids; edges between leaders are left out.
+    leaders: ids of the leaders.
+    Returns R (edges, D F) and the followers in ascending order.
     """
     followers = [i for i in sorted(shape) if i not in leaders]
     at = {i: np.asarray(shape[i], dtype=float) for i in shape}
@@ -41,9 +50,10 @@ def rigidity_matrix(
 
 
 def require_rigid(shape: Shape, edges: Edges, leaders: Collection[int]) -> Mat:
-    """The rigidity matrix of the followers; Refused, with the loose drones, if its rank is less than D F.
+    """Return the rigidity matrix of the followers.
 
-    Then some of them can begin to move without changing a distance, and the law does not hold them.
+    Raises Refused, with the loose drones, if its rank is less than D F. Then some drones can begin
+    to move without changing a distance, and the law does not hold them.
     """
     r, followers = rigidity_matrix(shape, edges, leaders)
     if not followers:
@@ -67,9 +77,9 @@ def require_rigid(shape: Shape, edges: Edges, leaders: Collection[int]) -> Mat:
 def require_led(
     neighbors: Mapping[int, Collection[int]], leaders: Collection[int]
 ) -> None:
-    """Refused, with the drones, if somebody hears no leader, not even through others."""
+    """Raise Refused, with the drones, if any drone hears no leader, not even through others."""
     led = list(leaders)
-    for j in led:  # grows while it goes on
+    for j in led:  # the list grows during the loop
         led += [i for i in sorted(neighbors) if i not in led and j in neighbors[i]]
     lost = [i for i in sorted(neighbors) if i not in led]
     if lost or not leaders:
@@ -82,9 +92,13 @@ def require_led(
 def grounded_laplacian(
     neighbors: Mapping[int, Collection[int]], leaders: Collection[int]
 ) -> tuple[Mat, Mat]:
-    """Rows of D^-1 L of the followers: (F, F) of the followers' columns, (F, leaders) of the leaders', ascending.
+    """Return the rows of D^-1 L that belong to the followers.
 
-    D: how many each hears;  L: the Laplacian.
+    D is the number of neighbours that each drone hears. L is the Laplacian.
+
+    neighbors: {id: ids that it hears}.
+    leaders: ids of the leaders.
+    Returns (F, F), the followers' columns, and (F, leaders), the leaders' columns, both ascending.
     """
     followers = [i for i in sorted(neighbors) if i not in leaders]
     ids = sorted(leaders)
@@ -104,7 +118,10 @@ def grounded_laplacian(
 
 
 def distance_to_hull(corners: Sequence[Vec] | Mat, p: Vec) -> float:
-    """m from p (D,) to the convex hull of the corners (n, D): min |sum_k w_k c_k - p|, w_k >= 0, sum_k w_k = 1."""
+    """Return the distance in m from p (D,) to the convex hull of the corners (n, D).
+
+    min |sum_k w_k c_k - p|,   w_k >= 0,   sum_k w_k = 1
+    """
     c = np.asarray(corners, dtype=float)
     weights, _ = nnls(
         np.vstack([(c - p).T, np.full(len(c), CLOSE)]),

@@ -1,4 +1,4 @@
-"""Starts drawn at random, clear of each other: a formation that begins in its places shows nothing."""
+"""Random starts, clear of each other: a formation that begins in its places would show nothing."""
 
 from typing import NamedTuple
 
@@ -11,25 +11,31 @@ from crazychoir.guidance.formation.leader import places
 from crazychoir.types import Vec
 
 CLEAR = 0.35
-"""m between two starts, seen from above: more than the collision filter keeps."""
+"""m: smallest distance between two starts, seen from above. The collision filter keeps less."""
 LOWEST = 0.3
-"""m above the ground, of a start: below, the air is rough."""
+"""m above the ground: lowest start. Below, the air is rough."""
 ATTEMPTS = 10_000
-"""Draws of a place before it is clear there is none."""
+"""Number of draws after which there is no free place."""
 
 
 class Scatter(NamedTuple):
-    """m, at most, along each axis."""
+    """The largest shift of a start."""
 
     x: float
+    """m."""
     y: float
+    """m."""
     z: float
+    """m."""
 
 
 def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
-    """The same swarm with its followers' homes and heights moved by up to `by`, drawn from its seed.
+    """Return the swarm with its followers' homes and heights moved by up to `by`.
 
-    Each drone takes off straight up: two starts are CLEAR apart seen from above. Raises Refused if there is no room.
+    The seed of the swarm determines the places.
+
+    Each drone takes off straight up, so two starts are at least CLEAR apart, seen from above.
+    Raises Refused if there is no room.
     """
     draw = np.random.default_rng(config.seed)
     at = places(config)

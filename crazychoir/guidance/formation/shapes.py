@@ -1,4 +1,4 @@
-"""Shapes for formations: a square, a grid, letters; and who of them talks to whom."""
+"""Shapes for formations (a square, a grid, letters) and the edges between their drones."""
 
 import math
 from collections.abc import Mapping
@@ -8,14 +8,16 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Point
 
 Shape = Mapping[int, Point]
+"""{id: (3,) m}."""
 SQUARE: Shape = {
     0: (0.0, 0.0, 1.0),
     1: (1.0, 0.0, 1.0),
     2: (1.0, 1.0, 1.0),
     3: (0.0, 1.0, 1.0),
 }
+"""The square of the paper."""
 SQUARE_EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
-"""The paper's: one diagonal."""
+"""The edges of the paper: the sides and one diagonal."""
 LETTERS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "S": (
         (0.5, 0.667),
@@ -44,11 +46,14 @@ LETTERS: Mapping[str, tuple[tuple[float, float], ...]] = {
         (0.25, -0.79),
     ),
 }
-"""Eleven places of a stroke each; the first two, its leaders', are the ends of the letter."""
+"""Eleven places on each letter, in units of the shape.
+
+The first two places are those of the leaders: the ends of the letter.
+"""
 
 
 def grid(columns: int, rows: int, spacing: float, height: float = 1.0) -> Shape:
-    """Row by row, from the origin."""
+    """Return a grid, row by row, from the origin."""
     return {
         columns * r + c: (round(spacing * c, 6), round(spacing * r, 6), height)
         for r in range(rows)
@@ -57,7 +62,10 @@ def grid(columns: int, rows: int, spacing: float, height: float = 1.0) -> Shape:
 
 
 def grid_edges(columns: int, rows: int) -> list[list[int]]:
-    """Each with the nearest eight: the sides and both diagonals of every cell."""
+    """Return the edges of a grid: each drone with its nearest eight.
+
+    These are the sides and both diagonals of every cell.
+    """
     ids = [(c, r) for r in range(rows) for c in range(columns)]
     return [
         [columns * r + c, columns * y + x]
@@ -67,12 +75,12 @@ def grid_edges(columns: int, rows: int) -> list[list[int]]:
 
 
 def corners(columns: int, rows: int) -> tuple[int, int, int, int]:
-    """The drones at the corners of a grid."""
+    """Return the drones at the corners of a grid."""
     return 0, columns - 1, columns * (rows - 1), columns * rows - 1
 
 
 def letter(name: str, size: float, height: float = 1.0) -> Shape:
-    """Eleven places of a letter, `size` m high."""
+    """Return eleven places of a letter, `size` m high."""
     if name not in LETTERS:
         raise ConfigError("letter", name, f"one of {', '.join(LETTERS)}")
     points = LETTERS[name]
@@ -84,7 +92,7 @@ def letter(name: str, size: float, height: float = 1.0) -> Shape:
 
 
 def nearest_edges(shape: Shape, count: int) -> list[list[int]]:
-    """The `count` shortest pairs of a shape: who is near talks."""
+    """Return the `count` shortest pairs of a shape as edges."""
     pairs = sorted(
         combinations(sorted(shape), 2),
         key=lambda pair: (math.dist(shape[pair[0]], shape[pair[1]]), pair),

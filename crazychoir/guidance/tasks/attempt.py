@@ -1,4 +1,7 @@
-"""Work of a whole team that may fail at some robots, and that all end alike, to go on another way together."""
+"""Work of a whole team that may fail at some robots.
+
+All robots end it in the same way, so that they can continue together.
+"""
 
 from collections.abc import Mapping
 from itertools import count
@@ -9,23 +12,32 @@ from crazychoir.errors import CodecError, CrazyChoirError, Hung, raised_at
 from crazychoir.optimization.rounds.program import Exchange
 
 T = TypeVar("T")
+"""The result of the work."""
 
 
 class Word(NamedTuple):
-    """Where and why it has failed: in which round of the work, at which robot. The least one counts."""
+    """A message that the work has failed. The smallest of several counts."""
 
     k: int
+    """Round of the work in which it failed."""
     robot: int
+    """Robot at which it failed."""
     why: str
+    """The reason."""
 
 
 def attempt(
     robot: int, work: Exchange[T], diameter: int
 ) -> Exchange[tuple[T | None, str]]:
-    """What the work returns, and no word; if it raises anywhere, None and why, at all robots the same.
+    """Run the work, and return its result and "", or None and the reason if it fails at any robot.
 
-    All begin it in one round and end it in one: `diameter` rounds after that in which the work was done, or had raised
-    first. What has been raised travels in place of the messages of the work; diameter: of the graph, connected.
+    All robots return the same outcome. All begin the work in the same round and end it in the same
+    round: `diameter` rounds after the round in which the work was done or first failed. The reason
+    of a failure travels in place of the messages of the work.
+
+    robot: id of this robot.
+    work: the rounds of the work.
+    diameter: of the graph, which is connected.
     """
     message: list[Any] = []
     heard: Mapping[int, Any] | None = None
@@ -42,7 +54,7 @@ def attempt(
                 ends = k + diameter
             except Hung:
                 raise
-            except Exception as error:  # noqa: BLE001 - whatever it is, this robot flies, and so do the others
+            except Exception as error:  # noqa: BLE001 - all robots fly: none may fail alone
                 word = Word(k, robot, _told(error))
         if word is not None:
             found = None
@@ -61,7 +73,10 @@ def attempt(
 
 
 def _is_word(j: int, said: Any, k: int) -> bool:
-    """Whether robot j says in round k that the work has failed; raises CodecError for what is no message of it."""
+    """Return whether the message of robot j in round k says that the work has failed.
+
+    Raises CodecError for a message that is neither a failure nor a message of the work.
+    """
     match said:
         case [_]:
             return False
@@ -73,7 +88,7 @@ def _is_word(j: int, said: Any, k: int) -> bool:
 
 
 def _told(error: Exception) -> str:
-    """The error; one that nobody has foreseen with where it was raised."""
+    """Return the text of an error; unexpected errors include file and line."""
     text = f"{type(error).__name__}: {error}"
     if isinstance(error, CrazyChoirError):
         return text

@@ -1,4 +1,7 @@
-"""One generation of a task table, as rounds: agree on what is open, fill the table up, assign it."""
+"""One generation of a task table, as rounds.
+
+The robots agree on the open tasks, fill the table up, and assign it.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -18,49 +21,60 @@ from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.team.graph import Graph
 
 Draw = Callable[[int], Sequence[Task]]
-"""The first n tasks that the team draws, the same at all robots."""
+"""Returns the first n tasks that the team draws, the same at all robots."""
 Cost = Callable[[Task], float]
-"""Of this robot for a task, inf if it cannot do it."""
+"""Cost of a task for this robot; inf if it cannot do the task."""
 
 
 @dataclass(frozen=True)
 class Generation:
-    """What one robot has of a generation.
-
-    number: of the table, from 1 on;  filled: how often the table has been filled up so far;  tasks: that were open, in
-    the order of their ids;  costs: of this robot for each;  outcome: what the team agreed on;  book: what it was made
-    with, the same at all robots;  dropped: why, by robot, what it said counts for nothing.
-    """
+    """One robot's part of a generation."""
 
     number: int
+    """Number of the table, from 1 on."""
     filled: int
+    """How often the table has been filled up so far."""
     tasks: tuple[Task, ...]
+    """The tasks that were open, in the order of their ids."""
     costs: tuple[float, ...]
+    """Cost of each task for this robot."""
     outcome: Outcome
+    """What the team agreed on."""
     book: TaskBook
+    """The book from which the table was made, the same at all robots."""
     dropped: dict[int, CodecError]
+    """By robot: why its message was ignored."""
 
     @property
     def mine(self) -> int | None:
-        """The id of this robot's task."""
+        """Id of this robot's task, or None."""
         return None if self.outcome.task is None else self.outcome.task.id
 
     @property
     def idle(self) -> bool:
-        """Whether nobody has a task."""
+        """No robot has a task."""
         return len(self.outcome.unserved) == len(self.tasks)
 
 
 class NextGeneration(Program[Generation]):
-    """A Round: all robots of `graph` end it in the same round, each with its part of the same generation.
+    """A Round that gives each robot of `graph` its part of the same generation.
+
+    All robots end it in the same round.
 
         flood of books  ->  fill the table up to as many open tasks as robots  ->  TaskAssignment
 
-    There is no table but this: each robot makes the same one of what all have said. It is filled up at most `most`
-    times, by `draw`; from then on the open tasks are assigned until none is left. What a robot hears after its first
-    message is for the next generation.
-    graph: of the members, connected and undirected;  book: what this robot knows;  number, filled: of the last
-    generation that it has been part of, 0 before the first;  cost: of this robot.
+    No robot stores the table centrally: each computes the same table from all messages. The table
+    is filled up at most `most` times, by `draw`. After that the open tasks are assigned until none
+    is left. News that a robot receives after its first message counts for the next generation.
+
+    robot: id of this robot.
+    graph: of the members, connected and undirected.
+    book: what this robot knows.
+    number: of the last generation that it has been part of, 0 before the first.
+    filled: how often the table had been filled up then, 0 before the first.
+    draw: draws the tasks.
+    most: how often the table may be filled up.
+    cost: cost of a task for this robot.
     """
 
     def __init__(
@@ -84,7 +98,7 @@ class NextGeneration(Program[Generation]):
         super().__init__()
 
     def run(self) -> Exchange[Generation]:
-        """Agree, fill up, assign."""
+        """Agree on the open tasks, fill the table up, assign it."""
         said = yield from flood(self.robot, self._mine, self.diameter)
         book, number, filled, dropped = _merged(said)
         missing = len(self.members) - len(open_tasks(book, self.members))
@@ -106,7 +120,7 @@ class NextGeneration(Program[Generation]):
     def _assigned(
         self, number: int, tasks: tuple[Task, ...], costs: dict[int, float]
     ) -> Exchange[Outcome]:
-        """The cheapest assignment, by the distributed simplex; of nothing there is none."""
+        """Return the cheapest assignment, by the distributed simplex. Without tasks it is empty."""
         if not tasks:
             return Outcome(number, None, 0.0, (), "", 0)
         rows = tuple(assignment.Task(task.id, np.array(task.pickup)) for task in tasks)
@@ -121,7 +135,7 @@ class NextGeneration(Program[Generation]):
 
 
 def open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
-    """The tasks that are neither done nor cancelled, in the order of their ids."""
+    """Return the tasks that are neither done nor cancelled, in the order of their ids."""
     standings = book.standings(members, recover=True)
     return tuple(
         book.tasks[j] for j, standing in standings.items() if standing.fate is Fate.OPEN
@@ -129,7 +143,11 @@ def open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
 
 
 def _merged(said: dict[int, Any]) -> tuple[TaskBook, int, int, dict[int, CodecError]]:
-    """What all know together; the newest generation that anybody has been part of; what was no book."""
+    """Combine the messages of all robots.
+
+    Returns the book, the number of the newest generation that any robot has been part of, how often
+    the table was filled up, and by robot why its message was ignored.
+    """
     book = TaskBook()
     number = 0
     filled = 0

@@ -1,4 +1,7 @@
-"""The room in which robots visit places, each at a height of its own: where tasks may be, and for whom."""
+"""The room in which robots visit places: where tasks may be, and which robots may serve them.
+
+Each robot flies at its own height.
+"""
 
 from collections.abc import Collection
 
@@ -11,7 +14,7 @@ from crazychoir.team.graph import span
 
 
 class Room:
-    """Where tasks of operators may be, and for whom."""
+    """Where tasks of operators may be, and which robots may serve them."""
 
     def __init__(self, config: SwarmConfig) -> None:
         self.ids = config.ids
@@ -19,13 +22,13 @@ class Room:
         self.high = np.array(config.fence.max[:2]) - EDGE
 
     def lies_badly(self, task: Task, pickup: Place) -> str:
-        """Why nobody can stand there; empty if somebody can."""
+        """Return why no robot can stand at the pickup. Empty if one can."""
         if np.all(self.low <= pickup) and np.all(pickup <= self.high):
             return ""
         return f"it is at {list(pickup)}, outside the fence, {self.low.tolist()} to {self.high.tolist()} m"
 
     def never(self, task: Task) -> str:
-        """Why no robot of this swarm can serve it; empty if one can."""
+        """Return why no robot of this swarm can serve the task. Empty if one can."""
         strangers = [i for i in task.robots if i not in self.ids]
         return (
             f"there is no drone {span(strangers)}; this swarm has {span(self.ids)}"
@@ -34,7 +37,7 @@ class Room:
         )
 
     def waits(self, task: Task, flying: Collection[int]) -> str:
-        """Why none of those who fly can serve it; empty if one can."""
+        """Return why no flying robot can serve the task. Empty if one can."""
         if not task.robots or any(i in flying for i in task.robots):
             return ""
         return f"drone {span(task.robots)}, who alone may serve it, does not fly"

@@ -1,4 +1,7 @@
-"""TaskAssignmentGuidance: a table of tasks that fills up as it is worked off, shared out again and again in flight."""
+"""TaskAssignmentGuidance: a team assigns the tasks of a table in flight.
+
+It assigns them again whenever the table is refilled.
+"""
 
 import asyncio
 import logging
@@ -30,46 +33,53 @@ from crazychoir.types import Goto, State, Vec
 
 log = logging.getLogger(__name__)
 POLL = 0.05
-"""s between two looks, and two tellings of the news."""
+"""s: interval at which the robot looks again, and sends its news."""
 REACHED = 0.05
-"""m from a task, in the plane, at which it is done."""
+"""m, in the plane: a task is done at this distance."""
 NOTED = 0.2
-"""s between two places of a way that is written down."""
+"""s between two recorded places of a way."""
 REUNION = 20.0
-"""s that a robot over its home waits for the others, and one that is cut off, or out like all, for some who fly."""
+"""s: how long a robot waits for others before it goes on.
+
+It applies to a robot over its home, to a robot that is cut off, and to a robot that is out while
+all robots that it hears are out.
+"""
 FLIES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
+"""Modes in which the mission flies the drone."""
 
 CostFunction = Callable[[State, Task], float]
-"""What a task costs a robot in this state; inf if it cannot do it."""
+"""Cost of a task for a robot in this state; inf if the robot cannot do it."""
 
 
 def distance(state: State, task: Task) -> float:
-    """|task - p| in the plane, m."""
+    """Return |task - p| in the plane, in m."""
     return math.dist(state.p[:2].tolist(), task.pickup)
 
 
 @dataclass(frozen=True)
 class Work:
-    """What all robots of a mission have in common.
-
-    draw: the tasks, in their order;  generations: how often the table is filled up to as many open tasks as robots;
-    cost: CostFunction.
-    """
+    """What all robots of a mission have in common."""
 
     draw: Draw
+    """Draws the tasks, in their order."""
     generations: int
+    """How often the table is filled up to as many open tasks as robots."""
     cost: CostFunction = distance
+    """Cost of a task for a robot."""
 
 
 class TaskAssignmentGuidance(CFGuidance):
-    """Robot i: flies to its task, and shares out the open tasks with the team whenever there are others.
+    """Robot i flies to its task, and the team assigns the open tasks anew whenever they change.
 
-    Every robot makes the table of what all have told each other, so nobody keeps it, and no robot's loss costs more
-    than its own task, which another gets in the next generation. It flies on while the team plans.
-    No task is done twice: from its first message of a planning until it has the next generation a robot completes no
-    task, so that any two who may complete one have the same generation. A part of the team that is cut off, with not
-    more than half of it, waits for the others, and goes home after REUNION s. But what a robot has done and
-    told nobody before it was lost, or cut off, is done again.
+    Each robot computes the table from the news that all have exchanged, so no robot stores it
+    centrally. The loss of a robot affects only its own task, which another robot gets in the next
+    generation. The robot flies on while the team plans.
+
+    No task is done twice. From its first message of a planning until it has the next generation, a
+    robot completes no task. Two robots that may complete a task therefore have the same generation.
+    A part of the team that is cut off, with at most half of it, waits for the others, and goes home
+    after REUNION s. However, work that a robot did without telling any other robot, before it was
+    lost or cut off, is done again.
     """
 
     def __init__(self, work: Work) -> None:
@@ -78,15 +88,15 @@ class TaskAssignmentGuidance(CFGuidance):
         self.tables: list[dict[str, Any]] = []
         self.way: list[
             tuple[Any, ...]
-        ] = []  # t s since the start, x, y m, m from its task, None without one
+        ] = []  # rows t s since the start, x, y m, m from its task or None
         self.done: list[tuple[int, int]] = []
         self.reason = ""
-        self._shares = True  # a planning runs: nothing is completed
+        self._shares = True  # a planning runs: no task may be completed
         self._alone = False
         self._said = ""
 
     def bind(self, member: Member) -> None:
-        """Meet the drone."""
+        """Connect this guidance to its drone."""
         super().bind(member)
         self._born = self._now
         self.news = TeamNews(
@@ -100,7 +110,7 @@ class TaskAssignmentGuidance(CFGuidance):
         }
 
     async def mission(self) -> dict[str, Any]:
-        """Fly, gossip and plan until nothing is left to do; then home, and down."""
+        """Fly, gossip and plan until no work is left. Then fly home and land."""
         try:
             async with asyncio.TaskGroup() as group:
                 jobs = [
@@ -130,7 +140,7 @@ class TaskAssignmentGuidance(CFGuidance):
         return self.outcome()
 
     def outcome(self) -> dict[str, Any]:
-        """This drone's part of the report."""
+        """Return this drone's part of the report."""
         failed = {"success": False, "reason": self.reason} if self.reason else {}
         left = [task.id for task in open_tasks(self.news.book, self.news.members)]
         return {
@@ -141,7 +151,10 @@ class TaskAssignmentGuidance(CFGuidance):
         } | failed
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
-        """An operator adds a task, at its pickup, cancels one, or wants the list; see TaskSource."""
+        """Answer an operator: add a task at its pickup, cancel a task, or list the tasks.
+
+        See TaskSource.
+        """
         place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
         said: dict[str, Any] = await self.source.asked(verb, {**arguments, **place})
         if verb == "task_list":
@@ -149,7 +162,7 @@ class TaskAssignmentGuidance(CFGuidance):
         return said
 
     def route(self) -> list[Vec]:
-        """To its task, or home when all are done."""
+        """Return the place of its task, or its home when all tasks are done."""
         if self.member.pilot.mode not in FLIES:
             return []
         if self.news.ended or self._alone:
@@ -174,10 +187,10 @@ class TaskAssignmentGuidance(CFGuidance):
     def _here(self) -> Place:
         return float(self.state.p[0]), float(self.state.p[1])
 
-    # Planning -------------------------------------------------------------------------------------------------
+    # Planning -------------------------------------------------------------------------
 
     async def _plan(self) -> None:
-        """One generation after the other, of one team after the other; until the team has ended."""
+        """Plan one generation after the other, with each team in turn, until the team has ended."""
         while not (self.news.ended or self._alone):
             key = self.news.key()
             self.news.changed.clear()
@@ -185,14 +198,19 @@ class TaskAssignmentGuidance(CFGuidance):
                 if not self.news.count():
                     await self._cut_off(key)
                 elif self.id in key[1]:
-                    await self.sleep(POLL)  # out: the others go on without
+                    await self.sleep(
+                        POLL
+                    )  # out: the others continue without this robot
                 else:
                     await self._generations(key)
             except RosterChanged:
                 continue
 
     async def _generations(self, key: Key) -> None:
-        """The generations of one team; all its robots begin each as soon as one has begun it."""
+        """Plan the generations of one team.
+
+        When a robot begins a generation, all others begin it too.
+        """
         n = 0
         while self.news.key() == key and not (self.news.ended or self._alone):
             if n and not self._wanted(key, n):
@@ -208,7 +226,10 @@ class TaskAssignmentGuidance(CFGuidance):
             self._adopt(generation, self._now - began)
 
     def _wanted(self, key: Key, n: int) -> bool:
-        """Whether somebody plans already, or other tasks are open."""
+        """Return whether a planning is due.
+
+        It is due if a robot plans already, or if the open tasks have changed.
+        """
         alive = self.news.book.alive(self.graph.ids).values()
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
         return (
@@ -221,7 +242,10 @@ class TaskAssignmentGuidance(CFGuidance):
         return _ids(open_tasks(self.news.book, self.news.members))
 
     async def _next(self, key: Key) -> Generation | None:
-        """The next generation, together; None if the team has changed meanwhile."""
+        """Plan the next generation with the team.
+
+        Returns None if the team has changed meanwhile.
+        """
         links = self.news.links(without=key[1])
         last = self.generation
         work = self.work
@@ -281,7 +305,7 @@ class TaskAssignmentGuidance(CFGuidance):
             self.news.say(ended=True)
 
     async def _cut_off(self, key: Key) -> None:
-        """Too few to decide: wait in the air for the others, then go home."""
+        """Wait in the air for the others, while too few robots are here to decide."""
         log.warning("drone %d: %s", self.id, UNREACHED)
         self._shares = True
         self.generation = None
@@ -289,19 +313,22 @@ class TaskAssignmentGuidance(CFGuidance):
             await self.sleep(POLL)
 
     async def _left_alone(self) -> None:
-        """End the mission of who waits for others that are gone, wherever it waits."""
+        """End the mission if it waits for robots that are lost."""
         why = await self.news.left_alone(REUNION)
         self._alone = True
         self.reason = (
             f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
         )
         self.news.say(out=True)
-        self.news.changed.set()  # also for a round that waits for them
+        self.news.changed.set()  # also ends a round that waits for them
 
-    # Flying ---------------------------------------------------------------------------------------------------
+    # Flying ---------------------------------------------------------------------------
 
     async def _fly(self) -> None:
-        """Up, from task to task, home, and down with the others. Who cannot fly on says so, and stays a talker."""
+        """Take off, fly from task to task, go home, and land with the others.
+
+        A robot that cannot fly on says so, and continues to pass messages on.
+        """
         try:
             await self.take_off()
             while not (self.news.ended or self._alone):
@@ -324,11 +351,14 @@ class TaskAssignmentGuidance(CFGuidance):
 
     @property
     def _home(self) -> Vec:
-        """(3,) m, over where it stood."""
+        """(3,) m: above the place where it stood."""
         return self._above(self.member.config.drone(self.id).home)
 
     def _pursue(self) -> None:
-        """Fly to the own task, and have done it there; without one, wait in the air, where nobody else wants to be."""
+        """Fly to its own task, and complete the task there.
+
+        Without a task it waits in the air, where no other robot wants to be.
+        """
         pilot = self.member.pilot
         if pilot.mode not in FLIES:
             raise Interrupted(f"drone {self.id}: {standing(pilot)}")
@@ -348,12 +378,12 @@ class TaskAssignmentGuidance(CFGuidance):
 
     @property
     def _mine(self) -> int | None:
-        """The task to fly to: one of this generation that is still open."""
+        """The task to fly to: its task of this generation, if that is still open."""
         mine = None if self.generation is None else self.generation.mine
         return mine if mine is not None and mine in self._open() else None
 
     def _note(self) -> None:
-        """Write the way down, every NOTED s."""
+        """Record the way, every NOTED s."""
         t = self._now - self._born
         if self.way and t < float(self.way[-1][0]) + NOTED:
             return
@@ -366,7 +396,7 @@ class TaskAssignmentGuidance(CFGuidance):
         self.way.append((round(t, 2), *(round(x, 3) for x in self._here()), left))
 
     async def _go_home(self) -> None:
-        """Over the own home; nobody comes down while somebody flies about above."""
+        """Fly above its own home. No robot lands while another robot still flies around."""
         await self.go_to(self._home)
         self.news.say(idle=True)
         ends = self._now + REUNION

@@ -1,7 +1,8 @@
-"""What a team knows of its tasks while it flies: news that may be merged in any order, and any number of times.
+"""The tasks that a team knows in flight, as news that may be merged in any order and any number.
 
-Two kinds of news, and each only grows: of a task the highest version counts, of a robot what it has said last. A robot
-alone writes what it has done with goods, in its own record; what has become of a task follows from all records.
+There are two kinds of news, and both only grow. Of a task the highest version counts. Of a robot
+the latest record counts. Only the robot itself records what it has done with goods. The fate of a
+task follows from all records.
 """
 
 from collections.abc import Collection, Iterable, Mapping
@@ -16,60 +17,83 @@ from crazychoir.errors import CodecError
 from crazychoir.routing.instance.plan import Kind
 
 LARGEST = 1e6
-"""m and units of load: no task and no place says more."""
+"""m, or units of load: largest number in a task or a place."""
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+"""A coordinate or a load, within LARGEST."""
 Place = tuple[Number, Number]
-"""m, in the plane: robots fly at one height."""
+"""(2,) m, in the plane: robots fly at one height."""
 Count = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
-"""Incarnations are as large as that: random, so they say who lives, not who lived first."""
+"""A whole number as large as an incarnation.
+
+Incarnations are random, so they identify a life of a robot, but give no order of lives.
+"""
 
 
 class Task(Struct, frozen=True, order=True, array_like=True):
-    """Goods to be brought from `pickup` to `delivery`, (2,) m each; robots: who alone may, empty: all.
+    """Goods to carry from `pickup` to `delivery`.
 
-    A higher version replaces a lower one; a cancelled one is its own last version.
+    A higher version replaces a lower one. A cancelled task is its own last version.
     """
 
     id: Count
+    """Number of the task."""
     version: Count
+    """Number of the version."""
     cancelled: bool
+    """The task is cancelled."""
     pickup: Place
+    """(2,) m: where the goods lie at first."""
     delivery: Place
+    """(2,) m: where to bring the goods."""
     load: Annotated[float, Meta(ge=0.0, le=LARGEST)] = 1.0
+    """Load of the goods, in the unit of the capacities."""
     robots: tuple[Count, ...] = ()
+    """Ids of the only robots that may do the task. Empty: all robots."""
 
 
 class Deed(Struct, frozen=True, order=True, array_like=True):
-    """A robot has picked goods up, or delivered them; generation: how often they had been picked up by then."""
+    """A robot has picked goods up, or has delivered them."""
 
     task: Count
+    """Id of the task."""
     kind: Kind
+    """"pickup" or "delivery"."""
     generation: Count
+    """How often the goods had been picked up by then."""
 
 
 class Record(Struct, frozen=True, order=True, array_like=True):
-    """What a robot has last said of itself; it alone writes it, `number` counts its editions.
-
-    place: (2,) m, where it is;  deeds: what it has done with goods, oldest first;  seen: (robot, incarnation, number)
-    of the others' records that it has;  knows: checksum of the tasks that it knows;  run: (epoch, how many are out,
-    run), the newest planning that it takes part in;  landed, idle: on the ground, and waiting for nothing more;
-    out: it flies no more, its goods lie where it is;  ended: the team has agreed to end;
-    life: how many incarnations of the robot there have been, as far as it has heard: the last one counts.
-    """
+    """The latest report of a robot about itself. Only that robot writes it."""
 
     robot: Count
+    """Id of the robot."""
     incarnation: Count
+    """Identifies this life of the robot."""
     number: Count
+    """Number of the edition of the record."""
     place: Place
+    """(2,) m: where the robot is."""
     deeds: tuple[Deed, ...] = ()
+    """What it has done with goods, oldest first."""
     seen: tuple[tuple[Count, Count, Count], ...] = ()
+    """(robot, incarnation, number) of the records of others that it has."""
     knows: Count = 0
+    """Checksum of the tasks that it knows."""
     run: tuple[Count, Count, Count] = (0, 0, 0)
+    """(epoch, number of robots that are out, run): the newest planning that it takes part in."""
     landed: bool = True
+    """It is on the ground."""
     idle: bool = False
+    """It waits for nothing more."""
     out: bool = False
+    """It flies no more. Its goods lie where it is."""
     ended: bool = False
+    """The team has agreed to end."""
     life: Count = 1
+    """How many incarnations of the robot there have been, as far as it has heard.
+
+    The last one counts.
+    """
 
 
 class Fate(Enum):
@@ -83,23 +107,24 @@ class Fate(Enum):
 
 
 class Standing(NamedTuple):
-    """A task as it stands.
-
-    robot: who carries, has delivered or has lost it;  pickup: where it lies if it is open;  generation: how often it
-    has been picked up.
-    """
+    """The present state of a task."""
 
     fate: Fate
+    """What has become of it."""
     pickup: Place
+    """(2,) m: where it lies if it is open."""
     robot: int | None = None
+    """Id of the robot that carries it, has delivered it or has lost it."""
     generation: int = 0
+    """How often it has been picked up."""
 
 
 class TaskBook:
     """Tasks by id, and the newest record of each robot and incarnation.
 
-    `merge` is commutative, associative and idempotent: all who have heard the same news have equal books.
-    changes: counts news that may change what has become of a task.
+    `merge` is commutative, associative and idempotent: robots with the same news have equal books.
+
+    changes: counter of the news that may change the fate of a task.
     """
 
     def __init__(
@@ -112,14 +137,14 @@ class TaskBook:
         self._standings: tuple[Any, dict[int, Standing]] = (None, {})
         self._fallen: dict[
             int | None, None
-        ] = {}  # robots by whose places these standings are: others fly about
+        ] = {}  # robots: their places determine these standings
         for task in tasks:
             self.learn(task)
         for record in records:
             self.hear(record)
 
     def learn(self, task: Task) -> bool:
-        """Take in a task, or a new version of it; whether it was news."""
+        """Add a task, or a new version of it. Returns whether it was news."""
         known = self.tasks.get(task.id)
         if known is not None and task <= known:
             return False
@@ -128,7 +153,7 @@ class TaskBook:
         return True
 
     def hear(self, record: Record) -> bool:
-        """Take in what a robot says of itself; whether it was news."""
+        """Add a robot's record of itself. Returns whether it was news."""
         key = record.robot, record.incarnation
         known = self.records.get(key)
         if known is not None and (record.number, record) <= (known.number, known):
@@ -150,24 +175,27 @@ class TaskBook:
         return True
 
     def merge(self, other: "TaskBook") -> bool:
-        """Take in all that another book knows; whether anything was news."""
+        """Add all that another book knows. Returns whether any of it was news."""
         news = [self.learn(task) for task in other.tasks.values()]
         news += [self.hear(record) for record in other.records.values()]
         return any(news)
 
     def cancel(self, j: int) -> bool:
-        """Cancel a task; whether that was news. Goods that are aboard are delivered all the same."""
+        """Cancel a task. Returns whether that was news.
+
+        Goods that are aboard are delivered nevertheless.
+        """
         task = self.tasks[j]
         return self.learn(msgspec.structs.replace(task, cancelled=True))
 
-    # Who is there ---------------------------------------------------------------------------------------------
+    # Robots in the team ---------------------------------------------------------------
 
     def newest(self, i: int) -> Record | None:
-        """The record of the newest incarnation of robot i."""
+        """Return the record of the newest incarnation of robot i."""
         return self._newest.get(i)
 
     def alive(self, members: Collection[int]) -> dict[int, Record]:
-        """Records of the members that still fly, by robot."""
+        """Return the records of the members that still fly, by robot."""
         found = {i: self.newest(i) for i in sorted(members)}
         return {
             i: record
@@ -176,7 +204,7 @@ class TaskBook:
         }
 
     def out(self, members: Collection[int]) -> tuple[int, ...]:
-        """Members that have said that they fly no more."""
+        """Return the members that have said that they fly no more."""
         found = {i: self.newest(i) for i in sorted(members)}
         return tuple(
             i for i, record in found.items() if record is not None and record.out
@@ -185,19 +213,24 @@ class TaskBook:
     def witnesses(
         self, i: int, incarnation: int, number: int, members: Collection[int]
     ) -> int:
-        """How many of the members are known to have heard edition `number` of robot i, or a newer one."""
+        """Return how many members are known to have edition `number` of robot i, or a newer one."""
         others = [record for j, record in self.alive(members).items() if j != i]
         return sum(
             any(s[0] == i and s[1] == incarnation and s[2] >= number for s in r.seen)
             for r in others
         )
 
-    # What has become of the tasks -----------------------------------------------------------------------------
+    # What has become of the tasks -----------------------------------------------------
 
     def standings(self, members: Collection[int], recover: bool) -> dict[int, Standing]:
-        """Each task as it stands, by id; recover: goods of a robot that is gone lie where it was last.
+        """Return the present state of each task, by id.
 
-        Goods belong to the robot that has picked them up last (of several, the lowest id) until it delivers them.
+        Goods belong to the robot that has picked them up last, until it delivers them. If several
+        robots claim that, the lowest id counts.
+
+        members: ids of the team.
+        recover: goods of a lost robot lie at its last place and can be picked up. Else they are
+            lost.
         """
         key = self.changes, tuple(members), recover
         if self._standings[0] != key:
@@ -258,24 +291,24 @@ class TaskBook:
         fate = Fate.CANCELLED if task.cancelled else Fate.OPEN
         return Standing(fate, self.records[i, incarnation].place, i, generation)
 
-    # On the wire ----------------------------------------------------------------------------------------------
+    # On the wire ----------------------------------------------------------------------
 
     @property
     def checksum(self) -> int:
-        """Of the tasks: equal for equal ones."""
+        """Checksum of the tasks: equal for equal tasks."""
         return crc32(
             msgspec.msgpack.encode([task for _, task in sorted(self.tasks.items())])
         )
 
     def wire(self, tasks: bool = True) -> bytes:
-        """As a message, with the tasks or the records alone."""
+        """Return the book as a message, with the tasks or with the records alone."""
         return msgspec.msgpack.encode(
             [list(self.tasks.values()) if tasks else [], list(self.records.values())]
         )
 
     @classmethod
     def of(cls, wire: object) -> "TaskBook":
-        """From a message; raises CodecError."""
+        """Return the book of a message. Raises CodecError."""
         try:
             return cls(*_READER.decode(wire))  # type: ignore[arg-type]  # what is no bytes raises
         except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:
@@ -283,8 +316,9 @@ class TaskBook:
 
 
 def _done(record: Record) -> tuple[Any, ...]:
-    """What of a record may change what has become of tasks, wherever it is."""
+    """Return the parts of a record that may change the fate of tasks, apart from its place."""
     return record.deeds, record.life, record.out
 
 
 _READER = msgspec.msgpack.Decoder(tuple[list[Task], list[Record]])
+"""Decodes the tasks and records of a message."""

@@ -1,4 +1,7 @@
-"""Where tasks come from in flight: events of the mission, and operators. Who hears of one tells the others."""
+"""The sources of tasks in flight: events of the mission, and operators.
+
+A task then spreads by gossip.
+"""
 
 import re
 from collections.abc import Callable, Collection, Sequence
@@ -12,44 +15,56 @@ from crazychoir.guidance.tasks.team_news import TeamNews
 from crazychoir.team.graph import span
 
 ADDED = 10_000
-"""Tasks from this id on were added in flight by an operator, at the robot of the last digits."""
+"""Smallest id of a task that an operator added in flight.
+
+The last digits of such an id are the robot that received the command.
+"""
 LOOK = 0.05, 1.0
-"""s, at least and at most, between two looks at the clock."""
+"""s: shortest and longest wait before looking for the next event."""
 PATIENCE = 2.0
-"""s that an operator's word waits for the team, twice: a request is given up after 5 s."""
+"""s: how long a command of an operator may wait for the team."""
 _FIELD = re.compile(r"`\$\[(\d+)\]")
-"""How a decoder's error names a field of a task: `$[3]`."""
+"""How the error of a decoder names a field of a task: `$[3]`."""
 
 
 class Event(NamedTuple):
-    """A task appears, or is cancelled, t s after GO; robots: who hear of it, empty: all who are there."""
+    """A task that appears, or a cancellation."""
 
     t: float
+    """s after GO."""
     task: Task
+    """The task, or its cancelled version."""
     robots: tuple[int, ...] = ()
+    """Ids of the robots that learn of the event directly. Empty: all robots that are there."""
 
 
 class Site(Protocol):
-    """Where tasks may be, and for whom."""
+    """Where tasks may be, and which robots may serve them."""
 
     def lies_badly(self, task: Task, pickup: Place) -> str:
-        """Why nobody can stand there; empty if somebody can."""
+        """Return why no robot can stand at the task's places. Empty if one can."""
         ...
 
     def never(self, task: Task) -> str:
-        """Why no robot of this swarm can serve it; empty if one can."""
+        """Return why no robot of this swarm can serve the task. Empty if one can."""
         ...
 
     def waits(self, task: Task, flying: Collection[int]) -> str:
-        """Why none of those who fly can serve a task that somebody of the swarm could; empty if one can."""
+        """Return why no flying robot can serve a task that the swarm could serve.
+
+        Empty if one can.
+        """
         ...
 
 
 class TaskSource:
-    """What one robot hears of tasks, into its news.
+    """Brings the tasks that one robot learns of into its news.
 
-    events: in the order of their times;  may_end: whether the team decides right now, without knowing of what comes
-    now, whether its mission is over.
+    news: the news of the robot.
+    site: where tasks may be.
+    events: in the order of their times.
+    may_end: returns whether the team is deciding now, without knowledge of new tasks, that its
+        mission is over.
     """
 
     def __init__(
@@ -72,11 +87,11 @@ class TaskSource:
 
     @property
     def heard_all(self) -> bool:
-        """Whether no event is to come."""
+        """All events have happened."""
         return self._heard == len(self.events)
 
     async def hear(self) -> None:
-        """Learn of each event when it is time."""
+        """Learn of each event at its time."""
         least, most = LOOK
         for event in self.events:
             while self.age < event.t:
@@ -85,14 +100,19 @@ class TaskSource:
                 self.news.book.learn(event.task)
             self._heard += 1
 
-    # Operators ------------------------------------------------------------------------------------------------
+    # Operators ------------------------------------------------------------------------
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        """An operator's task_add {"pickup", "delivery", "load", "robots"}, task_cancel {"id"}, or task_list.
+        """Answer a command of an operator.
 
-        The list is that of `listed`. The others return {"id"}, and with "note" what the operator should know, when more
-        than half of the team know of it: so no single drone takes it along when it is lost. Raises Refused, and then
-        nothing has changed.
+        task_add {"pickup", "delivery", "load", "robots"}: add a task.
+        task_cancel {"id"}: cancel a task.
+        task_list: return {"tasks": the list of `listed`}.
+
+        The first two return {"id"}, and with "note" what the operator should know. They return when
+        more than half of the team know of the change, so that the loss of a single drone cannot
+        undo it.
+        Raises Refused, and then nothing has changed.
         """
         if verb == "task_list":
             return {"tasks": self.listed()}
@@ -105,7 +125,15 @@ class TaskSource:
         )
 
     def listed(self) -> list[dict[str, Any]]:
-        """The tasks that are known here: id, pickup (where it lies now) and delivery m, load, fate, robot."""
+        """Return the tasks that are known here.
+
+        id: number of the task.
+        pickup: (2,) m: where it lies now.
+        delivery: (2,) m.
+        load: load of the goods.
+        fate: what has become of it.
+        robot: id of the robot that carries it, has delivered it or has lost it.
+        """
         standings = self.news.standings()
         tasks = self.news.book.tasks
         return [
@@ -123,7 +151,9 @@ class TaskSource:
     async def _ready(self) -> None:
         """Wait until this robot knows what more than half of the team knew when it was started.
 
-        Before that it might number a task as one that it has added in an earlier life.
+        Before that it might reuse the number of a task that it added in an earlier life.
+        Raises Refused if the mission is over, if the robot flies no more, or if the wait takes too
+        long.
         """
         ends = self.news.clock.now() + PATIENCE
         while True:
@@ -140,7 +170,10 @@ class TaskSource:
             await self._pause(LOOK[0])
 
     async def _told(self, number: int) -> str:
-        """Wait until more than half of the team know an edition of the record; or say that they do not yet."""
+        """Wait until more than half of the team know an edition of the record.
+
+        Returns a note for the operator if they do not know it in time.
+        """
         ends = self.news.clock.now() + PATIENCE
         while not self.news.known(number):
             if self.news.clock.now() > ends:
@@ -149,7 +182,7 @@ class TaskSource:
         return ""
 
     def _read(self, arguments: dict[str, Any]) -> Task:
-        """The task that is to be added, but for its id."""
+        """Return the task to add, still without its id. Raises Refused."""
         raw = {
             "load": 1.0,
             "robots": [],
@@ -175,7 +208,11 @@ class TaskSource:
         return task
 
     def _add(self, task: Task) -> tuple[int, str]:
-        """Ids differ by the robot that was asked: two operators may add tasks at the same time."""
+        """Add a task, and return its id and a note.
+
+        The id contains the robot that received the command, so two operators may add tasks at the
+        same time.
+        """
         tasks = self.news.book.tasks
         me = self.news.id
         count = (

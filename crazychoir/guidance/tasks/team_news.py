@@ -1,4 +1,7 @@
-"""What one robot knows of its team in flight: its task book, kept equal to the others' by gossip, and who is there."""
+"""The knowledge of one robot about its team in flight: the members, and the task book.
+
+Gossip keeps the task books of all robots equal.
+"""
 
 import asyncio
 import logging
@@ -18,25 +21,33 @@ from crazychoir.team.rounds import FAILED
 
 log = logging.getLogger(__name__)
 PERIOD = 0.2
-"""s between two looks at the neighbours' books, and two tellings of the own."""
+"""s: interval at which a robot merges its neighbours' books and sends its own."""
 FAREWELL = 2.0
-"""s that a robot goes on telling that the team has ended, while others may not know."""
+"""s: how long a robot repeats that the team has ended, while others may not know it."""
 LAST = 5
-"""Times that a robot tells of the end of its own mission."""
+"""How often a robot repeats that its own mission has ended."""
 BOOK = "book"
+"""Channel of the books."""
 SILENT = 5.0
-"""s without news of a robot after which this one does not hear it."""
+"""s: without news for this time a robot counts as not heard."""
 UNREACHED = "cut off from more than half of the team"
+"""Reason of a robot that hears too few others."""
 NOBODY = "nobody that it hears flies any more"
+"""Reason of a robot that hears no flying robot."""
 Key = tuple[int, tuple[int, ...]]
-"""What a row of plannings holds for: the epoch, and who has said that it flies no more."""
+"""Identifies the team of a series of plannings: the epoch, and the members that fly no more."""
 
 
 class TeamNews:
     """The news of the robot of this communicator.
 
-    tasks: that it knows from the start;  here: says where it is, (2,) m;  recover: see TaskBook.standings;
-    period: s between two tellings;  changed: set when the team is another one;  dropped: messages that were no books.
+    communicator: the link to the neighbours.
+    tasks: the tasks that it knows from the start.
+    here: returns where the robot is, (2,) m.
+    recover: see TaskBook.standings.
+    period: s between two messages.
+    changed: set when the team has changed.
+    dropped: number of messages that were not valid books.
     """
 
     def __init__(
@@ -59,12 +70,12 @@ class TeamNews:
         self.dropped = 0
         self._team: tuple[int, ...] = ()
         self._failed: dict[int, None] = {}
-        self._heard: dict[int, float] = {}  # when each robot's newest record came
+        self._heard: dict[int, float] = {}  # s: arrival of each robot's newest record
 
-    # Saying and hearing ---------------------------------------------------------------------------------------
+    # Saying and hearing ---------------------------------------------------------------
 
     def say(self, **changes: Any) -> int:
-        """Write a new edition of the own record; returns its number."""
+        """Write a new edition of the robot's own record, and return its number."""
         self.record = msgspec.structs.replace(
             self.record, number=self.record.number + 1, **changes
         )
@@ -72,7 +83,7 @@ class TeamNews:
         return self.record.number
 
     async def gossip(self) -> None:
-        """Merge what the neighbours know, tell them what is known here; for good."""
+        """Merge the neighbours' books, and send this robot's book to them, for ever."""
         while True:
             try:
                 neighbors = self.links().neighbors(self.id)
@@ -100,7 +111,10 @@ class TeamNews:
         )
 
     def letter(self) -> bytes:
-        """The book for the neighbours; the tasks only if one of them has others."""
+        """Return the book for the neighbours.
+
+        It holds the tasks only if a neighbour has different tasks.
+        """
         others = [
             record
             for _, record in sorted(self.book.records.items())
@@ -115,7 +129,10 @@ class TeamNews:
         )
 
     def hear(self, heard: dict[int, Any]) -> None:
-        """Merge the letters of neighbours, by robot. Who hears of another life of its own says that this is later."""
+        """Merge the books of neighbours, by robot.
+
+        If our own record arrives with another incarnation, we publish a newer life.
+        """
         before = self.key()
         old = dict(self.book.records)
         for i, wire in heard.items():
@@ -136,9 +153,11 @@ class TeamNews:
             self.changed.set()
 
     def _write_off(self, failed: Collection[int]) -> None:
-        """Say for neighbours whose missions have failed that they are out: they may have had no last words of it.
+        """Publish for failed neighbours that they are out.
 
-        Once: who is started again is another one.
+        They may not have sent it themselves.
+
+        It is done once a neighbour: after a restart the neighbour is another one.
         """
         before = self.key()
         for i in failed:
@@ -152,24 +171,27 @@ class TeamNews:
             self.changed.set()
 
     def drop(self, i: int, error: CodecError) -> None:
-        """Count what robot i said that is no book."""
+        """Count a message of robot i that is not a valid book."""
         if not self.dropped:
             log.warning("drone %d: from drone %d, dropped: %s", self.id, i, error)
         self.dropped += 1
 
     async def farewell(self) -> None:
-        """Stay until all know that the team has ended, or FAREWELL s are over; beside `gossip`."""
+        """Stay until all know that the team has ended, at most FAREWELL s.
+
+        `gossip` runs beside it.
+        """
         self.say(ended=True)
         ends = self.clock.now() + FAREWELL
         while self.clock.now() < ends and not all(
             r.ended for r in self.book.alive(self.members).values()
         ):
             await self._pause()
-        await self._pause()  # the last to know is told that all do
+        await self._pause()  # the last robots learn that all know
         await self._pause()
 
     async def last_words(self) -> None:
-        """This robot flies no more, and the others should know."""
+        """Tell the others that this robot flies no more."""
         self.say(out=True)
         for _ in range(LAST):
             try:
@@ -181,9 +203,14 @@ class TeamNews:
     async def left_alone(
         self, bound: float, busy: Callable[[], bool] = lambda: False
     ) -> str:
-        """Wait until, for `bound` s in which this robot was not busy, nobody has decided for it; returns why.
+        """Wait until the robot has been left alone for `bound` s, and return why.
 
-        That is the end of who is out, or has nothing to do, and would wait for ever for others who are gone.
+        A robot is left alone while no robot that it hears can decide, and while it is not busy.
+        Without this end a robot that is out, or has nothing to do, would wait for ever for others
+        that are lost.
+
+        bound: s.
+        busy: returns whether the robot is busy.
         """
         since = self.clock.now()
         while not (why := self.alone) or busy() or self.clock.now() <= since + bound:
@@ -195,7 +222,7 @@ class TeamNews:
     async def _pause(self) -> None:
         await self.clock.sleep(self.period, drone=self.id)
 
-    # What is known --------------------------------------------------------------------------------------------
+    # What is known --------------------------------------------------------------------
 
     @property
     def members(self) -> tuple[int, ...]:
@@ -203,17 +230,18 @@ class TeamNews:
         return self.communicator.graph.at(0).ids
 
     def alive_ids(self) -> tuple[int, ...]:
-        """The members that still fly."""
+        """Return the members that still fly."""
         return tuple(self.book.alive(self.members))
 
     def standings(self) -> dict[int, Standing]:
-        """Each task as it stands, as far as it is known here."""
+        """Return the present state of each task, as far as it is known here."""
         return self.book.standings(self.members, self.recover)
 
     def known(self, number: int) -> bool:
-        """Whether more than half of the team, without those who are out, know that edition of the record.
+        """Return whether more than half of the team know an edition of this robot's record.
 
-        Never in a part that is cut off: each of its robots alone is more than half of that.
+        Members that are out do not count. In a part that is cut off it is always False: there a
+        single robot could be more than half.
         """
         witnesses = self.book.witnesses(
             self.id, self.record.incarnation, number, self.members
@@ -225,14 +253,17 @@ class TeamNews:
 
     @property
     def ended(self) -> bool:
-        """Whether the team has agreed to end."""
+        """The team has agreed to end."""
         return any(record.ended for record in self.book.alive(self.members).values())
 
     @property
     def alone(self) -> str:
-        """Why nobody that this robot hears decides anything; empty if somebody does, or all have ended.
+        """Why no robot that this robot hears can decide anything.
 
-        Who flies decides, in a part that may. A part with less than half never agrees on the team without the others.
+        Empty if one can, or if the team has ended.
+
+        A robot that flies can decide, in a part of the team that may decide. A part with less than
+        half of the robots never agrees on a team without the others.
         """
         flying = self.book.alive(self.members)
         now = self.clock.now()
@@ -252,21 +283,23 @@ class TeamNews:
             return UNREACHED
         return "" if any(i in flying for i in heard) else NOBODY
 
-    # The team -------------------------------------------------------------------------------------------------
+    # The team -------------------------------------------------------------------------
 
     def key(self) -> Key:
-        """The present one."""
+        """Return the key of the present team."""
         return self.communicator.epoch, self.book.out(self.members)
 
     def links(self, without: tuple[int, ...] = ()) -> Graph:
-        """Who talks to whom, mended where those who are gone have left it in parts."""
+        """Return the communication graph, repaired where lost members have cut it into parts."""
         return mended(self.communicator.graph.at(0), without)
 
     @property
     def quorate(self) -> bool:
-        """Whether this part of the team may decide: if it is more than half of the last team that could.
+        """This part of the team may decide.
 
-        Of two halves it is the one with the lowest id.
+        It is more than half of the last team that could decide.
+
+        Of two equal halves the half with the lowest id may decide.
         """
         team = self._team or self.members
         stayed = [i for i in team if i in self.members]
@@ -275,7 +308,10 @@ class TeamNews:
         )
 
     def count(self) -> bool:
-        """Whether the present team may decide; if so, it is the one of which the next must be more than half."""
+        """Return whether the present team may decide.
+
+        If it may, the next team must be more than half of it.
+        """
         if self.quorate:
             self._team = self.members
             return True
@@ -284,7 +320,10 @@ class TeamNews:
 
 @lru_cache(maxsize=64)
 def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
-    """The graph without some, its parts joined in a row by their lowest ids: all compute the same."""
+    """Return the graph without some members, its parts joined in a row by their lowest ids.
+
+    All robots compute the same graph.
+    """
     ids = tuple(i for i in graph.ids if i not in without)
     arcs = [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids]
     graph = Graph.from_edges(ids, arcs)

@@ -1,4 +1,7 @@
-"""Rounds of a team in flight, whose members may be lost at any time: a program that all run, or that all give up."""
+"""Rounds of a team in flight that may lose members at any time.
+
+All robots run a program to its end, or all give it up.
+"""
 
 import asyncio
 from typing import Any
@@ -11,14 +14,18 @@ from crazychoir.team.graph import Graph
 DEADLINE = 30.0
 """s for one round."""
 POLL = 0.05
-"""s between two looks at a team of which a neighbour is silent."""
+"""s: interval at which a robot looks at a team with a silent neighbour."""
 
 
 async def run_together(
     news: TeamNews, program: Program[Any], links: Graph, key: Key
 ) -> bool:
-    """Run a program with the team of this key, over these links; False if the team has changed meanwhile.
+    """Run a program with the team of this key. Returns False if the team has changed meanwhile.
 
+    news: the news of this robot.
+    program: the program.
+    links: the graph of the messages.
+    key: epoch and lost members of the team.
     Raises RosterChanged at the beginning of an epoch.
     """
     channel = "-".join(["plan", *map(str, key[1])])
@@ -35,9 +42,10 @@ async def run_together(
 async def _exchange(
     news: TeamNews, message: Any, neighbors: tuple[int, ...], channel: str, key: Key
 ) -> dict[int, Any] | None:
-    """One round with the neighbours; None if the team has changed meanwhile.
+    """Run one round with the neighbours. Returns None if the team has changed meanwhile.
 
-    A neighbour that is lost, or has failed, is waited for until the team goes on without it.
+    It waits for a neighbour that is lost or has failed, until the team continues without that
+    neighbour.
     """
     ends = news.clock.now() + DEADLINE
     while True:
@@ -64,7 +72,7 @@ async def _exchange(
 
 
 async def unless(task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
-    """Wait for a task, or for an event."""
+    """Wait for a task or for an event, until one of them is done."""
     waits = asyncio.ensure_future(event.wait())
     try:
         await asyncio.wait({task, waits}, return_when=asyncio.FIRST_COMPLETED)
@@ -73,7 +81,7 @@ async def unless(task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
 
 
 async def given_up(task: "asyncio.Future[Any]") -> None:
-    """Cancel what nobody waits for any more, and let it end."""
+    """Cancel a task that is not needed any more, and wait for its end."""
     if not task.done():
         task.cancel()
         await asyncio.wait({task})
