@@ -61,7 +61,7 @@ class Controls:
     follower: CrazyflieController | None
     """Controller of Accelerations; None if the sender cannot send them."""
     trim: Trim
-    """What both controllers know of the drone."""
+    """Errors of the drone's thrust and attitude that both controllers know."""
     gains: Gains
     """Gains of the tracker."""
     takes_off: bool = True

@@ -106,7 +106,7 @@ def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
 
 @dataclass(frozen=True)
 class Inner:
-    """What lies between a commanded acceleration and the drone's acceleration."""
+    """The inner loop between a commanded acceleration and the drone's acceleration."""
 
     kr: float
     """1/s."""

@@ -21,9 +21,7 @@ from crazychoir.numerics.math3d import (
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State, Vec
 
-GAINS = (
-    13  # of Gains.position, before those of Platform.flat in the figures of the kernels
-)
+GAINS = 13
 """Number of Gains.position, before those of Platform.flat in the figures of the kernels."""
 DESIRED = 13
 """Size of the result of `desired`.
@@ -44,9 +42,7 @@ COMMANDED = DESIRED + 1
 """First index where the kernels write the acceleration of F."""
 MOST_EARLY = 1.0
 """Largest feed-forward in rad/s for the delay of the rates: a jump must not shake the drone."""
-HEADROOM = (
-    0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
-)
+HEADROOM = 0.95
 """Share of the thrust for the desired acceleration; the rest is left to the attitude."""
 
 

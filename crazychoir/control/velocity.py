@@ -111,14 +111,14 @@ class VelocityController(CrazyflieController):
 
 
 class Learnt:
-    """What the firmware's integrals of height and yaw know of a lasting climb and turn."""
+    """Lasting climb and turn that the firmware's integrals of height and yaw have learnt."""
 
     def __init__(self) -> None:
         self._learnt = np.zeros(2)
         self._asked = math.inf
 
     def missing(self, climb: float, turn: float, now: float) -> tuple[float, float]:
-        """Return the climb and the turn that they do not know yet.
+        """Return the parts of a climb in m/s and a turn in rad/s that they do not know yet.
 
         On the ground they forget all.
         """

@@ -25,7 +25,9 @@ SLACK_P = 0.002
 """Standard deviation in m that a manoeuvre adds, for the gate only."""
 SLACK_ANGLE = 0.035
 """Standard deviation in rad that a manoeuvre adds, for the gate only."""
-DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
+DOUBTS = (
+    5  # poses in a row beyond the gate after which the filter is wrong, not the poses
+)
 UNKNOWN_V = 1.0  # m/s, standard deviation at a start
 UNKNOWN_D = 5.0  # m/s2, standard deviation at a start
 UNKNOWN_W = 3.0  # rad/s, standard deviation at a start

@@ -1,4 +1,4 @@
-"""How one drone keeps clear of the others: by a collision filter, or by agreed paths."""
+"""The clearance of one drone from the others, by a collision filter or by agreed paths."""
 
 import math
 
@@ -181,15 +181,15 @@ class Clearance:
     ) -> FullState:
         """Return what a drone with agreed paths may fly instead of `wanted`.
 
-        `wanted` itself for others.
+        Returns `wanted` itself for other drones.
 
         state: of the drone
         wanted: the reference
         future: the reference a number of seconds from now
-        whole: s until the wish ends at rest, if one go_to leads there; else 0
+        whole: s until the reference ends at rest, if one go_to leads there; else 0
         now: s
         lands: whether the drone is landing
-        waits: whether the wish stands still while the drone is delayed
+        waits: whether the reference stands still while the drone is delayed
         """
         planned = self.planned
         if planned is None:

@@ -55,7 +55,10 @@ def level_above(
 ) -> float:
     """Return the height in m of a return above all others in the way; at most `top`.
 
-        z = max(z of those within ASIDE of the way from p to home, own z) + CLEARANCE, + rank CLEARANCE
+        z = max(z of others within ASIDE of the way from p to home, own z)
+            + CLEARANCE, + rank CLEARANCE
+
+    If no other is in the way and the rank is 0, it is the own z.
 
     p: (3,) m, world: where the drone is
     home: (3,) m, world

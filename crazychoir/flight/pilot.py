@@ -96,7 +96,7 @@ GIVE_UP_HOVER = 2.0
 GIVE_UP_TICKS = 0.5
 """Seconds of failed ticks, within 10 s, after which the pilot is given up.
 
-The drone flies on for as long without a pose.
+The safety table lets the drone fly for as long without a pose.
 """
 
 DEAF = "hears no more than half of the drones that fly: landing"
@@ -134,19 +134,19 @@ IN_THE_AIR = 0.2
 TELL_OWNER = 0.2
 """Seconds between two commands to the owner of a dongle to land a drone by its firmware."""
 Reached = Literal["no", "seen", "own"]
-"""How the drone is reached: "no" radio, by a radio and "seen" by cameras, or by its "own" poses."""
+"""Kinds of reach: "no" radio, a radio and "seen" by cameras, or a radio and its "own" poses."""
 THRUST = ("fpqr", "frpy")
 """Kinds of senders that command a thrust."""
 MISJUDGED = 0.15
 """Largest allowed error of the hover thrust, as a share; a wrong thrust map is off by 0.27."""
 RISING = 0.2
-"""Height in m above the floor where a drone that takes off should have lifted off."""
+"""Height in m of the plan above the floor from which on the drone should have lifted off."""
 STANDS = 0.4
-"""Seconds after which a drone below that height does not rise; for senders of a thrust."""
+"""Seconds after which a drone that is still on the floor does not rise; for senders of a thrust."""
 STANDS_ON_BOARD = 0.8
-"""Seconds after which a drone below that height does not rise, if its firmware flies it.
+"""Seconds after which a drone that is still on the floor does not rise, for other senders.
 
-The firmware lifts it later.
+Its firmware flies it, and takes off later.
 """
 OUTSIDE = 0.2
 """Seconds for which a body is seen outside the limit area, where none should be."""
@@ -251,8 +251,11 @@ class Pilot(Actor):
         self.clock = port.bus.clock
         self._stages = port.bus.stages
         self.drone = port.address
+        """Id of the drone."""
         self.mode: Mode = GROUND
+        """Its mode, see modes."""
         self.state: State | None = None
+        """Its newest state; None before the first pose."""
         # _evades: the last note of the collision filter.
         self.note = self._evades = ""
         self.grave = False
@@ -260,6 +263,7 @@ class Pilot(Actor):
         self.brought_down = ""
         """Why the safety table first ended a flight by a landing; empty if it never did."""
         self.held = False
+        """Whether the operator holds the drone."""
         self.commanded = False
         """Whether the flight, planned or about to begin, is the operator's.
 
@@ -303,7 +307,8 @@ class Pilot(Actor):
         self.restart = Restart(
             limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0
         )  # a drone in flight cannot wait
-        self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
+        self._goto: tuple[float, ...] = ()  # the last Goto that was flown
+        # The plan of that Goto.
         self._goto_plan: Trajectory | None = None
         self._a = STILL  # m/s2, acceleration that the last command asks of the drone
         self._flown: FullState | None = (
@@ -486,7 +491,7 @@ class Pilot(Actor):
             self._fail(error)
 
     def _send(self, command: Command | None) -> None:
-        """Send a command to the drone; None lets the drone continue as it does."""
+        """Send a command to the drone. None lets the drone continue as it does."""
         if command is None:
             return
         self.link.send(command)

@@ -12,8 +12,8 @@ from crazychoir.numerics.math3d import GRAVITY, dot, flat_attitude, flat_rates
 from crazychoir.planning.trajectory import Trajectory, setpoints
 from crazychoir.types import Mat, Vec
 
-RATE = 200.0  # Hz, of the times that are checked
-LEAST = 200  # times that are checked of a short trajectory
+RATE = 200.0  # Hz, of the checks
+LEAST = 200  # least number of checks
 TOLERANCE = 1e-3
 """Share of a limit that is left for the times between two checks."""
 DEMANDS = (
@@ -27,7 +27,7 @@ DEMANDS = (
     "pitch_rate",
     "body_yaw_rate",
 )
-"""What a trajectory demands; the columns of `demands`."""
+"""Names of what a trajectory demands; the columns of `demands`."""
 UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
 """Units of DEMANDS."""
 THRUST = DEMANDS.index("thrust")
@@ -79,7 +79,7 @@ def demands(references: Mat, mass: float) -> Mat:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a flight may demand. Values that are not given are not limited.
+    """Limits of what a flight may demand. Values that are not given are not limited.
 
     Raises ConfigError for values that are not positive, a fence with low not below high, or a
     thrust below the weight.

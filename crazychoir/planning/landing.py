@@ -12,7 +12,9 @@ class Legs(Piecewise):
         last = legs[-1]
         super().__init__(flight.coefficients, flight.durations)
         self.legs = legs
-        self._end[0:12] = last.sample(last.duration).flat[0:12]  # exactly
+        self._end[0:12] = last.sample(last.duration).flat[
+            0:12
+        ]  # equal to the last digit
 
     @property
     def last(self) -> PointToPoint:

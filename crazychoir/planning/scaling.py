@@ -1,4 +1,4 @@
-"""The same path in another time."""
+"""Changes of the time of a trajectory: slower, within limits, or resumed after a stop."""
 
 import math
 
@@ -14,9 +14,7 @@ from crazychoir.types import FullState, Mat, Vec
 SLOWEST = 1e4
 """Largest factor of the time: a path that breaks the limits then always does."""
 GETS_UP = 2.0  # s, in which a path that was stopped gets its own pace again
-HEADROOM = (
-    1e-3  # of each limit, left for what lies between the instants that were looked at
-)
+HEADROOM = 1e-3
 """Share of each limit that is left for the times between two checks."""
 
 

@@ -9,9 +9,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import FullState, Mat, Vec
 
-MOST_SETPOINTS = (
-    1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
-)
+MOST_SETPOINTS = 1_000_000
 """Largest number of set-points of one trajectory; a larger rate or duration is a mistake."""
 
 

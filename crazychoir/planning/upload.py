@@ -13,7 +13,7 @@ from crazychoir.types import Mat, Vec
 
 MOST_PIECES = 31
 """Largest number of pieces of 132 bytes in 4096 bytes of trajectory memory (Crazyflie firmware)."""
-INSTANTS = 33  # times of each piece at which the fit is checked
+INSTANTS = 33  # number of times of each piece at which the fit is checked
 SHORTEST = 0.01  # s, least length of a piece
 S = np.linspace(0.0, 1.0, INSTANTS)
 """Times of a piece at which the fit is checked, as shares of its length."""
@@ -69,7 +69,7 @@ def uploaded(
             raise ConfigError(f"upload: {name}", value, "a positive number")
     upload = _rounded(trajectory, _pieces(trajectory, tolerance, yaw_tolerance))
     widened = 1.0
-    while upload is None:  # how much would have to be allowed
+    while upload is None:  # how much tolerance would be needed
         widened *= 1.5
         upload = _rounded(
             trajectory,

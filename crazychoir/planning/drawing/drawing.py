@@ -32,7 +32,7 @@ FASTEST_PACE = 1.0 / 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Pen:
-    """How strokes are flown.
+    """Settings for the flight of strokes.
 
     Raises ConfigError for values out of range.
     """
@@ -40,7 +40,7 @@ class Pen:
     height: float = 1.0
     """m, world."""
     lift: float = 0.0
-    """m above the height between two strokes."""
+    """Height in m above the drawing between two strokes."""
     yaw: float | Literal["along"] = 0.0
     """rad, or "along" the path."""
     timing: Literal["even", "drawn"] = "even"

@@ -39,14 +39,14 @@ __all__ = [
 ]
 
 SCALE = 0.001
-"""m a unit of the picture."""
+"""Metres a unit of the picture."""
 WORDS_SHOWN = 5
 """Largest number of remarks that are quoted."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What is seen in an SVG document."""
+    """The visible lines of an SVG document."""
 
     strokes: list[Mat]
     """(k, 2) rows x, y m each, in the order of the document."""

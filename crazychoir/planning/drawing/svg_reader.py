@@ -46,7 +46,7 @@ from crazychoir.planning.drawing.svg_style import (
 from crazychoir.types import Mat
 
 TOLERANCE = 0.002
-"""m between a curve and the straight lines that are flown."""
+"""Distance in m between a curve and the straight lines that are flown."""
 MOST_POINTS = 100_000
 """Largest number of places of a picture."""
 MOST_VISITS = 50_000
@@ -104,7 +104,7 @@ UNLINK = "Unlink the clone, or delete it."
 
 @dataclass(frozen=True)
 class Scene:
-    """What an element gets from the elements around it."""
+    """The surroundings of an element."""
 
     matrix: Mat
     """(3, 3), from its units to those of the picture."""

@@ -250,7 +250,7 @@ def _data(*parts: str | list[float]) -> str:
 
 @dataclass(frozen=True)
 class View:
-    """How the inside of an <svg> or <symbol> is shown."""
+    """The view of the inside of an <svg> or <symbol>."""
 
     matrix: Mat
     """(3, 3), from its units to those around it."""

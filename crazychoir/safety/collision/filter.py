@@ -63,10 +63,23 @@ FLOOR_GAP = 0.2
 NEAR_WALL = 1.0
 """Distance in m from a side of the fence within which that side counts."""
 
-# Indices of the figures f of the kernel.
+# Indices of the figures f of the kernel:
+
+# LAG s, DELAY s
+# SX, SY, SZ: diagonal of S
+# WIDTH m: D
+# BRAKE m/s2, GAMMA 1/s, STIFF 1/s: of `barrier` and `cell`
+# A_XY, A_Z m/s2: largest horizontal and vertical acceleration
+# TURN: sideways share of `turned`, with the sign of the side
+# RANGE m: distance within which others count
+# UNSURE m/s2: unknown acceleration of another drone
+# GROUND m: height of the ground
+# V_MAX m/s: largest speed of the others
+# CELLS: 1 for `cell`, 0 for `barrier`
+# WAITS: 0 while the drone lands, else 1
 LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY = range(9)
 A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS, STIFF, WAITS = range(9, 18)
-"""Indices of the figures f of the kernel, continued."""
+"""-"""
 
 
 @kernel()

@@ -20,7 +20,7 @@ from crazychoir.types import Vec
 
 Complex = npt.NDArray[np.complex128]
 NOISE = math.radians(0.25)
-"""rad by which a drone's own tilt and the seen tilt may differ, beside camera errors."""
+"""Difference in rad between a drone's own tilt and the seen tilt, beside camera errors."""
 SHARE = 0.2
 """Share of its tilt by which both may differ in addition."""
 ODD = 5.0
@@ -40,7 +40,7 @@ SHAKEN = math.radians(1.0)
 TURNED = math.radians(30.0)
 """Angle in rad below which a turned body is not reported."""
 LAGS = (0.01, 0.03, 0.05, 0.08, 0.12)
-"""s by which a drone's own tilt may be late; the best fitting lag counts."""
+"""Delays in s of a drone's own tilt that are tried; the best fit counts."""
 STAYS = 0.03
 """Rise in m below which a body has not risen."""
 ROSE = 0.15

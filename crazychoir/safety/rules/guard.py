@@ -17,7 +17,7 @@ from crazychoir.types import Mat, Point, State, Vec
 
 
 class Action(IntEnum):
-    """What the drone does. A larger value is a stronger action."""
+    """Actions of the drone. A larger value is a stronger action."""
 
     NOMINAL = 0  # fly the reference
     BRAKE = 1  # come to rest and stay, on the prediction if there is no pose
@@ -49,7 +49,7 @@ class Rule:
     limit: float
     """The rule starts to act when the measure exceeds this."""
     action: Action
-    """What the drone does while the rule acts."""
+    """Action of the drone while the rule acts."""
     clear: float = 0.0
     """The rule acts until the measure has been at or below this for `settle` seconds."""
     settle: float = 0.5
@@ -202,10 +202,10 @@ ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the drone must do, and why."""
+    """The action of the drone, and its reason."""
 
     action: Action
-    """What the drone does."""
+    """Action of the drone."""
     reason: str = ""
     """Text of the rule that acts; empty when all is well."""
     measure: str = ""

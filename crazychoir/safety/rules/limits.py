@@ -1,4 +1,4 @@
-"""What a reference may ask for: the limits of [flight] apply to everything that guidance wants."""
+"""Limits of references: those of [flight] apply to everything that guidance wants."""
 
 import math
 

@@ -4,7 +4,7 @@ from enum import Enum
 
 
 class Mode(Enum):
-    """What the pilot is doing."""
+    """Modes of the pilot."""
 
     GROUND = "on ground"
     TAKEOFF = "taking off"
@@ -16,7 +16,7 @@ class Mode(Enum):
 
 
 class Event(Enum):
-    """What may change the mode: a command of an operator or of guidance, or progress of the flight."""
+    """Events that may change the mode: commands of an operator or of guidance, or progress."""
 
     ARM = "arm"
     TAKE_OFF = "take-off"
@@ -48,7 +48,7 @@ COMMANDS = (
     Event.HOME,
     Event.STOP,
 )
-"""What an operator may command."""
+"""Events that an operator may command."""
 HELD = "held by its operator"
 """Text for a drone that stays where it is until its operator lets it go on."""
 

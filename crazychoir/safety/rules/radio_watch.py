@@ -1,4 +1,4 @@
-"""What a drone behind a radio reports, for the safety table and for the check before take-off."""
+"""The reports of a drone behind a radio, for the safety table and the check before take-off."""
 
 import math
 

@@ -37,7 +37,7 @@ NUMBERS = 2**20
 
 @dataclass
 class Other:
-    """What is known of another drone with agreed paths."""
+    """Known facts about another drone with agreed paths."""
 
     id: int
     """Id of the drone."""
@@ -54,7 +54,7 @@ class Other:
     number: int = NOTHING
     """Number of its offer."""
     agreed: dict[int, int] = field(default_factory=dict)
-    """What it has agreed to: id of a drone -> number of the offer."""
+    """Its agreements: id of a drone -> number of the offer."""
     allowed: int = NOTHING
     """Number of its offer to which this drone has agreed."""
     pending: bool = False
@@ -158,7 +158,10 @@ class Agreement:
         self._asked = self.clock.now()
 
     def settle(self, now: float) -> None:
-        """When the offer is due, fly it if all have agreed; else drop it."""
+        """Fly the offer if it is due and all have agreed.
+
+        Drop it if it is due and they have not.
+        """
         if len(self.offer) == 0 or now < self.begins:
             return
         lower = [other for other in self.flying() if other.id < self.id]

@@ -20,7 +20,7 @@ STEP = 0.05
 At 2 m/s of relative speed a distance of 0.3 m is seen at most 4 mm too large.
 """
 NEARER = 1e-3
-"""m by which two drones that are too near already may still approach, for rounding."""
+"""Distance in m by which two drones that are too near may still approach, for rounding."""
 WIDEST = 0.15
 """Largest extra distance in m from a path that is only guessed."""
 GROWS = 0.15
@@ -127,7 +127,10 @@ class Meeting:
         self._count += len(way)
 
     def somewhere(self, j: int, way: Mat, began: float, heard: float) -> None:
-        """Add drone j, silent since `heard` s: it may have stopped anywhere on its remaining path."""
+        """Add drone j, silent since `heard` s.
+
+        It may have stopped anywhere on the path that was left then.
+        """
         lasts = seconds(way)
         for t in np.arange(
             min(max(0.0, heard - began), lasts), lasts + APART, APART

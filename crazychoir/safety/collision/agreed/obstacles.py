@@ -1,4 +1,4 @@
-"""Where all others may be: on their announced paths, else where their states suggest."""
+"""Obstacles: all other drones, on their announced paths, else where their states suggest."""
 
 import math
 

@@ -30,7 +30,7 @@ LOOKS = 16
 LOOK = 0.1
 """Seconds between two checks of the place on a path."""
 ROUNDING = 1e-3
-"""m by which the drone may be elsewhere between two checks: 1 m/s2 makes 1.3 mm."""
+"""Distance in m by which the drone may be elsewhere between two checks: 1 m/s2 makes 1.3 mm."""
 FAST = 1.05
 """Allowed sampled peak speed, as a share of the limit."""
 HARD = 1.1

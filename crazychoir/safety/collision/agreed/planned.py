@@ -43,7 +43,7 @@ Drones of one process that take off together then do not look at the same time.
 ASKING = 0.3
 """Seconds before an offer begins, within which the others agree, or do not."""
 AHEAD = 0.8
-"""Least time in s that is planned ahead if the wish has no known end."""
+"""Least time in s that is planned ahead if the wanted reference has no known end."""
 BETTER = 0.3
 """Seconds that another path must save."""
 LEADS = 0.25
@@ -52,9 +52,9 @@ LEADS = 0.25
 A path that ends that near to the goal still leads there. Each new path begins slowly.
 """
 ON = 0.03
-"""Distance in m from the wish that counts as on it."""
+"""Distance in m from the wanted reference within which the drone is on it."""
 OFF = 0.05
-"""Distance in m from the wish beyond which a flight of its own is needed to catch up."""
+"""Distance in m from the wanted reference that needs a flight of its own to catch up."""
 GENTLE = 0.8
 """Acceleration in m/s2 of flights among others; harder paths are flown less exactly."""
 URGENT = 1.6
@@ -64,7 +64,7 @@ ROUGH = 1.2
 ROOM = 0.4
 """Distance in m that a hard path needs beside D."""
 SAME = 1e-3
-"""m and m/s: two ends of paths within this are the same."""
+"""Two ends of paths within this, in m and m/s, are the same."""
 LOST = 0.35
 """Distance in m between a drone and its path, beyond which it begins a new path from here."""
 IMMINENT = 1.0
@@ -79,11 +79,11 @@ LOWEST = 0.25
 LONG = 60.0
 """Seconds after which each landing has ended."""
 Future = Callable[[float], FullState]
-"""The wish a number of seconds from now."""
+"""The wanted reference a number of seconds from now."""
 
 
 class PlannedFlights:
-    """Turns a wish into what the drone may fly.
+    """Turns a wanted reference into a reference that the drone may fly.
 
         |S (w_i(t) - w_j(t))| >= D for all t,  S = diag(1, s_x / s_y, s_x / s_z),
         D = 2 s_x + margin + slack
@@ -150,12 +150,12 @@ class PlannedFlights:
         """Return what to fly now instead of `wanted`; `wanted` itself while no other is in the way.
 
         state: of the drone
-        wanted: the set-point of now
-        future: the wish a number of seconds from now
-        whole: s until the wish ends at rest, if one go_to leads there; else 0
+        wanted: the wanted reference of now
+        future: the wanted reference a number of seconds from now
+        whole: s until the wanted reference ends at rest, if one go_to leads there; else 0
         now: s
         lands: whether the drone is landing; it then waits for agreement for at most UNANSWERED s
-        waits: whether the wish stands still while the drone is delayed
+        waits: whether the wanted reference stands still while the drone is delayed
         """
         mine = self.agreement
         self._stands = waits and self.delayed
@@ -198,7 +198,7 @@ class PlannedFlights:
         return self.agreement.in_vain >= UNANSWERED
 
     def lands(self, wanted: FullState, now: float) -> FullState:
-        """Return the wish itself, whatever is in the way.
+        """Return the wanted reference itself, whatever is in the way.
 
         This is for a drone that must land and cannot agree with the others.
         """
@@ -213,7 +213,7 @@ class PlannedFlights:
         return wanted
 
     def departure(self, yaw: float, now: float) -> FullState | None:
-        """Return where the drone should be now, if that is not the wish; else None."""
+        """Return where the drone should be now, if it is not on the wanted reference; else None."""
         if self._kept or len(self.agreement.way) == 0 or now - self._flew > AWAY:
             return None
         return _reference(moving(self.agreement.way, now - self.agreement.began), yaw)
@@ -228,7 +228,7 @@ class PlannedFlights:
 
     @property
     def delayed(self) -> bool:
-        """Whether the drone was away from its wish when it last flew."""
+        """Whether the drone was away from the wanted reference when it last flew."""
         return not self._kept
 
     def _look_after(self, now: float) -> float:
@@ -287,13 +287,13 @@ class PlannedFlights:
             self._brake_before(threat, now, self.obstacles.all(now))
 
     def _arrives(self, future: Future, whole: float, now: float) -> bool:
-        """Return whether the present path is the wish, to its end."""
+        """Return whether the present path is the wanted reference, to its end."""
         mine = self.agreement
         near = math.dist(moving(mine.way, now - mine.began)[0:3], future(0.0).p) <= OFF
         return near and self._ends(future(whole if whole > 0.0 else AHEAD))
 
     def _ends(self, wanted: FullState) -> bool:
-        """Return whether the wish rests where the present path ends."""
+        """Return whether the wanted reference rests where the present path ends."""
         then = wanted.flat
         return (
             math.dist(then[0:3], end(self.agreement.way)) < SAME
@@ -350,16 +350,15 @@ class PlannedFlights:
         others: Meeting,
         alone: bool = False,
     ) -> bool:
-        """Go on with the wish if the drone is near it and no other is in the way.
+        """Follow the wanted reference if the drone is near it and no other is in the way.
 
-        Return whether it does.
-
-        future: the wish a number of seconds from now
-        whole: s until the wish ends at rest, if one go_to leads there; else 0
+        future: the wanted reference a number of seconds from now
+        whole: s until the wanted reference ends at rest, if one go_to leads there; else 0
         begins: s, when the path begins
         now: s
         others: the paths of the others
         alone: whether the drone flies without asking
+        Returns whether it does.
         """
         mine = self.agreement
         wait = 0.0 if self._stands else begins - now
@@ -384,13 +383,16 @@ class PlannedFlights:
         return True
 
     def _catches_up(self, behind: Vec) -> float:
-        """Return s to come from a motion, (12,), relative to the wish, to the wish."""
+        """Return the time in s to catch up with the wanted reference.
+
+        behind: (12,): motion relative to the wanted reference
+        """
         return seconds(flight(behind, np.zeros(3), self.v_max, self.a_max))
 
     def _goal(self, future: Future, whole: float, wait: float) -> tuple[Vec, bool]:
-        """Return where the wish ends, (3,) m, and whether that place moves.
+        """Return where the wanted reference ends, (3,) m, and whether that place moves.
 
-        A wish without a known end is taken to brake, inside the fence.
+        A reference without a known end is assumed to brake, inside the fence.
         """
         if whole > 0.0:
             return future(whole).p, False
@@ -402,7 +404,7 @@ class PlannedFlights:
         return self._inside(then[0:3], end(braking(then, self.a_max))), True
 
     def _inside(self, wanted: Vec, beyond: Vec) -> Vec:
-        """Return a place, (3,) m, that is not further outside the fence than the wish."""
+        """Return a place, (3,) m, that is not further outside the fence than the wanted place."""
         fence = self.detours.fence
         return np.clip(
             beyond, np.minimum(fence.low, wanted), np.maximum(fence.high, wanted)
