@@ -20,9 +20,12 @@ class UnicycleVelocityCtrl:
 
         v = u_x cos psi + u_y sin psi,   w = (u_y cos psi - u_x sin psi) / l
 
-    The point q obeys u exactly: q' = u. For u(p) of the axle itself, |p - g| never grows under u =
-    k (g - p), because (p - g)'p' = -k ((p - g)'h)^2 with the heading h, and the axle turns until |p
-    - g| falls.
+    The point q obeys u exactly: q' = u. The axle itself may be steered by u(p) too. With
+    u = k (g - p) and the heading h, the distance |p - g| never grows:
+
+        (p - g)'p' = -k ((p - g)'h)^2
+
+    The axle turns until |p - g| falls.
 
     ahead: m, l
     v_max: m/s

@@ -79,9 +79,11 @@ class VelocityFilter:
 
         v' = cutoff (p' - v),   w' = cutoff (log(q_k^-1 q_k+1) / h - w)
 
-    It is integrated exactly for a p that is linear between two samples: v_k = e v_k-1 + (1 - e)
-    (p_k - p_k-1) / h with e = exp(-cutoff h) and h the measured time between the samples. w is in
-    body axes and knows no wrap of angles.
+    It is integrated exactly for a p that is linear between two samples:
+
+        v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,   e = exp(-cutoff h)
+
+    h is the measured time between the samples. w is in body axes and knows no wrap of angles.
 
     The state is carried from the time of the measurement to `now` at constant velocity. While no
     pose comes, it continues from there by the model `motion` under `commanded`. Its arrays are
@@ -91,8 +93,8 @@ class VelocityFilter:
     by more. So the time of a measurement follows the rate of the cameras, and is corrected slowly
     by the time that is seen. Then h does not jitter.
 
-    Poses that are not finite count as missing. So do poses with a quaternion length outside 0.5 to
-    2.
+    Poses that are not finite count as missing, and so do poses with a quaternion length outside
+    0.5 to 2.
 
     cutoff: rad/s
     horizon: s, longest prediction

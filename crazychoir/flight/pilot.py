@@ -1216,7 +1216,7 @@ class Pilot(Actor):
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
         """Return the command that flies the acceleration a, (3,) m/s2, of the collision filter."""
         assert self.clearance.filter is not None  # noqa: S101 - the filter has acted
-        # Otherwise the safety table has given the reason.
+        # If the safety table acts, it has already given the reason.
         if self._obeyed is NOMINAL:
             self._say_evades(self.clearance.filter.gives_way_to)
         self.controls.trim.frozen = True

@@ -15,8 +15,8 @@ from crazychoir.types import FullState, Vec
 def _coefficients(start: Vec, goal: Vec, duration: float, out: Vec) -> None:
     """Compute the coefficients of x, y, z, yaw in t, ascending.
 
-    In s = t / T: c0..c3 are the start; c4..c7 close the remaining gaps of p, p', p'', p''' at s =
-    1.
+    In s = t / T, c0..c3 are the start, and c4..c7 close the remaining gaps of p, p', p'', p'''
+    at s = 1.
 
     start: (14,)
     goal: (14,)

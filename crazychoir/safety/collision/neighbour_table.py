@@ -33,7 +33,7 @@ UNHEARD = 0.2
 SILENT = 1.5
 """Seconds of silence after which a drone that flew counts as not heard.
 
-This decides whether the drone that hears nothing is cut off.
+If this holds for half of the flying drones, this drone is cut off, see CollisionFilter.cut_off.
 """
 GONE = 10.0
 """Seconds after which a drone that no other drone hears has come down, see Hearsay.
@@ -41,7 +41,7 @@ GONE = 10.0
 It is cut off itself, or has failed.
 """
 FAR = 1e6
-"""Largest norm of a valid state, mainly m."""
+"""Largest norm of a valid state (13,), in the units of its entries."""
 FASTEST = 100.0
 """Largest norm of a valid acceleration, m/s2."""
 SLOW = 0.3
@@ -53,12 +53,16 @@ OFTEN = 20.0
 TOTAL = 100.0
 """Rate in Hz at which all far drones together are heard, within the two limits above."""
 RATES = ((0.7, 50.0), (3.0, 20.0))
-"""Pairs: s within which both drones could be near each other.
+"""Pairs of a time and a rate for drones that may soon be near each other.
 
-Hz at which they then hear each other.
+s: within which both drones could be near each other
+Hz: at which they then hear each other
 """
 PATIENCE = ((1.0, 10.0), (2.0, 5.0))
-"""Pairs: s of the age beyond which the drone brakes; Hz at which both then hear each other.
+"""Pairs of an age and a rate for drones that would brake without a new state.
+
+s: age of a state beyond which the drone brakes
+Hz: at which both then hear each other
 
 Several states in a row may be lost before a drone brakes.
 """

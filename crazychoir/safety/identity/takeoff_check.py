@@ -140,13 +140,24 @@ class Ascent:
         sigma_k^2 = NOISE^2 + n_own^2 + n_i^2 + (SHARE |s_k|)^2
 
     The sums are over the last WINDOW samples. n_own and n_i are standard deviations per axis before
-    the take-off, in rad.
+    the take-off, in rad. The check reports four errors.
 
-    Its body is another drone's if J_i(0) - J_j(0) > CLEARLY for a j. Its body is turned if J_i(0) -
-    J_i(psi) > CLEARLY for the best fit psi = arg sum_k s_k conj(b_ik) with |psi| > TURNED. In both
-    cases the better cost must also be less than J_i(0) / RATIO. Its body belongs to no drone if
-    J_i(0) > UNLIKE and sum |s - b|^2 > MOVED sum (|s|^2 + |b|^2). Its body is another drone's, too,
-    if it stays on the floor while the body of a drone that does not fly rises.
+    The body is another drone's:
+
+        J_i(0) - J_j(0) > CLEARLY for a j
+
+    The body is turned, by the best fit psi = arg sum_k s_k conj(b_ik):
+
+        J_i(0) - J_i(psi) > CLEARLY,   |psi| > TURNED
+
+    In both cases the better cost must also be less than J_i(0) / RATIO.
+
+    The body belongs to no drone:
+
+        J_i(0) > UNLIKE,   sum |s - b|^2 > MOVED sum (|s|^2 + |b|^2)
+
+    The body is another drone's, by the heights: it stays on the floor while the body of a drone
+    that does not fly rises.
 
     i: id of the drone
     now: s
