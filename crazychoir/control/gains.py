@@ -42,7 +42,10 @@ class Gains:
     What is known of the reference is fed forward earlier by this time.
     """
     thrust_delay: float = 0.0
-    """s, how late the thrust follows its command; used as rate_delay."""
+    """s, how late the thrust follows its command.
+
+    What is known of the reference is fed forward earlier by this time.
+    """
     ki_thrust: float = 0.0
     """1/s2, how fast Trim learns the error of the thrust; 0 for not at all."""
     ki_trim: float = 0.0
@@ -50,9 +53,9 @@ class Gains:
 
     @property
     def position(self) -> Vec:
-        """(13,) for the kernels: kp, kv, then the numbers from max_tilt on except kr.
+        """(13,) for the kernels: kp, kv, max_tilt, and the gains after it.
 
-        max_tilt, lead, lead_cutoff, rate_delay, thrust_delay, ki_thrust, ki_trim
+        lead, lead_cutoff, rate_delay, thrust_delay, ki_thrust, ki_trim
         """
         return np.array(
             [

@@ -1,6 +1,6 @@
 """Controllers of robots that do not fly: single and double integrators, and unicycles.
 
-The uri of a robot decides.
+The uri of a robot decides which of them it gets.
 """
 
 import math

@@ -153,7 +153,7 @@ class VelocityFilter:
     def predict(self, now: float) -> State | None:
         """Return the state at `now` without a new pose, by the model of motion.
 
-        None before the first.
+        Returns None before the first pose.
         """
         last = self._state
         if last is None:

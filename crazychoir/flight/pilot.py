@@ -286,7 +286,7 @@ class Pilot(Actor):
         self.astray: Callable[[], str] = str
         """Return how the body that the cameras take for the drone moved unlike it.
 
-        Empty if it has not.
+        Returns an empty text if it has not.
         """
         self.awaits_start = limits.operator
         """Whether the mission waits for the operator's start; until then guidance moves nothing."""
@@ -690,7 +690,7 @@ class Pilot(Actor):
     def unflown(self, reference: object) -> str:
         """Return why a reference can never be flown: its numbers, its place or its kind.
 
-        Else "".
+        Returns an empty text if it can be flown.
         """
         wanted = taken(reference)
         return unflyable(reference) if wanted is None else self._forbids(wanted)
@@ -762,7 +762,7 @@ class Pilot(Actor):
     def misjudged(self) -> str:
         """Return what is wrong with the hover thrust that a drone behind a radio has learnt.
 
-        Else "".
+        Returns an empty text if it is right.
         """
         factor = self.controls.trim.thrust
         if (
@@ -830,7 +830,7 @@ class Pilot(Actor):
     def remaining(self) -> float:
         """Return s until the planned flight is over.
 
-        0 for a landing that may begin anew again and again.
+        Returns 0 for a landing that may begin anew again and again.
         """
         if self.mode is LAND and self.unreached:
             return 0.0
@@ -860,7 +860,7 @@ class Pilot(Actor):
     def refuses(self, command: Event) -> str:
         """Return why the drone cannot do what its operator commands, in this mode.
 
-        Empty if it can.
+        Returns an empty text if it can.
         """
         return refusal(self.mode, command)
 
@@ -906,7 +906,7 @@ class Pilot(Actor):
     def _go_on_home(self, state: State, now: float) -> None:
         """Begin the next leg of the way home.
 
-        Land at its end, or where the drone makes no progress.
+        Land at the end of the way, or where the drone makes no progress.
         """
         way = self._way
         leg = None if way is None else way.leg(state.p)
@@ -1203,7 +1203,7 @@ class Pilot(Actor):
     ) -> Vec | None:
         """Return the acceleration, (3,) m/s2, that avoids the others.
 
-        None if nothing is in the way.
+        Returns None if nothing is in the way.
         """
         safe = self.clearance.evasion(
             state, reference, self.reference_limits.gains, now, lands=self.mode is LAND

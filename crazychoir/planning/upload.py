@@ -160,7 +160,7 @@ def _longest(
 ) -> float:
     """Return the length in s of the longest piece from t on that fits, to 2 %.
 
-    At least SHORTEST.
+    It is at least SHORTEST.
     """
 
     def fits(length: float) -> bool:

@@ -33,7 +33,7 @@ class Clip:
 def corners_of(strokes: Sequence[Mat]) -> Mat | None:
     """Return the corners of a convex shape with these strokes as its outline.
 
-    None for another shape.
+    Returns None for another shape.
     """
     if len(strokes) != 1:
         return None

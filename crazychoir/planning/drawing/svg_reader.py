@@ -463,9 +463,9 @@ class Reader:
         return (Clip(corners, clip.label),)
 
     def _referred(self, value: str) -> Element | str | None:
-        """Return the element of url(#id); None for none, or for an unknown id.
+        """Return the element of url(#id), or another value as it is.
 
-        Another value as it is.
+        Returns None for none, or for an unknown id.
         """
         if value in ("none", "", "inherit", *INITIAL_WORDS):
             return None

@@ -122,7 +122,7 @@ class Styles:
     def of(self, element: Element) -> dict[str, str]:
         """Return the values of the followed properties of an element, by name.
 
-        Words in small letters.
+        Words are in small letters.
         """
         found = {
             name: element.attributes[name]

@@ -359,8 +359,8 @@ class CollisionFilter:
     them.
 
     A drone brakes if another drone that may be near has been silent for USABLE s, or if more than
-    half of the drones that flew have been silent for SILENT s. It does not brake for this while it
-    lands. It keeps clear of the place where the silent drone is if that drone brakes too.
+    half of the other drones that flew have been silent for SILENT s. It does not brake for this
+    while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
 
     settings: [collision]
     traffic: the states of the others

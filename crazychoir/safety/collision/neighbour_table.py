@@ -33,7 +33,8 @@ UNHEARD = 0.2
 SILENT = 1.5
 """Seconds of silence after which a drone that flew counts as not heard.
 
-If this holds for half of the flying drones, this drone is cut off, see CollisionFilter.cut_off.
+If this holds for more than half of the other flying drones, this drone is cut off, see
+CollisionFilter.cut_off.
 """
 GONE = 10.0
 """Seconds after which a drone that no other drone hears has come down, see Hearsay.
@@ -157,7 +158,7 @@ class Traffic:
     def _keep(self, message: tuple[int, State], age: float) -> Vec | None:
         """Store a state and return the row of its drone.
 
-        None if the state is invalid or the drone unknown.
+        Returns None if the state is invalid or the drone unknown.
         """
         j, state = message
         found = self._parts.get(j)

@@ -27,9 +27,9 @@ RARELY = 5
 SELDOM = 10
 """Number of checks between two questions about a drone that is gone or was never heard."""
 NEAREST = 2
-"""Number of drones that are asked each time: those heard that are nearest to the sought drone.
+"""Number of drones that are asked each time about one drone.
 
-One more drone is asked in turn.
+They are the drones nearest to it among those that are heard. One more drone is asked in turn.
 """
 
 
@@ -39,11 +39,13 @@ class Hearsay:
     A relayed state counts as heard, except for the question whether this drone is cut off.
 
     If one link fails, other drones hear both its ends. Two drones that do not hear each other have
-    such a third drone between them, unless one of them hears less than half of the others; that one
-    lands (DEAF). Proof: of F flying drones, as both know, both hear at least (F - 1) / 2 among F -
-    2. So a drone that gets no answer may assume that the other one comes down. Whether the drones
-    that were last seen on the floor fly is unknown: a network that splits before the take-off is
-    for the roster to notice.
+    such a third drone between them, unless one of the two hears less than half of the others. That
+    drone lands (DEAF). The reason: let F be the number of flying drones, as both know. Both hear at
+    least (F - 1) / 2 of the F - 2 others. So a drone that gets no answer may assume that the other
+    one comes down.
+
+    It is unknown whether the drones that were last seen on the floor fly. A network that splits
+    before the take-off is for the roster to notice.
 
     traffic: the table of the other drones
     """

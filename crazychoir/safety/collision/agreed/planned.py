@@ -134,7 +134,7 @@ class PlannedFlights:
         self.gives_way_to: int | None = None
         """Id of the drone that this one would have met on its wanted path.
 
-        None if there is none.
+        None if there is no such drone.
         """
 
     def fly(
@@ -181,9 +181,9 @@ class PlannedFlights:
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:
-        """Return whether the drone sees itself and can ask all that it must ask.
+        """Return whether the drone sees itself and can ask all drones that it must ask.
 
-        Else it cannot agree.
+        Without this it cannot agree with them.
         """
         return state.age <= USABLE and self.agreement.mute(now) is None
 
@@ -238,7 +238,7 @@ class PlannedFlights:
     def _begin(self, state: State, wanted: FullState, now: float) -> None:
         """Begin a first path, to rest.
 
-        Or a new one from here if the drone was blown off its path.
+        If the drone was blown off its path, begin another one from here.
         """
         mine = self.agreement
         if len(mine.way) == 0 or now - self._flew > AWAY:
