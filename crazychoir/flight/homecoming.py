@@ -63,8 +63,8 @@ def level_above(
     p: (3,) m, world: where the drone is
     home: (3,) m, world
     others: (3,) m, world, each: the known places of other drones
-    rank: place of the drone among those that return at the same time; each flies at a height of its
-        own, as far as the room is high enough
+    rank: place of the drone among the drones that return at the same time; each flies at a height
+        of its own, as far as the room is high enough
     top: m, largest height
     """
     a = np.asarray(p[:2], dtype=float)

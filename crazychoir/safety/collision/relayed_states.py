@@ -29,7 +29,7 @@ SELDOM = 10
 NEAREST = 2
 """Number of drones that are asked each time about one drone.
 
-They are the drones nearest to it among those that are heard. One more drone is asked in turn.
+They are the heard drones that are nearest to it. One more drone is asked in turn.
 """
 
 
