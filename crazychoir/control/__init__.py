@@ -1,1 +1,1 @@
-"""From references to commands."""
+"""Controllers: from references to commands."""

@@ -1,4 +1,4 @@
-"""Attitude control: from a desired attitude to body rates, or to the angles that a drone controls on board."""
+"""Attitude control: from a desired attitude to body rates, or to angles for a control on board."""
 
 import math
 from typing import Protocol
@@ -19,15 +19,26 @@ class AttitudeControl(Protocol):
     """The strategy that turns a desired attitude into the input of a sender."""
 
     gains: Gains
+    """The gains; new ones act from the next call on."""
 
     def command(self, state: State, desired: Vec) -> Vec:
-        """A new (4,) = thrust N, then body rates rad/s or angles; desired: (13,) of a PositionControl."""
+        """Return a new input (4,): thrust N, then body rates rad/s or angles.
+
+        state: of the drone
+        desired: (13,), of a PositionControl
+        """
         ...
 
 
 @kernel(vector, vector, vector, memory)
 def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
-    """The law of GeometryAttitudeCtrl into out (4,); figures: (6,) = kr, largest rates."""
+    """Apply the law of GeometryAttitudeCtrl.
+
+    x: (13,): state
+    desired: (13,), of a PositionControl
+    figures: (6,): kr, largest rates
+    out: (4,): the result
+    """
     r = columns((x[6], x[7], x[8], x[9]))
     d = (
         (desired[1], desired[2], desired[3]),
@@ -56,7 +67,10 @@ class GeometryAttitudeCtrl(Tuned):
 
         e_R = 1/2 (R_d^T R - R^T R_d)^vee,   w = - K_R e_R + R^T R_d w_d
 
-    R: body to world;  w_d: feed-forward in the axes of R_d, rad/s;  each rate is clipped to the platform's limit.
+    R: body to world
+    w_d: rad/s, feed-forward in the axes of R_d
+
+    Each rate is clipped to the platform's limit.
     Source: Lee, Leok & McClamroch 2010, IEEE CDC, its attitude error; the rate loop flies on board.
     """
 
@@ -68,7 +82,7 @@ class GeometryAttitudeCtrl(Tuned):
         return np.array([*gains.kr, *self.platform.max_rate])
 
     def command(self, state: State, desired: Vec) -> Vec:
-        """A new (4,) = thrust N, body rates rad/s."""
+        """Return a new (4,): thrust N, body rates rad/s."""
         out = np.empty(4)
         _geometric(state.flat, desired, self._figures, out)
         return out
@@ -76,7 +90,13 @@ class GeometryAttitudeCtrl(Tuned):
 
 @kernel(vector, vector, vector, memory)
 def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
-    """The law of AngleAttitudeCtrl into out (4,); figures: (4,) = k, K_R of the yaw, largest yaw rate, angle."""
+    """Apply the law of AngleAttitudeCtrl.
+
+    x: (13,): state
+    desired: (13,), of a PositionControl
+    figures: (4,): k, K_R of the yaw, largest yaw rate, largest angle
+    out: (4,): the result
+    """
     bx = columns((x[6], x[7], x[8], x[9]))[0]
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
     c = bx[0] * n
@@ -102,12 +122,15 @@ def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
 
 
 class AngleAttitudeCtrl(Tuned):
-    """Roll, pitch and yaw rate for an attitude control on board, which turns by k times what is missing.
+    """Roll, pitch and yaw rate for an attitude control on board, which turns by k times the error.
 
         phi = asin(-z_2) + w_x / k,   theta = atan2(z_1, z_3) + w_y / k,   psi' = w_z + K_R psi_e
 
-    z: z_b of R_d in the axes of the drone's heading, so that a wrong heading leaves the force where it is wanted;
-    psi_e: the yaw that is missing, the short way;  w: feed-forward;  k: 1/s, of the attitude control on board.
+    z: z_b of R_d in the axes of the drone's heading. So a wrong heading leaves the force where it
+        is wanted.
+    psi_e: rad, the yaw error, the short way
+    w: rad/s, feed-forward
+    k: 1/s, of the attitude control on board
     """
 
     def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
@@ -120,7 +143,7 @@ class AngleAttitudeCtrl(Tuned):
         )
 
     def command(self, state: State, desired: Vec) -> Vec:
-        """A new (4,) = thrust N, roll, pitch rad, yaw rate rad/s."""
+        """Return a new (4,): thrust N, roll and pitch rad, yaw rate rad/s."""
         out = np.empty(4)
         _angles(state.flat, desired, self._figures, out)
         return out

@@ -1,4 +1,4 @@
-"""Which controllers a drone gets: by its row in the swarm file, its platform and what it is flown through."""
+"""The choice of a drone's controllers, by its row in the swarm file, platform and sender."""
 
 import math
 from dataclasses import dataclass, replace
@@ -43,48 +43,61 @@ SENDERS: dict[str, type[CommunicationHandler]] = {
     "xyz": XYZSender,
     "fullstate": FullStateSender,
 }
+"""The sender of each kind that a swarm file may name."""
 ON_BOARD = ("vel", "xyz", "fullstate")
-"""Senders for which the gains are those of the firmware."""
+"""Senders that leave the gains to the firmware."""
 
 
 @dataclass
 class Controls:
-    """The controllers of one drone.
-
-    tracker: of FullStates;  follower: of Accelerations, None if what is sent cannot be one;  trim: what both know of
-    the drone;  gains: of the tracker;  takes_off: a robot that does not is where it flies, on the floor too;
-    planar: its height is not its to choose.
-    """
+    """The controllers of one drone or robot."""
 
     platform: Platform
+    """The platform that it is."""
     plant: Plant
+    """The plant behind the commands."""
     tracker: CrazyflieController
+    """Controller of FullStates."""
     follower: CrazyflieController | None
+    """Controller of Accelerations; None if the sender cannot send them."""
     trim: Trim
+    """Errors of the drone's thrust and attitude that both controllers know."""
     gains: Gains
+    """Gains of the tracker."""
     takes_off: bool = True
+    """False for a robot that is where it drives, on the floor too."""
     planar: bool = False
+    """True for a robot that does not choose its height."""
 
     @property
     def sender(self) -> CommunicationHandler:
-        """What speaks to the drone."""
+        """The handler that sends to the drone."""
         return self.tracker.command_sender
 
     @property
     def tuned(self) -> dict[str, Any]:
-        """The gains that it flies by, by name; none for one that is flown by those of its firmware, or is no drone."""
+        """The gains in use, by name.
+
+        Empty for a drone that its firmware's gains fly, and for other robots.
+        """
         if not isinstance(self.tracker, HierarchicalController):
             return {}
         return {name: getattr(self.gains, name) for name in OF_TRACKING}
 
     def lead_by(self, gains: Gains) -> None:
-        """Fly Accelerations with these gains from the next tick on: a law knows what it needs beneath."""
+        """Fly Accelerations with these gains from the next tick on.
+
+        A law knows which gains it needs beneath it.
+        """
         if isinstance(self.follower, HierarchicalController):
             self.follower.pos_strategy.gains = gains
             self.follower.attitude_strategy.gains = gains
 
     def retune(self, gains: Gains) -> None:
-        """Fly with other gains from the next tick on; ConfigError if they are not stable behind this drone."""
+        """Fly with other gains from the next tick on.
+
+        Raises ConfigError if they are not stable on this drone.
+        """
         require_stable(gains, self.platform, self.plant, sender=self.sender.kind)
         self.gains = gains
         if isinstance(self.tracker, HierarchicalController):
@@ -100,10 +113,16 @@ def controls(
     command_delay: float = 0.02,
     where: str = "control",
 ) -> Controls:
-    """The controllers that a row [control] or [[roles]] asks for.
+    """Return the controllers of a row [control] or [[roles]].
 
-    rate_lag: s, of the lightweight plant;  command_delay: s;  where: names the row in errors.
-    Raises ConfigError for gains that are not stable behind this platform.
+    choice: the row
+    platform: of the drone
+    plant: behind the commands
+    rate_lag: s, lag of the body rates of the lightweight plant
+    command_delay: s, until the drone receives a command
+    where: name of the row in errors
+    Raises ConfigError for gains that are not stable on this platform, or that the sender leaves to
+    the firmware.
     """
     choice = Control() if choice is None else choice
     sender = choice.sender or "fpqr"
@@ -168,7 +187,13 @@ def controls(
 
 
 def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
-    """These gains with some others; ConfigError names what there is, or the range."""
+    """Return these gains with some values replaced.
+
+    gains: the gains
+    values: new values by name
+    where: name in errors
+    Raises ConfigError for an unknown name, or a value of another shape or out of range.
+    """
     known = {name: getattr(gains, name) for name in OF_TRACKING}
     for name, value in values.items():
         if name not in known:
@@ -200,9 +225,10 @@ def require_stable(
     where: str = "control",
     sender: str = "fpqr",
 ) -> None:
-    """Refuse gains that leave less delay margin than REQUIRED, with the lag of the rotors 1.3 times as identified.
+    """Raise ConfigError for gains that leave less delay margin than REQUIRED.
 
-    Behind roll and pitch, "frpy", the attitude is controlled on board, whatever kr is.
+    The lag of the rotors is taken 1.3 times as long as identified. For the sender "frpy" the
+    attitude of roll and pitch is controlled on board, whatever kr is.
     """
     if sender == "frpy":
         gains = replace(gains, kr=(ATTITUDE_ON_BOARD, ATTITUDE_ON_BOARD, gains.kr[2]))

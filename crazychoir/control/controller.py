@@ -1,4 +1,4 @@
-"""The controller of one drone: a template, and the hierarchical one made of strategies."""
+"""The controller of one drone: a template, and the hierarchical controller made of strategies."""
 
 import math
 from abc import ABC, abstractmethod
@@ -13,14 +13,19 @@ from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import columns, exponential, finite
 from crazychoir.types import STILL, Command, Reference, State, Vec
 
-EARLY = 1e-4  # s that a tick may be early for the next look at the position: clocks and cameras jitter
+EARLY = 1e-4
+"""Seconds that a tick may be early for the next look at the position: clocks and cameras jitter."""
 
 
 class CrazyflieController(ABC):
-    """Maps references to commands. What it listens to and what it sends are its handlers, exchangeable at run time.
+    """Maps references to commands.
 
-    A reference that is missing, of another kind or not finite is not flown: the drone holds the last good one, at rest.
-    refused: how many were there and could not be flown.
+    Its handlers define which references it reads and which commands it sends; both can be exchanged
+    at run time. A reference that is missing, of another kind or not finite is not flown: the drone
+    then holds the last good one, at rest.
+
+    command_sender: makes the commands
+    traj_handler: reads the references
     """
 
     def __init__(
@@ -29,15 +34,26 @@ class CrazyflieController(ABC):
         self.command_sender = command_sender
         self.traj_handler = traj_handler
         self.refused = 0
+        """Number of references that could not be flown."""
         self._last: Vec | None = None
 
     @abstractmethod
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The input u of the sender for a reference (14,); None if an argument is not finite."""
+        """Return the input u of the sender for a reference (14,).
+
+        None if an argument is not finite.
+
+        state: of the drone
+        reference: (14,), as FullState.flat
+        now: s
+        """
 
     @property
     def acceleration(self) -> Vec:
-        """(3,) m/s2, world, that the last command asks of the drone, read-only: that of the reference, if not known."""
+        """The acceleration that the last command asks of the drone: (3,) m/s2, world, read-only.
+
+        It is the acceleration of the reference if the controller does not know better.
+        """
         if self._last is None:
             return STILL
         a = self._last[6:9].copy()
@@ -46,12 +62,17 @@ class CrazyflieController(ABC):
 
     @abstractmethod
     def blind(self) -> Vec:
-        """The input when the state itself is not finite."""
+        """Return the input for a state that is not finite."""
 
     def command(
         self, state: State, reference: Reference | None, now: float
     ) -> Command | None:
-        """One tick: the command for this state and reference, None if there is nothing new to say; now: s."""
+        """Return the command for this state and reference; None if nothing new is to be sent.
+
+        state: of the drone
+        reference: None if there is none
+        now: s
+        """
         u = None
         if reference is not None:
             flat = self.traj_handler.read(reference)
@@ -63,7 +84,7 @@ class CrazyflieController(ABC):
         return self.command_sender.message(self._hold(state, now) if u is None else u)
 
     def _hold(self, state: State, now: float) -> Vec:
-        """Fly the last good reference at rest."""
+        """Return the input that flies the last good reference at rest."""
         self._last = self.traj_handler.hold(state, self._last)
         u = self.law(state, self._last, now)
         return self.blind() if u is None else u
@@ -71,7 +92,14 @@ class CrazyflieController(ABC):
 
 @kernel(vector, vector, memory, real)
 def _turned(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
-    """Turn the desired attitude on: R_d exp(t w_d), t in s; False, and nothing is done, if x or ref is not finite."""
+    """Turn the desired attitude on by its feed-forward: R_d exp(t w_d).
+
+    x: (13,): state
+    ref: (14,): reference
+    desired: (13,), of a PositionControl, changed in place
+    t: s
+    Returns False, and changes nothing, if x or ref is not finite.
+    """
     if not (finite(x) and finite(ref)):
         return False
     turn = columns(exponential(t * desired[10], t * desired[11], t * desired[12]))
@@ -87,9 +115,12 @@ def _turned(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
 class HierarchicalController(CrazyflieController):
     """Position control around attitude control, each a strategy: the paper's flatness-based scheme.
 
-    pos_strategy: FlatnessPositionCtrl or FlatnessAccelerationCtrl;  attitude_strategy: GeometryAttitudeCtrl, or
-    AngleAttitudeCtrl in front of an attitude control on board;  position_rate: Hz, of the position strategy, 0: each
-    tick. Between its ticks the desired attitude turns on at its feed-forward, and the thrust stays.
+    pos_strategy: FlatnessPositionCtrl or FlatnessAccelerationCtrl
+    attitude_strategy: GeometryAttitudeCtrl, or AngleAttitudeCtrl for an attitude control on board
+    command_sender: makes the commands
+    traj_handler: reads the references
+    position_rate: Hz, of the position strategy; 0 for each tick. Between its ticks the desired
+        attitude turns on by its feed-forward, and the thrust stays.
     """
 
     def __init__(
@@ -110,7 +141,7 @@ class HierarchicalController(CrazyflieController):
         self._thrust = 0.0
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The attitude strategy's command for the attitude that the position strategy desires."""
+        """Return the attitude strategy's input for the attitude of the position strategy."""
         if self.position_rate > 0.0:
             desired = self._at_its_rate(state, reference, now)
         else:
@@ -122,7 +153,7 @@ class HierarchicalController(CrazyflieController):
         return u
 
     def _at_its_rate(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """What the position strategy desires, asked at its own rate."""
+        """Return the desired attitude, computed at the rate of the position strategy."""
         t = now - self._at
         self._at = now
         if self._at < self._next - EARLY and 0.0 <= t < 1.0:
@@ -142,9 +173,9 @@ class HierarchicalController(CrazyflieController):
 
     @property
     def acceleration(self) -> Vec:
-        """(3,) m/s2, world, of the position strategy."""
+        """The acceleration of the position strategy: (3,) m/s2, world."""
         return self.pos_strategy.acceleration
 
     def blind(self) -> Vec:
-        """The last thrust, neither rates nor angles."""
+        """Return the last thrust, with rates or angles of 0."""
         return np.array([self._thrust, 0.0, 0.0, 0.0])

@@ -1,4 +1,7 @@
-"""The gains that ship, and how late a drone obeys. MARGINS says what each row was checked at, and a test holds it."""
+"""The gains that ship, and the delays of a drone.
+
+MARGINS states the delay margin at which each row was checked; a test verifies it.
+"""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -10,35 +13,50 @@ from crazychoir.types import Vec
 
 Axes = tuple[float, float, float]
 HOLD = 0.005  # s, half a tick at 100 Hz: the delay of holding commands
-SETTLING = 0.005  # s, that the rate loop on board takes for the slow rates of a flat trajectory: its integral does most
+SETTLING = 0.005
+"""Time in s that the rate loop on board takes for the slow rates of a flat trajectory.
+
+Most of it comes from the integral of that loop.
+"""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains in units of acceleration, independent of the mass.
-
-    kp: 1/s2, kv: 1/s, world x, y, z;  kr: 1/s, body roll, pitch, yaw;  max_tilt: rad.
-    lead: of FlatnessAccelerationCtrl, how much of the rate of the desired attitude it feeds forward, behind a low-pass
-    of lead_cutoff rad/s.
-    rate_delay, thrust_delay: s, how late body rates and thrust follow their commands: what is known of the reference
-    is fed forward so much earlier.
-    ki_thrust: 1/s2, ki_trim: 1/s3: how fast Trim learns what thrust and attitude are off by; 0: not at all.
-    """
+    """Gains in units of acceleration, independent of the mass."""
 
     kp: Axes
+    """1/s2, world x, y, z."""
     kv: Axes
+    """1/s, world x, y, z."""
     kr: Axes
+    """1/s, body roll, pitch, yaw."""
     max_tilt: float = 0.8
+    """rad."""
     lead: float = 0.0
+    """Share of the rate of the desired attitude that FlatnessAccelerationCtrl feeds forward."""
     lead_cutoff: float = 50.0
+    """rad/s, of the low-pass behind that feed-forward."""
     rate_delay: float = 0.0
+    """s, how late body rates follow their commands.
+
+    What is known of the reference is fed forward earlier by this time.
+    """
     thrust_delay: float = 0.0
+    """s, how late the thrust follows its command.
+
+    What is known of the reference is fed forward earlier by this time.
+    """
     ki_thrust: float = 0.0
+    """1/s2, how fast Trim learns the error of the thrust; 0 for not at all."""
     ki_trim: float = 0.0
+    """1/s3, how fast Trim learns the error of the attitude; 0 for not at all."""
 
     @property
     def position(self) -> Vec:
-        """(13,) for the kernels: kp, kv, max_tilt, lead, lead_cutoff, rate_delay, thrust_delay, ki_thrust, ki_trim."""
+        """(13,) for the kernels: kp, kv, max_tilt, and the gains after it.
+
+        lead, lead_cutoff, rate_delay, thrust_delay, ki_thrust, ki_trim
+        """
         return np.array(
             [
                 *self.kp,
@@ -54,20 +72,28 @@ class Gains:
         )
 
     def on_motors(self, platform: Platform, command_delay: float) -> "Gains":
-        """These gains for a drone whose rates are controlled on board; command_delay: s, until it hears a command."""
+        """Return these gains for a drone with a rate control on board.
+
+        platform: of the drone
+        command_delay: s, until the drone receives a command
+        """
         late = HOLD + command_delay
         return replace(
             self, rate_delay=late + SETTLING, thrust_delay=late + platform.rotor.lag
         )
 
     def on_rates(self, rate_lag: float, command_delay: float) -> "Gains":
-        """These gains for the lightweight plant: rate_lag: s, of its body rates; its thrust follows at once."""
+        """Return these gains for the lightweight plant.
+
+        rate_lag: s, of its body rates; its thrust follows at once
+        command_delay: s, until the plant receives a command
+        """
         late = HOLD + command_delay
         return replace(self, rate_delay=late + rate_lag, thrust_delay=late)
 
 
 class Tuned(ABC):
-    """A strategy whose gains may change while it flies."""
+    """A strategy with gains that may change in flight."""
 
     def __init__(self, gains: Gains) -> None:
         self.gains = gains
@@ -83,7 +109,7 @@ class Tuned(ABC):
 
     @abstractmethod
     def _tuned(self, gains: Gains) -> Vec:
-        """The figures of the kernel."""
+        """Return the figures of the kernel."""
 
 
 STANDARD = Gains(
@@ -93,12 +119,14 @@ STANDARD = Gains(
     ki_thrust=6.0,
     ki_trim=3.0,
 )
-# Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's modes. Its position
-# gains are as fast as that attitude loop allows.
+"""Gains for tracking."""
+# Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's
+# modes. The position gains are as fast as this attitude loop allows.
 FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)
-# The same behind a rate loop on board, which is faster than RATE_LAG: what gyros are off by tilts a drone less.
+# As FORMATION, behind a rate loop on board, faster than RATE_LAG: gyro errors cause less tilt.
 FORMATION_ON_MOTORS = replace(FORMATION, kr=(3.5, 3.5, 4.0), lead=0.3)
-# Behind a law whose modes are all alike, as the normalised one: 8 1/s2, 4.5 1/s are as fast as 40 ms of margin allow.
+# Behind a law with equal modes, such as the normalised law. 8 1/s2 and 4.5 1/s are as fast as a
+# margin of 40 ms allows.
 AGILE = Gains(kp=(8.0, 8.0, 10.0), kv=(4.5, 4.5, 5.0), kr=(7.0, 7.0, 4.0), lead=0.5)
 SHIPPED = {
     "standard": STANDARD,
@@ -106,7 +134,11 @@ SHIPPED = {
     "formation_on_motors": FORMATION_ON_MOTORS,
     "agile": AGILE,
 }
+"""All gains that ship, by name."""
 RANGES = {"max_tilt": (0.2, 1.2), "rate_delay": (0.0, 0.2), "thrust_delay": (0.0, 0.2)}
-"""What the delay margin does not see, rad and s: below 0.2 rad a drone can hardly brake, from pi/2 on it flees."""
+"""Allowed ranges in rad and s of gains that the delay margin does not cover.
+
+Below 0.2 rad a drone can hardly brake; from pi/2 on it runs away.
+"""
 OF_TRACKING = ("kp", "kv", "kr", *RANGES, "ki_thrust", "ki_trim")
-"""Gains that FlatnessPositionCtrl and its attitude control obey, which is all that a user may set."""
+"""Gains that FlatnessPositionCtrl and its attitude control use: all that a user may set."""

@@ -1,4 +1,4 @@
-"""What a controller listens to: trajectory handlers, chosen at run time."""
+"""Trajectory handlers: they read one kind of reference, and can be exchanged at run time."""
 
 from typing import Protocol
 
@@ -11,7 +11,7 @@ _NOWHERE = State.at((0.0, 0.0, 0.0))
 
 
 def _at_rest(state: State, last: Vec | None) -> Vec:
-    """The reference (14,) of staying where `last` is, else where the state is."""
+    """Return the reference (14,) that stays at the place of `last`, or at the state without one."""
     at = np.zeros(14)
     at[0:3] = state.p if last is None else last[0:3]
     at[12] = yaw_of(state.q) if last is None else last[12]
@@ -22,13 +22,17 @@ class TrajectoryHandler(Protocol):
     """Reads one kind of reference from its topic."""
 
     topic: str
+    """Name of the topic."""
 
     def read(self, reference: Reference) -> Vec | None:
-        """The reference as (14,), laid out as FullState.flat; None if it is not of this handler's kind and shape."""
+        """Return the reference as (14,), as FullState.flat.
+
+        Returns None if it is of another kind or shape.
+        """
         ...
 
     def hold(self, state: State, last: Vec | None) -> Vec:
-        """The reference (14,) to fly on when no usable one comes: `last` brought to rest, or the state."""
+        """Return the reference (14,) to fly without a usable one: `last` at rest, or the state."""
         ...
 
 
@@ -38,7 +42,7 @@ class FullStateTraj:
     topic = "fullstate"
 
     def read(self, reference: Reference) -> Vec | None:
-        """Its numbers, not copied."""
+        """Return the numbers of a FullState, not copied."""
         if (
             isinstance(reference, FullState)
             and reference.flat.shape == (14,)
@@ -48,23 +52,23 @@ class FullStateTraj:
         return None
 
     def hold(self, state: State, last: Vec | None) -> Vec:
-        """Stay at the last reference's place and heading, or at the state's."""
+        """Stay at the place and heading of the last reference, or of the state."""
         return _at_rest(state, last)
 
 
 class PositionTraj:
-    """A position alone, to come to at rest: its place, and no velocity. Reads every FullState so."""
+    """A place to come to rest at, without velocity: reads each FullState so."""
 
     topic = "position"
 
     def read(self, reference: Reference) -> Vec | None:
-        """Its place and heading, without what its velocity and acceleration would be fed forward as."""
+        """Return place and heading, without velocity and acceleration to feed forward."""
         if not isinstance(reference, FullState) or reference.flat.shape != (14,):
             return None
         return self.hold(_NOWHERE, reference.flat)
 
     def hold(self, state: State, last: Vec | None) -> Vec:
-        """Stay at the last reference's place and heading, or at the state's."""
+        """Stay at the place and heading of the last reference, or of the state."""
         return _at_rest(state, last)
 
 
@@ -78,9 +82,11 @@ class AccelerationTraj:
         self._next, self._other = [(flat, flat[6:9]) for flat in frames]
 
     def read(self, reference: Reference) -> Vec | None:
-        """Acceleration and yaw; position and velocity are left at zero, nothing follows them.
+        """Return acceleration and yaw.
 
-        The array is this handler's own, good until its next but one.
+        Position and velocity are zero, because nothing follows them.
+
+        The array belongs to this handler and is valid until its next call but one.
         """
         if not isinstance(reference, Acceleration):
             return None
@@ -94,7 +100,7 @@ class AccelerationTraj:
         return flat
 
     def hold(self, state: State, last: Vec | None) -> Vec:
-        """No acceleration; the last heading, or the state's."""
+        """Return no acceleration, with the last heading, or the state's."""
         level = np.zeros(14)
         level[12] = yaw_of(state.q) if last is None else last[12]
         return level

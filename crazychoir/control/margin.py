@@ -1,10 +1,12 @@
-"""How much more delay a loop bears: every gain that ships is judged by this before it flies.
+"""The delay margin of a loop: all gains that ship are judged by it before they fly.
 
-Near hover a drone is, along one horizontal axis, x'' = g theta, theta' = w, w = W(s) w_c, and the command is
-w_c = -KR (theta - theta_d), theta_d = -(kp x + kv v_f + ki int x) / g, with v_f the velocity behind a first-order
-filter. W is a lag, 1 / (lag s + 1), or the rate loop on board with the rotors behind it.
+Near hover a drone is, along one horizontal axis, x'' = g theta, theta' = w, w = W(s) w_c, and the
+command is w_c = -KR (theta - theta_d), theta_d = -(kp x + kv v_f + ki int x) / g, with v_f the
+velocity behind a first-order filter. W is a lag, 1 / (lag s + 1), or the rate loop on board with
+the rotors behind it.
 
-Polynomials are coefficients with the highest power first; a loop is (numerator, denominator) of L(s).
+Polynomials are coefficients with the highest power first. A loop is (numerator, denominator) of
+L(s).
 """
 
 import math
@@ -21,7 +23,7 @@ from crazychoir.platforms import Platform, rotor_speed
 Plant = Literal["motors", "lightweight"]
 Polynomial = npt.NDArray[np.floating[Any]]
 Loop = tuple[Polynomial, Polynomial]
-REQUIRED = 0.040  # s, the delay margin that every gain that ships must keep
+REQUIRED = 0.040  # s, the delay margin that all gains that ship must keep
 MARGINS = {
     "motors": {
         "paper": 0.103,
@@ -38,12 +40,22 @@ MARGINS = {
         "cf21bl": 0.103,
     },
 }
-"""s, the delay margin of STANDARD by plant and platform, checked with 1.3 times the identified lag; see `margin`."""
-RATE_LAG = 0.086  # s, the slowest platform: rotor lag of a Crazyflie 2.1 (identified in the drone-models package)
+"""Delay margin in s of STANDARD by plant and platform.
+
+It is checked with 1.3 times the identified lag; see `margin`.
+"""
+RATE_LAG = 0.086
+"""Lag in s of the body rates of the slowest platform.
+
+It is the rotor lag of a Crazyflie 2.1, identified in the drone-models package.
+"""
 
 
 def _outer(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
-    """(kv s F(s) + kp + ki / s) / s^2 with F = cutoff / (s + cutoff); an infinite cutoff is no filter."""
+    """Return (kv s F(s) + kp + ki / s) / s^2 with F = cutoff / (s + cutoff).
+
+    An infinite cutoff is no filter.
+    """
     low = np.array([1.0]) if math.isinf(cutoff) else np.array([1.0 / cutoff, 1.0])
     place = np.polymul([kp, ki] if ki else [kp], low)
     damping = np.array([kv, 0.0, 0.0] if ki else [kv, 0.0])
@@ -53,17 +65,22 @@ def _outer(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
 
 
 def lag_loop(lag: float) -> Loop:
-    """W(s) = 1 / (lag s + 1)."""
+    """Return W(s) = 1 / (lag s + 1)."""
     return np.array([1.0]), np.array([lag, 1.0])
 
 
 def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
-    """W(s) of the rate loop on board, axis 0, 1, 2 = roll, pitch, yaw; worse: factor on the lag of the rotors.
+    """Return W(s) of the rate loop on board.
 
         W = b (kp s + ki) / (lag s^3 + (1 + b kd) s^2 + b kp s + b ki)
 
-    b: rad/s2 that a command of 1 makes about this axis once the rotors have followed;  kp, ki, kd: of the firmware's
-    rate controller, P on the error, D on the rate. A reaction torque is the slope of the torque curve at hover.
+    b is the angular acceleration in rad/s2 that a command of 1 makes about this axis once the
+    rotors have followed. kp, ki and kd are those of the firmware's rate controller, P on the error,
+    D on the rate. The reaction torque is the slope of the torque curve at hover.
+
+    platform: of the drone
+    axis: 0, 1, 2 for roll, pitch, yaw
+    worse: factor on the lag of the rotors
     """
     rotor = platform.rotor
     firmware = platform.firmware
@@ -89,18 +106,20 @@ def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
 
 @dataclass(frozen=True)
 class Inner:
-    """What lies between an acceleration and the drone that gives it.
-
-    kr: 1/s;  lag: s, of the body rates;  rates: W(s), if it is no such lag;  cutoff: rad/s, of the velocity filter, inf
-    for none;  lead, lead_cutoff: rad/s, feed-forward of the rate of the desired attitude (FlatnessAccelerationCtrl).
-    """
+    """The inner loop between a commanded acceleration and the drone's acceleration."""
 
     kr: float
+    """1/s."""
     lag: float = RATE_LAG
+    """s, of the body rates."""
     cutoff: float = 50.0
+    """rad/s, of the velocity filter; inf for none."""
     lead: float = 0.0
+    """Share of the feed-forward of the rate of the desired attitude (FlatnessAccelerationCtrl)."""
     lead_cutoff: float = 50.0
+    """rad/s, of that feed-forward."""
     rates: Loop | None = None
+    """W(s) if it is not such a lag; else None."""
 
     @property
     def attitude(self) -> Loop:
@@ -115,11 +134,17 @@ class Inner:
 
 
 def command_loop(kp: float, kv: float, inner: Inner, ki: float = 0.0) -> Loop:
-    """The loop opened at the rate command: a delay of commands or of the whole measurement enters here.
+    """Return the loop opened at the rate command.
 
         L(s) = (KR + (KR + lead s G) (kv s F + kp + ki / s) / s^2) W / s
 
-    kp: 1/s2;  kv: 1/s;  ki: 1/s3;  F, G: first-order low-passes of the velocity and of the lead.
+    A delay of commands or of the whole measurement enters here. F and G are the first-order
+    low-passes of the velocity and of the lead.
+
+    kp: 1/s2
+    kv: 1/s
+    inner: the inner loop
+    ki: 1/s3
     """
     num, den = _outer(kp, kv, inner.cutoff, ki)
     att, low = inner.attitude
@@ -129,11 +154,11 @@ def command_loop(kp: float, kv: float, inner: Inner, ki: float = 0.0) -> Loop:
 
 
 def guidance_loop(kp: float, kv: float, inner: Inner) -> Loop:
-    """The loop opened at the acceleration reference: a delay of guidance or of the neighbours' data enters here.
+    """Return the loop opened at the acceleration reference.
 
         L(s) = (kv s F + kp) / s^2 * (KR + lead s G) W / (s + KR W)
 
-    Symbols as in `command_loop`.
+    A delay of guidance or of the neighbours' data enters here. Symbols as in `command_loop`.
     """
     num, den = _outer(kp, kv, inner.cutoff)
     att, low = inner.attitude
@@ -145,27 +170,36 @@ def guidance_loop(kp: float, kv: float, inner: Inner) -> Loop:
 def vertical_loop(
     kp: float, kv: float, lag: float = RATE_LAG, cutoff: float = 50.0, ki: float = 0.0
 ) -> Loop:
-    """Height: thrust acts without attitude, L(s) = (kv s F + kp + ki / s) / (s^2 (lag s + 1)), lag of the thrust."""
+    """Return the loop of the height, on which the thrust acts without attitude.
+
+    L(s) = (kv s F + kp + ki / s) / (s^2 (lag s + 1)),   lag of the thrust
+    """
     num, den = _outer(kp, kv, cutoff, ki)
     return num, np.polymul(den, [lag, 1.0])
 
 
 def heading_loop(kr: float, rates: Loop) -> Loop:
-    """Yaw: L(s) = KR W / s."""
+    """Return the loop of the yaw: L(s) = KR W / s."""
     return kr * rates[0], np.polymul(rates[1], [1.0, 0.0])
 
 
 def _product(*factors: Any) -> Polynomial:
+    """Return the product of polynomials."""
     return reduce(np.polymul, factors)
 
 
 def margin(
     gains: Gains, platform: Platform, plant: Plant = "motors", worse: float = 1.3
 ) -> float:
-    """Smallest delay margin in s of a drone that tracks with these gains, half a tick of 100 Hz already spent.
+    """Return the smallest delay margin in s of a drone that tracks with these gains.
 
-    plant: "motors": behind its rate loops and rotors;  "lightweight": behind a lag of the rates, and of the thrust, as
-    long as that of its rotors, which is slower than either;  worse: by which factor the lag is longer than identified.
+    Half a tick of 100 Hz is already spent.
+
+    gains: the gains
+    platform: of the drone
+    plant: "motors": behind its rate loops and rotors. "lightweight": behind a lag of the rates, and
+        of the thrust, as long as that of its rotors, which is slower than either.
+    worse: factor by which the lag is longer than identified
     """
     lag = worse * platform.rotor.lag
     loops = []
@@ -184,16 +218,17 @@ def margin(
 
 
 def stable(loop: Loop) -> bool:
-    """Are all roots of den + num in the open left half plane?"""
+    """Return whether all roots of den + num are in the open left half plane."""
     return bool(np.all(np.roots(np.polyadd(*loop)).real < 0.0))
 
 
 def delay_margin(loop: Loop) -> float:
-    """Smallest delay in s that makes the closed loop unstable; 0 if it is unstable already, inf if no delay does.
+    """Return the smallest delay in s that makes the closed loop unstable.
 
         min over |L(jw)| = 1 of (pi + arg L(jw)) / w,  the angle taken in [0, 2 pi)
 
     The crossings are the positive roots of |num(jw)|^2 - |den(jw)|^2, a polynomial in w^2.
+    Returns 0 if the loop is already unstable, inf if no delay makes it so.
     """
     if not stable(loop):
         return 0.0
@@ -210,7 +245,7 @@ def delay_margin(loop: Loop) -> float:
 
 
 def _squared_magnitude(p: Polynomial) -> Polynomial:
-    """|p(jw)|^2 as a polynomial in w^2, of p(s) with real coefficients: p(s) p(-s) at s^2 = -w^2."""
+    """Return |p(jw)|^2 as a polynomial in w^2: p(s) p(-s) at s^2 = -w^2, for real coefficients."""
     mirrored = p * (-1.0) ** np.arange(len(p) - 1, -1, -1)
     even = np.polymul(p, mirrored)[::2]
     return even * (-1.0) ** np.arange(len(even) - 1, -1, -1)

@@ -1,4 +1,4 @@
-"""What of a drone's controllers can be read and changed while it flies, by name."""
+"""The parameters of a drone's controllers that can be read, and partly changed, in flight."""
 
 from typing import Any
 
@@ -15,18 +15,18 @@ READ_ONLY = (
 
 
 class Parameters:
-    """The parameters of one drone: `control.kp`, `control.kr`, ... may be set within their stable range.
+    """The parameters of one drone.
 
-    A drone that is sent velocities or places has none of these: it is flown by the gains of its firmware.
-
-    `trim.thrust`, `trim.roll_rad`, `trim.pitch_rad`: what the drone has learnt of itself, to be read.
+    `control.kp`, `control.kr`, ... may be set within their stable range. A drone that gets
+    velocities or places has none of these: the gains of its firmware fly it. `trim.thrust`,
+    `trim.roll_rad` and `trim.pitch_rad` can be read only: what the drone has learnt of itself.
     """
 
     def __init__(self, controls: Controls) -> None:
         self.controls = controls
 
     def all(self) -> dict[str, Any]:
-        """Every parameter by name."""
+        """Return all parameters by name."""
         controls = self.controls
         pitch, roll = controls.trim.tilt
         return {f"control.{name}": value for name, value in controls.tuned.items()} | {
@@ -38,18 +38,21 @@ class Parameters:
         }
 
     def get(self, name: str) -> Any:
-        """One of them; ConfigError names those that there are."""
+        """Return one parameter; raises ConfigError, which lists all names, for an unknown name."""
         known = self.all()
         if name not in known:
             raise ConfigError(name, "no such parameter", f"one of {', '.join(known)}")
         return known[name]
 
     def values(self, name: str | None) -> dict[str, Any]:
-        """One of them by its name, or all."""
+        """Return one parameter by its name, or all."""
         return self.all() if name is None else {name: self.get(name)}
 
     def set(self, name: str, value: Any) -> Any:
-        """Change one, and return it; ConfigError if it is read-only, of another kind, or would not be stable."""
+        """Change one parameter and return its value.
+
+        Raises ConfigError if it is read-only, of another kind, or would not be stable.
+        """
         self.get(name)
         if name in READ_ONLY:
             raise ConfigError(name, value, "nothing: it can only be read")

@@ -1,4 +1,4 @@
-"""Position control: from a reference and the state to a thrust and a desired attitude (differential flatness)."""
+"""Position control by differential flatness: from reference and state to thrust and attitude."""
 
 import math
 from typing import Protocol
@@ -21,46 +21,58 @@ from crazychoir.numerics.math3d import (
 from crazychoir.platforms import PAPER, Platform
 from crazychoir.types import State, Vec
 
-GAINS = (
-    13  # of Gains.position, before those of Platform.flat in the figures of the kernels
-)
-DESIRED = 13  # thrust N, x_b, y_b, z_b of R_d (3 each), rate feed-forward w_d rad/s in the axes of R_d (3)
-LEAST_LIFT = (
-    0.2 * GRAVITY
-)  # m/s2: the desired thrust always points up, far from F = 0 and from z_b parallel to x_c
-LONGEST_GAP = 0.1  # s between two desired attitudes whose difference still tells a rate
-HEIGHT_SHARE = 0.9  # of the desired force at most upwards: 26 degrees of tilt are left in the fastest climb
-FREE, COMMANDED = (
-    DESIRED,
-    DESIRED + 1,
-)  # where the kernels write whether F was not cut, and what it accelerates
-MOST_EARLY = 1.0  # rad/s, fed forward for the delay of the rates: a reference that jumps is not to shake the drone
-HEADROOM = (
-    0.95  # of the thrust for the desired acceleration; the rest is left to the attitude
-)
+GAINS = 13
+"""Number of Gains.position, before those of Platform.flat in the figures of the kernels."""
+DESIRED = 13
+"""Size of the result of `desired`.
+
+thrust N; x_b, y_b, z_b of R_d (3 each); rate feed-forward w_d rad/s in the axes of R_d (3)
+"""
+LEAST_LIFT = 0.2 * GRAVITY
+"""Least upward desired acceleration, m/s2.
+
+The desired thrust always points up, far from F = 0 and from z_b parallel to x_c.
+"""
+LONGEST_GAP = 0.1  # s between two desired attitudes that still define a rate
+HEIGHT_SHARE = 0.9
+"""Largest upward share of the desired force: 26 degrees of tilt remain in the fastest climb."""
+FREE = DESIRED
+"""Index where the kernels write whether F was not cut."""
+COMMANDED = DESIRED + 1
+"""First index where the kernels write the acceleration of F."""
+MOST_EARLY = 1.0
+"""Largest feed-forward in rad/s for the delay of the rates: a jump must not shake the drone."""
+HEADROOM = 0.95
+"""Share of the thrust for the desired acceleration; the rest is left to the attitude."""
 
 
 class PositionControl(Protocol):
     """The strategy that turns a reference into a thrust and an attitude."""
 
     gains: Gains
+    """The gains; new ones act from the next call on."""
 
     @property
     def acceleration(self) -> Vec:
-        """(3,) m/s2, world, that the last call of `desired` commands, read-only."""
+        """The acceleration of the last call of `desired`: (3,) m/s2, world, read-only."""
         ...
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """Desired (13,) = thrust N, columns of R_d, rate feed-forward; None if state or reference is not finite.
+        """Return the desired (13,): thrust N, columns of R_d, rate feed-forward.
 
-        reference: (14,) laid out as FullState.flat.  The array is the strategy's own, valid until its next call.
+        The array belongs to the strategy and is valid until its next call.
+
+        state: of the drone
+        reference: (14,), as FullState.flat
+        now: s
+        Returns None if state or reference is not finite.
         """
         ...
 
 
 @kernel()
 def _drag(q: Vec, v: Triple, platform: Vec) -> Triple:
-    """R A R^T v / m, m/s2 world: what the rotor drag takes and the thrust has to give."""
+    """Return R A R^T v / m, m/s2 world: the rotor drag that the thrust must balance."""
     bx, by, bz = columns((q[6], q[7], q[8], q[9]))
     x = platform[1] * dot(bx, v)
     y = platform[2] * dot(by, v)
@@ -75,7 +87,10 @@ def _drag(q: Vec, v: Triple, platform: Vec) -> Triple:
 
 @kernel()
 def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
-    """f with enough lift, a tilt of at most max_tilt and a length of at most `most`; height comes first."""
+    """Return f with enough lift, a tilt of at most max_tilt and a length of at most `most`.
+
+    Height comes first.
+    """
     z = clip(f[2], LEAST_LIFT, HEIGHT_SHARE * most)
     side = math.sqrt(f[0] * f[0] + f[1] * f[1])
     room = min(z * math.tan(max_tilt), math.sqrt(max(most * most - z * z, 0.0)))
@@ -85,7 +100,7 @@ def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
 
 @kernel()
 def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
-    """Acceleration wanted along axis c: a_d - follow (kp (p - p_d) + kv (v - v_d))."""
+    """Return the wanted acceleration along axis c: a_d - follow (kp (p - p_d) + kv (v - v_d))."""
     pull: float = gains[c] * (x[c] - ref[c]) + gains[3 + c] * (x[3 + c] - ref[3 + c])
     return float(ref[6 + c]) - follow * pull
 
@@ -94,8 +109,17 @@ def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
 def _flatness(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
 ) -> bool:
-    """The law of FlatnessPositionCtrl (follow = 1) but for its delays, or that of FlatnessAccelerationCtrl but for its
-    lead. out: (17,) = desired, 1 where F was not cut, and the acceleration m/s2 that is left of the wish.
+    """Apply the law of FlatnessPositionCtrl or of FlatnessAccelerationCtrl, in its basic form.
+
+    The first is without its delays (follow = 1), the second without its lead (follow = 0).
+
+    x: (13,): state
+    ref: (14,): reference
+    figures: Gains.position, then Platform.flat
+    trim: (3,)
+    follow: 1 or 0
+    out: (17,): desired, 1 where F was not cut, and the acceleration m/s2 that is left of the wish
+    Returns False if x or ref is not finite.
     """
     if not (finite(x) and finite(ref)):
         return False
@@ -138,7 +162,12 @@ def _flatness(
 def _tracked(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out: Vec
 ) -> bool:
-    """The law of FlatnessPositionCtrl, h s after the last call; mem: (3,) = w_r then, NaN before."""
+    """Apply the law of FlatnessPositionCtrl, h s after the last call.
+
+    mem: (3,): w_r of the last call, NaN before the first
+    out: (17,), as in `_flatness`
+    Returns False if x or ref is not finite.
+    """
     if not _flatness(x, ref, figures, trim, 1.0, out):
         return False
     f = (ref[6], ref[7], max(ref[8] + GRAVITY, LEAST_LIFT))
@@ -159,14 +188,20 @@ def _tracked(
 def _led(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired: Vec
 ) -> bool:
-    """`_flatness` without follow; then the roll and pitch feed-forward are `lead` times the low-passed rate w_f of R_d.
+    """Apply `_flatness` without follow, with the rate feed-forward of roll and pitch.
+
+    The feed-forward is `lead` times the low-passed rate w_f of R_d.
 
         owed += turn of R_d - w_f h,   w_f = owed (1 - exp(-cutoff h)) / h
 
-    which is w_f' = cutoff (w(R_d) - w_f) for a steady h. Whatever h is, the feed-forward that was held sums up to the
-    turns of R_d: else noise and late ticks would leave a drift of the attitude behind.
-    mem: (13,) = columns of the last R_d, w_f since then (2), owed rad (2);  h: s since then; 0: nothing new was
-    measured, w_f goes on; after a gap, or from NaN on, it starts anew.
+    This is w_f' = cutoff (w(R_d) - w_f) for a steady h. For any h, the sum of the feed-forward
+    equals the turns of R_d. Otherwise noise and late ticks would leave a drift of the attitude.
+
+    mem: (13,): columns of the last R_d, w_f since then (2), owed rad (2)
+    h: s since the last measurement. If 0, nothing new was measured, and w_f goes on. After a gap,
+        or from NaN, w_f starts anew.
+    desired: (17,), as out of `_flatness`
+    Returns False if x or ref is not finite.
     """
     if not _flatness(x, ref, figures, trim, 0.0, desired):
         return False
@@ -195,10 +230,14 @@ class FlatnessPositionCtrl(Tuned):
         thrust = (1 + s) (F + T_f F') . R e3,   F'/m = j_d + (1/m) R A R^T a_d
         R_d: z_b along F, heading yaw_d;   w_d = w(F, F') + T_w w_r'
 
-    w(F, F'): the rate at which R_d turns when F changes by F';  w_r: the same of the reference alone, differentiated
-    from call to call;  T_f, T_w: thrust_delay and rate_delay of the gains: the drone is late, so what is known of the
-    reference comes earlier;  s, d: of `trim`, which learns from each call while F is not cut.
-    F keeps within the tilt and the thrust of the platform, height first; when it is cut, w_d has no jerk.
+    w(F, F'): the rate at which R_d turns when F changes by F'
+    w_r: that rate for the reference alone, differentiated from call to call
+    T_f, T_w: thrust_delay and rate_delay of the gains. The drone is late, so what is known of the
+        reference comes earlier.
+    s, d: of `trim`, which learns from each call while F is not cut
+
+    F keeps within the tilt and the thrust of the platform, height first. When it is cut, w_d has no
+    jerk.
     Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
     """
 
@@ -223,13 +262,19 @@ class FlatnessPositionCtrl(Tuned):
 
     @property
     def acceleration(self) -> Vec:
-        """(3,) m/s2, world: F/m of the last call, after its limits, without gravity, drag and trim."""
+        """The acceleration of the last call: (3,) m/s2, world.
+
+        It is F/m after its limits, without gravity, drag and trim.
+        """
         a = self._out[COMMANDED:].copy()
-        a.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
+        a.setflags(False)  # by position: faster than by name, in each tick
         return a
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
+        """Return thrust, attitude and rate feed-forward (13,).
+
+        Returns None if state or reference is not finite.
+        """
         h = now - self._time
         out = self._out
         flat = state.flat
@@ -244,14 +289,19 @@ class FlatnessPositionCtrl(Tuned):
 
 
 class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
-    """Tracks an acceleration, the reference of a double-integrator law; position and velocity are left to that law.
+    """Tracks an acceleration, the reference of a double-integrator law.
 
         F/m = g e3 + a_d + (1/m) R A R^T v + Rz d
-        w_d = lead * w_f in roll and pitch,  w_f' = cutoff (w(R_d) - w_f),  w(R_d): the rate at which R_d turns
+        w_d = lead * w_f in roll and pitch,  w_f' = cutoff (w(R_d) - w_f)
 
-    lead, cutoff: of the gains; some lead lets a faster law fly behind the same rate loop, see margin.guidance_loop.
-    s, d: of `trim`, as far as they are sure; it learns nothing here: there is no place to be at.
-    The rest as in FlatnessPositionCtrl.
+    Position and velocity are left to that law. w(R_d) is the rate at which R_d turns.
+
+    lead, cutoff: of the gains. Some lead lets a faster law fly behind the same rate loop, see
+        margin.guidance_loop.
+    s, d: of `trim`, as far as they are sure. The trim learns nothing here, because there is no
+        wanted place.
+
+    The rest is as in FlatnessPositionCtrl.
     """
 
     def __init__(
@@ -264,7 +314,10 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
         self._memory = np.zeros(13)
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """Thrust, attitude and rate feed-forward (13,); None if state or reference is not finite."""
+        """Return thrust, attitude and rate feed-forward (13,).
+
+        Returns None if state or reference is not finite.
+        """
         measured = max(now - state.age, self._time)
         h = measured - self._time
         if _led(

@@ -1,4 +1,7 @@
-"""Controllers of robots that do not fly: single and double integrators, and unicycles; chosen by their uri."""
+"""Controllers of robots that do not fly: single and double integrators, and unicycles.
+
+The uri of a robot decides which of them it gets.
+"""
 
 import math
 from collections.abc import Callable
@@ -26,23 +29,30 @@ from crazychoir.platforms import PAPER
 from crazychoir.types import State, Vec
 
 SILENT = 0.1
+"""Seconds without a tick after which a robot counts as standing."""
 
 
 class Strategy(Protocol):
-    """From a state and a reference to what the robot is commanded."""
+    """Turns a state and a reference into the input of the robot."""
 
     def input(self, state: State, reference: Vec) -> Vec:
-        """The input for a reference (14,), both finite."""
+        """Return the input for a reference (14,); state and reference are finite."""
         ...
 
 
 class RobotController(CrazyflieController):
-    """Flies references, in the sense of drones, by what the strategy makes of them.
+    """Flies references, as drones do, by a strategy.
 
-        |u_k - u_k-1| <= a_max h,  in the first `smooth` entries: a robot that obeys velocities at once is not told to
-        jump, as it would be past the fence before its filter has seen it move
+        |u_k - u_k-1| <= a_max h,  in the first `smooth` entries
 
-    size: n, of the input;  a_max: m/s2.  After SILENT s without a tick it counts as standing.
+    A robot that obeys velocities at once must not jump: it would be beyond the fence before its
+    filter had seen it move. After SILENT s without a tick it counts as standing.
+
+    strategy: makes the input
+    size: n, of the input
+    sender: makes the commands
+    smooth: number of limited entries
+    a_max: m/s2
     """
 
     def __init__(
@@ -62,7 +72,7 @@ class RobotController(CrazyflieController):
         self._at = -math.inf
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The strategy's input, smooth."""
+        """Return the strategy's input, limited in its change."""
         if not math.isfinite(sum(state.flat.tolist()) + sum(reference.tolist())):
             return None
         u = self.strategy.input(state, reference)
@@ -77,7 +87,7 @@ class RobotController(CrazyflieController):
         return u
 
     def blind(self) -> Vec:
-        """Nothing: it stands still, or goes on as it does if it has inertia."""
+        """Return zeros: the robot stands still, or goes on as it is if it has inertia."""
         return np.zeros(self.size)
 
 
@@ -88,24 +98,31 @@ class AccelerationController(CrazyflieController):
         super().__init__(sender, AccelerationTraj())
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """a_d of the reference."""
+        """Return a_d of the reference."""
         a: Vec = reference[6:9].copy()
         return a if math.isfinite(sum(a.tolist())) else None
 
     def blind(self) -> Vec:
-        """None."""
+        """Return no acceleration."""
         return np.zeros(3)
 
 
 class SingleIntegratorCtrl:
-    """u = v_d + k (p_d - p),  |u| <= v_max;  psi' = psi_d' + k (psi_d - psi), the short way.  k: 1/s;  v_max: m/s."""
+    """Control of a single integrator by velocity and turn rate.
+
+        u = v_d + k (p_d - p),  |u| <= v_max
+        psi' = psi_d' + k (psi_d - psi), the short way
+
+    k: 1/s
+    v_max: m/s
+    """
 
     def __init__(self, k: float = 2.0, v_max: float = 1.0) -> None:
         self.k = k
         self.v_max = v_max
 
     def input(self, state: State, reference: Vec) -> Vec:
-        """(4,) = velocity m/s, turn rate rad/s."""
+        """Return (4,): velocity m/s, turn rate rad/s."""
         u = saturate(reference[3:6] + self.k * (reference[0:3] - state.p), self.v_max)
         return np.append(
             u, reference[13] + self.k * wrap(reference[12] - yaw_of(state.q))
@@ -113,7 +130,14 @@ class SingleIntegratorCtrl:
 
 
 class DoubleIntegratorCtrl:
-    """u = a_d + kv (v_d - v) + kp (p_d - p),  |u| <= a_max.  kp: 1/s2;  kv: 1/s;  a_max: m/s2."""
+    """Control of a double integrator by acceleration.
+
+        u = a_d + kv (v_d - v) + kp (p_d - p),  |u| <= a_max
+
+    kp: 1/s2
+    kv: 1/s
+    a_max: m/s2
+    """
 
     def __init__(self, kp: float = 4.0, kv: float = 4.0, a_max: float = 4.0) -> None:
         self.kp = kp
@@ -121,7 +145,7 @@ class DoubleIntegratorCtrl:
         self.a_max = a_max
 
     def input(self, state: State, reference: Vec) -> Vec:
-        """(3,) m/s2."""
+        """Return (3,) m/s2."""
         pull = self.kv * (reference[3:6] - state.v) + self.kp * (
             reference[0:3] - state.p
         )
@@ -129,7 +153,10 @@ class DoubleIntegratorCtrl:
 
 
 def single_integrator(flight: Flight) -> Controls:
-    """A point that is sent velocities; twice the limit leaves room to catch up."""
+    """Return the controls of a point that gets velocities.
+
+    Twice the speed limit leaves room to catch up.
+    """
     strategy = SingleIntegratorCtrl(v_max=2.0 * flight.speed_limit)
     return _controls(
         RobotController(
@@ -139,14 +166,14 @@ def single_integrator(flight: Flight) -> Controls:
 
 
 def double_integrator(flight: Flight) -> Controls:
-    """A point that is sent accelerations."""
+    """Return the controls of a point that gets accelerations."""
     strategy = DoubleIntegratorCtrl(a_max=2.0 * flight.acceleration_limit)
     send = AccSender()
     return _controls(RobotController(strategy, 3, send), AccelerationController(send))
 
 
 def unicycle(flight: Flight) -> Controls:
-    """Wheels on one axle, that are sent (v, w)."""
+    """Return the controls of a robot with two wheels on one axle, which gets (v, w)."""
     strategy = UnicycleCtrl(v_max=flight.speed_limit)
     a_max = 2.0 * flight.acceleration_limit
     return _controls(
@@ -159,6 +186,7 @@ def _controls(
     follower: CrazyflieController | None = None,
     planar: bool = False,
 ) -> Controls:
+    """Return the controls of a robot that does not take off."""
     return Controls(
         PAPER,
         "lightweight",
@@ -176,10 +204,13 @@ ROBOTS: dict[str, tuple[str, Callable[[Flight], Controls]]] = {
     DOUBLE: ("acc", double_integrator),
     UNICYCLE: ("drive", unicycle),
 }
-"""What robots of a uri are sent, and by which controllers."""
+"""For each uri of a robot: the kind of command it gets, and its controllers."""
 
 
 def sender_of(config: SwarmConfig, i: int) -> str:
-    """What robot i is sent: its uri says so, or its row [control] or [[roles]]."""
+    """Return the kind of command that robot i gets.
+
+    Its uri says so, or its row [control] or [[roles]].
+    """
     uri = config.drone(i).uri
     return ROBOTS[uri][0] if uri in ROBOTS else str(config.control_of(i).sender)

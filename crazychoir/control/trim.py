@@ -1,4 +1,4 @@
-"""What a drone's thrust and attitude are off by, learnt in flight."""
+"""The trim: the errors of a drone's thrust and attitude, learnt in flight."""
 
 import math
 
@@ -8,17 +8,36 @@ from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import GRAVITY, clip, columns
 from crazychoir.types import Vec
 
-MOST_THRUST = 0.25  # share of the thrust: old propellers, a low battery, a wrong mass; not a wrong thrust map
-MOST_TRIM = 0.6  # m/s2: an attitude that is 3.5 degrees off
-# An error says something about the trim when it is small and stays: on the way back from a larger one it does not.
-NEAR, NEAR_IN_HEIGHT = 0.12, 0.3  # m from its place, along each axis
-DOUBT = 0.005  # m/s2: what the noise of good cameras makes of it, twice over
-SLOW = 0.15  # m/s, of that error, along each axis
+MOST_THRUST = 0.25
+"""Largest error of the thrust, as a share.
+
+It covers old propellers, a low battery and a wrong mass, but not a wrong thrust map.
+"""
+MOST_TRIM = 0.6
+"""Largest error of the attitude, m/s2: 3.5 degrees."""
+# An error tells something about the trim when it is small and lasts. On the return from a large
+# error it does not.
+NEAR = 0.12
+"""Largest horizontal distance in m from its place at which the trim learns, along each axis."""
+NEAR_IN_HEIGHT = 0.3
+"""Largest vertical distance in m from its place at which the trim learns."""
+DOUBT = 0.005
+"""Twice the trim in m/s2 that the noise of good cameras produces."""
+SLOW = 0.15
+"""Largest speed in m/s of that error at which the trim learns, along each axis."""
 
 
 @kernel(vector, vector, vector, real, memory, memory)
 def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None:
-    """The law of Trim over h seconds; rates: (2,) = ki_thrust, ki_trim."""
+    """Apply the law of Trim over h seconds.
+
+    x: (13,): state
+    ref: (14,): reference
+    rates: (2,): ki_thrust, ki_trim
+    h: s
+    trim: (3,): changed in place
+    sure: (3,): the trim without what may be noise
+    """
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
     if max(abs(ref[3] - x[3]), abs(ref[4] - x[4]), abs(ref[5] - x[5])) > SLOW:
         return
@@ -41,44 +60,59 @@ def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None
 
 
 class Trim:
-    """Estimate of a thrust that is off by a factor and of an attitude that is off by a small angle, both bounded.
+    """Estimates a factor of the thrust and a small angle of the attitude, both bounded.
 
         s' = ki_thrust e_z / g,   d' = ki_trim Rz^T e_xy,   e = p_d - p
         thrust = (1 + s) m F . R e3,   a = a_d + Rz d + ...
 
-    A thrust that is off by a factor pulls too hard sideways as well, so it is mended as a factor, where an integral of
-    the height would only mend hovering. Rz turns by the heading: an attitude that is off is so in body axes, whatever
-    way the drone looks.  s: of the thrust;  d: (2,) m/s2, heading axes.
-    flat: (3,) = s, d;  sure: (3,) the same without what may be noise: for who only knows accelerations, as the slow
-    modes of a formation turn mm/s2 into centimetres. The position laws of one drone share it.
-    frozen: learn nothing: on the ground, where an error of the height does not say what the thrust does.
+    A thrust with a wrong factor pulls too hard sideways as well. So it is corrected by a factor; an
+    integral of the height would correct hovering only. Rz turns by the heading: an attitude error
+    is constant in body axes, whatever the heading. The position laws of one drone share the trim.
+
+    s: error of the thrust
+    d: (2,) m/s2, heading axes
     """
 
     def __init__(self) -> None:
         self.flat = np.zeros(3)
+        """(3,): s, d."""
         self.sure = np.zeros(3)
+        """(3,): s, d without what may be noise, for laws that only know accelerations.
+
+        The slow modes of a formation turn mm/s2 into centimetres.
+        """
         self.frozen = True
+        """True to learn nothing: on the ground a height error says nothing about the thrust."""
         self._kept = np.zeros(3), np.zeros(3)
 
     @property
     def thrust(self) -> float:
-        """By how much the commanded thrust is multiplied."""
+        """The factor of the commanded thrust."""
         return 1.0 + float(self.flat[0])
 
     @property
     def tilt(self) -> Vec:
-        """(2,) rad, by which the drone is tilted more about its pitch axis and less about its roll axis: d / g."""
+        """(2,) rad, d / g: more tilt about the pitch axis, less about the roll axis."""
         return self.flat[1:3] / GRAVITY
 
     def keep(self) -> None:
-        """Remember what is known now, for `restore`."""
+        """Remember the present trim, for `restore`."""
         self._kept = self.flat.copy(), self.sure.copy()
 
     def restore(self) -> None:
-        """Forget what was learnt since `keep`, as from a floor that was higher than where the reference went."""
+        """Forget what was learnt since `keep`.
+
+        It may come from a floor that was higher than the end of the reference.
+        """
         self.flat[:], self.sure[:] = self._kept
 
     def learn(self, x: Vec, reference: Vec, rates: Vec, h: float) -> None:
-        """Take in the error of one tick; rates: (2,) = ki_thrust, ki_trim;  h: s since the last one."""
+        """Take in the error of one tick.
+
+        x: (13,): state
+        reference: (14,)
+        rates: (2,): ki_thrust, ki_trim
+        h: s, since the last tick
+        """
         if not self.frozen:
             _learn(x, reference, rates, h, self.flat, self.sure)

@@ -1,4 +1,4 @@
-"""Control of a unicycle: of a point ahead of its axle by a velocity, and of its place and heading."""
+"""Control of a unicycle: of a point ahead of its axle by a velocity, and of its pose."""
 
 import math
 
@@ -8,19 +8,28 @@ from crazychoir.numerics.math3d import clip, saturate, wrap, yaw_of
 from crazychoir.types import State, Vec
 
 STANDS = 1e-3
-"""m/s: a reference that is slower is a pose to come to."""
-THERE, AWAY = 0.02, 0.10
-"""m from a pose at which it is reached, and from where on it is driven to again."""
+"""Speed in m/s of a reference below which it is a pose to come to."""
+THERE = 0.02
+"""Distance in m from a pose at which the pose is reached."""
+AWAY = 0.10
+"""Distance in m from a reached pose from which on the robot drives to it again."""
 
 
 class UnicycleVelocityCtrl:
-    """(v, w) for a velocity u of the point q = p + l (cos psi, sin psi), which obeys it exactly: q' = u.
+    """Computes (v, w) for a velocity u of the point q = p + l (cos psi, sin psi).
 
         v = u_x cos psi + u_y sin psi,   w = (u_y cos psi - u_x sin psi) / l
 
-    For u(p) of the axle itself: |p - g| never grows under u = k (g - p), as (p - g)'p' = -k ((p - g)'h)^2, h the
-    heading, and the axle turns until it does fall.
-    l: m;  v_max: m/s;  w_max: rad/s: both are cut by one factor, so that the way stays the same.
+    The point q obeys u exactly: q' = u. The axle itself may be steered by u(p) too. With
+    u = k (g - p) and the heading h, the distance |p - g| never grows:
+
+        (p - g)'p' = -k ((p - g)'h)^2
+
+    The axle turns until |p - g| falls.
+
+    ahead: m, l
+    v_max: m/s
+    w_max: rad/s. Both limits cut (v, w) by one factor, so that the path stays the same.
     """
 
     def __init__(
@@ -31,7 +40,11 @@ class UnicycleVelocityCtrl:
         self.w_max = w_max
 
     def input(self, yaw: float, u: Vec) -> Vec:
-        """(2,) = v m/s, w rad/s, for a velocity u (2,) m/s, world."""
+        """Return (2,): v m/s, w rad/s.
+
+        yaw: rad
+        u: (2,) m/s, world
+        """
         c = math.cos(yaw)
         s = math.sin(yaw)
         v = float(u[0] * c + u[1] * s)
@@ -41,17 +54,25 @@ class UnicycleVelocityCtrl:
 
 
 class UnicyclePoseCtrl:
-    """A smooth way to a place and a heading, forwards only.
+    """A smooth path to a place and a heading, forwards only.
 
         r, alpha: distance and direction of the goal,  delta = psi - alpha,  theta = psi_g - alpha
         r' = -v cos delta,  theta' = (v / r) sin delta,  delta' = (v / r) sin delta + w
-        w = -(v / r) [ k2 (delta - delta*) + (1 + k1 / (1 + (k1 theta)^2)) sin delta ],  delta* = atan(-k1 theta)
+        w = -(v / r) [ k2 (delta - delta*) + (1 + k1 / (1 + (k1 theta)^2)) sin delta ]
+        delta* = atan(-k1 theta)
         v = min(v_max / (1 + beta |kappa|^lambda), k3 r),  kappa = w / v
 
-    delta* leads theta to zero with r, and delta - delta* decays as exp(-k2 s) over the way s / r.
-    k1, k2, lambda: 1;  beta: m^lambda;  k3: 1/s;  v_max: m/s;  w_max: rad/s.
-    Source: Park & Kuipers 2011, A smooth control law for graceful motion of differential wheeled mobile robots in 2D
-    environment, IEEE ICRA, 4896-4902.
+    delta* leads theta to zero with r, and delta - delta* decays as exp(-k2 s) over the path s / r.
+
+    v_max: m/s
+    k1: 1
+    k2: 1
+    k3: 1/s
+    beta: m^lambda
+    exponent: 1, lambda
+    w_max: rad/s
+    Source: Park & Kuipers 2011, A smooth control law for graceful motion of differential wheeled
+        mobile robots in 2D environment, IEEE ICRA, 4896-4902.
     """
 
     def __init__(
@@ -73,13 +94,19 @@ class UnicyclePoseCtrl:
         self.w_max = w_max
 
     def curvature(self, r: float, theta: float, delta: float) -> float:
-        """kappa, 1/m."""
+        """Return kappa, 1/m."""
         lead = math.atan(-self.k1 * theta)
         bend = 1.0 + self.k1 / (1.0 + (self.k1 * theta) ** 2)
         return -(self.k2 * (delta - lead) + bend * math.sin(delta)) / r
 
     def input(self, p: Vec, yaw: float, goal: Vec, goal_yaw: float) -> Vec:
-        """(2,) = v m/s, w rad/s, from p (2,) m and yaw rad to goal (2,) m and goal_yaw rad; not at the goal."""
+        """Return (2,): v m/s, w rad/s; not defined at the goal.
+
+        p: (2,) m
+        yaw: rad
+        goal: (2,) m
+        goal_yaw: rad
+        """
         x, y = (goal - p).tolist()
         r = math.hypot(x, y)
         alpha = math.atan2(y, x)
@@ -91,11 +118,15 @@ class UnicyclePoseCtrl:
 
 
 class UnicycleCtrl:
-    """References of a unicycle: one that moves is followed by a velocity, one that stands is a pose to come to.
+    """Follows references: a moving one by a velocity, a standing one as a pose to come to.
 
-        moving: u = v_d + k (p_d - p),  |u| <= v_max, to UnicycleVelocityCtrl;   standing: UnicyclePoseCtrl
+        moving: u = v_d + k (p_d - p),  |u| <= v_max, to UnicycleVelocityCtrl
+        standing: UnicyclePoseCtrl
 
-    A pose is reached at THERE m, and left alone as long as the robot is within AWAY m of it.  k: 1/s;  v_max: m/s.
+    A pose is reached at THERE m, and left alone while the robot is within AWAY m of it.
+
+    k: 1/s
+    v_max: m/s
     """
 
     def __init__(self, k: float = 1.5, v_max: float = 1.0) -> None:
@@ -106,7 +137,7 @@ class UnicycleCtrl:
         self._there = True
 
     def input(self, state: State, reference: Vec) -> Vec:
-        """(2,) = v m/s, w rad/s."""
+        """Return (2,): v m/s, w rad/s."""
         yaw = yaw_of(state.q)
         p = state.p[0:2]
         goal = reference[0:2]

@@ -1,4 +1,4 @@
-"""Velocity control: from a reference to a velocity, for drones that control their velocity on board."""
+"""Velocity control: from a reference to a velocity, for drones with velocity control on board."""
 
 import math
 
@@ -11,21 +11,32 @@ from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import GRAVITY, finite, wrap
 from crazychoir.types import Command, Reference, State, Vec
 
-VELOCITY_ON_BOARD = (
-    math.radians(25.0) * GRAVITY
-)  # 1/s, kp of the firmware's control of a velocity by a tilt
-POSITION_ON_BOARD = 2.0  # 1/s, kp of the firmware's control of a place by a velocity
-YAW_ON_BOARD = 6.0  # 1/s, kp of the firmware's control of the yaw by a rate
-GROUNDED = 1.0  # s without a line, after which the next one begins another flight
+VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY
+"""1/s, kp of the firmware's control of a velocity by a tilt."""
+POSITION_ON_BOARD = 2.0
+"""1/s, kp of the firmware's control of a place by a velocity."""
+YAW_ON_BOARD = 6.0
+"""1/s, kp of the firmware's control of the yaw by a rate."""
+GROUNDED = 1.0
+"""Seconds without a line after which the next line begins another flight."""
 LEARNING = np.array([0.5, 1.0]) / (
     POSITION_ON_BOARD,
     YAW_ON_BOARD,
-)  # 1/s, ki / kp of the height's and of the yaw's
+)
+"""1/s, ki / kp of the firmware's control of the height and of the yaw."""
 
 
 @kernel(vector, vector, vector, real, memory)
 def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
-    """The law of VelocityCtrlStrategy; gains: (4,) = kp, kd, k_yaw, largest speed."""
+    """Apply the law of VelocityCtrlStrategy.
+
+    x: (13,): state
+    ref: (14,): reference
+    gains: (4,): kp, kd, k_yaw, largest speed
+    heading: rad
+    out: (4,): the result
+    Returns False if x or ref is not finite.
+    """
     if not (finite(x) and finite(ref)):
         return False
     squares = 0.0
@@ -48,10 +59,16 @@ def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
 class VelocityCtrlStrategy:
     """Proportional-derivative control of the place by a velocity.
 
-        u = v_d + S a_d / k_v + kp (p_d - p) + kd (v_d - v),   yaw' = yaw_d' + k_yaw (yaw_d - yaw), the short way
+        u = v_d + S a_d / k_v + kp (p_d - p) + kd (v_d - v)
+        yaw' = yaw_d' + k_yaw (yaw_d - yaw), the short way
 
-    S a_d: its horizontal part, which the firmware makes of a velocity that is missing: k_v: 1/s, of its control.
-    kp, k_yaw: 1/s;  kd: 1;  v_max: m/s, the longest u.
+    S a_d: horizontal part of a_d; the firmware produces an acceleration from a velocity error by
+    its
+        gain k_v in 1/s
+    kp: 1/s
+    kd: 1
+    k_yaw: 1/s
+    v_max: m/s, largest |u|
     """
 
     def __init__(
@@ -60,7 +77,10 @@ class VelocityCtrlStrategy:
         self._gains = np.array([kp, kd, k_yaw, v_max])
 
     def velocity(self, state: State, reference: Vec) -> Vec | None:
-        """A new u (4,) = velocity m/s world, yaw rate rad/s; None if state or reference (14,) is not finite."""
+        """Return a new u (4,): velocity m/s world, yaw rate rad/s.
+
+        Returns None if state or reference (14,) is not finite.
+        """
         x, y, z, w = state.flat[6:10].tolist()
         heading = math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))
         out = np.empty(4)
@@ -82,23 +102,26 @@ class VelocityController(CrazyflieController):
         self.strategy = strategy
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The velocity of the strategy."""
+        """Return the velocity of the strategy."""
         return self.strategy.velocity(state, reference)
 
     def blind(self) -> Vec:
-        """No velocity."""
+        """Return zero velocity."""
         return np.zeros(4)
 
 
 class Learnt:
-    """What the firmware's integrals of the height and of the yaw know of a climb m/s and a turn rad/s that stay."""
+    """Lasting climb and turn that the firmware's integrals of height and yaw have learnt."""
 
     def __init__(self) -> None:
         self._learnt = np.zeros(2)
         self._asked = math.inf
 
     def missing(self, climb: float, turn: float, now: float) -> tuple[float, float]:
-        """What they do not know of them yet; on the ground they forget all."""
+        """Return the parts of a climb in m/s and a turn in rad/s that they do not know yet.
+
+        On the ground they forget all.
+        """
         h = now - self._asked
         self._asked = now
         if 0.0 <= h < GROUNDED:
@@ -111,12 +134,16 @@ class Learnt:
 
 
 class FullStateController(CrazyflieController):
-    """Passes references on to the firmware, whose PIDs fly them by its own estimate.
+    """Passes references on to the firmware, which flies them with its PIDs and its own estimate.
 
-        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p,   yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw,   T = late
+        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p
+        yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
+        T = late
 
-    They make a velocity of what is missing to the place, and read no other: so it is that far ahead. Symbols as in
-    WaypointController; late: s, of the way of the command and the drone behind its set-points.
+    The firmware turns the distance to the place into a velocity, and reads no other velocity. So
+    the place is that far ahead. Symbols are as in WaypointController.
+
+    late: s, delay of the command and of the drone behind its set-points
     """
 
     def __init__(
@@ -130,7 +157,7 @@ class FullStateController(CrazyflieController):
         self._learnt = Learnt()
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """The reference (14,), ahead."""
+        """Return the reference (14,), moved ahead."""
         if not finite(reference):
             return None
         t = self.late
@@ -147,24 +174,32 @@ class FullStateController(CrazyflieController):
         return out
 
     def blind(self) -> Vec:
-        """The last one again: the firmware needs no state from here."""
+        """Return the last reference again: the firmware needs no state from here."""
         return np.zeros(14) if self._last is None else self._last
 
 
 class WaypointController(CrazyflieController):
-    """Flies references by the planner on board: every `every` s a straight line to where the reference will be.
+    """Flies references by the planner on board: a straight line to a future place every `every` s.
 
-        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p,   yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
-        p_d(T) = p_d + v_d T + a_d T^2 / 2,   v_d(T) = v_d + a_d T,   yaw_d(T) = yaw_d + yaw_d' T,   T = ahead + late
+        p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p
+        yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
+        p_d(T) = p_d + v_d T + a_d T^2 / 2,   v_d(T) = v_d + a_d T,   yaw_d(T) = yaw_d + yaw_d' T
+        T = ahead + late
         u' = (v_d(T)_z - u) k_i / k_p,   w' = (yaw_d' - w) k_i / k_yaw
 
-    The planner is at p_c `ahead` s after the line has arrived and the next line begins before that, so its set-point
-    moves along p_c, but for the corners between lines.  The firmware turns what is missing into a velocity by k_p, and
-    knows no other: a drone that flies at v is v / k_p behind its set-point, which is therefore that far before the
-    reference; likewise its yaw.  The firmware's integrals of the height and of the yaw learn a climb and a turn that
-    stay: u, w is what they have learnt.  S a_d: as for VelocityCtrlStrategy.
-    every, ahead: s;  late: s, of the way of the command, the planner's tick, and the drone behind its set-points;
-    k_v, k_p, k_yaw: 1/s, k_i: 1/s2, of the height and of the yaw: of the control on board.
+    The planner is at p_c `ahead` s after the line has arrived, and the next line begins before
+    that. So its set-point moves along p_c, except at the corners between lines.
+
+    The firmware turns a distance into a velocity by k_p, and knows no other velocity: a drone that
+    flies at v is v / k_p behind its set-point. So the set-point is that far ahead of the reference.
+    The same holds for the yaw. The firmware's integrals of height and yaw learn a lasting climb and
+    turn; u and w are what they have learnt. S a_d is as in VelocityCtrlStrategy.
+
+    every: s, between two lines
+    ahead: s, duration of a line
+    late: s, delay of the command, of the planner's tick, and of the drone behind its set-points
+    k_v, k_p, k_yaw: 1/s, of the control on board
+    k_i: 1/s2, of its height and its yaw
     """
 
     def __init__(
@@ -186,14 +221,14 @@ class WaypointController(CrazyflieController):
     def command(
         self, state: State, reference: Reference | None, now: float
     ) -> Command | None:
-        """The next line if it is time for it."""
+        """Return the next line if it is time for it; else None."""
         if now < self._next - EARLY:
             return None
         self._next = now + self.every
         return super().command(state, reference, now)
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """Place, yaw, duration (5,)."""
+        """Return (5,): place m, yaw rad, duration s."""
         t = self.ahead + self.late
         a = reference[6:9]
         rate = float(reference[13])
@@ -212,5 +247,5 @@ class WaypointController(CrazyflieController):
         return line
 
     def blind(self) -> Vec:
-        """The last line again: the planner on board needs no state from here."""
+        """Return the last line again: the planner on board needs no state from here."""
         return self._line

@@ -1,1 +1,1 @@
-"""From poses to states."""
+"""Filters: from poses to states."""

@@ -1,4 +1,4 @@
-"""A Kalman filter of the poses of motion capture, which knows what its drone was commanded."""
+"""A Kalman filter of the poses of motion capture that knows the commands of its drone."""
 
 import math
 
@@ -19,54 +19,86 @@ from crazychoir.numerics.math3d import (
 )
 from crazychoir.types import Mat, Pose, State, Vec
 
-GATE = 25.0  # chi-square of 3 degrees of freedom: beyond it is one good pose of 65 000
-SLACK_P, SLACK_ANGLE = (
-    0.002,
-    0.035,
-)  # m, rad: standard deviations of what a manoeuvre adds, for the gate alone
-DOUBTS = 5  # poses in a row beyond the gate: then it is the filter that is wrong
-UNKNOWN_V, UNKNOWN_D, UNKNOWN_W = (
-    1.0,
-    5.0,
-    3.0,
-)  # m/s, m/s2, rad/s: standard deviations at a start
-SHAKY_V, DOUBTFUL_D = 0.01, 0.5  # m/s, m/s2: the same of who stands on the floor
-FADE = 0.5  # s, in which d fades where nothing is measured
-HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
-LATE = 0.02  # s, a lag in place of the delays of command and measurement, behind a rate loop that is known
-FINE, FORGOTTEN = (
-    0.0025,
-    0.5,
-)  # s: of the integration of that loop at most; without a command it is at rest by then
-
-# The memory: x (13,) of the instant of the measurement, d (3,), the upper triangles of both covariances, the time of
-# the last call, the row of the newest command; r, r' and the integral of e of the rate loop, (3,) each.
-D, P, A, CALLED, NEWEST, RATE, TURN, SUM, MEMORY = 13, 16, 22, 25, 26, 27, 30, 33, 36
-# The figures: variances of a pose, densities, 1/s of the fading, whether commands are told, the floor, the lag of the
-# rates behind what is recorded, whether their loop is known, its rows (15,), Platform.flat.
-R_P, R_ANGLE, JERK, PUSH, SWING, FADING, TOLD, FLOOR, LAG, LOOPED, LOOP, PLATFORM = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-    25,
+GATE = 25.0
+"""Chi-square of 3 degrees of freedom: one good pose of 65 000 is beyond it."""
+SLACK_P = 0.002
+"""Standard deviation in m that a manoeuvre adds, for the gate only."""
+SLACK_ANGLE = 0.035
+"""Standard deviation in rad that a manoeuvre adds, for the gate only."""
+DOUBTS = (
+    5  # poses in a row beyond the gate after which the filter is wrong, not the poses
 )
+UNKNOWN_V = 1.0  # m/s, standard deviation at a start
+UNKNOWN_D = 5.0  # m/s2, standard deviation at a start
+UNKNOWN_W = 3.0  # rad/s, standard deviation at a start
+SHAKY_V = 0.01  # m/s, standard deviation on the floor
+DOUBTFUL_D = 0.5  # m/s2, standard deviation on the floor
+FADE = 0.5  # s, in which d fades without measurements
+HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
+LATE = 0.02
+"""Lag in s that stands for the delays of command and measurement behind a known rate loop."""
+FINE = 0.0025  # s, longest step of the integration of that loop
+FORGOTTEN = 0.5  # s without a command, after which that loop is at rest
+
+# Indices of the memory. It begins with x (13,) at the time of the last measurement.
+D = 13
+"""Index of d (3,)."""
+P = 16
+"""Index of the upper triangle of the covariance of (p, v, d)."""
+A = 22
+"""Index of the upper triangle of the covariance of (a, w)."""
+CALLED = 25
+"""Index of the time in s of the last call."""
+NEWEST = 26
+"""Index of the row of the newest command."""
+RATE = 27
+"""Index of r of the rate loop, (3,)."""
+TURN = 30
+"""Index of r' of the rate loop, (3,)."""
+SUM = 33
+"""Index of the integral of e of the rate loop, (3,)."""
+MEMORY = 36
+"""Size of the memory."""
+# Indices of the figures.
+R_P = 0
+"""Index of the variance of a place."""
+R_ANGLE = 1
+"""Index of the variance of an attitude."""
+JERK = 2
+"""Index of the density of n_j."""
+PUSH = 3
+"""Index of the density of n_s."""
+SWING = 4
+"""Index of the density of n_g."""
+FADING = 5
+"""Index of the rate in 1/s at which d fades."""
+TOLD = 6
+"""Index: 1 if the filter knows the commands."""
+FLOOR = 7
+"""Index of the height of the floor."""
+LAG = 8
+"""Index of the lag of the rates behind the recorded ones."""
+LOOPED = 9
+"""Index: 1 if the rate loop is known."""
+LOOP = 10
+"""Index of the rows of the rate loop, (15,)."""
+PLATFORM = 25
+"""Index of Platform.flat."""
 
 
 @kernel()
 def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
-    """Carry the rates of the loop on by h s under u; returns their means, rad/s.
+    """Advance the rates of the loop by h s under u, and return their means, rad/s.
 
-    Euler's method, its lag backwards. Without thrust the firmware resets its loops, and the rotors run down.
+    It is Euler's method, with the lag backwards. Without thrust the firmware resets its loops, and
+    the rotors run down.
+
+    mem: the memory
+    loop: (15,), rows of the loop
+    u: (4,): command
+    h: s
     """
-    if h <= 0.0:  # a pose that was refused: this tick has been recorded
+    if h <= 0.0:  # a refused pose: this tick has already been recorded
         return (mem[RATE], mem[RATE + 1], mem[RATE + 2])
     if not h < FORGOTTEN:
         for c in range(3):
@@ -100,9 +132,16 @@ def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
 
 @kernel()
 def _record(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) -> None:
-    """The drone was told u from the last call until now: a new row (since s, thrust N, rates rad/s) if that is new.
+    """Record that the drone obeyed u from the last call until now.
 
-    Of a loop that is known the rates are those that it makes of what it was told.
+    A new row of the history (since s, thrust N, rates rad/s) is written if u is new. For a known
+    loop the rates are the response of the loop to the commands.
+
+    mem: the memory
+    history: (HISTORY, 5)
+    figures: the figures
+    u: (4,): command
+    now: s
     """
     if finite(u):
         rates = (u[1], u[2], u[3])
@@ -123,7 +162,10 @@ def _record(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) -> None:
 
 @kernel()
 def _move(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
-    """Replace x by what comes h s later under u and the acceleration d; returns whether it stands on the floor."""
+    """Advance x by h s under u and the acceleration d.
+
+    Return whether it then stands on the floor.
+    """
     if figures[TOLD] > 0.0 and (u[0] > 0.0 or x[2] < figures[FLOOR] + STANDING):
         return bool(fly(x, u, figures[PLATFORM:], figures[FLOOR], figures[LAG], d, h))
     for c in range(3):
@@ -146,9 +188,9 @@ def _advance(
     end: float,
     fade: float,
 ) -> Triple:
-    """Move x from the instant t to `end` under what was commanded meanwhile; returns d then.
+    """Advance x from the time t to `end` under the commands of that time; return d then.
 
-    d fades with the rate `fade`, 1/s; each part of the way takes its mean.
+    d fades with the rate `fade`, 1/s; each part of the time takes its mean.
     """
     newest = int(mem[NEWEST])
     rows = history.shape[0]
@@ -175,7 +217,10 @@ def _advance(
 
 @kernel()
 def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
-    """Both covariances h s later: (pp, pv, pd), (vv, vd, dd) and, of the attitude, (aa, aw, ww)."""
+    """Return both covariances h s later.
+
+    They are (pp, pv, pd), (vv, vd, dd) and, of the attitude, (aa, aw, ww).
+    """
     pp = mem[P]
     pv = mem[P + 1]
     pd = mem[P + 2]
@@ -210,7 +255,15 @@ def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
 def _joseph(
     p: float, p_1m: float, p_1n: float, k_m: float, k_n: float, s: float
 ) -> float:
-    """Element (m, n) of (I - K H) P (I - K H)^T + K r K^T where H = (1, 0, ..): p is that of P, s = P_11 + r."""
+    """Return element (m, n) of (I - K H) P (I - K H)^T + K r K^T where H = (1, 0, ..).
+
+    p: that element of P
+    p_1m: element (1, m) of P
+    p_1n: element (1, n) of P
+    k_m: element m of K
+    k_n: element n of K
+    s: P_11 + r
+    """
     return p - k_m * p_1n - k_n * p_1m + k_m * k_n * s
 
 
@@ -218,7 +271,10 @@ def _joseph(
 def _correct_place(
     mem: Vec, x: Vec, d: Triple, e: Triple, first: Triple, second: Triple, r: float
 ) -> None:
-    """Take in the innovation e of the position: x in place, d and the covariance into the memory."""
+    """Take in the innovation e of the position.
+
+    x is changed in place; d and the covariance go into the memory.
+    """
     (pp, pv, pd), (vv, vd, dd) = first, second
     s = pp + r
     kp = pp / s
@@ -238,7 +294,7 @@ def _correct_place(
 
 @kernel()
 def _rest(mem: Vec, x: Vec, r: float) -> None:
-    """It stands on the floor: no velocity, and a thrust of which nothing is known yet."""
+    """Set the state of a drone on the floor: no velocity, and an unknown error of the thrust."""
     for c in range(3):
         x[3 + c] = mem[D + c] = 0.0
     mem[P] = min(mem[P], r)
@@ -251,7 +307,10 @@ def _rest(mem: Vec, x: Vec, r: float) -> None:
 
 @kernel()
 def _correct_attitude(mem: Vec, x: Vec, e: Triple, grown: Triple, r: float) -> None:
-    """Take in the innovation e of the attitude, rad, body: x in place, the covariance into the memory."""
+    """Take in the innovation e of the attitude, rad, body.
+
+    x is changed in place; the covariance goes into the memory.
+    """
     aa, aw, ww = grown
     s = aa + r
     ka = aa / s
@@ -268,13 +327,16 @@ def _correct_attitude(mem: Vec, x: Vec, e: Triple, grown: Triple, r: float) -> N
 
 @kernel()
 def _beyond(e: Triple, variance: float) -> bool:
-    """Whether an innovation of this variance an axis is beyond the gate; one that is not finite is."""
+    """Return whether an innovation with this variance per axis is beyond the gate.
+
+    An innovation that is not finite is beyond it.
+    """
     return not (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] <= GATE * variance)
 
 
 @kernel()
 def _speed(x: Vec) -> float:
-    """m/s."""
+    """Return the speed in m/s."""
     return math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
 
 
@@ -291,9 +353,20 @@ def _measure(
     now: float,
     out: Vec,
 ) -> float:
-    """Take in a pose of the instant last + h; `last`: s, of the one before; out: (13,) the state t s after it.
+    """Take in a pose of the time last + h, and return the speed in m/s.
 
-    Returns the speed in m/s. For a pose that is not readable -1, for one beyond the gate -2: then only u is recorded.
+    pose: (7,)
+    mem: the memory
+    history: (HISTORY, 5)
+    figures: the figures
+    u: (4,): command
+    last: s, time of the pose before
+    h: s
+    t: s
+    now: s
+    out: (13,): the state t s after the pose
+    Returns -1 for a pose that is not readable, -2 for a pose beyond the gate; then only u is
+    recorded.
     """
     _record(mem, history, figures, u, now)
     if not readable(pose):
@@ -340,7 +413,19 @@ def _go_on(
     now: float,
     out: Vec,
 ) -> float:
-    """Carry x (13,) from the instant t to `end` into out; measured: s, the instant of the memory; returns the speed."""
+    """Carry x from the time t to `end`, and return the speed in m/s.
+
+    x: (13,)
+    mem: the memory
+    history: (HISTORY, 5)
+    figures: the figures
+    u: (4,): command
+    measured: s, time of the memory
+    t: s
+    end: s
+    now: s
+    out: (13,): the result
+    """
     _record(mem, history, figures, u, now)
     out[:] = x
     fade = figures[FADING]
@@ -359,46 +444,63 @@ def _go_on(
 
 
 class KalmanFilter:
-    """Kalman filter of position and velocity, and an error-state one of attitude and body rates, right at any rate.
+    """Kalman filter of position and velocity, and error-state filter of attitude and body rates.
+
+    It is right at any rate.
 
         p' = v,  v' = f(q, u) + d + n_s,  d' = n_j,      z_p = p + n_p
         q' = 1/2 q (w, 0),  w' = (r - w) / lag + n_g,      z_q = q exp(n_a)
 
-    f: acceleration of the paper's dynamics under the commands u, as in Commanded, d what is left: a thrust that is not
-    what was commanded, wind. Without a `motion`, or with motors off, f = 0, d is the whole acceleration, and w' = n_g.
-    r: the rates that are commanded, u_2..4, and lag = RATE_LAG; where the `loop` on board is known, what that makes of
-    them by the commands alone, and lag = LATE. An axis of it, which runs down where no thrust is commanded:
+    f is the acceleration of the paper's dynamics under the commands u, as in Commanded. d is the
+    rest: a thrust that differs from the command, and wind. Without a `motion`, or with motors off,
+    f = 0, d is the whole acceleration, and w' = n_g.
+
+    r are the commanded rates u_2..4, and lag = RATE_LAG. If the `loop` on board is known, r is the
+    response of the loop to the commands alone, and lag = LATE. One axis of the loop, which runs
+    down when no thrust is commanded:
 
         lag_r r'' + r' = sat(kp e + ki (integral of e) - kd r'),  e = u_2..4 - r,  |sat| <= most
 
-    The white noises are the same in all axes, so one covariance (p, v, d) serves x, y and z, and one (a, w) the three
-    angles of the error a, q = q_est exp(a). Both are discretised exactly for the measured time h between two poses:
+    The white noises are equal in all axes. So one covariance (p, v, d) serves x, y and z, and one
+    (a, w) the three angles of the error a, q = q_est exp(a). Both are discretised exactly for the
+    measured time h between two poses:
 
         F = [1 h h^2/2; 0 1 h; 0 0 1]
-        Q = jerk [h^5/20 h^4/8 h^3/6; h^4/8 h^3/3 h^2/2; h^3/6 h^2/2 h] + push [h^3/3 h^2/2 0; h^2/2 h 0; 0 0 0]
+        Q = jerk [h^5/20 h^4/8 h^3/6; h^4/8 h^3/3 h^2/2; h^3/6 h^2/2 h]
+            + push [h^3/3 h^2/2 0; h^2/2 h 0; 0 0 0]
         F_a = [1 h; 0 1],  Q_a = swing [h^3/3 h^2/2; h^2/2 h]
 
-    F_a leaves the lag of the rates out: it is known too badly to be trusted. The update has Joseph's form, its upper
-    triangle is all that is kept. A pose whose innovation e has |e|^2 / variance beyond GATE, in position or attitude,
-    is refused and counts as missing, as one that is not finite or whose quaternion has a length outside 0.5 to 2. The
-    DOUBTS-th in a row beyond it is believed: the filter starts again there, with the velocities it had. So it does
-    after a gap longer than the horizon, with the mean velocity of the gap.
+    F_a omits the lag of the rates, which is not known well enough. The update has Joseph's form;
+    only its upper triangle is kept.
 
-    Who stands on the floor and is not lifted has no velocity and no d.
-    The state is carried from the instant of the measurement to `now` under the commands of that time, which are
-    remembered: `commanded` holds from one call to the next. While no pose comes it goes on so, and d fades: within
-    FADE s. The instants follow the period of the cameras as in
-    VelocityFilter, whose attributes this has too.
+    A pose is refused, and counts as missing, if its innovation e has |e|^2 / variance beyond GATE
+    in position or attitude. So is a pose that is not finite, or has a quaternion length outside 0.5
+    to 2. The DOUBTS-th pose in a row beyond the gate is believed: the filter starts again there,
+    with the velocities it had. After a gap longer than the horizon it starts again with the mean
+    velocity of the gap.
 
-    horizon: s, how far a prediction goes at most;  period: s of the cameras, 0 if they have no rate;
-    noise_p: m, noise_angle: rad, standard deviations of a pose, an axis: a good motion capture, 0.5 mm and 0.25 deg;
-    jerk: m2/s5, density of n_j: a thrust that is 10 % off where the jerk is 10 m/s3, for some 0.1 s. A filter that is
-    told no commands has all of the jerk in d: there 0.1 is right for eights at 1 m/s, 3 for those at 2 m/s;
-    push: m2/s3, of n_s: what g times the noise of the attitude, 2 mrad behind the filter for 0.03 s, leaves in f;
-    swing: rad2/s3, of n_g: a lag of the rates off by 10 ms where they change by 20 rad/s2, for some 0.03 s;
-    loop: (3, 5), lag_r s, kp 1/s, ki 1/s2, kd, most rad/s2 of roll, pitch, yaw; None: not known.
-    Source of Q: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model; of the error state: Lefferts,
-    Markley & Shuster 1982.
+    A drone on the floor that is not lifted has no velocity and no d.
+
+    The state is carried from the time of the measurement to `now` under the commands of that time,
+    which are remembered: `commanded` is valid from one call to the next. While no pose comes it
+    continues in this way, and d fades within FADE s. The times follow the period of the cameras as
+    in VelocityFilter, and the attributes are the same.
+
+    horizon: s, longest prediction
+    period: s, of the cameras; 0 if they have no steady rate
+    motion: the dynamics under commands; None if the filter gets no commands
+    noise_p: m, standard deviation of a place per axis; 0.5 mm is a good motion capture
+    noise_angle: rad, standard deviation of an attitude per axis; 0.25 deg is a good motion capture
+    jerk: m2/s5, density of n_j: a thrust that is 10 % off where the jerk is 10 m/s3, for some 0.1
+        s. A filter without commands has all of the jerk in d: then 0.1 is right for eights at 1
+        m/s, 3 for eights at 2 m/s.
+    push: m2/s3, density of n_s: the effect in f of g times the noise of the attitude, 2 mrad behind
+        the filter for 0.03 s
+    swing: rad2/s3, density of n_g: a lag of the rates that is off by 10 ms where they change by
+        20 rad/s2, for some 0.03 s
+    loop: (3, 5): lag_r s, kp 1/s, ki 1/s2, kd, most rad/s2 of roll, pitch, yaw; None if not known
+    Source: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model, for Q;
+        Lefferts, Markley & Shuster 1982 for the error state.
     """
 
     def __init__(
@@ -438,7 +540,7 @@ class KalmanFilter:
         self._state: State | None = None
 
     def update(self, pose: Pose, now: float) -> State | None:
-        """The state at `now` with a new pose; None only before the first pose that counts."""
+        """Return the state at `now` with a new pose; None only before the first valid pose."""
         age = pose.age
         horizon = self.horizon
         last = self.measured
@@ -447,7 +549,7 @@ class KalmanFilter:
             return self.predict(now)
         if h > horizon:  # the first one too: h is infinite
             return self._begin(pose, now, h)
-        if self.period > 0.0:  # their rate tells it better than a clock
+        if self.period > 0.0:  # the rate of the cameras tells it better than a clock
             late = lateness(h, self.period)
             age = age + late
             h = h - late
@@ -470,7 +572,7 @@ class KalmanFilter:
         )
         if speed < 0.0:
             return self._refuse(pose, now, doubtful=speed < -1.5)
-        out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
+        out.setflags(False)  # by position: faster than by name, in each tick
         self.speed = speed
         self.measured = now - age
         self._doubted = 0
@@ -478,7 +580,7 @@ class KalmanFilter:
         return state
 
     def predict(self, now: float) -> State | None:
-        """The state at `now` when no pose has come, by the commands; None before the first."""
+        """Return the state at `now` without a new pose, by the commands; None before the first."""
         last = self._state
         if last is None:
             return None
@@ -505,7 +607,7 @@ class KalmanFilter:
         return state
 
     def _refuse(self, pose: Pose, now: float, doubtful: bool) -> State | None:
-        """Count a pose that is missing; or believe it after all, when too many in a row were doubtful."""
+        """Count a pose as missing, or believe it if too many in a row were doubtful."""
         self._doubted += doubtful
         if doubtful and self._doubted >= DOUBTS:
             return self._start(
@@ -522,7 +624,13 @@ class KalmanFilter:
         return self._start(pose, now, (pose.p - self._memory[0:3]) / h, np.zeros(3))
 
     def _start(self, pose: Pose, now: float, v: Vec, w: Vec) -> State | None:
-        """Take this readable pose for the truth, and v (3,) m/s, w (3,) rad/s for a guess."""
+        """Start from a readable pose, with estimated velocities.
+
+        pose: taken as exact
+        now: s
+        v: (3,) m/s
+        w: (3,) rad/s
+        """
         memory, (r_p, r_angle) = self._memory, self._figures[:2]
         memory[0:3], memory[3:6], memory[6:10], memory[10:13] = (
             pose.p,

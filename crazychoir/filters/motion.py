@@ -1,4 +1,4 @@
-"""Where a drone goes while the cameras do not see it."""
+"""Models of a drone's motion while the cameras do not see it."""
 
 import math
 from typing import Protocol
@@ -17,22 +17,36 @@ from crazychoir.numerics.math3d import (
 )
 from crazychoir.types import Vec
 
-STEP = 0.01  # s, of the integration at most
-RATE_LAG = 0.05  # s, from a commanded body rate to that of the drone, delays of command and measurement included
+STEP = 0.01  # s, longest step of the integration
+RATE_LAG = 0.05
+"""Lag in s from a commanded body rate to that of the drone.
+
+It includes the delays of command and measurement.
+"""
 STANDING = 0.01  # m above the floor that still count as standing on it: the noise of the cameras
 
 
 class Motion(Protocol):
-    """How a state goes on."""
+    """A model of how a state continues."""
 
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
-        """A new state (13,), t s after x (13,) under the command u (4,) = thrust N, body rates rad/s."""
+        """Return a new state (13,) after a time.
+
+        x: (13,): state now
+        u: (4,): thrust N, body rates rad/s, of the command
+        t: s
+        """
         ...
 
 
 @kernel(vector, real, memory)
 def coast(x: Vec, t: float, out: Vec) -> None:
-    """The state t seconds after x at constant velocity and body rate, into out (13,)."""
+    """Compute the state after t seconds of constant velocity and body rate.
+
+    x: (13,)
+    t: s
+    out: (13,): the result
+    """
     out[:] = x
     for c in range(3):
         out[c] += t * x[3 + c]
@@ -41,10 +55,10 @@ def coast(x: Vec, t: float, out: Vec) -> None:
 
 
 class ConstantVelocity:
-    """Velocity and body rates stay as they are, whatever is commanded."""
+    """Constant velocity and body rates, whatever is commanded."""
 
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
-        """A new state (13,)."""
+        """Return a new state (13,)."""
         out = np.empty(13)
         coast(x, t, out)
         return out
@@ -52,21 +66,30 @@ class ConstantVelocity:
 
 @kernel()
 def _stand(x: Vec) -> None:
-    """Neither velocity nor rates."""
+    """Set velocity and rates to zero."""
     for c in range(3):
         x[3 + c] = x[10 + c] = 0.0
 
 
 @kernel()
 def stands(x: Vec, u: Vec, platform: Vec, floor: float) -> bool:
-    """Whether x (13,) is on the floor and its thrust u[0] does not lift it; platform: Platform.flat."""
+    """Return whether x is on the floor and the thrust u[0] does not lift it.
+
+    x: (13,): state
+    u: (4,): command
+    platform: Platform.flat
+    floor: m
+    """
     upright = 1.0 - 2.0 * (x[6] * x[6] + x[7] * x[7])
     return bool(x[2] < floor + STANDING and u[0] * upright <= platform[0] * GRAVITY)
 
 
 @kernel()
 def _turn(x: Vec, u: Vec, lag: float, h: float) -> None:
-    """Attitude and body rates of x, h s later: the lag of the rates is exact, and they turn about their mean axis."""
+    """Advance attitude and body rates of x by h s.
+
+    The lag of the rates is exact; the attitude turns about their mean axis.
+    """
     keep = math.exp(-h / lag)
     mean = lag * (1.0 - keep)
     turn = exponential(
@@ -83,14 +106,19 @@ def _turn(x: Vec, u: Vec, lag: float, h: float) -> None:
 def fly(
     x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t: float
 ) -> bool:
-    """Replace x (13,) by what the law of Commanded makes of it in t s; returns whether it stands on the floor then.
+    """Advance a state by the law of Commanded, and return whether it then stands on the floor.
 
-    lag: s, of the body rates;  push: m/s2, world, a constant acceleration that the law does not know.
+    x: (13,), changed in place
+    u: (4,): command
+    platform: Platform.flat
+    floor: m
+    lag: s, of the body rates
+    push: m/s2, world: a constant acceleration that the law does not know
+    t: s
     """
     steps = math.ceil(t / STEP)
-    lowest = min(
-        x[2], floor
-    )  # who is seen below the floor stays there: it is not where it was thought to be
+    # A drone seen below the floor stays there: the floor is not where it was thought to be.
+    lowest = min(x[2], floor)
     standing = False
     for _ in range(steps):
         h = t / steps
@@ -121,19 +149,30 @@ def fly(
 
 @kernel(vector, vector, vector, real, real, memory)
 def _fly(x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec) -> None:
-    """The law of Commanded, t s on from x, into out (13,)."""
+    """Compute the state after t s by the law of Commanded.
+
+    x: (13,)
+    u: (4,)
+    platform: Platform.flat
+    floor: m
+    t: s
+    out: (13,): the result
+    """
     out[:] = x
     fly(out, u, platform, floor, RATE_LAG, (0.0, 0.0, 0.0), t)
 
 
 class Commanded:
-    """The paper's dynamics under the command that the drone obeys, and a first-order lag of its body rates.
+    """The paper's dynamics under the present command, with a first-order lag of the body rates.
 
-        p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v,  q' = 1/2 q (w, 0),  w' = (u_2..4 - w) / RATE_LAG
+        p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v
+        q' = 1/2 q (w, 0),  w' = (u_2..4 - w) / RATE_LAG
 
-    in steps of at most STEP s, the acceleration taken at their middle. Who stands on the floor stays there until its
-    thrust outweighs it.
-    platform: (9,), Platform.flat, whose A = diag is the drag;  floor: m, height of the ground.
+    It is integrated in steps of at most STEP s with the acceleration in their middle. A drone on
+    the floor stays there until its thrust outweighs it.
+
+    platform: (9,), Platform.flat; its A = diag is the drag
+    floor: m, height of the ground
     """
 
     def __init__(self, platform: Vec, floor: float) -> None:
@@ -141,7 +180,7 @@ class Commanded:
         self.floor = floor
 
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
-        """A new state (13,)."""
+        """Return a new state (13,)."""
         out = np.empty(13)
         _fly(x, u, self.platform, self.floor, t, out)
         return out

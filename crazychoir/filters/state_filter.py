@@ -1,4 +1,4 @@
-"""What a pilot needs of a filter."""
+"""The interface of a filter for a pilot."""
 
 from typing import Protocol
 
@@ -6,25 +6,31 @@ from crazychoir.types import Pose, State, Vec
 
 
 class StateFilter(Protocol):
-    """Poses in, states out. The states are read-only: many read the same.
+    """Turns poses into states.
 
-    commanded: (4,) = thrust N, body rates rad/s, that the drone obeys from now on, told by whoever commands it;
-    horizon: s, how far a prediction goes at most;  measured: s, the instant of the last measurement;
-    speed: m/s, of the newest state;  refused: poses that came and were not taken;  cutoff: rad/s, of the low-pass
-    behind which velocities are derivatives, inf if they are not.
+    The states are read-only: many readers share them.
     """
 
     commanded: Vec
+    """(4,): thrust N and body rates rad/s that the drone obeys from now on.
+
+    The sender of the commands sets it.
+    """
     horizon: float
+    """Longest prediction in s."""
     measured: float
+    """Time in s of the last measurement."""
     speed: float
+    """Speed in m/s of the newest state."""
     refused: int
+    """Number of poses that were not used."""
     cutoff: float
+    """rad/s, of the low-pass if velocities are derivatives; inf if they are not."""
 
     def update(self, pose: Pose, now: float) -> State | None:
-        """The state at `now` with a new pose; None only before the first pose that counts."""
+        """Return the state at `now` with a new pose; None only before the first valid pose."""
         ...
 
     def predict(self, now: float) -> State | None:
-        """The state at `now` when no pose has come; None before the first."""
+        """Return the state at `now` without a new pose; None before the first."""
         ...

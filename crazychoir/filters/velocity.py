@@ -1,4 +1,4 @@
-"""Velocities from the poses of motion capture."""
+"""Velocities from the poses of motion capture, by a derivative and a low-pass."""
 
 import math
 
@@ -12,7 +12,7 @@ from crazychoir.types import Pose, State, Vec
 
 @kernel(vector)
 def readable(pose: Vec) -> bool:
-    """Whether a pose (7,) is finite, and its quaternion one that only has to be brought to length 1."""
+    """Return whether a pose (7,) is finite and its quaternion needs no more than normalising."""
     for c in range(7):
         if not math.isfinite(pose[c]):
             return False
@@ -22,9 +22,15 @@ def readable(pose: Vec) -> bool:
 
 @kernel(vector, memory, real, real, real, memory)
 def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -> float:
-    """Take in a pose measured h seconds after the last one: mem (13,) = p, v, q, w is replaced; out: t s after it.
+    """Take in a pose measured h seconds after the last one, and return the speed in m/s.
 
-    Returns the speed in m/s; -1, and nothing is changed, for a pose that is not readable.
+    pose: (7,)
+    mem: (13,): p, v, q, w of the last pose, replaced by those of this one
+    h: s
+    cutoff: rad/s
+    t: s
+    out: (13,): the state t s after the pose
+    Returns -1, and changes nothing, for a pose that is not readable.
     """
     if not readable(pose):
         return -1.0
@@ -41,21 +47,30 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -
     return math.sqrt(mem[3] ** 2 + mem[4] ** 2 + mem[5] ** 2)
 
 
-TRUST = 0.002  # in the instant at which a pose seems to be measured; the rest in the rate of the cameras
+TRUST = 0.002
+"""Weight of the time at which a pose seems to be measured; the rest is the rate of the cameras."""
 ROUNDING = 1e-9  # s
-EARLY = 0.25  # of a period that a pose may seem to be early; it may seem to be later by what is left
+EARLY = 0.25
+"""Share of a period by which a pose may seem early; by the rest of the period it may seem late."""
 
 
 def lateness(h: float, period: float) -> float:
-    """What to take off the time h since the last pose, s, when the cameras see one every `period` s."""
+    """Return by how many s a pose is late.
+
+    h: s since the last pose
+    period: s, between two poses of the cameras
+    """
     whole = period * int(h / period + EARLY)
     late = h - whole
     return (1.0 - TRUST) * late if whole and abs(late) > ROUNDING else 0.0
 
 
 SOONEST = 0.2
-"""Of a period: sooner after each other come only poses that were late, together, as after a program that stood still.
-How late nobody knows, but for that they were seen a period apart; by the clock, a drone at 1 m/s would fly at 50.
+"""Least share of a period between two poses that are on time.
+
+Poses that come sooner were late and arrive together, for example after a program that stood still.
+How late they are is unknown, but they were seen a period apart. By the clock, a drone at 1 m/s
+would fly at 50.
 """
 
 
@@ -64,18 +79,27 @@ class VelocityFilter:
 
         v' = cutoff (p' - v),   w' = cutoff (log(q_k^-1 q_k+1) / h - w)
 
-    integrated exactly for a p that is linear between two samples: v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h with
-    e = exp(-cutoff h) and h the measured time between the samples. w is in body axes and knows no wrap of angles.
-    The state is carried from the time of the measurement to `now` at constant velocity; while no pose comes, it goes on
-    from there by the model `motion`, under what was `commanded`. Its arrays are read-only: many read the same.
+    It is integrated exactly for a p that is linear between two samples:
 
-    Cameras have a steady rate, what tells when they saw a pose is late by some 0.1 ms and sometimes by more: the
-    instant of the measurement follows their rate, and what is seen of it slowly, so that h does not jitter.
+        v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,   e = exp(-cutoff h)
 
-    cutoff: rad/s;  horizon: s, how far a prediction goes at most;  period: s of the cameras, 0 if they have no rate;
-    measured: s, the instant of the last measurement;  commanded: (4,) = thrust N, body rates rad/s, told by whoever
-    commands the drone;  speed: m/s, of the newest state.
-    Poses that are not finite, or whose quaternion has a length outside 0.5 to 2, count as missing.
+    h is the measured time between the samples. w is in body axes and knows no wrap of angles.
+
+    The state is carried from the time of the measurement to `now` at constant velocity. While no
+    pose comes, it continues from there by the model `motion` under `commanded`. Its arrays are
+    read-only: many readers share them.
+
+    Cameras have a steady rate, but the times of their poses are late by some 0.1 ms, and sometimes
+    by more. So the time of a measurement follows the rate of the cameras, and is corrected slowly
+    by the time that is seen. Then h does not jitter.
+
+    Poses that are not finite count as missing, and so do poses with a quaternion length outside
+    0.5 to 2.
+
+    cutoff: rad/s
+    horizon: s, longest prediction
+    period: s, of the cameras; 0 if they have no steady rate
+    motion: model without poses; None for constant velocity
     """
 
     def __init__(
@@ -90,21 +114,25 @@ class VelocityFilter:
         self.period = period
         self.motion = ConstantVelocity() if motion is None else motion
         self.commanded: Vec = np.zeros(4)
+        """(4,): thrust N, body rates rad/s; the sender of the commands sets it."""
         self.refused = 0
+        """Number of poses that were not used."""
         self.speed = 0.0
+        """m/s, of the newest state."""
         self._memory = np.zeros(13)
         self.measured = -math.inf
+        """Time in s of the last measurement."""
         self._state: State | None = None
 
     def update(self, pose: Pose, now: float) -> State | None:
-        """The state at `now` with a new pose; None only before the first pose that counts."""
+        """Return the state at `now` with a new pose; None only before the first valid pose."""
         age = pose.age
         h = now - age - self.measured
         if h <= 1e-6:  # a repeated or an older pose says nothing new
             return self.predict(now)
         if self._state is None:
             return self._start(pose, now)
-        if self.period > 0.0:  # their rate tells it better than a clock
+        if self.period > 0.0:  # the rate of the cameras tells it better than a clock
             late = lateness(h, self.period)
             age = age + late
             h = h - late
@@ -114,7 +142,7 @@ class VelocityFilter:
         t = age if age < self.horizon else self.horizon
         speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:
-            out.setflags(False)  # type: ignore[call-arg]  # by place: faster than by name, in every tick
+            out.setflags(False)  # by position: faster than by name, in each tick
             self.speed = speed
             self.measured = now - age
             self._state = state = State(out, age)
@@ -123,7 +151,10 @@ class VelocityFilter:
         return self.predict(now)
 
     def predict(self, now: float) -> State | None:
-        """The state at `now` when no pose has come, by the model of motion; None before the first."""
+        """Return the state at `now` without a new pose, by the model of motion.
+
+        Returns None before the first pose.
+        """
         last = self._state
         if last is None:
             return None

@@ -1,4 +1,4 @@
-"""Numbers that users' code hands over: made into float64 once, where they are taken."""
+"""Conversion of the numbers that users' code hands over into float64, once, on arrival."""
 
 import numbers
 
@@ -8,11 +8,13 @@ from crazychoir.types import Vec
 
 
 def as_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
-    """Return the value as a new or unchanged float64 array of this shape that a kernel takes; None if it is none.
+    """Return the value as a new or unchanged float64 array of this shape.
 
-    Lists, tuples, whole numbers, truth values, numpy's scalars, arrays of other types, of objects, read-only,
-    big-endian or not contiguous are converted; texts, complex numbers, missing values and other shapes are not.
-    A masked entry becomes NaN.
+    None if that is impossible.
+
+    Kernels take the result. Lists, tuples, whole numbers, truth values, numpy's scalars, arrays of
+    other types, of objects, read-only, big-endian or not contiguous are converted. Texts, complex
+    numbers, missing values and other shapes are not. A masked entry becomes NaN.
     """
     if (
         type(value) is np.ndarray
@@ -43,10 +45,10 @@ def as_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
 
 
 def described(value: object) -> str:
-    """Return what a value is, in a few words: its type, of an array also its numbers' type and its shape."""
+    """Return a short description of a value: its type, and an array's dtype and shape."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # noqa: BLE001 - a user's class may not even be able to say what it is
+    except Exception:  # noqa: BLE001 - the repr of a user's class may fail
         text = ""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} array of shape {value.shape}, {text:.60}"

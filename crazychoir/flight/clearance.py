@@ -1,4 +1,4 @@
-"""How one drone keeps clear of the others: the collision filter bends what it wants, or it flies agreed ways."""
+"""The clearance of one drone from the others, by a collision filter or by agreed paths."""
 
 import math
 
@@ -9,27 +9,50 @@ from crazychoir.safety.collision.agreed.planned import Future, PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.types import Acceleration, FullState, State, Vec
 
-BACK, BEHIND, AHEAD = 0.05, 0.15, 0.5
-"""m from its plan: one that was pushed aside is back; one that lands does so where it is; the plan waits for it: so far
-ahead it is beyond who stands in the way."""
+BACK = 0.05
+"""Distance in m from its plan at which a drone that was pushed aside is back."""
+BEHIND = 0.15
+"""Distance in m from its plan at which a landing drone lands where it is."""
+AHEAD = 0.5
+"""Distance in m between drone and plan at which the plan waits for the drone.
+
+So far ahead, the plan is beyond a drone that stands in the way.
+"""
 
 ALONE = 0.5
-"""s after which who gives way does so for the first time."""
-STAYS, LEAVES = 3.0, 15.0
-"""s for which one that lands is kept up by one on the floor, or by one that flies, before it comes down beside."""
-SOON, UNHEARD = 1.0, 5.0
-"""s without an answer before it is said, and before one that needs it lands."""
+"""Seconds since it last gave way after which giving way counts as a first time."""
+STAYS = 3.0
+"""Seconds that a drone on the floor may keep up a landing drone.
+
+Then the landing drone lands beside it.
+"""
+LEAVES = 15.0
+"""Seconds that a flying drone may keep up a landing drone.
+
+Then the landing drone lands beside it.
+"""
+SOON = 1.0
+"""Seconds without an answer before this is reported."""
+UNHEARD = 5.0
+"""Seconds without an answer before a drone that needs it lands."""
 RETURN = 2.0
-"""s since the filter acted last, in which it comes back gently."""
+"""Seconds since the collision filter last acted, during which the drone comes back gently."""
 
 DEAF = 4.0
-"""s of being cut off, after which a drone lands: in GONE s at most it is down, and out of the way of all."""
+"""Seconds of being cut off after which a drone lands.
+
+In at most GONE s it is down, and out of the way of all others.
+"""
 
 
 class Clearance:
-    """Either a collision filter, or agreed ways, or neither; and what becomes of the flights that are planned.
+    """Keeps a drone clear by a collision filter, by agreed paths, or not at all.
 
-    flights: of its pilot, which wait, or go on, for a drone that was pushed aside;  period: s, of a tick.
+    It also decides what happens to the planned flights.
+
+    collision: the collision filter, or the planner of agreed paths; None for neither
+    flights: of the pilot; they wait, or go on, for a drone that was pushed aside
+    period: s, of a tick
     """
 
     def __init__(
@@ -44,15 +67,14 @@ class Clearance:
         self.period = period
         self.traffic = None if collision is None else collision.traffic
         self.aside = False
-        """Whether it was pushed off its plan, and is not back."""
+        """Whether the drone was pushed off its plan and is not back."""
         self.ticks = 0
-        """In which the collision filter has flown it."""
+        """Number of ticks that the collision filter has flown the drone."""
         self.gave_way = -math.inf
-        """s, when it last gave way to another drone."""
-        self._cut_off = math.inf  # since when
-        self._kept_up = (
-            -math.inf
-        )  # s, since when it has done so, or has chosen another place to land for it
+        """Time in s when the drone last gave way to another drone."""
+        self._cut_off = math.inf  # s, since when the drone is cut off
+        # Time in s since when others keep it up, or when it last chose another place to land.
+        self._kept_up = -math.inf
 
     def evasion(
         self,
@@ -62,9 +84,14 @@ class Clearance:
         now: float,
         lands: bool = False,
     ) -> Vec | None:
-        """The acceleration (3,) that keeps it clear of the others; None: it is clear, and may fly as it wants.
+        """Return the acceleration, (3,) m/s2, that keeps the drone clear of the others.
 
-        lands: whether it comes down, for which it does not wait until it hears everybody.
+        state: of the drone
+        reference: what the drone wants
+        gains: (13,), as Gains.position
+        now: s
+        lands: whether the drone comes down; it then does not wait until it hears all others
+        Returns None if the drone is clear and may fly as it wants.
         """
         collision = self.filter
         if collision is None:
@@ -81,29 +108,32 @@ class Clearance:
         return safe
 
     def deaf(self, now: float) -> bool:
-        """Whether it has been cut off from half of those that fly, or more, for too long."""
+        """Return whether the drone has been cut off from half of the flying drones for too long."""
         return now >= self._cut_off + DEAF
 
     def astray(self, state: State, planned: FullState, now: float) -> bool:
-        """Whether a drone that was pushed aside is far from its plan: one that lands does so where it is.
+        """Return whether a drone that was pushed aside is far from its plan.
 
-        After RETURN s it is wind that keeps it from coming back, which is fought with all that the control has.
+        A landing drone then lands where it is. After RETURN s it is wind that keeps the drone from
+        coming back, and the control fights the wind with all it has.
         """
         far = math.dist(planned.p.tolist(), state.p.tolist())
         self.aside = far > BACK and now < self.gave_way + RETURN
         return far > BEHIND
 
     def awaited(self, state: State, planned: FullState, now: float) -> FullState:
-        """The reference for a drone that was pushed aside: far off it goes on from where it is, or its plan waits."""
+        """Return the reference of a drone that was pushed aside.
+
+        Far from its plan, the drone begins a new flight from where it is, or the plan waits.
+        """
         flights = self.flights
         if math.dist(planned.p.tolist(), state.p.tolist()) <= AHEAD:
             return planned
         if flights.resume(FullState.at(state.p, yaw=yaw_of(state.q)), now):
             return flights.sample(now) or planned
         if flights.wait(self.period):
-            return FullState.at(
-                planned.p, yaw=planned.yaw
-            )  # a plan that waits stands still
+            # A waiting plan stands still.
+            return FullState.at(planned.p, yaw=planned.yaw)
         return planned
 
     def planned_flight(
@@ -115,7 +145,17 @@ class Clearance:
         lands: bool = False,
         must_land: bool = False,
     ) -> FullState:
-        """The plan's reference, as far as the others have agreed to it; who must land asks nobody unheard."""
+        """Return the reference of the plan as far as the others have agreed to it.
+
+        A drone that must land does not ask drones that it cannot hear.
+
+        planned: the planner of agreed paths
+        state: of the drone
+        wanted: the reference of the plan
+        now: s
+        lands: whether the drone is landing
+        must_land: whether the safety table demands the landing
+        """
         if must_land and not planned.hears(state, now):
             return planned.lands(wanted, now)
         flights = self.flights
@@ -139,7 +179,18 @@ class Clearance:
         lands: bool = False,
         waits: bool = False,
     ) -> FullState:
-        """What a drone that tells its ways may fly instead of `wanted`; others may fly that."""
+        """Return what a drone with agreed paths may fly instead of `wanted`.
+
+        Returns `wanted` itself for other drones.
+
+        state: of the drone
+        wanted: the reference
+        future: the reference a number of seconds from now
+        whole: s until the reference ends at rest, if one go_to leads there; else 0
+        now: s
+        lands: whether the drone is landing
+        waits: whether the reference stands still while the drone is delayed
+        """
         planned = self.planned
         if planned is None:
             return wanted
@@ -151,7 +202,10 @@ class Clearance:
         return flown
 
     def rest(self, now: float) -> None:
-        """It is on the ground: whether it is cut off is asked anew when it flies."""
+        """Note that the drone is on the ground.
+
+        Whether it is cut off is judged anew in its next flight.
+        """
         self._cut_off = math.inf
         if self.planned is not None:
             self.planned.rest(now)
@@ -159,12 +213,17 @@ class Clearance:
     def begins_landing_anew(
         self, planned: PlannedFlights, wanted: FullState, now: float
     ) -> bool:
-        """Whether one that lands, and is not answered, rests elsewhere than where it was to come down."""
+        """Return whether an unanswered landing drone rests away from its landing place."""
         rests = planned.unanswered and planned.delayed and planned.left(now) == 0.0
         return rests and not planned.comes_to(wanted.p)
 
     def lands_beside(self, p: Vec, now: float) -> Vec | None:
-        """(3,) m, where one that is kept up above p by others comes down instead; None: it waits, or there is none."""
+        """Return (3,) m where a drone that others keep up above p comes down instead.
+
+        p: (3,) m, world
+        now: s
+        Returns None if the drone still waits, or there is no such place.
+        """
         planned = self.planned
         if planned is None or self.delayed_by is None or planned.left(now) > 0.0:
             return None
@@ -177,7 +236,7 @@ class Clearance:
 
     @property
     def silent(self) -> str:
-        """What keeps it from flying where it is wanted: somebody who does not answer; empty if nobody does."""
+        """Text that names the drone without an answer that holds this one up; else ""."""
         mine = None if self.planned is None else self.planned.agreement
         return (
             ""
@@ -187,12 +246,12 @@ class Clearance:
 
     @property
     def gives_up(self) -> bool:
-        """Whether it has waited so long for an answer that it had better land."""
+        """Whether the drone has waited so long for an answer that it should land."""
         return self.planned is not None and self.planned.agreement.in_vain > UNHEARD
 
     @property
     def delayed_by(self) -> int | None:
-        """Whose way it waits for, or turns aside from, of those that have told theirs."""
+        """Id of the drone with agreed paths for which this one waits or turns aside; else None."""
         return (
             None
             if self.planned is None or not self.planned.delayed

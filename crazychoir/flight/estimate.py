@@ -1,4 +1,4 @@
-"""Where a pilot takes its drone to be: its filter, and what it believes of one that is not seen."""
+"""The pilot's belief of where its drone is: its filter, and what it believes without poses."""
 
 import math
 
@@ -15,15 +15,21 @@ from crazychoir.platforms import MOST_TURN, Platform
 from crazychoir.types import FullState, Mat, State, Vec
 
 SEEN = 0.1
-"""s, the age of a state beyond which it is a prediction, of which the controllers learn nothing."""
+"""Age in s of a state beyond which it is a prediction; controllers learn nothing from it."""
 BLIND = 2.0
-"""s, how far it predicts its own motion without a pose: as long as the safety table lets it fly so."""
+"""Seconds that the filter predicts its own motion without a pose.
+
+The safety table lets the drone fly as long without poses.
+"""
 
 
 def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
-    """The filter of [control], "kalman" or "derivative"; it knows what is commanded, if that is thrust and body rates.
+    """Return the filter of [control], "kalman" or "derivative".
 
-    ground: m, height of the floor;  rate: Hz, of the poses.
+    The filter knows the commands if these are thrust and body rates.
+
+    ground: m, height of the floor
+    rate: Hz, of the poses
     """
     motion = (
         Commanded(chosen.platform.flat, ground)
@@ -37,10 +43,11 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
 
 
 def rates_on_board(platform: Platform) -> Mat:
-    """(3, 5): the loop of KalmanFilter for roll, pitch and yaw, of the firmware's rate controllers; see `rate_loop`.
+    """Return (3, 5): the parameters of the firmware's rate loops for roll, pitch and yaw.
 
-    As the firmware is compiled: its parameters pid_rate may make it another. Left out: that it holds a heading rather
-    than a yaw rate, and the limit of its integrals.
+    They are the `loop` of KalmanFilter, see `rate_loop`. They are valid as the firmware is
+    compiled: its parameters pid_rate may change them. Left out are the firmware's hold of a heading
+    instead of a yaw rate, and the limit of its integrals.
     """
     firmware = platform.firmware
     rows = []
@@ -55,10 +62,13 @@ def rates_on_board(platform: Platform) -> Mat:
 
 
 def believed(state: State, flown: FullState | None) -> Vec:
-    """Where a drone is that is not seen and whose filter does not know its commands: where it is to be.
+    """Return (13,): the believed state of an unseen drone if the filter does not know its commands.
 
-    The filter lets it go on at its last speed. A controller would brake that forever, and the drone fly backwards.
-    flown: its reference, if there is one.
+    It is where the drone should be. The filter lets the drone go on at its last speed. A controller
+    would brake against this forever, and the drone would fly backwards.
+
+    state: of the filter
+    flown: reference of the drone, None without one
     """
     if flown is None:
         return state.flat

@@ -1,4 +1,4 @@
-"""Goals and paths that a pilot is asked to fly: refused, with the reason, before anything moves."""
+"""Checks of goals and paths: a bad one is refused, with the reason, before anything moves."""
 
 import math
 from collections.abc import Iterable
@@ -11,20 +11,22 @@ from crazychoir.flight.array_like import as_floats, described
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import FullState, Mat, Vec
 
-SLACK = 1e-6  # m by which a place may be outside the room: rounding
+SLACK = 1e-6  # m by which a place may be outside the room, for rounding
 PLACE = "three finite numbers, m"
 
 
 def require_goal(
     where: str, p: object, yaw: object, duration: object, guard: Guard, planar: bool
 ) -> Vec:
-    """Return the place p as (3,) m, world; raise ConfigError for a goal that must not be flown to.
+    """Return the goal p as (3,) m, world.
 
-    where: what errors call it, such as "drone 0: go_to()".
-    yaw: rad, None to keep it.
-    duration: s.
-    guard: of the drone; the goal must lie in its room.
-    planar: whether the drone does not choose its height, which is then not looked at.
+    where: name in error texts, such as "drone 0: go_to()"
+    p: (3,) m, world
+    yaw: rad, None to keep it
+    duration: s
+    guard: of the drone; the goal must lie in its room
+    planar: whether the robot does not choose its height; the height is then not checked
+    Raises ConfigError for a goal where the drone must not fly.
     """
     place = as_floats(p, (3,))
     if place is None or not np.isfinite(place).all():
@@ -41,10 +43,13 @@ def require_goal(
 
 
 def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> None:
-    """Raise ConfigError for a path that leaves the room of the guard, at its first set-point that does.
+    """Raise ConfigError at the first set-point of a path that is outside the room of the guard.
 
-    t: (n,) s.
-    path: (n, 14), rows as FullState.flat.
+    where: name in error texts
+    t: (n,) s
+    path: (n, 14), rows as FullState.flat
+    guard: of the drone
+    planar: whether the robot does not choose its height
     """
     is_outside = _leaves(path, guard, planar)
     if is_outside.any():
@@ -55,7 +60,7 @@ def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> N
 
 
 def require_trajectory(where: str, trajectory: object) -> None:
-    """Raise ConfigError for what is no trajectory, or has no finite duration."""
+    """Raise ConfigError for an object that is no trajectory, or has no finite duration."""
     missing = [
         name for name in ("duration", "sample", "done") if not hasattr(trajectory, name)
     ]
@@ -80,9 +85,11 @@ def require_trajectory(where: str, trajectory: object) -> None:
 
 
 def require_setpoint(found: object, t: float) -> FullState:
-    """Return what a trajectory's sample(t) has returned, with the float64 array that kernels take.
+    """Return the result of a trajectory's sample(t), with the float64 array that kernels take.
 
-    Raises ConfigError for what is no FullState of 14 numbers.
+    found: the result
+    t: s
+    Raises ConfigError unless it is a FullState of 14 numbers.
     """
     flat = as_floats(getattr(found, "flat", None), (14,))
     if flat is None or not isinstance(found, FullState):
@@ -95,7 +102,12 @@ def require_setpoint(found: object, t: float) -> FullState:
 
 
 def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
-    """Return (n,) whether each set-point of a path (n, 14) is outside the room; one that is no number is."""
+    """Return (n,): whether each set-point of a path is outside the room.
+
+    A set-point that is not a number counts as outside.
+
+    path: (n, 14), rows as FullState.flat
+    """
     rows = path
     if planar:
         rows = path.copy()
@@ -104,6 +116,7 @@ def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
 
 
 def _outside(where: str, place: Iterable[float], guard: Guard) -> ConfigError:
+    """Return the error for a place outside the room."""
     low = [round(x, 4) for x in guard.room.low]
     high = [round(x, 4) for x in guard.room.high]
     allowed = f"{low} to {high} m, inside [fence] by the margins of the guard"

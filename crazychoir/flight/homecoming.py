@@ -1,4 +1,4 @@
-"""The way home of a drone whose operator calls it back: up, across above the others, and then down."""
+"""The way home of a drone that its operator calls back: up, across above the others, then down."""
 
 import math
 from collections.abc import Iterable
@@ -8,17 +8,25 @@ import numpy as np
 from crazychoir.types import Point, Vec
 
 THERE = 0.2
-"""m from the end of a leg that counts as there."""
+"""Distance in m from the end of a leg at which the leg is done."""
 TRIES = 5
-"""How often a leg is begun before the drone lands where it is."""
+"""Number of attempts at a leg before the drone lands where it is."""
 CLEARANCE = 0.6
-"""m above another: two semi-axes of 0.3 m of the ellipsoids that downwash fills."""
+"""Height in m above another drone.
+
+These are two semi-axes of 0.3 m of the ellipsoids that downwash fills.
+"""
 ASIDE = 0.5
-"""m beside the straight way home within which another is in the way."""
+"""Distance in m from the straight way home within which another drone is in the way."""
 
 
 class Homecoming:
-    """The legs of a return from p (3,) m to above home (3,) m, at the height z m or higher."""
+    """The legs of a return at one height.
+
+    p: (3,) m, world: where the drone is
+    home: (3,) m, world: above this place the return ends
+    z: m, smallest height of the return
+    """
 
     def __init__(self, p: Vec, home: Point, z: float) -> None:
         level = max(z, float(p[2]))
@@ -29,7 +37,7 @@ class Homecoming:
         self.tries = 0
 
     def leg(self, p: Vec) -> Vec | None:
-        """Where to fly next from p; None: it is above home, or does not get there."""
+        """Return where to fly next from p; None if the drone is above home or makes no progress."""
         while self.legs and math.dist(p, self.legs[0]) < THERE:
             del self.legs[0]
             self.tries = 0
@@ -38,19 +46,26 @@ class Homecoming:
 
     @property
     def stuck(self) -> bool:
-        """Whether it has given up on the way."""
+        """Whether the drone has given up on the way."""
         return bool(self.legs)
 
 
 def level_above(
     p: Point, home: Point, others: Iterable[Point], rank: int, top: float
 ) -> float:
-    """m, the height of a return that is above the others in the way; at most `top`.
+    """Return the height in m of a return above all others in the way; at most `top`.
 
-        z = max(z of those within ASIDE of the way from p to home, own z) + CLEARANCE, + rank CLEARANCE
+        z = max(z of others within ASIDE of the way from p to home, own z)
+            + CLEARANCE, + rank CLEARANCE
 
-    others: (3,) m each, of which it knows;  rank: among those that return at the same time, who fly at levels of their
-    own, as far as the room is high enough.
+    If no other is in the way and the rank is 0, it is the own z.
+
+    p: (3,) m, world: where the drone is
+    home: (3,) m, world
+    others: (3,) m, world, each: the known places of other drones
+    rank: place of the drone among the drones that return at the same time; each flies at a height
+        of its own, as far as the room is high enough
+    top: m, largest height
     """
     a = np.asarray(p[:2], dtype=float)
     b = np.asarray(home[:2], dtype=float)
@@ -65,7 +80,7 @@ def level_above(
 
 
 def _beside(q: Vec, a: Vec, b: Vec) -> float:
-    """m from q (2,) to the segment from a to b."""
+    """Return the distance in m from q, (2,) m, to the segment from a to b."""
     way = b - a
     share = float(np.clip((q - a) @ way / max(float(way @ way), 1e-12), 0.0, 1.0))
     return float(np.linalg.norm(q - a - share * way))

@@ -1,7 +1,8 @@
-"""The pilot of one drone: pose -> filter -> reference -> controller -> guard -> command, in the stages of one tick.
+"""The pilot of one drone: pose -> filter -> reference -> controller -> guard -> command.
 
-It always has the last word: whatever guidance asks, or fails to ask, each tick ends in a command that the safety
-table allows. A pose triggers the tick; if none comes in time, the clock does.
+The pilot always has the last word: whatever guidance asks, or fails to ask, each tick ends in a
+command that the safety table allows. A pose triggers the tick; if no pose comes in time, the clock
+triggers it.
 """
 
 import asyncio
@@ -83,62 +84,95 @@ from crazychoir.types import (
 
 log = logging.getLogger(__name__)
 ON_THE_FLOOR = 0.04
-"""m above the ground at which a landing drone stops its motors."""
+"""Height in m above the ground at which a landing drone stops its motors."""
 TOUCHDOWN_LATE = 2.0
-"""s after the planned touch-down when a drone at rest (below AT_REST m/s) counts as landed."""
+"""Seconds after the planned touch-down when a drone below AT_REST m/s counts as landed."""
 TOUCHDOWN_UNSEEN = 0.5
-"""The same for one that is not seen."""
+"""Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
 AT_REST = 0.05
+"""Speed in m/s below which a landing drone counts as at rest."""
 GIVE_UP_HOVER = 2.0
-"""s of hovering after guidance has failed, before the landing."""
+"""Seconds of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
-"""s of failed ticks, within 10 s, after which the pilot is given up: as long as it flies on without a pose."""
+"""Seconds of failed ticks, within 10 s, after which the pilot is given up.
+
+The safety table lets the drone fly for as long without a pose.
+"""
 
 DEAF = "hears no more than half of the drones that fly: landing"
+"""Reason of the landing of a drone that is cut off from the others."""
 LIFTED = 0.03
-"""m above where it stood at which a drone flies: below, its controllers learn nothing from an error of the height."""
+"""Height in m above its place on the floor at which a drone flies.
+
+Below, its controllers learn nothing from an error of the height.
+"""
 
 
 BLIND = 0.5
-"""s without a pose after which one that lands, for whatever reason, is landed by its firmware."""
-BLIND_DEPTH, BLIND_SPEED = 0.03, 0.35
-"""m, m/s: how a drone lands by its firmware that nobody sees: its height is off by cm after 3 s, its place by 1 m."""
+"""Seconds without a pose after which the firmware lands a drone that is landing.
+
+The reason of the landing does not matter.
+"""
+BLIND_DEPTH = 0.03
+"""Depth in m below the ground where a landing by the firmware without poses ends.
+
+Its estimate of the height is off by cm after 3 s, that of its place by 1 m.
+"""
+BLIND_SPEED = 0.35
+"""Descent speed in m/s of a landing by the firmware without poses."""
 STILL_TURNING = 10.0
-"""s beyond its time that a drone gets which its firmware lands, before its motors are stopped."""
-UNREACHED, LEFT_BEHIND = 1.0, 0.05
-"""s without its radio, from which on nobody can be sure that it obeys; and m from its place to its landing plan at
-which that begins anew: whatever gets through asks for no more than this."""
+"""Seconds beyond the planned time of a landing by the firmware, before the motors are stopped."""
+UNREACHED = 1.0
+"""Seconds of silence of its radio after which a drone may no longer obey."""
+LEFT_BEHIND = 0.05
+"""Distance in m from a drone to its landing plan at which the plan begins anew.
+
+While commands may be lost, each command that arrives asks for no more than this.
+"""
 IN_THE_AIR = 0.2
-"""m above the ground where a drone is seen that has not landed, whatever its plan says."""
+"""Height in m above the ground at which a seen drone has not landed, whatever its plan says."""
 TELL_OWNER = 0.2
-"""s, after which the owner of a dongle is told again to land a drone by its firmware."""
+"""Seconds between two commands to the owner of a dongle to land a drone by its firmware."""
 Reached = Literal["no", "seen", "own"]
-THRUST, MISJUDGED = ("fpqr", "frpy"), 0.15
-"""Senders of a thrust, and the share by which it may be off: a wrong thrust map is off by 0.27."""
-RISING, STANDS, STANDS_ON_BOARD = 0.2, 0.4, 0.8
-"""m above the floor where a drone that takes off should be; and s after which one that is still there is none: flown by
-thrust from here, or by its firmware, which is later."""
-OUTSIDE, ON_FLOOR = 0.2, 1.0
-"""s for which a body is seen outside the limit area, where none should be; and for which a drone that should fly is
-seen on the floor."""
+"""Kinds of reach: "no" radio, a radio and "seen" by cameras, or a radio and its "own" poses."""
+THRUST = ("fpqr", "frpy")
+"""Kinds of senders that command a thrust."""
+MISJUDGED = 0.15
+"""Largest allowed error of the hover thrust, as a share; a wrong thrust map is off by 0.27."""
+RISING = 0.2
+"""Height in m of the plan above the floor from which on the drone should have lifted off."""
+STANDS = 0.4
+"""Seconds after which a drone that is still on the floor does not rise; for senders of a thrust."""
+STANDS_ON_BOARD = 0.8
+"""Seconds after which a drone that is still on the floor does not rise, for other senders.
+
+Its firmware flies it, and takes off later.
+"""
+OUTSIDE = 0.2
+"""Seconds for which a body is seen outside the limit area, where none should be."""
+ON_FLOOR = 1.0
+"""Seconds for which a drone that should fly is seen on the floor."""
 SILENT = 0.5
-"""s without its radio, which is then why it has come down."""
+"""Seconds of silence of its radio that explain why a drone has come down."""
 FALLS = 0.4
-"""m above the floor, up to which a drone whose pose is not its own falls: higher, its firmware lands it without poses.
-One that flies by its own estimate, which was told them, falls from wherever it is: it would fly away by metres."""
+"""Height in m above the floor up to which the motors are cut if the pose is not the drone's own.
+
+Above, its firmware lands it without poses. A drone that flies by its own estimate, which was fed
+with these poses, is cut at any height: it would fly away by metres.
+"""
 LANDS_ASTRAY = 1.0
-"""What the guard is told of one whose pose is not its own, and that may land by its firmware."""
+"""Value of the measure "astray" of a drone that may land by its firmware."""
 
 NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
 LOW = (TAKEOFF, LAND)
-"""Modes in which it leaves the fence downwards."""
+"""Modes in which the drone leaves the fence downwards."""
 
 
 class Link(Protocol):
-    """The way to the drone: a simulated world, or later a radio."""
+    """The way to the drone: a simulated world or a radio."""
 
     def send(self, command: Command) -> None:
-        """Let the drone obey this until the next one."""
+        """Let the drone obey this command until the next one."""
         ...
 
     def cut(self) -> None:
@@ -147,12 +181,23 @@ class Link(Protocol):
 
 
 class Pilot(Actor):
-    """Flies one drone; guidance calls `take_off`, `go_to`, `follow`, `hover`, `land`, its operator `hold` too.
+    """Flies one drone.
 
-    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
-    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
-    radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
-    when there are none.
+    Guidance calls `take_off`, `go_to`, `follow`, `hover` and `land`. The operator calls `hold` too.
+
+    port: the port of the drone on the bus
+    link: the way to the drone
+    limits: [flight]
+    fence: where the drone flies, from the ground up at most
+    rate: Hz, of its poses
+    chosen: the control scheme, None for the default
+    state_filter: None for a Kalman filter
+    body: the address that publishes the poses, None for the drone's own address
+    collision: the collision filter, or the planner of agreed paths; None for neither
+    limit_area: area outside which the motors are cut, None for the guard's default
+    reached: "no" for a drone in a simulated world. "seen" for a drone behind a radio that cameras
+        see: poses that jump are not believed. "own" for a drone behind a radio that finds its own
+        pose. Behind a radio the firmware lands the drone when there are no poses.
     """
 
     name = "pilot"
@@ -198,41 +243,55 @@ class Pilot(Actor):
         )
         self._reached = reached != "no"
         self._gate = PoseGate() if reached == "seen" else None
-        self._down_at = (
-            math.inf
-        )  # s, when its firmware has landed it, to which it was handed over
-        self._to_firmware: XYZ | None = None  # the command for that
+        # Time in s when the firmware has landed the drone, after it was handed over.
+        self._down_at = math.inf
+        self._to_firmware: XYZ | None = None  # the command for that landing
         self._tell_owner_at = 0.0
         self.reference_limits = ReferenceLimits(limits, self.controls.gains)
         self.clock = port.bus.clock
         self._stages = port.bus.stages
         self.drone = port.address
+        """Id of the drone."""
         self.mode: Mode = GROUND
+        """Its mode, see modes."""
         self.state: State | None = None
-        self.note = self._evades = (
-            ""  # the latter: what the collision filter has said last
-        )
+        """Its newest state; None before the first pose."""
+        # _evades: the last note of the collision filter.
+        self.note = self._evades = ""
         self.grave = False
-        """Whether somebody should act upon the note: its motors were cut, or it lands for its safety."""
+        """Whether the note needs attention: motors were cut, or the drone lands for safety."""
         self.brought_down = ""
-        """Why the safety table has first ended a flight by landing it; empty if it never did."""
+        """Why the safety table first ended a flight by a landing; empty if it never did."""
         self.held = False
+        """Whether the operator holds the drone."""
         self.commanded = False
-        """Whether the flight that is planned, or is to begin, is one of its operator's: guidance does not end it."""
+        """Whether the flight, planned or about to begin, is the operator's.
+
+        Guidance does not end such a flight.
+        """
         self.unguided = ""
-        """Why its guidance is gone, in flight; empty while it is there."""
+        """Why guidance is gone during the flight; empty while it is there."""
         self.turning: Callable[[], bool] = lambda: False
-        """Whether its motors turn, or its body flies, as its firmware or its world's owner says that lands it."""
+        """Return whether the motors turn or the body flies.
+
+        The firmware says so, or the owner of the world, which lands the drone.
+        """
         self.unheard: Callable[[], bool] = lambda: False
-        """Whether the owner of its body is silent: no command arrives there, and it is landed without."""
+        """Return whether the owner of the body is silent.
+
+        Commands do not arrive there then, and it lands the body without them.
+        """
         self.unfit: Callable[[], list[str]] = list
-        """Says why its drone may not take off, beside what is known here."""
+        """Return further reasons why the drone may not take off."""
         self.astray: Callable[[], str] = str
-        """How what the cameras take for it has moved otherwise than the drone; empty if it has not."""
+        """Return how the body that the cameras take for the drone moved unlike it.
+
+        Returns an empty text if it has not.
+        """
         self.awaits_start = limits.operator
-        """Whether its mission waits for an operator's start: until then guidance moves nothing."""
+        """Whether the mission waits for the operator's start; until then guidance moves nothing."""
         self.started_at: Point | None = None
-        """(3,) m, where it stood when it took off first."""
+        """(3,) m, world: where the drone stood at its first take-off."""
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
         self.filter = (
@@ -248,28 +307,33 @@ class Pilot(Actor):
         self.restart = Restart(
             limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0
         )  # a drone in flight cannot wait
-        self._goto: tuple[float, ...] = ()  # the last Goto that was flown, and its plan
+        self._goto: tuple[float, ...] = ()  # the last Goto that was flown
+        # The plan of that Goto.
         self._goto_plan: Trajectory | None = None
-        self._a = STILL  # m/s2, what the last command asks of the drone
-        self._flown: FullState | None = None  # in the last tick, if it was a FullState
-        self._stops: Trajectory | None = None  # the plan that last brought it to rest
-        self._lift_off = 0.0  # m, the height above which a drone that takes off flies
-        self._rises_at = (
-            0.0  # s, when it last was not on the floor while it should be in the air
+        self._a = STILL  # m/s2, acceleration that the last command asks of the drone
+        self._flown: FullState | None = (
+            None  # reference of the last tick, if it was a FullState
         )
+        self._stops: Trajectory | None = (
+            None  # the plan that last brought the drone to rest
+        )
+        self._lift_off = 0.0  # m, height above which a drone that takes off flies
+        # Time in s when it was last off the floor, or had no reason to be in the air.
+        self._rises_at = 0.0
         self._outside_at = math.inf  # s, since when its body is seen outside
-        self._outside_seen = -math.inf  # s, when a pose was judged last
-        self._up_at = math.inf  # s, when it was not seen on the floor
-        self._obeyed = Action.NOMINAL  # the last verdict
+        self._outside_seen = -math.inf  # s, when a pose was last judged
+        self._up_at = math.inf  # s, when it was last not seen on the floor
+        self._obeyed = Action.NOMINAL  # action of the last verdict
         self._ticked_ns = 0
         self.cut_for = ""
-        """Why its motors were cut for good; empty if they were not."""
+        """Why the motors were cut for good; empty if they were not."""
         self._said = Throttle()
         self.braked = 0
-        """How often the safety table has braked it in this flight."""
+        """Number of times the safety table has braked the drone in this flight."""
         self.at_fence = 0
-        """Ticks in which it was held at the fence, for what guidance wanted is beyond it."""
-        self._beyond = False  # whether it flies to the fence only, as the place that was wanted is beyond it
+        """Number of ticks at the fence because guidance wanted to be beyond it."""
+        # Whether it flies to the fence only, because the wanted place is beyond it.
+        self._beyond = False
         self._takes_over = False
         self._idle, self._level = (
             self.controls.sender.idle,
@@ -278,7 +342,7 @@ class Pilot(Actor):
         self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
-        """Poses and the clock tick it; a tick that fails ends the run."""
+        """Let poses and the clock tick the pilot; a tick that fails ends the run."""
         self._run = asyncio.get_running_loop().create_future()
         try:
             await self._run
@@ -286,9 +350,9 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
-        if (
-            pose is not None and not pose.age >= age
-        ):  # it was on its way; or its age is no number
+        # The pose was on its way for a while, or its own age is not a number.
+        """Tick with a pose that is `age` s old, or without a pose."""
+        if pose is not None and not pose.age >= age:
             pose = Pose(pose.flat, age)
         if pose is not None and self._gate is not None:
             pose = self._believed(pose, self._gate)
@@ -297,7 +361,7 @@ class Pilot(Actor):
             self.tick(pose)
 
     def _believed(self, pose: Pose, gate: PoseGate) -> Pose | None:
-        """The pose, unless it cannot be its."""
+        """Return the pose, or None if it cannot be the pose of this drone."""
         now = self.clock.now()
         believed = gate.believes(pose, now, self.airborne)
         beyond = self.guard.beyond(pose.p)
@@ -317,7 +381,10 @@ class Pilot(Actor):
         return None
 
     def _fail(self, error: BaseException) -> None:
-        """A tick has failed: its supervisor decides; who brought the pose, and the other drones, go on."""
+        """End the run after a failed tick; the supervisor decides what follows.
+
+        The sender of the pose and the other drones go on.
+        """
         run = self._run
         if run is None or isinstance(error, KeyboardInterrupt | SystemExit):
             raise error
@@ -333,7 +400,10 @@ class Pilot(Actor):
         self._steady()
 
     def _steady(self) -> None:
-        """A tick has failed: the thrust of hovering and no rates, instead of whatever was sent last."""
+        """After a failed tick, command the thrust of hovering and no body rates.
+
+        This replaces the last command.
+        """
         if not self.airborne:
             return
         try:
@@ -344,7 +414,7 @@ class Pilot(Actor):
             )
 
     def on_restart(self) -> None:
-        """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""
+        """Forget what made the tick fail: come to rest and hover, or continue to land."""
         self._reference = self._flown = None
         self.flights.clear()
         if self.mode is LAND:
@@ -353,18 +423,21 @@ class Pilot(Actor):
             self._change(Event.HOLD)
 
     def set_parameter(self, name: str, value: Any) -> Any:
-        """Change a parameter, from the next tick on, and return it; ConfigError if it may not be."""
+        """Change a parameter from the next tick on, and return its value.
+
+        Raises ConfigError if it may not be changed so.
+        """
         found = self.parameters.set(name, value)
         self.reference_limits = ReferenceLimits(self.limits, self.controls.gains)
         return found
 
     def nudge(self, now_ns: int) -> None:
-        """The clock's turn: when no pose has come for one and a half periods, tick without."""
+        """Tick without a pose if none has come for one and a half periods; the clock calls this."""
         if now_ns - self._ticked_ns > 1.5 * self.period_ns:
             self._posed(None, 0.0)
 
     def tick(self, pose: Pose | None) -> None:
-        """See, with the cameras or by prediction; the rest of the chain follows in the stages of this tick."""
+        """Update the state, with a pose or by prediction, and start the stages of this tick."""
         try:
             now_ns = self._ticked_ns = self.clock.now_ns()
             now = now_ns / SECOND
@@ -392,10 +465,13 @@ class Pilot(Actor):
                 stages.due()
 
     def _say_state(self) -> None:
-        """Guidance decides when all have said theirs."""
+        """Publish the state of this tick.
+
+        Guidance decides when all drones have published theirs.
+        """
         state = self.state
         try:
-            assert state is not None  # noqa: S101 - else there is no such stage
+            assert state is not None  # noqa: S101 - no state, no such stage
             self.port.publish(STATE, state, state.age)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
@@ -415,7 +491,7 @@ class Pilot(Actor):
             self._fail(error)
 
     def _send(self, command: Command | None) -> None:
-        """Let the drone obey it; None: it goes on as it does."""
+        """Send a command to the drone. None lets the drone continue as it does."""
         if command is None:
             return
         self.link.send(command)
@@ -423,13 +499,14 @@ class Pilot(Actor):
             self.filter.commanded = command.flat
         self.port.publish(COMMAND, command)
 
-    # What guidance asks ---------------------------------------------------------------------------------------
+    # What guidance asks -------------------------------------------------------------------------
 
     def take_off(self, height: float | None = None) -> float:
-        """Rise to `height` m above the ground, inside the fence; returns the time it will take. Only from the ground.
+        """Rise to `height` m above the ground, inside the fence, and return the time it will take.
 
-        It stays there while it is held and while an emergency stop is in force; and for good, that is until its agent
-        is started again, when its motors were cut or a latched rule of the safety table has acted.
+        Only a drone on the ground takes off. It stays there while it is held and during an
+        emergency stop. After its motors were cut, or a latched rule of the safety table has acted,
+        it stays there until its agent is started again. Returns 0 then.
         """
         rule, why = self.unready()
         if height is not None and not math.isfinite(height):
@@ -456,7 +533,7 @@ class Pilot(Actor):
         return duration
 
     def unready(self) -> tuple[str, str]:
-        """The rule that keeps it from taking off now, and the words; both empty if none does."""
+        """Return the rule that forbids a take-off now, and its text; both empty if none does."""
         if self.port.bus.stopped:
             return (
                 "stop",
@@ -473,7 +550,10 @@ class Pilot(Actor):
         )
 
     def above(self, height: float | None) -> Vec:
-        """(3,) m, where a take-off from here to a height m above the ground ends; here, for who does not take off."""
+        """Return (3,) m where a take-off from here to `height` m above the ground ends.
+
+        A robot that does not take off stays where it is.
+        """
         assert self.state is not None  # noqa: S101 - callers have looked
         goal = self.state.p.copy()
         if self._takes_off:
@@ -484,7 +564,7 @@ class Pilot(Actor):
         return goal
 
     def gap(self, p: Point) -> float:
-        """m from p (3,), as far as it can choose where it is."""
+        """Return the distance in m from p, (3,) m; horizontal for a robot that drives."""
         assert self.state is not None  # noqa: S101 - callers have looked
         away = self.state.p - np.asarray(p)
         return float(np.linalg.norm(away[0:2] if self._planar else away))
@@ -496,11 +576,17 @@ class Pilot(Actor):
         duration: float = 0.0,
         commanded: bool = False,
     ) -> float:
-        """Fly to p (3,) m, world, inside the fence; returns the time it will take.
+        """Fly to p inside the fence, and return the time it will take.
 
-        0: it may not, as it is not in the air, is held, waits for its operator's start, or brakes because the safety
-        table says so. Missing references are no hindrance: this flight needs none.
-        commanded: it is its operator who wants it, which he may while guidance may not, see `steerable`.
+        Returns 0 if the drone may not fly there: it is not in the air, is held, waits for its
+        operator's start, or brakes because the safety table says so. Missing references do not
+        matter: this flight needs none.
+
+        p: (3,) m, world
+        yaw: rad, None to keep the present yaw
+        duration: s; the flight takes longer if the limits demand it
+        commanded: True if the operator wants the flight. The operator may fly the drone when
+            guidance may not, see `steerable`.
         """
         if not self._may_fly(commanded):
             return 0.0
@@ -531,9 +617,10 @@ class Pilot(Actor):
         return seconds
 
     def fly(self, trajectory: Trajectory, commanded: bool = False) -> float:
-        """Fly a trajectory from its beginning, now, and hover at its end; returns the time it takes, 0 as `go_to`.
+        """Fly a trajectory from its beginning, now, and hover at its end; return the time it takes.
 
-        Whoever calls has looked that it begins where the drone is, inside the fence and within its limits.
+        Returns 0 as `go_to` does. The caller has checked that the trajectory begins where the drone
+        is and stays inside the fence and within the limits.
         """
         if not self._may_fly(commanded):
             return 0.0
@@ -547,11 +634,17 @@ class Pilot(Actor):
     def require_goal(
         self, where: str, p: object, yaw: object = None, duration: object = 0.0
     ) -> Vec:
-        """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
+        """Return the goal p as (3,) m.
+
+        Raises ConfigError for a goal where the drone must not fly, see goals.require_goal.
+        """
         return require_goal(where, p, yaw, duration, self.guard, self._planar)
 
     def _may_fly(self, commanded: bool) -> bool:
-        """Whether a flight may begin now. One that its operator wants, and that must wait, is his until he holds it."""
+        """Return whether a flight may begin now.
+
+        A flight that the operator wants stays the operator's until a hold, even if it has to wait.
+        """
         if not (self.steerable if commanded else self.obeys):
             return False
         self.commanded = commanded
@@ -559,12 +652,13 @@ class Pilot(Actor):
         return not self.guard.acts
 
     def follow(self, reference: Reference) -> bool:
-        """Fly this reference from the next tick on; it must be renewed before it is stale. False: it never can.
+        """Fly this reference from the next tick on; return False if it can never be flown.
 
-        Its numbers are converted here, once, see references.taken. One that is not a reference, has another shape or is
-        not finite counts as none, and so does a Goto to where no goal may be; one that asks for more than [flight]
-        allows is cut to that, see ReferenceLimits. The same Goto again lets its flight go on. A held drone follows
-        nothing.
+        The reference must be renewed before it is stale. Its numbers are converted here, once, see
+        references.taken. An object that is not a reference, has another shape or is not finite is
+        not flown, and neither is a Goto to a place where no goal may be. A reference that asks for
+        more than [flight] allows is cut, see ReferenceLimits. A repeated Goto continues its flight.
+        A held drone follows nothing.
         """
         state = self.state
         if state is None or not self.obeys:
@@ -594,12 +688,15 @@ class Pilot(Actor):
         return True
 
     def unflown(self, reference: object) -> str:
-        """Why a reference can never be flown: its numbers, its place, or its kind; empty if it can."""
+        """Return why a reference can never be flown: its numbers, its place or its kind.
+
+        Returns an empty text if it can be flown.
+        """
         wanted = taken(reference)
         return unflyable(reference) if wanted is None else self._forbids(wanted)
 
     def _forbids(self, reference: Reference) -> str:
-        """Why this drone never flies a reference that is one: its place, or its kind; empty if it does."""
+        """Return why this drone never flies a valid reference: its place or its kind; else ""."""
         if isinstance(reference, Goto):
             try:
                 self.require_goal("Goto", reference.p)
@@ -611,7 +708,10 @@ class Pilot(Actor):
         return ""
 
     def _fly_goto(self, wanted: Goto) -> None:
-        """Begin the flight that a Goto wants, unless it has begun: a law may want the same in each of its steps."""
+        """Begin the flight of a Goto, unless it has begun.
+
+        A law may return the same Goto in each step.
+        """
         asked = (
             *np.asarray(wanted.p, dtype=float).tolist(),
             wanted.yaw,
@@ -626,26 +726,28 @@ class Pilot(Actor):
             self._goto_plan = self.flights.plan
 
     def hover(self) -> None:
-        """Come to rest, at the shortest distance that the limits allow, and stay; one that does stays where it is.
+        """Come to rest in the shortest distance that the limits allow, and stay there.
 
-        A flight that its operator has commanded goes on.
+        A drone at rest stays where it is. A flight that its operator has commanded goes on.
         """
         if self.mode in GUIDED and not self.commanded:
             self._rest()
 
     def _rest(self) -> None:
-        stops = (
-            self.flights.plan is self._stops
-        )  # who says so in each step would begin anew, and never get there
+        """Come to rest and hover, unless the drone already does."""
+        # Called in each step, it would begin anew each time, and never come to rest.
+        stops = self.flights.plan is self._stops
         if self._reference is not None or (self.remaining() > 0.0 and not stops):
             self._brake()
         self._reference = None
         self._change(Event.HOLD)
 
     def land(self, reason: str = "", grave: bool = False) -> float:
-        """Come to rest, then straight down, inside the fence, and stop the motors; returns the time it will take.
+        """Come to rest, then fly straight down inside the fence, and stop the motors.
 
-        Without a reason it is guidance that wants it: one that is held or returns goes on so, and 0 is returned.
+        reason: empty if guidance wants the landing; a held or returning drone then does not land
+        grave: whether the reason needs attention
+        Returns s until the motors stop, 0 if the drone does not begin to land.
         """
         if (
             self.mode in (*DOWN, LAND)
@@ -658,7 +760,10 @@ class Pilot(Actor):
         return self._descend()
 
     def misjudged(self) -> str:
-        """What is wrong with the thrust that one behind a radio has learnt to need in hover; empty if it is right."""
+        """Return what is wrong with the hover thrust that a drone behind a radio has learnt.
+
+        Returns an empty text if it is right.
+        """
         factor = self.controls.trim.thrust
         if (
             not self._reached
@@ -674,11 +779,14 @@ class Pilot(Actor):
         )
 
     def take_over(self) -> None:
-        """The drone is in the air, and others fly it: land it from where it is first seen, and until then leave it."""
+        """Land a drone that others fly from where it is first seen.
+
+        Until then it gets no commands.
+        """
         self._takes_over = True
 
     def _found(self) -> None:
-        """It is seen where others have flown it."""
+        """Land from where the drone is seen, in the air, where others have flown it."""
         self._takes_over = False
         if self.mode is GROUND:
             self._change(Event.FOUND)
@@ -695,7 +803,10 @@ class Pilot(Actor):
         self._say("cut", reason, grave=True)
 
     def guidance_failed(self, reason: str) -> None:
-        """Guidance is gone: hover, then land, whoever has commanded its flight; on the ground, stay there."""
+        """Hover, then land, because guidance is gone; a drone on the ground stays there.
+
+        This holds for a flight that the operator has commanded too.
+        """
         if not self.airborne:
             self._say(
                 "guidance",
@@ -717,42 +828,51 @@ class Pilot(Actor):
         )
 
     def remaining(self) -> float:
-        """s until the flight that is planned is over; 0 for a landing that may begin anew for ever."""
+        """Return s until the planned flight is over.
+
+        Returns 0 for a landing that may begin anew again and again.
+        """
         if self.mode is LAND and self.unreached:
             return 0.0
         return self.flights.remaining(self.clock.now())
 
     @property
     def airborne(self) -> bool:
-        """Whether its motors may be running."""
+        """Whether the motors may be running."""
         return self.mode not in DOWN
 
     @property
     def obeys(self) -> bool:
-        """Whether it flies where guidance wants: it is in the air, and neither held nor waits for its operator."""
+        """Whether guidance moves the drone: in the air, not held, not waiting for its operator."""
         return self.mode in GUIDED and not (self.held or self.awaits_start)
 
     @property
     def steerable(self) -> bool:
-        """Whether it flies where its operator wants: it is in the air, and guidance is there and waits for him."""
+        """Whether the operator moves the drone: it flies, and guidance is there and waits."""
         return (
             self.mode in (HOVER, FOLLOW)
             and (self.held or self.awaits_start)
             and not self.unguided
         )
 
-    # What its operator commands ---------------------------------------------------------------------------------
+    # What its operator commands -----------------------------------------------------------------
 
     def refuses(self, command: Event) -> str:
-        """Why it cannot do what its operator commands, in this mode; empty if it can."""
+        """Return why the drone cannot do what its operator commands, in this mode.
+
+        Returns an empty text if it can.
+        """
         return refusal(self.mode, command)
 
     def start(self) -> None:
-        """Its mission may fly it."""
+        """Let the mission fly the drone."""
         self.awaits_start = self.commanded = False
 
     def hold(self, on: bool = True) -> None:
-        """Stay where it is, whatever guidance wants, or go on. One that lands cannot be held."""
+        """Keep the drone where it is, whatever guidance wants, or let it go on.
+
+        A landing drone cannot be held.
+        """
         if self.refuses(Event.HOLD if on else Event.GO):
             return
         self.held = on
@@ -763,7 +883,12 @@ class Pilot(Actor):
             self._change(Event.HOME)
 
     def go_home(self, home: Point, level: float) -> None:
-        """Rise to `level` m, fly to above where it took off, else home (3,) m, and land there."""
+        """Rise to `level` m, fly home at that height, and land there.
+
+        home: (3,) m, world: home if the drone has not taken off; else it lands where it took off
+            first
+        level: m, height of the flight
+        """
         if self.refuses(Event.HOME) or self.state is None:
             return
         inside = self.guard.room.nearest(
@@ -779,7 +904,10 @@ class Pilot(Actor):
         self._change(Event.HOME)
 
     def _go_on_home(self, state: State, now: float) -> None:
-        """The next leg of the way home; at its end, or where it does not get on, it lands."""
+        """Begin the next leg of the way home.
+
+        Land at the end of the way, or where the drone makes no progress.
+        """
         way = self._way
         leg = None if way is None else way.leg(state.p)
         if leg is None:
@@ -796,11 +924,13 @@ class Pilot(Actor):
         )
 
     def _change(self, event: Event) -> None:
+        """Change the mode as the table of modes says for this event."""
         self.mode = after(self.mode, event)
 
-    # The chain ------------------------------------------------------------------------------------------------
+    # The chain ----------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> Command | None:
+        """Return the command of this tick; None lets the drone continue as it does."""
         if self._takes_over and state.age <= SEEN:
             self._found()
         mode = self.mode
@@ -862,13 +992,15 @@ class Pilot(Actor):
         return self._follow(state, now)
 
     def _stays_down(self, state: State, now: float) -> bool:
-        """Whether what the cameras take for it stands on the floor while it should be in the air, for some time."""
+        """Return whether the body that the cameras take for the drone fails to rise at a take-off.
+
+        It must stand on the floor for some time while the plan is in the air.
+        """
         plan = self.flights.sample(now)
         flown = self._flown
         floor = self._lift_off - LIFTED
-        kept_down = (
-            self.clearance.aside and flown is not None and flown.a[2] <= 0.0
-        )  # by others, in the last tick
+        # Others kept it down in the last tick.
+        kept_down = self.clearance.aside and flown is not None and flown.a[2] <= 0.0
         low = plan is None or plan.p[2] - floor <= RISING
         if low or kept_down or state.flat[2] >= self._lift_off or not self.turning():
             self._rises_at = now
@@ -877,26 +1009,33 @@ class Pilot(Actor):
         )
 
     def _fallen(self, state: State, now: float) -> bool:
-        """Whether it has come down by itself, and its motors push the floor."""
+        """Return whether the drone has come down by itself and pushes against the floor."""
         up = state.age > SEEN or state.flat[2] > self.limits.ground + ON_THE_FLOOR
         if up or self.mode not in GUIDED or self.mode is TAKEOFF:
             self._up_at = now
         return now - self._up_at > ON_FLOOR
 
     def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
-        """Whether the safety table keeps it inside, or it is where a flight to a place outside had to end."""
+        """Return whether the fence keeps the drone from where guidance wants it.
+
+        Either the safety table keeps it inside, or a flight to a place outside has ended at the
+        fence.
+        """
         if self.mode not in GUIDED or self.held:
             return False
         return verdict.measure == "stop" or (self._beyond and self.flights.done(now))
 
     def _give_up(self, reason: str) -> None:
-        """Land, whatever its mission wants."""
+        """Land, whatever the mission wants."""
         if self.land(reason, grave=True) > 0.0:
             self.brought_down = self.brought_down or reason
 
     @property
     def unreached(self) -> bool:
-        """Whether it may not obey, and flies nevertheless: its planner is on board, and its radio is silent."""
+        """Whether the drone flies on without commands.
+
+        Its planner is on board, and its radio is silent.
+        """
         return (
             self._reached
             and self.controls.sender.kind == "xyz"
@@ -904,7 +1043,10 @@ class Pilot(Actor):
         )
 
     def _land_unheard(self, state: State, now: float) -> Command | None:
-        """Of one that may not hear: its landing begins anew where it is seen, as soon as that leaves it behind."""
+        """Return the command to land for a drone that may not receive it.
+
+        The landing begins anew from where the drone is seen, as soon as the plan leaves it behind.
+        """
         planned = self.flights.sample(now)
         if planned is None or np.linalg.norm(planned.p - state.p) > LEFT_BEHIND:
             start = FullState.at(state.p, state.v, yaw=yaw_of(state.q))
@@ -914,9 +1056,11 @@ class Pilot(Actor):
         return self._commanded(self.controls.tracker, state, planned, now)
 
     def _is_down(self, state: State, now: float) -> bool:
-        """Low enough; or the descent is over and it moves no more, whatever height cameras and floor say.
+        """Return whether the drone has landed.
 
-        A height that is only predicted does not count: it may be wrong by a fall that breaks the drone.
+        It is low enough, or its descent is over and it no longer moves, whatever height cameras and
+        floor suggest. A height that is only predicted does not count: it may be wrong by a fall
+        that breaks the drone.
         """
         seen = state.age <= SEEN
         if self.unreached and seen and state.flat[2] > self.limits.ground + IN_THE_AIR:
@@ -927,23 +1071,22 @@ class Pilot(Actor):
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
+        # Its owner has seen it land, or does not come back.
         if not seen and (self.turning() or self.unheard()):
-            return (
-                not self.turning()
-            )  # its owner has seen it land, or does not come back
+            return not self.turning()
         late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
         over = (
             landing
             and self.flights.done(now, late)
             and now > self.clearance.gave_way + late
         )
+        # A delayed drone waits until it may go down.
         planned = self.clearance.planned
-        over = over and not (
-            planned is not None and planned.delayed
-        )  # it waits until it may go down
+        over = over and not (planned is not None and planned.delayed)
         return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
 
     def _follow(self, state: State, now: float) -> Command | None:
+        """Return the command that flies the reference of guidance, or the plan."""
         chosen = self.controls
         flights = self.flights
         if self.mode is FOLLOW and self._obeyed is NOMINAL:
@@ -986,7 +1129,10 @@ class Pilot(Actor):
         return self._commanded(chosen.tracker, state, self._flown, now)
 
     def _flown_of(self, state: State, planned: FullState, now: float) -> FullState:
-        """What of its plan it flies, among others; one that was pushed aside comes back as the limits allow."""
+        """Return the part of the plan to fly now, adjusted for other drones.
+
+        After an evasion the drone returns to its plan within the limits.
+        """
         clearance = self.clearance
         if clearance.planned is not None:
             lands = self.mode is LAND
@@ -1002,9 +1148,8 @@ class Pilot(Actor):
             )
             self._say_delayed()
             return flown
-        if (
-            not clearance.aside or self._obeyed is Action.BRAKE
-        ):  # at the fence, say: it may not drift
+        # A drone that brakes, for example at the fence, must not drift.
+        if not clearance.aside or self._obeyed is Action.BRAKE:
             return planned
         if clearance.astray(state, planned, now):
             planned = self._come_back(state, planned, now)
@@ -1013,7 +1158,11 @@ class Pilot(Actor):
     def _down_elsewhere(
         self, planner: PlannedFlights, planned: FullState, now: float
     ) -> FullState:
-        """The reference of one that lands: beside others that keep it up; or where it is, if nobody answers."""
+        """Return the reference of a landing drone that the others may keep up.
+
+        It lands beside drones that keep it up for too long, or where it is if no other drone
+        answers.
+        """
         beside = self.clearance.lands_beside(planned.p, now)
         if beside is not None:
             self._say(
@@ -1026,7 +1175,10 @@ class Pilot(Actor):
         return self.flights.sample(now) or planned
 
     def _come_back(self, state: State, planned: FullState, now: float) -> FullState:
-        """The reference for one that was pushed far off its plan; one that lands does so where it is."""
+        """Return the reference of a drone that was pushed far off its plan.
+
+        A landing drone lands where it is.
+        """
         flights = self.flights
         if self.mode is LAND:
             flights.clear()
@@ -1039,6 +1191,7 @@ class Pilot(Actor):
         return wanted
 
     def _say_delayed(self) -> None:
+        """Say which drone this one waits for."""
         other = self.clearance.delayed_by
         if silent := self.clearance.silent:
             self._say("silent", silent)
@@ -1048,6 +1201,10 @@ class Pilot(Actor):
     def _kept_clear(
         self, state: State, reference: Acceleration | FullState, now: float
     ) -> Vec | None:
+        """Return the acceleration, (3,) m/s2, that avoids the others.
+
+        Returns None if nothing is in the way.
+        """
         safe = self.clearance.evasion(
             state, reference, self.reference_limits.gains, now, lands=self.mode is LAND
         )
@@ -1057,9 +1214,10 @@ class Pilot(Actor):
         return safe
 
     def _evade(self, state: State, a: Vec, yaw: float, now: float) -> Command | None:
-        """Fly the acceleration (3,) that the collision filter wants."""
-        assert self.clearance.filter is not None  # noqa: S101 - it has spoken
-        if self._obeyed is NOMINAL:  # else the safety table has said why
+        """Return the command that flies the acceleration a, (3,) m/s2, of the collision filter."""
+        assert self.clearance.filter is not None  # noqa: S101 - the filter has acted
+        # If the safety table acts, it has already given the reason.
+        if self._obeyed is NOMINAL:
             self._say_evades(self.clearance.filter.gives_way_to)
         self.controls.trim.frozen = True
         self._flown = FullState(
@@ -1068,6 +1226,7 @@ class Pilot(Actor):
         return self._commanded(self.controls.tracker, state, self._flown, now)
 
     def _say_evades(self, other: int | None) -> None:
+        """Say which drone this one evades; None if it brakes because others are not heard."""
         if other is None:
             self._say("collision", "braking: who is near is not heard")
         else:
@@ -1084,13 +1243,13 @@ class Pilot(Actor):
         reference: Reference | None,
         now: float,
     ) -> Command | None:
-        """The controller's command; the acceleration that it asks for is told in the next state."""
+        """Return the command of the controller, and keep its acceleration for the next state."""
         command = controller.command(state, reference, now)
         self._a = controller.acceleration
         return command
 
     def _obey(self, verdict: Verdict) -> None:
-        """Do what the safety table says, on its edges."""
+        """Act on a verdict of the safety table when its action changes."""
         if verdict.action is not Action.NOMINAL:
             self._say(
                 f"{verdict.action.name} {verdict.measure}",
@@ -1109,7 +1268,10 @@ class Pilot(Actor):
             self._brake()
 
     def _hand_over(self) -> None:
-        """Its firmware has sensors of its own: it lands by these, soon, for they drift, a little below the floor."""
+        """Let the firmware land the drone by its own sensors.
+
+        The landing is soon, because the sensors drift, and ends a little below the floor.
+        """
         if self._down_at < math.inf or self.state is None:
             return
         depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH
@@ -1123,20 +1285,24 @@ class Pilot(Actor):
         self._tell_owner(self.clock.now())
 
     def _tell_owner(self, now: float) -> None:
-        """It is landed by its firmware: said again and again, as an owner takes who is silent for gone."""
+        """Repeat the command to land by the firmware; the owner takes a silent agent for gone."""
         if self._to_firmware is not None and now >= self._tell_owner_at:
             self._tell_owner_at = now + TELL_OWNER
             self.link.send(self._to_firmware)
 
     def _brake(self) -> None:
+        """Plan to come to rest."""
         self._flown = start = self._departure()
         self.flights.brake(start, self.clock.now())
         self._stops = self.flights.plan
 
     def _descend(self, beside: Vec | None = None) -> float:
-        """Land from where it is, or over `beside`, (3,) m; s until its motors stop.
+        """Land from here, or over `beside`, and return s until the motors stop.
 
-        What it learns meanwhile may be of a floor that it pushes.
+        What the controllers learn meanwhile may come from a floor that the drone pushes against, so
+        the trim of now is kept.
+
+        beside: (3,) m, world: where the drone comes down instead
         """
         if self.mode is not LAND:
             self.controls.trim.keep()
@@ -1152,11 +1318,10 @@ class Pilot(Actor):
         )
 
     def _departure(self) -> FullState:
-        """Where a new plan begins."""
-        assert self.state is not None  # noqa: S101 - callers fly, and who flies has a state
-        if (
-            self._planar or self.clearance.aside
-        ):  # its plan says where to, not where it is
+        """Return the state from which a new plan begins."""
+        assert self.state is not None  # noqa: S101 - callers fly, and a flying drone has a state
+        # Its plan says where it should be, not where it is.
+        if self._planar or self.clearance.aside:
             return FullState.at(self.state.p, self.state.v, yaw=yaw_of(self.state.q))
         planned = self.clearance.planned
         if planned is not None and self._flown is not None:
@@ -1166,6 +1331,7 @@ class Pilot(Actor):
         return self.flights.departure(self.state, self.clock.now())
 
     def _landed(self) -> None:
+        """Enter the mode on the ground, and forget the flight."""
         self._change(Event.DOWN)
         self._down_at = math.inf
         self._to_firmware = None
@@ -1183,9 +1349,9 @@ class Pilot(Actor):
         self.braked = 0
 
     def _say(self, topic: str, text: str, grave: bool = False) -> None:
-        text = text.removeprefix(
-            f"drone {self.drone}: "
-        )  # errors name their drone; the line does so too
+        """Keep a note for the status, and log it, at most now and then."""
+        # Errors name their drone, and so does the log line.
+        text = text.removeprefix(f"drone {self.drone}: ")
         self.note = text
         self.grave = grave
         if self._said.due(self.clock.now(), topic) and self._said.due(

@@ -1,4 +1,4 @@
-"""The flights that a pilot plans itself: to a place, to rest, down; inside the fence and the limits of [flight]."""
+"""The flights that a pilot plans itself: to a place, to rest, down; within fence and limits."""
 
 import numpy as np
 
@@ -17,24 +17,32 @@ from crazychoir.platforms import Platform
 from crazychoir.safety.rules.guard import INSET, Fence
 from crazychoir.types import FullState, State, Vec
 
-DETOUR, PARKING = 2.0, 4.0
-"""A robot that finds its own way to a pose is given so many times what a straight one takes, and s to come to rest."""
-LONGEST_WAIT, IN_VAIN = 60.0, 1.5
-"""s that a plan waits for a drone that others keep off it, and before it begins anew."""
+DETOUR = 2.0
+"""Time for a robot that finds its own way to a pose, as a multiple of a straight drive."""
+PARKING = 4.0
+"""Further seconds that such a robot gets to come to rest."""
+LONGEST_WAIT = 60.0
+"""Longest time in s that a plan waits for a drone that others keep off it."""
+IN_VAIN = 1.5
+"""Seconds that a plan waits before it begins anew."""
 
 
 def braking(limits: Flight, platform: Platform, share: float) -> float:
-    """m/s2, with which a drone comes to rest from any direction; share: of its thrust that goes upwards at most."""
-    lift = (
-        share * platform.max_thrust / platform.mass - GRAVITY
-    )  # with which a fall is stopped
+    """Return the acceleration in m/s2 with which a drone comes to rest from any direction.
+
+    share: largest share of its thrust that acts upwards
+    """
+    # The acceleration that stops a fall.
+    lift = share * platform.max_thrust / platform.mass - GRAVITY
     return min(limits.acceleration_limit, lift)
 
 
 class Flights:
-    """The flight that is planned, if any, and how a new one begins.
+    """The planned flight, if there is one, and the start of new flights.
 
-    fence: where it flies, from the ground up at most;  a_max: m/s2, with which it brakes.
+    limits: [flight]
+    fence: where the drone flies, from the ground up at most
+    a_max: m/s2, with which it brakes
     """
 
     def __init__(self, limits: Flight, fence: Fence, a_max: float) -> None:
@@ -44,26 +52,26 @@ class Flights:
         self.plan: Trajectory | None = None
         self.start = 0.0
         self.waited = 0.0
-        """s that this plan has waited for its drone."""
-        self._resumed = 0.0  # s that it had waited when it was begun anew the last time
+        """Seconds that this plan has waited for its drone."""
+        self._resumed = 0.0  # s that the plan had waited when it last began anew
 
     def clear(self) -> None:
-        """Nothing is planned."""
+        """Remove the plan."""
         self.plan = None
 
     def sample(self, now: float) -> FullState | None:
-        """The reference of the plan."""
+        """Return the set-point of the plan at the time `now` in s; None without a plan."""
         if self.plan is None:
             return None
         t = now - self.start
         return require_setpoint(self.plan.sample(t), t)
 
     def done(self, now: float, late: float = 0.0) -> bool:
-        """Is the plan, if any, over, and has been for `late` s?"""
+        """Return whether the plan has been over for `late` s; False without a plan."""
         return self.plan is not None and self.plan.done(now - self.start - late)
 
     def remaining(self, now: float) -> float:
-        """s until the plan is over."""
+        """Return s until the plan is over; 0 without a plan."""
         return (
             0.0
             if self.plan is None
@@ -71,13 +79,20 @@ class Flights:
         )
 
     def departure(self, state: State, now: float) -> FullState:
-        """Where a new plan begins: on the plan that is flown, else at the state, with the speed it has."""
+        """Return where a new plan begins: on the present plan, else at the state and its speed."""
         return self.sample(now) or FullState.at(state.p, state.v, yaw=yaw_of(state.q))
 
     def go_to(
         self, start: FullState, goal: Vec, yaw: float, duration: float, now: float
     ) -> float:
-        """Fly to rest at goal (3,) m, in `duration` s or as fast as the limits allow; returns the time it takes."""
+        """Fly to rest at a goal, in `duration` s or as fast as the limits allow.
+
+        start: the first set-point
+        goal: (3,) m, world
+        yaw: rad, at the goal
+        duration: s, used if it is longer than the fastest flight
+        Returns s that the flight takes.
+        """
         limits = self.limits
         fastest = duration_for(
             start, goal, yaw, limits.speed_limit, limits.acceleration_limit
@@ -87,7 +102,13 @@ class Flights:
     def drive_to(
         self, start: FullState, goal: Vec, yaw: float, duration: float, now: float
     ) -> float:
-        """Be at a pose, on a way that the robot finds; returns the time that it is given for that."""
+        """Be at a pose, on a path that the robot finds itself; return s that it gets for this.
+
+        start: the first set-point
+        goal: (3,) m, world
+        yaw: rad, at the goal
+        duration: s, used if it is longer than the estimate
+        """
         v_max = self.limits.speed_limit
         a_max = self.limits.acceleration_limit
         fastest = duration_for(
@@ -100,15 +121,18 @@ class Flights:
         )
 
     def brake(self, start: FullState, now: float) -> float:
-        """Come to rest, the shortest way, and inside the fence."""
+        """Come to rest inside the fence by the shortest path; return s that this takes."""
         return self.fly(Legs(*self._stop(start, self.fence)), now)
 
     def descend(
         self, start: FullState, now: float, touchdown: float, beside: Vec | None = None
     ) -> float:
-        """Come to rest, then straight down; returns s until it is at the height `touchdown` m.
+        """Come to rest, then fly straight down.
 
-        beside: (3,) m, where it first flies, to come down there.
+        start: the first set-point
+        touchdown: m, the height at which the drone counts as landed
+        beside: (3,) m, world: fly there before coming down; None to come down from here
+        Returns s until the drone is at the height `touchdown`.
         """
         limits = self.limits
         stop = self._stop(start, self.fence.with_floor(limits.ground - INSET))
@@ -132,7 +156,10 @@ class Flights:
         return landing.reaches(touchdown)
 
     def _stop(self, start: FullState, fence: Fence) -> list[PointToPoint]:
-        """To rest, the shortest way; where that ends outside a fence, from there to the nearest place inside."""
+        """Return the flight to rest by the shortest path.
+
+        If it ends outside the fence, a second flight leads from there to the nearest place inside.
+        """
         stop = stopping(start, self.a_max)
         inside = fence.nearest(stop.goal)
         if np.array_equal(inside, stop.goal):
@@ -144,7 +171,10 @@ class Flights:
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
 
     def wait(self, seconds: float) -> bool:
-        """The plan goes on so much later, or earlier; False if it has waited for LONGEST_WAIT s and is to wait more."""
+        """Shift the plan by `seconds` s, later or earlier.
+
+        Returns False if the plan has waited for LONGEST_WAIT s and is to wait longer.
+        """
         if seconds > 0.0 and self.waited >= LONGEST_WAIT:
             return False
         self.start += seconds
@@ -152,8 +182,12 @@ class Flights:
         return True
 
     def resume(self, start: FullState, now: float) -> bool:
-        """Go on to the place where a flight to one leads, in the time that is left if the limits allow it, from a start
-        off its way; the time that this costs counts as waiting. False as in `wait`, and for other plans.
+        """Continue to the goal of a point-to-point flight from a start off its path.
+
+        The flight takes the time that is left if the limits allow it. A longer time counts as
+        waiting.
+        Returns False as `wait` does, for a plan that has not waited IN_VAIN s since it last began
+        anew, and for other plans.
         """
         plan = self.plan
         left = self.remaining(now)
@@ -171,7 +205,7 @@ class Flights:
         return True
 
     def fly(self, plan: Trajectory, now: float) -> float:
-        """Begin this one; returns the time it takes."""
+        """Begin this plan now; return s that it takes."""
         self.plan = plan
         self.start = now
         self.waited = 0.0

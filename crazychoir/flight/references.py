@@ -1,4 +1,4 @@
-"""References that a pilot is asked to follow: which of them it can fly, and where they will be."""
+"""References that a pilot is to follow: whether it can fly them, and where they will be."""
 
 import math
 from collections.abc import Callable
@@ -13,9 +13,10 @@ Directed = TypeVar("Directed", Acceleration, Velocity)
 
 
 def taken(reference: object) -> Reference | None:
-    """Return a reference with float64 arrays that kernels take and plain numbers; None if it is none, or not finite.
+    """Return the reference with plain numbers and the float64 arrays that kernels take.
 
-    One that is so already is returned itself.
+    A reference with these already is returned itself.
+    Returns None for an object that is no reference, or has numbers that are not finite.
     """
     match reference:
         case Acceleration():
@@ -41,7 +42,12 @@ def taken(reference: object) -> Reference | None:
 def _taken(
     reference: Directed, direction: object, kind: Callable[[Vec, float], Directed]
 ) -> Directed | None:
-    """Return an Acceleration or a Velocity as `taken` does; direction: its (3,)."""
+    """Return an Acceleration or a Velocity as `taken` does.
+
+    reference: an Acceleration or a Velocity
+    direction: its (3,) vector
+    kind: its class
+    """
     vector = as_floats(direction, (3,))
     if vector is None:
         return None
@@ -55,7 +61,7 @@ def _taken(
 
 
 def _number(value: object) -> float:
-    """Return the number as a float, NaN for what is none."""
+    """Return the value as a float, NaN if it is no number."""
     if type(value) is float:
         return value
     found = as_floats(value, ())
@@ -63,7 +69,7 @@ def _number(value: object) -> float:
 
 
 def ahead(reference: FullState, later: float) -> FullState:
-    """Where a reference will be `later` s from now if it goes on as it does."""
+    """Return where a reference will be `later` s from now if its acceleration stays constant."""
     p = reference.p
     v = reference.v
     a = reference.a
@@ -73,7 +79,7 @@ def ahead(reference: FullState, later: float) -> FullState:
 
 
 def unflyable(reference: object) -> str:
-    """Say in words why `taken` returns None: what was found, and what is allowed."""
+    """Return why `taken` returns None: what was found, and what is allowed."""
     match reference:
         case Acceleration():
             parts = {"a": (reference.a, (3,)), "yaw": (reference.yaw, ())}

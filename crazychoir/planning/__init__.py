@@ -1,1 +1,1 @@
-"""From goals to smooth references."""
+"""Planning: from goals to smooth references."""

@@ -1,4 +1,4 @@
-"""Can it be flown? Speed, acceleration, jerk, thrust, tilt and body rates of a trajectory, against limits."""
+"""Feasibility: speed, acceleration, jerk, thrust, tilt and body rates of a trajectory."""
 
 import math
 from collections.abc import Sequence
@@ -12,9 +12,10 @@ from crazychoir.numerics.math3d import GRAVITY, dot, flat_attitude, flat_rates
 from crazychoir.planning.trajectory import Trajectory, setpoints
 from crazychoir.types import Mat, Vec
 
-RATE = 200.0  # Hz, of the instants that are looked at
-LEAST = 200  # instants, of a short trajectory
-TOLERANCE = 1e-3  # of a limit: what lies between the instants
+RATE = 200.0  # Hz, of the checks
+LEAST = 200  # least number of checks
+TOLERANCE = 1e-3
+"""Share of a limit that is left for the times between two checks."""
 DEMANDS = (
     "speed",
     "acceleration",
@@ -26,13 +27,20 @@ DEMANDS = (
     "pitch_rate",
     "body_yaw_rate",
 )
+"""Names of what a trajectory demands; the columns of `demands`."""
 UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
+"""Units of DEMANDS."""
 THRUST = DEMANDS.index("thrust")
+"""Column of the thrust."""
 
 
 @kernel(matrix, table)
 def _demands(references: Mat, out: Mat) -> None:
-    """What each reference (14,) asks for, into a row of out (9,) in the order of DEMANDS; the thrust in N/kg."""
+    """Compute the demands of each reference; the thrust in N/kg.
+
+    references: (n, 14)
+    out: (n, 9): the result, in the order of DEMANDS
+    """
     for k in range(references.shape[0]):
         x = references[k]
         o = out[k]
@@ -50,12 +58,18 @@ def _demands(references: Mat, out: Mat) -> None:
 
 
 def demands(references: Mat, mass: float) -> Mat:
-    """What references (n, 14) ask of a drone of `mass` kg: (n, 9), columns as in DEMANDS.
+    """Return what references demand of a drone.
 
-        f = a + g e3,  thrust = m |f|,  cos tilt = f_z / |f|,  (p, q, r): the rates at which the attitude of f turns
+        f = a + g e3,  thrust = m |f|,  cos tilt = f_z / |f|
+        (p, q, r): the rates at which the attitude of f turns
 
-    m/s, m/s2, m/s3, rad/s, rad, N, then |p|, |q|, |r| rad/s in the body frame; without drag.
-    Infinite rates: free fall, whose attitude is any.  Source: Mellinger & Kumar 2011, ICRA, section III.
+    The drag is not included. Rates are infinite in free fall, where any attitude is possible.
+
+    references: (n, 14)
+    mass: kg
+    Returns (n, 9), columns as in DEMANDS: m/s, m/s2, m/s3, rad/s, rad, N, then |p|, |q|, |r| rad/s
+    in the body frame.
+    Source: Mellinger & Kumar 2011, ICRA, section III.
     """
     out = np.empty((len(references), len(DEMANDS)))
     _demands(np.ascontiguousarray(references), out)
@@ -65,22 +79,32 @@ def demands(references: Mat, mass: float) -> Mat:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a flight may ask for; what is not given is not limited.
+    """Limits of what a flight may demand. Values that are not given are not limited.
 
-    v_max: m/s;  a_max: m/s2;  j_max: m/s3;  yaw_rate_max: rad/s;  tilt_max: rad;  thrust_max: N, of all motors;
-    rate_max: rad/s, body, about x, y, z;  mass: kg, for the thrust;  low, high: m world, the corners of the fence.
+    Raises ConfigError for values that are not positive, a fence with low not below high, or a
+    thrust below the weight.
     """
 
     v_max: float = math.inf
+    """m/s."""
     a_max: float = math.inf
+    """m/s2."""
     j_max: float = math.inf
+    """m/s3."""
     yaw_rate_max: float = math.inf
+    """rad/s."""
     tilt_max: float = math.inf
+    """rad."""
     thrust_max: float = math.inf
+    """N, of all motors."""
     rate_max: Sequence[float] = (math.inf, math.inf, math.inf)
+    """rad/s, body, about x, y, z."""
     mass: float = 1.0
+    """kg, for the thrust."""
     low: Sequence[float] = (-math.inf, -math.inf, -math.inf)
+    """m, world: lower corner of the fence."""
     high: Sequence[float] = (math.inf, math.inf, math.inf)
+    """m, world: upper corner of the fence."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -119,7 +143,10 @@ class Limits:
         return np.array([*scalars, *self.rate_max])
 
     def check_timed(self, where: str) -> None:
-        """Raise a ConfigError unless speed and acceleration are limited: without, nothing says how fast to fly."""
+        """Raise ConfigError unless speed and acceleration are limited.
+
+        Without these limits it is unknown how fast to fly.
+        """
         for name in ("v_max", "a_max"):
             if math.isinf(getattr(self, name)):
                 raise ConfigError(
@@ -129,7 +156,7 @@ class Limits:
                 )
 
     def check_places(self, places: Mat, where: str) -> None:
-        """Raise a ConfigError that names the first of places (n, 3) m outside of the fence."""
+        """Raise ConfigError for the first of places (n, 3) m that is outside of the fence."""
         inside = np.all(
             (places >= np.asarray(self.low) - 1e-9)
             & (places <= np.asarray(self.high) + 1e-9),
@@ -142,23 +169,29 @@ class Limits:
 
 
 def references(trajectory: Trajectory) -> tuple[Vec, Mat]:
-    """Times (n,) and references (n, 14) at which a trajectory is judged: 200 a second, at least 200."""
+    """Return times (n,) and references (n, 14) at which a trajectory is checked.
+
+    They are 200 a second, at least 200.
+    """
     return setpoints(trajectory, max(RATE, LEAST / trajectory.duration))
 
 
 def peaks(trajectory: Trajectory, mass: float = 1.0) -> dict[str, float]:
-    """The largest value of each of DEMANDS on the way, by name; mass: kg."""
+    """Return the largest value of each of DEMANDS, by name.
+
+    mass: kg
+    """
     _, x = references(trajectory)
     return dict(zip(DEMANDS, demands(x, mass).max(axis=0).tolist(), strict=True))
 
 
 def check(trajectory: Trajectory, limits: Limits) -> None:
-    """Raise a ConfigError that says when, where and by how much the trajectory first leaves the limits."""
+    """Raise ConfigError, with when, where and by how much, if the trajectory leaves the limits."""
     check_references(*references(trajectory), limits)
 
 
 def check_references(t: Vec, x: Mat, limits: Limits) -> None:
-    """`check` for references x (n, 14) at the times t (n,) s."""
+    """Apply `check` to references x (n, 14) at the times t (n,) s."""
     if not np.isfinite(x).all():
         k = int(np.argmin(np.isfinite(x).all(axis=1)))
         raise ConfigError(
@@ -186,7 +219,7 @@ def check_references(t: Vec, x: Mat, limits: Limits) -> None:
 
 
 def keeps(trajectory: Trajectory, limits: Limits) -> bool:
-    """Whether the trajectory passes the `check`."""
+    """Return whether the trajectory passes the `check`."""
     try:
         check(trajectory, limits)
     except ConfigError:

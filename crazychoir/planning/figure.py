@@ -12,12 +12,18 @@ from crazychoir.numerics.math3d import Triple
 from crazychoir.types import FullState, Vec
 
 Yaw = float | Literal["along"]
-GIVEN, ALONG = 0.0, 1.0  # kinds of yaw
+GIVEN = 0.0
+"""Kind of yaw: a given angle and rate."""
+ALONG = 1.0
+"""Kind of yaw: along the path."""
 
 
 @kernel()
 def _eased(s: float, w: float, ramp: float) -> tuple[float, float, float, float]:
-    """phi, phi', phi'', phi''' at s, 0 <= s <= ramp: phi' grows from 0 to w along 10 s^3 - 15 s^4 + 6 s^5."""
+    """Return phi, phi', phi'', phi''' at s, 0 <= s <= ramp.
+
+    phi' grows from 0 to w along 10 s^3 - 15 s^4 + 6 s^5.
+    """
     x = s / ramp
     phi = w * ramp * x**4 * (2.5 + x * (-3.0 + x))
     first = w * x**3 * (10.0 + x * (-15.0 + 6.0 * x))
@@ -30,7 +36,7 @@ def _eased(s: float, w: float, ramp: float) -> tuple[float, float, float, float]
 def _phase(
     t: float, w: float, ramp: float, duration: float
 ) -> tuple[float, float, float, float]:
-    """phi and its derivatives at t, 0 <= t <= duration."""
+    """Return phi and its derivatives at t, 0 <= t <= duration."""
     whole = w * (duration - ramp)
     if t < ramp:
         return _eased(t, w, ramp)
@@ -44,7 +50,7 @@ def _phase(
 def _curve(
     phi: float, size: float, n: float, offset: float
 ) -> tuple[float, float, float, float]:
-    """size sin(n phi + offset) and its derivatives by phi."""
+    """Return size sin(n phi + offset) and its derivatives by phi."""
     s = size * math.sin(n * phi + offset)
     c = size * math.cos(n * phi + offset)
     return s, n * c, -n * n * s, -n * n * n * c
@@ -57,14 +63,22 @@ def _heading(
     is_circle: bool,
     phi: float,
 ) -> tuple[float, float]:
-    """Direction of (x', y'), unwrapped, and its derivative by phi; an eight never heads to +y."""
+    """Return the direction of (x', y'), unwrapped, and its derivative by phi.
+
+    An eight never heads to +y.
+    """
     yaw = 0.5 * math.pi + phi if is_circle else math.atan2(x[1], -y[1]) - 0.5 * math.pi
     return yaw, (x[1] * y[2] - y[1] * x[2]) / (x[1] * x[1] + y[1] * y[1])
 
 
 @kernel(vector, real, memory)
 def _sample(g: Vec, t: float, out: Vec) -> None:
-    """The flat output at t into out (14,);  g: see Figure."""
+    """Compute the flat output at t.
+
+    g: (14,), see Figure
+    t: s
+    out: (14,): the result
+    """
     phi, d1, d2, d3 = _phase(t, g[3], g[4], g[5])
     x = _curve(phi, g[6], g[7], g[8])
     y = _curve(phi, g[9], g[10], 0.0)
@@ -87,14 +101,18 @@ def _sample(g: Vec, t: float, out: Vec) -> None:
 
 
 class Figure:
-    """x = A sin(n_x phi + d), y = B sin(n_y phi) about a centre, at constant height, whole laps from rest to rest.
+    """A curve about a centre, at constant height, in whole laps from rest to rest.
 
-        phi' = w S(t / R) at first, then w, at last w S((T - t) / R),  S(s) = 10 s^3 - 15 s^4 + 6 s^5
-        T = 2 pi laps / w + R;  v = q' phi',  a = q'' phi'^2 + q' phi'',  j = q''' phi'^3 + 3 q'' phi' phi'' + q' phi'''
+        x = A sin(n_x phi + d), y = B sin(n_y phi)
+        phi' = w S(t / R) at first, then w, at last w S((T - t) / R)
+        S(s) = 10 s^3 - 15 s^4 + 6 s^5,  T = 2 pi laps / w + R
+        v = q' phi',  a = q'' phi'^2 + q' phi'',  j = q''' phi'^3 + 3 q'' phi' phi'' + q' phi'''
 
-    so that p, v, a and j are continuous, and v, a, j are 0 at both ends. Made by `circle` and `eight`.
-    figures: (14,) = centre (3,) m, w rad/s, R s, T s, A m, n_x, d rad, B m, n_y, then the yaw: kind, at the start rad,
-    its turn a rad of phi.
+    So p, v, a and j are continuous, and v, a, j are 0 at both ends. `circle` and `eight` make
+    figures.
+
+    figures: (14,): centre (3,) m, w rad/s, R s, T s, A m, n_x, d rad, B m, n_y, then the yaw: kind,
+        at the start rad, turn per rad of phi
     """
 
     def __init__(self, figures: Vec) -> None:
@@ -102,13 +120,13 @@ class Figure:
         self.duration = float(figures[5])
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         out = np.empty(14)
         _sample(self._figures, min(max(t, 0.0), self.duration), out)
         return FullState(out)
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         return t >= self.duration
 
 
@@ -121,11 +139,18 @@ def circle(
     yaw: Yaw = 0.0,
     yaw_rate: float = 0.0,
 ) -> Figure:
-    """Counter-clockwise circle: x = r cos phi, y = r sin phi, from (r, 0), at the speed 2 pi r / period.
+    """Return a counter-clockwise circle.
 
-    center: (3,) m;  radius: m;  period: s of a lap at full speed;  laps: at full speed and in the ramps;
-    ramp: s from rest to full speed, half a period without;  yaw: rad at the start, or "along" the path;
-    yaw_rate: rad/s at full speed, where the yaw is not that of the path.
+        x = r cos phi, y = r sin phi, from (r, 0), at the speed 2 pi r / period
+
+    center: (3,) m
+    radius: m, r
+    period: s, of a lap at full speed
+    laps: number of laps at full speed and in the ramps
+    ramp: s from rest to full speed; half a period without
+    yaw: rad at the start, or "along" the path
+    yaw_rate: rad/s at full speed, for a yaw that is not along the path
+    Raises ConfigError for sizes, laps, a ramp or a yaw that do not fit.
     """
     w = _frequency("circle", period, radius=radius)
     return _figure(
@@ -151,9 +176,16 @@ def eight(
     yaw: Yaw = 0.0,
     yaw_rate: float = 0.0,
 ) -> Figure:
-    """Eight: x = A sin phi, y = B sin 2 phi, from its middle, at peak w sqrt(A^2 + 4 B^2) m/s fast.
+    """Return an eight, from its middle.
 
-    center: (3,) m;  a, b: A and B m;  w = 2 pi / period;  the rest as in `circle`.
+        x = A sin phi, y = B sin 2 phi,  peak speed w sqrt(A^2 + 4 B^2) m/s,  w = 2 pi / period
+
+    center: (3,) m
+    a: m, A
+    b: m, B
+    period: s
+    laps, ramp, yaw, yaw_rate: as in `circle`
+    Raises ConfigError as `circle` does.
     """
     w = _frequency("eight", period, a=a, b=b)
     return _figure(
@@ -162,6 +194,7 @@ def eight(
 
 
 def _frequency(name: str, period: float, **sizes: float) -> float:
+    """Return 2 pi / period; raise ConfigError unless period and sizes are positive."""
     for key, value in {"period": period, **sizes}.items():
         if not (math.isfinite(value) and value > 0.0):
             raise ConfigError(f"{name}: {key}", value, "a positive number")
@@ -179,6 +212,7 @@ def _figure(
     yaw: Yaw,
     yaw_rate: float,
 ) -> Figure:
+    """Return the figure; raise ConfigError for laps, a ramp or a yaw that do not fit."""
     if not (math.isfinite(laps) and laps > 0.0):
         raise ConfigError(f"{name}: laps", laps, "a positive number")
     period = 2.0 * math.pi / w

@@ -1,4 +1,4 @@
-"""Goals: up, down, there, and lists of them with their times."""
+"""Flights to goals: up, down, to a place, and to lists of goals with times."""
 
 from dataclasses import replace
 
@@ -13,6 +13,7 @@ from crazychoir.planning.point_to_point import PointToPoint, duration_for, stopp
 from crazychoir.types import FullState, Vec
 
 LIMITS = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
+"""Default limits."""
 
 
 def goto(
@@ -22,9 +23,16 @@ def goto(
     duration: float = 0.0,
     limits: Limits = LIMITS,
 ) -> PointToPoint:
-    """To rest at a goal from any state, in `duration` s, or longer where speed, acceleration and yaw rate need it.
+    """Return the flight from any state to rest at a goal.
 
-    goal: (3,) m world;  yaw: rad, without it the heading stays.  Errors: ConfigError where the flight leaves the fence.
+    It takes `duration` s, or longer if speed, acceleration and yaw rate need it.
+
+    start: the state at the begin
+    goal: (3,) m world
+    yaw: rad, None to keep the heading
+    duration: s
+    limits: speed, acceleration, yaw rate and fence
+    Raises ConfigError if the flight leaves the fence.
     """
     if np.shape(goal) != (3,):
         raise ConfigError("goto: goal", np.asarray(goal).tolist(), "three numbers, m")
@@ -43,7 +51,10 @@ def goto(
 def takeoff(
     start: FullState, height: float, duration: float = 0.0, limits: Limits = LIMITS
 ) -> PointToPoint:
-    """Straight up to rest at z = height m, world, which lies above the start."""
+    """Return the flight straight up to rest at z = height m, world.
+
+    Raises ConfigError unless the height is above the start.
+    """
     if not height > start.p[2]:
         raise ConfigError(
             "takeoff: height",
@@ -56,7 +67,14 @@ def takeoff(
 def land(
     start: FullState, ground: float = 0.0, speed: float = 0.3, limits: Limits = LIMITS
 ) -> Landing:
-    """To rest from any state, then straight down to z = ground m, world, at most `speed` m/s fast."""
+    """Return the flight from any state to rest, then straight down.
+
+    start: the state at the begin
+    ground: m, world: height of the end
+    speed: m/s, largest descent speed
+    limits: speed, acceleration, yaw rate and fence
+    Raises ConfigError unless the ground is below the place at rest.
+    """
     stop = stopping(start, limits.a_max)
     if not ground < stop.goal[2]:
         raise ConfigError(
@@ -75,12 +93,14 @@ def land(
 def timed_goals(
     start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS
 ) -> Piecewise:
-    """From `start` at t = 0 to each goal in turn, at rest there at its time.
+    """Return the flight from `start` at t = 0 to each goal in turn, at rest there at its time.
 
-    goals: (k, 5) rows t s, x, y, z m world, yaw rad; the times increase. A first row at t = 0 is the
-    start's place.
-    Errors: ConfigError naming the row: times that don't increase, what is not finite, a goal outside of the fence,
-    one too far for its time.
+    start: the state at t = 0
+    goals: (k, 5) rows t s, x, y, z m world, yaw rad; the times increase. A first row at t = 0 is
+        the place of the start.
+    limits: of the flight
+    Raises ConfigError, with the row, for times that do not increase, numbers that are not finite, a
+    goal outside of the fence, or a goal too far for its time.
     """
     rows = _checked(goals)
     limits.check_places(rows[:, 1:4], "goals")
@@ -105,6 +125,7 @@ def timed_goals(
 
 
 def _checked(goals: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return the goals as rows; raise ConfigError for wrong ones."""
     rows = np.asarray(goals, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 5 or len(rows) == 0:
         raise ConfigError(
@@ -128,6 +149,7 @@ def _checked(goals: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def _check_start(start: FullState, first: Vec) -> None:
+    """Raise ConfigError if the first goal is not the place of the start."""
     if np.linalg.norm(start.p - first) > 0.05:
         raise ConfigError(
             "goals[0]: at t = 0",

@@ -5,29 +5,32 @@ from crazychoir.planning.point_to_point import PointToPoint
 
 
 class Legs(Piecewise):
-    """One flight after the other, each from where the one before comes to rest."""
+    """Several flights, each from where the one before comes to rest."""
 
     def __init__(self, *legs: PointToPoint) -> None:
         flight = joined(legs)
         last = legs[-1]
         super().__init__(flight.coefficients, flight.durations)
         self.legs = legs
-        self._end[0:12] = last.sample(last.duration).flat[0:12]  # to the last digit
+        self._end[0:12] = last.sample(last.duration).flat[
+            0:12
+        ]  # equal to the last digit
 
     @property
     def last(self) -> PointToPoint:
-        """The leg at whose goal it ends."""
+        """The leg that ends at the goal."""
         return self.legs[-1]
 
 
 class Landing(Legs):
-    """First to rest, then straight down: however fast it flew, it touches the ground where it came to rest.
+    """First to rest, then straight down.
 
-    The last of its legs goes down.
+    However fast the drone flew, it touches the ground where it came to rest. The last leg goes
+    down.
     """
 
     def reaches(self, z: float) -> float:
-        """s after the start at which it is, on its way down, at the height z m; to 1 ms."""
+        """Return s after the start when the descent is at the height z m, to 1 ms."""
         early = self.duration - self.last.duration
         late = self.duration
         while late - early > 1e-3:

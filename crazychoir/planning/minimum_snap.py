@@ -1,4 +1,4 @@
-"""Minimum snap through waypoints."""
+"""Flights of minimum snap through waypoints."""
 
 import math
 
@@ -14,13 +14,15 @@ from crazychoir.planning.spline import checked_places, chord_times, spline
 from crazychoir.types import FullState, Mat, Vec
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact for snap^2, of degree 6
-FASTEST, GROWTH, TRIES = (
-    0.5,
-    1.03,
-    70,
-)  # times the time from rest to rest, where an end moves: up to 3.8
+FASTEST = 0.5
+"""First factor of the time from rest to rest that is tried if an end moves."""
+GROWTH = 1.03
+"""Ratio of successive factors."""
+TRIES = 70
+"""Number of factors that are tried; the last one is 3.8."""
 UNLIMITED = Limits()
 STANDARD = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
+"""Limits of a flight without times."""
 
 
 def minimum_snap(
@@ -31,16 +33,23 @@ def minimum_snap(
     goal: FullState | None = None,
     limits: Limits | None = None,
 ) -> Piecewise:
-    """The flight through the waypoints whose snap is least.
+    """Return the flight of least snap through the waypoints.
 
-        min integral |p''''|^2 dt   subject to   p(t_i) = w_i;  p', p'', p''' at both ends those of start and goal
+        min integral |p''''|^2 dt   subject to   p(t_i) = w_i
+        p', p'', p''' at both ends equal to those of start and goal
 
-    Its minimum is the spline of degree 7 with continuous derivatives up to the 6th (Schoenberg & Reinsch: p^(8) = 0
-    between the knots, and what is free at a knot has no jump in p'''' to p^(6)), found by a banded linear system.
-    waypoints: w (k, 3) m world;  times: t_i (k,) s, increasing; without: shared out by `allocated`, then as long as the
-    limits need;  yaws: (k,) rad, the short way from each to the next, 0 without;  start, goal: at rest without; of them
-    only derivatives are taken;  limits: unlimited with times, v 1 m/s, a 2 m/s2 and 2 rad/s without.
-    Errors: ConfigError where a waypoint is outside of the fence, or where given times break the limits.
+    The minimum is the spline of degree 7 with continuous derivatives up to the 6th (Schoenberg &
+    Reinsch: p^(8) = 0 between the knots, and p'''' to p^(6) have no jump at a knot). It is found by
+        a banded linear system.
+
+    waypoints: w (k, 3) m world
+    times: t_i (k,) s, increasing. Without them, `allocated` shares out the time, and the limits
+        give the duration.
+    yaws: (k,) rad, each the short way from the one before; 0 without
+    start: state at the beginning; only derivatives count; at rest without
+    goal: state at the end; only derivatives count; at rest without
+    limits: by default unlimited with times; v 1 m/s, a 2 m/s2 and 2 rad/s without
+    Raises ConfigError if a waypoint is outside of the fence, or if given times break the limits.
     Source: Mellinger & Kumar 2011, ICRA, section IV.
     """
     w = checked_places(waypoints, "waypoints")
@@ -62,7 +71,13 @@ def _within_limits(
     goal: FullState | None,
     limits: Limits,
 ) -> Piecewise:
-    """The flight in the proportions of the times t (k,), as fast as the limits allow, to 3 % where an end moves."""
+    """Return the flight in the proportions of the times t, as fast as the limits allow.
+
+    If an end moves, the duration is at most 3 % too long.
+
+    t: (k,) s
+    w: (k, 3) m
+    """
     from_rest = spline(t, w, yaws, degree=7)
     k = slowdown(from_rest, limits)
     if start is None and goal is None:
@@ -86,11 +101,12 @@ def _within_limits(
 
 
 def allocated(waypoints: npt.ArrayLike) -> Vec:
-    """Times (k,) s that share one flight out among its waypoints so that its snap is least.
+    """Return times (k,) s that share out one flight among its waypoints for the least snap.
 
         min over T_i > 0 of  integral |p''''|^2 dt   subject to   sum T_i = T
 
-    from T_i as the distances, by quasi-Newton steps in log T_i; T: 1 s a metre, scaled later.
+    The search starts with T_i in proportion to the distances and takes quasi-Newton steps in log
+    T_i. T is 1 s a metre, and scaled later.
     Source: Mellinger & Kumar 2011, ICRA, section IV-C.
     """
     w = checked_places(waypoints, "waypoints")
@@ -115,7 +131,7 @@ def allocated(waypoints: npt.ArrayLike) -> Vec:
 
 
 def snap(flight: Piecewise) -> float:
-    """Integral of |p''''|^2 dt, m^2/s^7, by Gauss's rule, which is exact here."""
+    """Return the integral of |p''''|^2 dt, m^2/s^7, by Gauss's rule, which is exact here."""
     c = flight.coefficients[:, 0:3, 4:]
     durations = flight.durations
     s = 0.5 * durations[:, None] * (NODES + 1.0)

@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files; every complaint names file, line and column."""
+"""Tables of numbers in CSV files; each error names file, line and column."""
 
 import codecs
 import csv
@@ -13,6 +13,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Mat
 
 CSV = "a readable CSV file, UTF-8"
+"""Text for what is allowed."""
 UNITS = (
     "s",
     "m",
@@ -28,6 +29,7 @@ UNITS = (
 )
 """Units that may follow the name of a column; numbers are never converted."""
 ALIASES = {"time": "t"}
+"""Other names of columns."""
 _LINE_END = re.compile(r"\r\n|\r|\n")
 _SEPARATOR_LINE = re.compile(r"\s*\"?sep=([,;\t])\"?\s*\Z")
 _NAME = re.compile(r"([^\[\](){}]*)[\[(]([^\[\](){}]*)[\])]")
@@ -40,20 +42,25 @@ Line = tuple[int, list[str]]
 
 
 class TableError(ConfigError):
-    """A CSV file of numbers is wrong: file, line, column."""
+    """An error in a CSV file of numbers, with file, line and column."""
 
 
 def read_table(
     path: str | Path, required: Sequence[str], optional: Sequence[Sequence[str]] = ()
 ) -> dict[str, Mat]:
-    """Return the columns of a CSV file by name, each (k,), and "line" (k,), where each row stands.
+    """Return the columns of a CSV file by name, each (k,), and "line" (k,): the line of each row.
 
-    The first line names the columns, in any order and in small letters or capitals; `required` ones must be there, of
-    each group of `optional` ones all or none. A name may be followed by its unit, x [m]. Left out are empty lines, an
-    empty last column, and what follows a #; a comment that names the columns is taken for the first line if numbers
-    follow. Columns are separated by commas, semicolons, tabs or blanks, as the names are; decimals may be written with
-    a comma, if columns are not. The text is UTF-8, UTF-16 with a byte-order mark, or Latin-1.
-    Errors: TableError.
+    The first line names the columns, in any order, in small letters or capitals. A name may be
+    followed by its unit, x [m]. Empty lines, an empty last column, and the text after a # are
+    ignored. A comment that names the columns is taken for the first line if numbers follow. Columns
+    are separated by commas, semicolons, tabs or blanks, as the names are. Decimals may have a comma
+    if columns are not separated by commas. The text is UTF-8, UTF-16 with a byte-order mark, or
+    Latin-1.
+
+    path: of the file
+    required: columns that must be there
+    optional: groups of columns; of each group all or none are there
+    Raises TableError for a file that cannot be read so.
     """
     try:
         raw = Path(path).read_bytes()
@@ -69,7 +76,7 @@ def parse_table(
     required: Sequence[str],
     optional: Sequence[Sequence[str]] = (),
 ) -> dict[str, Mat]:
-    """`read_table` of what a file contains; path: what errors call it."""
+    """Apply `read_table` to the contents of a file; `path` is its name in errors."""
     try:
         (first, names), rows = _lines(text.removeprefix("\ufeff"), path, required)
     except csv.Error as error:
@@ -89,7 +96,10 @@ def parse_table(
 
 
 def _decoded(raw: bytes) -> str:
-    """Return the text of a file; Latin-1 if it is nothing else, for comments: numbers and names are ASCII."""
+    """Return the text of a file.
+
+    Latin-1 is taken if nothing else fits, for comments: numbers and names are ASCII.
+    """
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return raw.decode("utf-16")
     try:
@@ -103,7 +113,7 @@ def _decoded(raw: bytes) -> str:
 def _lines(
     text: str, path: str | Path, required: Sequence[str]
 ) -> tuple[Line, list[Line]]:
-    """Return the line of names and those of numbers, cut into cells."""
+    """Return the line of names and the lines of numbers, cut into cells."""
     separator = ""
     comments: list[tuple[int, str]] = []
     head: Line | None = None
@@ -139,7 +149,7 @@ def _lines(
 
 
 def _head_in(comments: list[tuple[int, str]], required: Sequence[str]) -> Line | None:
-    """Return the last comment that names all required columns."""
+    """Return the last comment that names all required columns; None if there is none."""
     for number, comment in reversed(comments):
         names = _cells(comment, _separator(comment))
         if {_name_and_unit(name)[0] for name in names} >= set(required):
@@ -148,7 +158,7 @@ def _head_in(comments: list[tuple[int, str]], required: Sequence[str]) -> Line |
 
 
 def _separator(line: str) -> str:
-    """Return what separates the cells of a line; a blank stands for any number of blanks."""
+    """Return the separator of the cells of a line; a blank stands for any number of blanks."""
     return next((mark for mark in (";", "\t", ",") if mark in line.strip()), " ")
 
 
@@ -160,7 +170,7 @@ def _row_cells(line: str, separator: str, columns: int) -> list[str]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    """Return the cells of a line, without an empty last one."""
+    """Return the cells of a line, without an empty last cell."""
     if separator == " ":
         return line.split()
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
@@ -180,14 +190,14 @@ def _column(path: str | Path, line: int, column: int, written: str) -> str:
 
 
 def _name_and_unit(written: str) -> tuple[str, str]:
-    """Return the parts of x [m]; the unit is empty where there is none."""
+    """Return the parts of x [m]; the unit is empty if there is none."""
     found = _NAME.fullmatch(written.lower().strip())
     name = (found[1] if found else written.lower()).strip()
     return ALIASES.get(name, name), found[2].strip() if found else ""
 
 
 def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None:
-    """Raise a TableError where some decimals have a comma and others a point."""
+    """Raise TableError if some decimals have a comma and others a point."""
     has_point = any("." in cell for _, cells in rows for cell in cells)
     for line, cells in rows if has_point else ():
         for column, (name, cell) in enumerate(zip(head, cells, strict=False), 1):
@@ -199,6 +209,7 @@ def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None
 
 
 def _is_number(cell: str) -> bool:
+    """Return whether a cell is a number."""
     return _NUMBER.match(cell) is not None
 
 
@@ -209,6 +220,7 @@ def _check_head(
     required: Sequence[str],
     optional: Sequence[Sequence[str]],
 ) -> None:
+    """Raise TableError for an unknown, repeated or missing column."""
     known = [*required, *(name for group in optional for name in group)]
     for column, name in enumerate(head, 1):
         if name not in known or head.index(name) != column - 1:
@@ -232,6 +244,7 @@ def _check_head(
 def _numbers(
     path: str | Path, line: int, head: list[str], cells: list[str]
 ) -> list[float]:
+    """Return the numbers of a row."""
     if len(cells) != len(head):
         do = (
             "Separate columns by semicolons if decimals have a comma."
@@ -249,6 +262,7 @@ def _numbers(
 
 
 def _number(path: str | Path, line: int, column: int, name: str, cell: str) -> float:
+    """Return the number in a cell; raise TableError if it is not finite."""
     value = float(cell.replace(",", ".")) if _is_number(cell) else math.nan
     if not math.isfinite(value):
         raise TableError(
@@ -260,7 +274,10 @@ def _number(path: str | Path, line: int, column: int, name: str, cell: str) -> f
 
 
 def check_increasing(path: str | Path, table: dict[str, Mat], name: str) -> None:
-    """Raise a TableError at the first row whose value in the column is not above that of the row before."""
+    """Raise TableError at the first row with a value not above the row before.
+
+    name: of the column
+    """
     steps = np.diff(table[name]) > 0.0
     if not steps.all():
         k = int(np.argmin(steps)) + 1
@@ -273,7 +290,7 @@ def check_increasing(path: str | Path, table: dict[str, Mat], name: str) -> None
 
 
 def write_table(path: str | Path, columns: Sequence[str], rows: Mat) -> None:
-    """The rows (k, n) under their names (n,), each number to its last digit."""
+    """Write rows (k, n) under their names (n,), each number to its last digit."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)

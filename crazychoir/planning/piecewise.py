@@ -1,4 +1,4 @@
-"""Piecewise polynomials of the flat output: what every planned flight is made of."""
+"""Piecewise polynomials of the flat output: all planned flights consist of them."""
 
 import math
 from collections.abc import Sequence
@@ -12,12 +12,20 @@ from crazychoir.numerics.math3d import wrap
 from crazychoir.types import FullState, Mat, Vec
 
 DEGREE = 7
+"""Degree of the polynomials."""
 FACTORIALS = np.array([math.factorial(n) for n in range(DEGREE + 1)], dtype=float)
+"""n! for n = 0 .. DEGREE."""
 
 
 @kernel(matrix, vector, real, memory)
 def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
-    """The flat output at t, from the first knot to the last, into out (14,)."""
+    """Compute the flat output at t.
+
+    coefficients: (4 k, 8)
+    knots: (k + 1,) s
+    t: s, from the first knot to the last
+    out: (14,): the result
+    """
     low = 0
     high = knots.shape[0] - 1
     while high - low > 1:
@@ -30,9 +38,8 @@ def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
     for axis in range(4):
         c = coefficients[4 * low + axis]
         p = v = a = j = 0.0
-        for n in range(
-            7, -1, -1
-        ):  # Horner's scheme of the polynomial and of its Taylor coefficients at s
+        # Horner's scheme of the polynomial and of its Taylor coefficients at s.
+        for n in range(7, -1, -1):
             j = j * s + a
             a = a * s + v
             v = v * s + p
@@ -49,7 +56,12 @@ def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
 
 @kernel(matrix, vector, memory)
 def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
-    """Largest speed, acceleration and yaw rate on the way, at 33 instants of each piece, into out (3,)."""
+    """Compute the largest speed, acceleration and yaw rate, at 33 times of each piece.
+
+    coefficients: (4 k, 8)
+    knots: (k + 1,) s
+    out: (3,): the result
+    """
     at = np.empty(14)
     out[:] = 0.0
     for i in range(knots.shape[0] - 1):
@@ -64,7 +76,13 @@ def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
 
 @kernel(matrix, vector, vector, table)
 def _samples(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
-    """The flat outputs at times t (n,), from the first knot to the last, into out (n, 14)."""
+    """Compute the flat outputs at several times.
+
+    coefficients: (4 k, 8)
+    knots: (k + 1,) s
+    t: (n,) s, from the first knot to the last
+    out: (n, 14): the result
+    """
     for k in range(t.shape[0]):
         _sample(coefficients, knots, t[k], out[k])
 
@@ -74,8 +92,13 @@ class Piecewise:
 
         p(t) = sum_n c_in (t - t_i)^n,  n = 0..7,  t_i <= t < t_i+1,  t_0 = 0,  t_i+1 = t_i + T_i
 
-    coefficients: c (k, 4, 8) of x, y, z m and yaw rad, ascending, per s^n;  durations: T (k,) s, positive.
-    Before its start it holds the first instant; at the end it has the state of the last piece, after that it stands.
+    Before its start it holds the first state. At the end it has the state of the last piece; after
+    that it stands.
+
+    coefficients: c (k, 4, 8) of x, y, z m and yaw rad, ascending, per s^n
+    durations: T (k,) s, positive
+    Raises ConfigError for other shapes, numbers that are not finite, or durations that are not
+    positive.
     """
 
     def __init__(self, coefficients: npt.ArrayLike, durations: npt.ArrayLike) -> None:
@@ -107,7 +130,12 @@ class Piecewise:
         self._fill(rows, knots, end)
 
     def _fill(self, rows: Mat, knots: Vec, end: Vec) -> None:
-        """rows: (4 k, 8), coefficients;  knots: (k + 1,) s;  end: (14,), the state there, exactly."""
+        """Store the pieces.
+
+        rows: (4 k, 8): coefficients
+        knots: (k + 1,) s
+        end: (14,): the exact state at the end
+        """
         self._rows = rows
         self.knots = knots
         self.duration = float(knots[-1])
@@ -124,7 +152,7 @@ class Piecewise:
         return self._rows.reshape(-1, 4, DEGREE + 1)
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         if t >= self.duration:
             return self._at_end(t)
         out = np.empty(14)
@@ -132,6 +160,7 @@ class Piecewise:
         return FullState(out)
 
     def _at_end(self, t: float) -> FullState:
+        """Return the reference at the end, or at rest after it."""
         out = self._end.copy()
         if t > self.duration:
             out[3:12] = 0.0
@@ -139,27 +168,29 @@ class Piecewise:
         return FullState(out)
 
     def samples(self, t: Vec) -> Mat:
-        """The references (n, 14) at times t (n,), 0 <= t <= duration."""
+        """Return the references (n, 14) at times t (n,), 0 <= t <= duration."""
         out = np.empty((len(t), 14))
         _samples(self._rows, self.knots, t, out)
         return out
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         return t >= self.duration
 
     @property
     def peaks(self) -> tuple[float, float, float]:
-        """Largest speed m/s, acceleration m/s2 and yaw rate rad/s on the way."""
+        """Largest speed m/s, acceleration m/s2 and yaw rate rad/s of the flight."""
         out = np.empty(3)
         _peaks(self._rows, self.knots, out)
         return float(out[0]), float(out[1]), float(out[2])
 
     @property
     def jumps(self) -> Mat:
-        """(4, 8): largest jump of each derivative of x, y, z, yaw, from the 0th to the 7th, at the inner knots.
+        """(4, 8): largest jump at inner knots of each derivative of x, y, z, yaw.
 
-        p^(m)(t_i+1 -) = sum_n n! / (n - m)! c_in T_i^(n - m),  p^(m)(t_i+1 +) = m! c_(i+1)m:  exact, not sampled
+            p^(m)(t_i+1 -) = sum_n n! / (n - m)! c_in T_i^(n - m),  p^(m)(t_i+1 +) = m! c_(i+1)m
+
+        The derivatives are those from the 0th to the 7th. The jump is exact, not sampled.
         """
         c = self.coefficients
         jumps = np.zeros((4, DEGREE + 1))
@@ -175,7 +206,7 @@ class Piecewise:
         return jumps
 
     def slowed(self, factor: float) -> "Piecewise":
-        """The same path, `factor` times as long: q(t) = p(t / factor)."""
+        """Return the same path with `factor` times the duration: q(t) = p(t / factor)."""
         return Piecewise(
             self.coefficients / factor ** np.arange(DEGREE + 1.0),
             self.durations * factor,
@@ -183,7 +214,10 @@ class Piecewise:
 
 
 def joined(parts: Sequence[Piecewise]) -> Piecewise:
-    """One after the other, the yaw of each shifted by whole turns to where the one before ends."""
+    """Return the parts one after the other.
+
+    The yaw of each part is shifted by whole turns to where the part before it ends.
+    """
     coefficients = []
     yaw = parts[0].sample(0.0).yaw
     for part in parts:

@@ -10,20 +10,28 @@ from crazychoir.numerics.math3d import wrap
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.types import FullState, Vec
 
-PEAK_SPEED = 35.0 / 16.0  # of a rest-to-rest flight of 1 m in 1 s
-PEAK_ACCELERATION = 84.0 * math.sqrt(5.0) / 25.0  # the same, m/s2
-PEAK_DECELERATION = 15.0 / 8.0  # of a stop from 1 m/s in 1 s, m/s2
+PEAK_SPEED = 35.0 / 16.0  # m/s, of a rest-to-rest flight of 1 m in 1 s
+PEAK_ACCELERATION = (
+    84.0 * math.sqrt(5.0) / 25.0
+)  # m/s2, of a rest-to-rest flight of 1 m in 1 s
+PEAK_DECELERATION = 15.0 / 8.0  # m/s2, of a stop from 1 m/s in 1 s
 STOP = PEAK_DECELERATION / 2.0  # m, of a stop from 1 m/s with 1 m/s2
-SHORTEST = 0.1  # s, of a flight to where one is
+SHORTEST = 0.1  # s, of a flight to the present place
 
 
 class PointToPoint(Polynomial7th):
     """Polynomial of degree 7 from a state of the flat output to rest at a goal.
 
-        p(t) = sum_n c_n t^n,  n = 0..7:  p, v, a, j are the start's at 0 and the goal's, at rest, at T
+        p(t) = sum_n c_n t^n,  n = 0..7
+        p, v, a, j are the start's at 0 and the goal's, at rest, at T
 
-    start: any FullState, so a flight can be replanned under way without a jump down to the jerk's;  goal: (3,) m world;
-    yaw: rad, reached the short way;  duration: T, s.  After T it holds the goal, before 0 the start's first instant.
+    After T it holds the goal, before 0 the first state.
+
+    start: any FullState. So a flight can be replanned while flying, without a jump up to the jerk.
+    goal: (3,) m world
+    yaw: rad, reached the short way
+    duration: T, s
+    Raises ConfigError for a goal that is not three numbers.
     """
 
     def __init__(
@@ -47,10 +55,18 @@ def duration_for(
     a_max: float = 2.0,
     yaw_rate_max: float = 2.0,
 ) -> float:
-    """Shortest flight time in s that keeps speed, acceleration and yaw rate within their limits, to 5 %.
+    """Return the shortest flight time in s within the limits, to 5 %.
 
-    From rest to rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)); under way the first T of a growing row
-    whose flight fits, where a start that is itself too fast counts as its own limit.
+    From rest to rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)), or the time of the
+    turn if this is longer. While flying, it is the first T of a growing series with a flight within
+    the limits; a start that is itself too fast counts as its own limit.
+
+    start: the state at the beginning
+    goal: (3,) m world
+    yaw: rad, at the goal
+    v_max: m/s
+    a_max: m/s2
+    yaw_rate_max: rad/s
     """
     d = float(np.linalg.norm(np.asarray(goal) - start.p))
     turn = abs(wrap(yaw - start.yaw))
@@ -71,12 +87,16 @@ def duration_for(
 
 
 def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
-    """The shortest flight to rest that keeps the acceleration within a_max m/s2, to 5 %, wherever it ends.
+    """Return the shortest flight to rest within a_max m/s2, to 5 %, wherever it ends.
 
         p(T) = p + v T / 2 + a T^2 / 10 + j T^3 / 120
 
-    the end for which c7 = 0: without a and j at the start it slows down and never turns back, T = 15/8 |v| / a_max,
-    in a distance of STOP |v|^2 / a_max. A start that is itself too hard counts as its own limit; the heading stays.
+    At this end c7 = 0. Without a and j at the start the drone slows down and never turns back. It
+    then stops in a distance of STOP |v|^2 / a_max:
+
+        T = 15/8 |v| / a_max
+
+    A start with too much acceleration counts as its own limit. The heading stays.
     """
     p = start.flat[0:3]
     v = start.flat[3:6]
@@ -95,7 +115,10 @@ def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
 
 
 def _shortest(flight: Callable[[float], PointToPoint], limits: Vec) -> PointToPoint:
-    """The first of flights that grow by 5 % each whose peaks (3,) keep the limits (3,), or which misses them least."""
+    """Return the first of flights, each 5 % longer, with peaks (3,) within the limits (3,).
+
+    Returns the flight with the least excess if none is.
+    """
     best = flight(SHORTEST)
     least = math.inf
     for n in range(120):

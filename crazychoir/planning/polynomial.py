@@ -13,9 +13,15 @@ from crazychoir.types import FullState, Vec
 
 @kernel(vector, vector, real, table)
 def _coefficients(start: Vec, goal: Vec, duration: float, out: Vec) -> None:
-    """Coefficients out (4, 8) of x, y, z, yaw in t, ascending, from `start` (14,) to `goal` (14,).
+    """Compute the coefficients of x, y, z, yaw in t, ascending.
 
-    In s = t / T: c0..c3 are the start; c4..c7 close the remaining gaps of p, p', p'', p''' at s = 1.
+    In s = t / T, c0..c3 are the start, and c4..c7 close the remaining gaps of p, p', p'', p'''
+    at s = 1.
+
+    start: (14,)
+    goal: (14,)
+    duration: s, T
+    out: (4, 8): the result
     """
     for axis in range(4):
         c = out[axis]
@@ -60,7 +66,13 @@ class Polynomial7th(Piecewise):
 
         p(t) = sum_n c_n t^n,  n = 0..7:  p, v, a, j are the start's at 0 and the goal's at T
 
-    start, goal: the yaw turns the short way from one to the other, with yaw'' = yaw''' = 0 at both;  duration: T, s.
+    The yaw turns the short way, with yaw'' = yaw''' = 0 at both ends.
+
+    start: the state at 0
+    goal: the state at T
+    duration: T, s
+    Raises ConfigError for states or a duration that are not finite, or a duration that is not
+    positive.
     """
 
     def __init__(self, start: FullState, goal: FullState, duration: float) -> None:
@@ -84,5 +96,5 @@ class Polynomial7th(Piecewise):
 
     @property
     def goal(self) -> Vec:
-        """(3,) m, where it ends."""
+        """(3,) m: the place at the end."""
         return self._end[0:3]

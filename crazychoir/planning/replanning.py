@@ -10,13 +10,21 @@ from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState
 
-GROWTH, TRIES = 1.05, 150  # of the durations that are tried: 0.1 s to 2.5 minutes
+GROWTH = 1.05
+"""Ratio of successive durations that are tried."""
+TRIES = 150
+"""Number of durations that are tried: from 0.1 s to 2.5 minutes."""
 
 
 class Joined:
-    """A way onto a trajectory, then what is left of it, from `at` s after its start; the yaw goes on without a turn.
+    """A path onto a trajectory, then the rest of the trajectory.
 
-    p, v, a and j are continuous where the way ends in the trajectory's state at `at`.
+    p, v, a and j are continuous where the path meets the trajectory. The yaw goes on without a
+    turn.
+
+    way: the path
+    trajectory: the trajectory
+    at: s after its start, where the path meets it
     """
 
     def __init__(self, way: Polynomial7th, trajectory: Trajectory, at: float) -> None:
@@ -29,7 +37,7 @@ class Joined:
         self._turns = end - there - wrap(end - there)
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         if t < self.way.duration:
             return self.way.sample(t)
         flat = self.trajectory.sample(t - self.way.duration + self.at).flat.copy()
@@ -37,7 +45,7 @@ class Joined:
         return FullState(flat)
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         return t >= self.duration
 
 
@@ -48,13 +56,20 @@ def join(
     limits: Limits,
     duration: float | None = None,
 ) -> Joined:
-    """Onto a running trajectory, `now` s after its start: T s later the drone is where it would have been anyhow.
+    """Return the flight onto a running trajectory.
 
-        p(t) = polynomial of degree 7 from `start` to trajectory(now + T), t < T;  trajectory(now + t), t >= T
+        p(t) = polynomial of degree 7 from `start` to trajectory(now + T), t < T
+        trajectory(now + t), t >= T
 
-    start: where the drone is, with its v, a and, where it is known, j;  duration: T s; without it the first of a row
-    that grows by 5 % from 0.1 s with which the way keeps the limits, or exceeds them by no more than its ends do.
-    Errors: ConfigError where no such T is found, or the given one breaks the limits.
+    T s later the drone is where it would have been on the trajectory.
+
+    start: where the drone is, with its v, a and, if known, j
+    trajectory: the trajectory
+    now: s after its start
+    limits: of the path
+    duration: T s. None for the first of a series that grows by 5 % from 0.1 s with which the path
+        keeps the limits, or exceeds them by no more than its ends do.
+    Raises ConfigError if there is no such T, or if the given one breaks the limits.
     """
     durations = (
         [duration]
@@ -79,7 +94,7 @@ def join(
 
 
 def _keeps(way: Polynomial7th, limits: Limits) -> bool:
-    """Whether the way keeps the limits, or what its two ends ask for."""
+    """Return whether the path keeps the limits, or the demands of its two ends."""
     _, x = references(way)
     asked = demands(x, limits.mass)
     allowed = np.maximum(limits.largest, np.maximum(asked[0], asked[-1])) * (

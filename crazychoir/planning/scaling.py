@@ -1,4 +1,4 @@
-"""The same path in another time."""
+"""Changes of the time of a trajectory: slower, within limits, or resumed after a stop."""
 
 import math
 
@@ -11,15 +11,15 @@ from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Mat, Vec
 
-SLOWEST = 1e4  # times as long: what does not keep the limits then never does
-GETS_UP = 2.0  # s in which what was stopped on its way gets its own pace again
-HEADROOM = (
-    1e-3  # of each limit, left for what lies between the instants that were looked at
-)
+SLOWEST = 1e4
+"""Largest factor of the time: a path that breaks the limits then always does."""
+GETS_UP = 2.0  # s, in which a path that was stopped gets its own pace again
+HEADROOM = 1e-3
+"""Share of each limit that is left for the times between two checks."""
 
 
 def _slowed(references: Mat, factor: float) -> Mat:
-    """References (n, 14) of the path that takes `factor` times as long."""
+    """Return the references (n, 14) of the path in `factor` times the time."""
     powers = factor ** -np.array(
         [*[0.0] * 3, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, 0.0, 1.0]
     )
@@ -27,9 +27,11 @@ def _slowed(references: Mat, factor: float) -> Mat:
 
 
 class Slowed:
-    """A trajectory that takes `factor` times as long.
+    """A trajectory in `factor` times the time.
 
-    q(t) = p(t / k),  q' = p' / k,  q'' = p'' / k^2,  q''' = p''' / k^3
+        q(t) = p(t / k),  q' = p' / k,  q'' = p'' / k^2,  q''' = p''' / k^3
+
+    Raises ConfigError for a factor that is not positive.
     """
 
     def __init__(self, trajectory: Trajectory, factor: float) -> None:
@@ -40,20 +42,22 @@ class Slowed:
         self.duration = factor * trajectory.duration
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         return FullState(
             _slowed(self.trajectory.sample(t / self.factor).flat, self.factor)
         )
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         return t >= self.duration
 
 
 def slowdown(trajectory: Trajectory, limits: Limits) -> float:
-    """The smallest k such that the path flown in k times the time keeps the limits; below 1 there is time to spare.
+    """Return the smallest k such that the path in k times the time keeps the limits, to 1e-4.
 
-    To 1e-4.  Errors: ConfigError where it leaves the fence, which no time changes, or where no k to 10 000 is enough.
+    Below 1 there is time to spare.
+    Raises ConfigError if the path leaves the fence, which no time changes, or if no k to 10 000 is
+    enough.
     """
     _, x = references(trajectory)
     limits.check_places(x[:, 0:3], "trajectory: set-point")
@@ -77,7 +81,10 @@ def slowdown(trajectory: Trajectory, limits: Limits) -> float:
 
 
 def _with_headroom(limits: Limits) -> Vec:
-    """(9,) what the instants that are looked at may ask for: of the thrust, the share above the weight counts."""
+    """Return (9,): what the checked times may demand.
+
+    Of the thrust, the headroom is a share of the part above the weight.
+    """
     largest = limits.largest * (1.0 - HEADROOM)
     weight = limits.mass * GRAVITY
     largest[THRUST] = weight + (limits.thrust_max - weight) * (1.0 - HEADROOM)
@@ -85,16 +92,17 @@ def _with_headroom(limits: Limits) -> Vec:
 
 
 def scaled(trajectory: Trajectory, limits: Limits) -> Trajectory:
-    """The trajectory slowed down as little as the limits need; itself where it keeps them.
+    """Return the trajectory, slowed down as little as the limits need; itself if it keeps them.
 
-    One that starts or ends moving, does so more slowly: where that may not be, plan it anew with more time.
+    A trajectory that starts or ends moving then does so more slowly. If that is not allowed, plan
+    it anew with more time.
     """
     k = max(1.0, slowdown(trajectory, limits))
     return trajectory if k == 1.0 else slowed(trajectory, k)
 
 
 def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
-    """The trajectory in `factor` times its time; pieces stay pieces."""
+    """Return the trajectory in `factor` times the time; pieces stay pieces."""
     return (
         trajectory.slowed(factor)
         if isinstance(trajectory, Piecewise)
@@ -103,12 +111,20 @@ def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
 
 
 class Resumed:
-    """What is left of a trajectory from t_0 s on, or a little earlier if that is near its end, entered from rest.
+    """The rest of a trajectory from t_0 s on, entered from rest.
 
-    q(t) = p(tau),  q' = p' tau',  q'' = p'' tau'^2 + p' tau'',  jerk: j tau'^3 + 3 p'' tau' tau'' + p' d tau''/dt
+        q(t) = p(tau),  q' = p' tau',  q'' = p'' tau'^2 + p' tau''
+        jerk: j tau'^3 + 3 p'' tau' tau'' + p' d tau''/dt
+        tau = t_0 + R (u^3 - u^4 / 2),  u = t / R, for t < R
+        tau = t_0 + t - R / 2 from then on
 
-    tau = t_0 + R (u^3 - u^4 / 2),  u = t / R, for t < R, within which it gets the pace of the trajectory; from then on
-    tau = t_0 + t - R / 2.  R = gets_up, s;  with R >= 4 v / a it asks for 1.1 a at most;  v, a: the trajectory's.
+    Within R it gets the pace of the trajectory. With R >= 4 v / a it demands 1.1 a at most; v and a
+    are those of the trajectory. Near the end of the trajectory, t_0 is a little earlier.
+
+    trajectory: the trajectory
+    t_0: s
+    gets_up: s, R
+    Raises ConfigError for a t_0 outside the trajectory.
     """
 
     def __init__(
@@ -125,7 +141,7 @@ class Resumed:
         self.duration = whole - self.t_0 + 0.5 * self._gets_up
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         gets_up = self._gets_up
         u = min(max(t / gets_up, 0.0), 1.0)
         tau = self.t_0 + gets_up * u**3 * (1.0 - 0.5 * u) + max(t - gets_up, 0.0)
@@ -145,5 +161,5 @@ class Resumed:
         )
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         return t >= self.duration

@@ -1,4 +1,4 @@
-"""A place that jumps, as a reference that does not: what an optimisation in flight wants is flown through this."""
+"""A smooth reference towards a place that jumps, for the result of an optimisation in flight."""
 
 import math
 
@@ -7,23 +7,32 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.types import FullState, Mat, Vec
 
-SLOPE, CURVE = 0.4481, 0.3750
-"""Integrals of |h'| and |h''|, h(t) = t^3 e^-t / 6 the answer of the filter to a pulse, w = 1."""
+SLOPE = 0.4481
+"""Integral of |h'|, where h(t) = t^3 e^-t / 6 is the pulse response of the filter for w = 1."""
+CURVE = 0.3750
+"""Integral of |h''| of the same pulse response."""
 QUICKEST = 10.0
-"""1/s, of the filter: beyond, the attitude control does not follow what is left of a jump."""
+"""Largest w in 1/s: with a larger one, the attitude control could not follow the rest of a jump."""
 
 
 class Smoother:
-    """A goal that jumps or moves in steps, flown as a full state whose place, v, a and j are continuous.
+    """Turns a goal that jumps or moves in steps into a full state with continuous p, v, a and j.
 
         |u'| <= v_max towards the goal,   (1/w d/dt + 1)^4 p = u
 
-    A place u runs to the goal at v_max at most, and p follows it through four equal lags. The answer h to a pulse has
-    no sign but plus, so  |v| <= v_max,  |a| <= v_max w int |h'| = 0.448 w v_max,  |j| <= 0.375 w^2 v_max.
-    A goal that moves evenly is followed 4 / w s late; one that stands is reached within 1 % of the way after
-    |way| / v_max + 10.1 / w s.
-    p: (3,) m, at rest at the start;  v_max: m/s;  a_max: m/s2, from which w follows, at most QUICKEST 1/s;
-    period: s, of its steps.
+    A place u runs to the goal at v_max at most, and p follows it through four equal lags. The pulse
+    response h is nowhere negative, so
+
+        |v| <= v_max,  |a| <= v_max w int |h'| = 0.448 w v_max,  |j| <= 0.375 w^2 v_max
+
+    A goal that moves evenly is followed 4 / w s late. A goal that stands is reached within 1 % of
+    the distance after |distance| / v_max + 10.1 / w s.
+
+    p: (3,) m, where the reference starts at rest
+    v_max: m/s
+    a_max: m/s2; it gives w, which is at most QUICKEST 1/s
+    period: s, of the steps
+    Raises ConfigError for a limit or a period that is not positive.
     """
 
     def __init__(self, p: Vec, v_max: float, a_max: float, period: float) -> None:
@@ -40,13 +49,18 @@ class Smoother:
 
     @property
     def lag(self) -> float:
-        """s, by which it is late behind a goal that moves evenly."""
+        """Delay in s behind a goal that moves evenly."""
         return 4.0 / self.w
 
     def step(
         self, goal: Vec, seconds: float | None = None, yaw: float = 0.0
     ) -> FullState:
-        """The reference `seconds` later (a period, if not given; whole periods), with a goal (3,) m meanwhile."""
+        """Return the reference after some time.
+
+        goal: (3,) m, during this time
+        seconds: s, in whole periods; None for one period
+        yaw: rad
+        """
         for _ in range(1 if seconds is None else max(1, round(seconds / self.period))):
             way = np.asarray(goal) - self._u
             far = float(np.linalg.norm(way))
@@ -57,11 +71,15 @@ class Smoother:
 
 
 def transition(w: float, h: float) -> tuple[Mat, Vec]:
-    """x(t + h) = F x(t) + g u of (1/w d/dt + 1)^4 p = u, x = (p, v, a, j), u held.
+    """Return F and g of x(t + h) = F x(t) + g u for (1/w d/dt + 1)^4 p = u, with u held.
 
         F = e^(-w h) sum_k (h (A + w I))^k / k!, k = 0..3,   g = (1, 0, 0, 0) - F (1, 0, 0, 0)
 
-    A is the companion matrix of (s + w)^4, so A + w I is nilpotent, and the sum ends.
+    x = (p, v, a, j). A is the companion matrix of (s + w)^4. So A + w I is nilpotent, and the sum
+    is finite.
+
+    w: 1/s
+    h: s
     """
     a = np.diag(np.ones(3), 1)
     a[3] = [-(w**4), -4.0 * w**3, -6.0 * w**2, -4.0 * w]

@@ -13,8 +13,10 @@ DERIVATIVES = {
     3: 1,
     5: 2,
     7: 3,
-}  # how many of v, a, j a spline of that degree can be given at an end
+}
+"""For each degree, how many of v, a, j can be given at an end."""
 NAMES = ("velocity", "acceleration", "jerk")
+"""Names of these derivatives."""
 
 
 def spline(
@@ -25,14 +27,23 @@ def spline(
     goal: FullState | None = None,
     degree: int = 5,
 ) -> Piecewise:
-    """The spline of `degree` through the places at the times, with the derivatives of `start` and `goal` at its ends.
+    """Return the spline through the places, with the derivatives of `start` and `goal` at its ends.
 
-        p(t_i) = p_i;  degree 3: C2, v at the ends;  5: C4, v and a;  7: C6, v, a and j
+        p(t_i) = p_i
+        degree 3: C2, v at the ends
+        degree 5: C4, v and a
+        degree 7: C6, v, a and j
 
-    times: (k,) s, increasing, the first becomes t = 0;  places: (k, 3) m world;  yaws: (k,) rad, 0 without, each turned
-    to the short way from the one before, along a cubic spline that ends at the yaw rates of start and goal;
-    start, goal: at rest without; of them only derivatives are taken.  Errors: ConfigError.
-    Source: Biagiotti & Melchiorri 2008, Trajectory Planning for Automatic Machines and Robots, chapter 4.
+    times: (k,) s, increasing; the first becomes t = 0
+    places: (k, 3) m world
+    yaws: (k,) rad, 0 without. Each is turned to the short way from the one before, along a cubic
+        spline that ends at the yaw rates of start and goal.
+    start: only derivatives count; at rest without
+    goal: only derivatives count; at rest without
+    degree: 3, 5 or 7
+    Raises ConfigError for another degree, wrong shapes or times, or derivatives without room.
+    Source: Biagiotti & Melchiorri 2008, Trajectory Planning for Automatic Machines and Robots,
+        chapter 4.
     """
     if degree not in DERIVATIVES:
         raise ConfigError("spline: degree", degree, "3, 5 or 7")
@@ -51,6 +62,7 @@ def spline(
 
 
 def _checked(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
+    """Return times from 0 on and places; raise ConfigError for wrong ones."""
     p = checked_places(places, "spline: places")
     t = np.asarray(times, dtype=float)
     if t.shape != (len(p),) or not np.isfinite(t).all():
@@ -68,7 +80,10 @@ def _checked(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
 
 
 def checked_places(places: npt.ArrayLike, where: str) -> Mat:
-    """places as (k, 3) m; ConfigError where there are fewer than two, or where one is no place."""
+    """Return the places as (k, 3) m.
+
+    Raises ConfigError for fewer than two places, or a place that is not three finite numbers.
+    """
     p = np.asarray(places, dtype=float)
     if p.ndim != 2 or p.shape[1] != 3 or len(p) < 2:
         raise ConfigError(
@@ -84,7 +99,7 @@ def checked_places(places: npt.ArrayLike, where: str) -> Mat:
 
 
 def unwrapped(yaws: npt.ArrayLike, k: int) -> Vec:
-    """yaws (k,) rad, each turned to the short way from the one before."""
+    """Return the yaws (k,) rad, each turned to the short way from the one before."""
     psi = np.asarray(yaws, dtype=float)
     if psi.shape != (k,) or not np.isfinite(psi).all():
         raise ConfigError("yaws", psi.tolist(), f"{k} finite numbers, rad, one a place")
@@ -93,7 +108,10 @@ def unwrapped(yaws: npt.ArrayLike, k: int) -> Vec:
 
 
 def _honoured(end: FullState, degree: int) -> list[tuple[int, Vec]]:
-    """The derivatives (order, value (3,)) of an end that the degree has room for."""
+    """Return the derivatives (order, value (3,)) of an end that the degree has room for.
+
+    Raises ConfigError if a further derivative is not 0.
+    """
     given = [end.flat[3 * n : 3 * n + 3] for n in (1, 2, 3)]
     room = DERIVATIVES[degree]
     for name, value in zip(NAMES[room:], given[room:], strict=True):
@@ -112,7 +130,7 @@ def _honoured(end: FullState, degree: int) -> list[tuple[int, Vec]]:
 
 
 def _taylor(curve: BSpline, t: Vec) -> npt.NDArray[np.float64]:
-    """Coefficients (k - 1, 8, ...) at each knot but the last, per s^n."""
+    """Return the coefficients (k - 1, 8, ...) at each knot but the last, per s^n."""
     orders = range(curve.k + 1)
     values = np.array([curve(t[:-1], nu=n) / FACTORIALS[n] for n in orders])
     padding = [(0, DEGREE - curve.k)] + [(0, 0)] * (values.ndim - 1)
@@ -120,7 +138,10 @@ def _taylor(curve: BSpline, t: Vec) -> npt.NDArray[np.float64]:
 
 
 def chord_times(places: Mat) -> Vec:
-    """Times (k,) s of places (k, 3) flown at 1 m/s on straight lines; equal neighbours are refused."""
+    """Return times (k,) s of places (k, 3) at 1 m/s on straight lines.
+
+    Raises ConfigError for two equal places in a row.
+    """
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     if lengths.min() < 1e-6:
         k = int(np.argmin(lengths))

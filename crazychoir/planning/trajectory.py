@@ -1,4 +1,4 @@
-"""What all references over time have in common, and their set-points."""
+"""The interface of all references over time, and their set-points."""
 
 import math
 from typing import Protocol
@@ -9,13 +9,15 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import FullState, Mat, Vec
 
-MOST_SETPOINTS = (
-    1_000_000  # of one trajectory: a rate or a duration beyond that is a mistake
-)
+MOST_SETPOINTS = 1_000_000
+"""Largest number of set-points of one trajectory; a larger rate or duration is a mistake."""
 
 
 class Trajectory(Protocol):
-    """A reference over time, t = 0 at its start; before it stands at its start, after the end at its last place."""
+    """A reference over time, with t = 0 at its start.
+
+    Before, it stands at its start; after the end, at its last place.
+    """
 
     @property
     def duration(self) -> float:
@@ -23,16 +25,21 @@ class Trajectory(Protocol):
         ...
 
     def sample(self, t: float) -> FullState:
-        """The reference t seconds after the start."""
+        """Return the reference t seconds after the start."""
         ...
 
     def done(self, t: float) -> bool:
-        """Is the end reached at t?"""
+        """Return whether the end is reached at t."""
         ...
 
 
 def instants(duration: float, rate: float) -> Vec:
-    """t_k = k / rate from 0 to the duration s, and the duration itself;  rate: Hz."""
+    """Return t_k = k / rate from 0 to the duration, and the duration itself.
+
+    duration: s
+    rate: Hz
+    Raises ConfigError for a rate that is not positive, or too many set-points.
+    """
     if not (math.isfinite(rate) and rate > 0.0):
         raise ConfigError("set-points: rate", rate, "a positive number of hertz")
     if duration * rate > MOST_SETPOINTS:
@@ -47,7 +54,12 @@ def instants(duration: float, rate: float) -> Vec:
 
 
 def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
-    """Times (n,) s, each 1 / rate and the end, and the references (n, 14) then, rows laid out as FullState.flat."""
+    """Return the set-points of a trajectory.
+
+    rate: Hz; the end is a further set-point
+    Returns times (n,) s and references (n, 14), rows as FullState.flat.
+    Raises ConfigError if a sample is not a FullState of 14 numbers, or as `instants`.
+    """
     t = instants(trajectory.duration, rate)
     if isinstance(trajectory, Piecewise):
         return t, trajectory.samples(t)

@@ -1,4 +1,4 @@
-"""Trajectories in CSV files: samples, or polynomial pieces as crazyswarm and uav_trajectories write them."""
+"""Trajectories in CSV files: samples, or the pieces of crazyswarm and uav_trajectories."""
 
 from pathlib import Path
 
@@ -17,23 +17,37 @@ from crazychoir.planning.trajectory import Trajectory, setpoints
 from crazychoir.types import Mat
 
 PLACE = ("t", "x", "y", "z")
+"""Columns of time and place."""
 YAW = ("yaw",)
+"""Column of the yaw."""
 DERIVATIVES = (("vx", "vy", "vz"), ("ax", "ay", "az"), ("jx", "jy", "jz"))
+"""Columns of velocity, acceleration and jerk."""
 YAW_RATE = ("yaw_rate",)
+"""Column of the yaw rate."""
 PIECE = (
     "duration",
     *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)),
 )
+"""Columns of a piece."""
 LARGEST_JUMP = (
     0.01,
     0.1,
-)  # m and rad, m/s and rad/s, between two pieces: more is a mistake, not rounding
+)
+"""Largest jump between two pieces: m and rad, then m/s and rad/s.
+
+A larger jump is a mistake, not rounding.
+"""
 
 
 def write_samples(
     path: str | Path, trajectory: Trajectory, rate: float = 100.0
 ) -> None:
-    """t, x, y, z, yaw, then v, a, j and the yaw rate, `rate` times a second and at the end; s, m, rad."""
+    """Write t, x, y, z, yaw, then v, a, j and the yaw rate; s, m, rad.
+
+    path: of the file
+    trajectory: the trajectory
+    rate: Hz, of the rows; the end is a further row
+    """
     t, x = setpoints(trajectory, rate)
     names = [
         *PLACE,
@@ -47,13 +61,15 @@ def write_samples(
 
 
 def read_samples(path: str | Path) -> Piecewise:
-    """The trajectory through the samples of a CSV file.
+    """Return the trajectory through the samples of a CSV file.
 
-    Columns t s, x, y, z m; then, if given, vx, vy, vz; with these ax, ay, az; with these jx, jy, jz; yaw rad, without
-    which it is 0 all the way; with it yaw_rate.
-    With derivatives, the Hermite polynomials that have all of them at each sample; without, the clamped cubic spline,
-    at rest at both ends. The yaw goes the short way from each row to the next; it is cubic.
-    Errors: TableError naming file, line and column.
+    Columns: t s, x, y, z m. Optional: vx, vy, vz; with these ax, ay, az; with these jx, jy, jz.
+        Optional: yaw rad, 0 without it; with it yaw_rate.
+
+    With derivatives, the Hermite polynomials take all of them at each sample. Without, it is the
+    clamped cubic spline, at rest at both ends. The yaw goes the short way from each row to the
+    next, and is cubic.
+    Raises TableError with file, line and column.
     """
     table = read_table(path, PLACE, [YAW, *DERIVATIVES, YAW_RATE])
     check_increasing(path, table, "t")
@@ -93,7 +109,12 @@ def read_samples(path: str | Path) -> Piecewise:
 
 
 def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
-    """Coefficients (k - 1, n, 8) of the polynomials with these derivatives (k, n) at the times t (k,)."""
+    """Return the coefficients of the polynomials with given derivatives.
+
+    t: (k,) s
+    derivatives: (k, n) each, from the 0th on
+    Returns (k - 1, n, 8).
+    """
     curve = PPoly.from_bernstein_basis(
         BPoly.from_derivatives(t, np.stack(derivatives, axis=1))
     )
@@ -102,7 +123,10 @@ def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
 
 
 def write_pieces(path: str | Path, flight: Piecewise) -> None:
-    """duration, x^0..x^7, y^0..y^7, z^0..z^7, yaw^0..yaw^7, a row a piece; s, m, rad, in time since its start."""
+    """Write one piece a row: duration, x^0..x^7, y^0..y^7, z^0..z^7, yaw^0..yaw^7.
+
+    The units are s, m and rad. The time of a piece begins at its start.
+    """
     k = len(flight.durations)
     write_table(
         path,
@@ -112,10 +136,10 @@ def write_pieces(path: str | Path, flight: Piecewise) -> None:
 
 
 def read_pieces(path: str | Path) -> Piecewise:
-    """The pieces of a CSV file with the columns of `write_pieces`.
+    """Return the pieces of a CSV file with the columns of `write_pieces`.
 
-    Errors: TableError naming file, line and column; also where a piece starts more than 0.01 m or 0.1 m/s (rad, rad/s)
-    from where the one before ends.
+    Raises TableError with file, line and column; also if a piece starts more than 0.01 m or 0.1 m/s
+    (rad, rad/s) from the end of the piece before.
     """
     table = read_table(path, PIECE)
     short = table["duration"] <= 0.0
@@ -134,6 +158,7 @@ def read_pieces(path: str | Path) -> Piecewise:
 
 
 def _check_joints(path: str | Path, flight: Piecewise, lines: Mat) -> None:
+    """Raise TableError at the first piece that does not join the piece before."""
     for k in range(1, len(lines)):
         two = Piecewise(
             flight.coefficients[k - 1 : k + 1], flight.durations[k - 1 : k + 1]

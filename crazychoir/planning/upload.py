@@ -11,31 +11,35 @@ from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import Mat, Vec
 
-MOST_PIECES = 31  # of 132 bytes: 4096 bytes of trajectory memory (Crazyflie firmware)
-INSTANTS = 33  # of each piece at which the fit is judged
-SHORTEST = 0.01  # s: a shorter piece is no fit
+MOST_PIECES = 31
+"""Largest number of pieces of 132 bytes in 4096 bytes of trajectory memory (Crazyflie firmware)."""
+INSTANTS = 33  # number of times of each piece at which the fit is checked
+SHORTEST = 0.01  # s, least length of a piece
 S = np.linspace(0.0, 1.0, INSTANTS)
-FREE = (S**2 * (1.0 - S) ** 2)[:, None] * S[:, None] ** np.arange(
-    4
-)  # what leaves yaw and yaw' at both ends alone
+"""Times of a piece at which the fit is checked, as shares of its length."""
+FREE = (S**2 * (1.0 - S) ** 2)[:, None] * S[:, None] ** np.arange(4)
+"""Polynomials that leave yaw and yaw' at both ends unchanged, at the times S."""
 TO_FREE = np.linalg.pinv(FREE)
+"""Matrix from values at the times S to the factors of FREE."""
 
 
 @dataclass(frozen=True)
 class Upload:
-    """What is written into the trajectory memory.
-
-    pieces: as the drone will evaluate them, rounded to single precision;
-    error: m, the largest distance from the trajectory;  yaw_error: rad, likewise.
-    """
+    """The contents of the trajectory memory."""
 
     pieces: Piecewise
+    """The pieces as the drone evaluates them, rounded to single precision."""
     error: float
+    """m: the largest distance from the trajectory."""
     yaw_error: float
+    """rad: the largest yaw angle from the trajectory."""
 
     @property
     def memory(self) -> bytes:
-        """132 bytes a piece: c0..c7 of x, of y, of z, of yaw, then the duration in s; 33 little-endian floats."""
+        """132 bytes a piece: 33 little-endian floats.
+
+        They are c0..c7 of x, of y, of z, of yaw, then the duration in s.
+        """
         k = len(self.pieces.durations)
         return (
             np.column_stack(
@@ -49,18 +53,23 @@ class Upload:
 def uploaded(
     trajectory: Trajectory, tolerance: float = 0.001, yaw_tolerance: float = 0.01
 ) -> Upload:
-    """The trajectory in at most 31 pieces, no farther from it than `tolerance` m and `yaw_tolerance` rad.
+    """Return the trajectory in at most 31 pieces.
 
-    Pieces of degree 7 are taken as they are. Anything else is cut, from its start on, into the longest pieces that
-    fit: polynomials that have its p, v, a, j, yaw and yaw' at both ends, so that the pieces join as smoothly as it is.
-    Errors: ConfigError where 31 pieces are not enough, with the error that they leave.
+    Pieces of degree 7 are used unchanged. Any other trajectory is cut, from its start on, into the
+    longest pieces that fit: polynomials that have its p, v, a, j, yaw and yaw' at both ends. So the
+    pieces join as smoothly as the trajectory does.
+
+    trajectory: the trajectory
+    tolerance: m, largest distance from it
+    yaw_tolerance: rad, largest yaw angle from it
+    Raises ConfigError if 31 pieces are not enough, with the error that they leave.
     """
     for name, value in (("tolerance", tolerance), ("yaw_tolerance", yaw_tolerance)):
         if not value > 0.0:
             raise ConfigError(f"upload: {name}", value, "a positive number")
     upload = _rounded(trajectory, _pieces(trajectory, tolerance, yaw_tolerance))
     widened = 1.0
-    while upload is None:  # how much would have to be allowed
+    while upload is None:  # how much tolerance would be needed
         widened *= 1.5
         upload = _rounded(
             trajectory,
@@ -77,7 +86,7 @@ def uploaded(
 
 
 def _rounded(trajectory: Trajectory, pieces: Piecewise | None) -> Upload | None:
-    """The pieces in single precision, and what that and the fit cost."""
+    """Return the pieces in single precision, with their errors; None without pieces."""
     if pieces is None:
         return None
     rounded = Piecewise(np.float32(pieces.coefficients), np.float32(pieces.durations))
@@ -85,16 +94,21 @@ def _rounded(trajectory: Trajectory, pieces: Piecewise | None) -> Upload | None:
 
 
 def difference(a: Trajectory, b: Trajectory) -> tuple[float, float]:
-    """Largest distance m and yaw angle rad between two trajectories at the same times, 1000 of them."""
+    """Return the largest distance m and yaw angle rad between two trajectories.
+
+    They are compared at 1000 equal times.
+    """
     times = np.linspace(0.0, min(a.duration, b.duration), 1000)
     return _difference(_references(a, times), _references(b, times))
 
 
 def _references(trajectory: Trajectory, times: Vec) -> Mat:
+    """Return the references of a trajectory at these times."""
     return np.array([trajectory.sample(t).flat for t in times.tolist()])
 
 
 def _difference(x: Mat, y: Mat) -> tuple[float, float]:
+    """Return the largest distance and yaw angle between references."""
     turns = [abs(wrap(angle)) for angle in (x[:, 12] - y[:, 12]).tolist()]
     return float(np.linalg.norm(x[:, 0:3] - y[:, 0:3], axis=1).max()), max(turns)
 
@@ -102,7 +116,10 @@ def _difference(x: Mat, y: Mat) -> tuple[float, float]:
 def _pieces(
     trajectory: Trajectory, tolerance: float, yaw_tolerance: float
 ) -> Piecewise | None:
-    """The trajectory itself where it has few enough pieces, else the longest that fit; None: those are too many."""
+    """Return the trajectory itself if it has few enough pieces, else the longest pieces that fit.
+
+    Returns None if these are too many.
+    """
     if isinstance(trajectory, Piecewise) and len(trajectory.durations) <= MOST_PIECES:
         return trajectory
     pieces: list[Mat] = []
@@ -118,7 +135,10 @@ def _pieces(
 
 
 def _piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
-    """The polynomial from t to `until`; its yaw is fitted in between, and turns as the trajectory does."""
+    """Return the polynomial from t to `until`.
+
+    Its yaw is fitted in between, and turns as the trajectory does.
+    """
     a = trajectory.sample(t)
     b = trajectory.sample(until)
     duration = until - t
@@ -138,7 +158,10 @@ def _piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
 def _longest(
     trajectory: Trajectory, t: float, tolerance: float, yaw_tolerance: float
 ) -> float:
-    """The length s of the longest piece from t on that fits, to 2 %; at least SHORTEST."""
+    """Return the length in s of the longest piece from t on that fits, to 2 %.
+
+    It is at least SHORTEST.
+    """
 
     def fits(length: float) -> bool:
         times = S * length

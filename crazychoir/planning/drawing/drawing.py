@@ -20,30 +20,35 @@ from crazychoir.planning.spline import spline
 from crazychoir.types import FullState, Mat, Vec
 
 STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
-DENSE = 0.002  # m, of the places by which the deviation is measured
+"""Default limits."""
+DENSE = 0.002  # m, between the places by which the deviation is measured
 SHARE = 0.5  # of a_max for the bends, and as much for the changes of speed
 END_WEIGHT = 1e3  # of both ends in the smoothing, against 1 of each point in between
-SLOWEST_PACE, FASTEST_PACE = (
-    3.0,
-    1.0 / 3.0,
-)  # of the mean s/m: how much of a hand's hesitation is flown
+SLOWEST_PACE = 3.0
+"""Largest pace of a drawn step that is flown, as a multiple of the mean pace in s/m."""
+FASTEST_PACE = 1.0 / 3.0
+"""Least pace of a drawn step that is flown, as a multiple of the mean pace in s/m."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pen:
-    """How strokes are flown.
+    """Settings for the flight of strokes.
 
-    height: m, world;  lift: m above it between two strokes;  yaw: rad, or "along" the path;
-    timing: "even": as fast as bends and limits allow; "drawn": slower where the hand was, which needs t;
-    spacing: m between knots;  smoothing: m, standard deviation of the hand.
+    Raises ConfigError for values out of range.
     """
 
     height: float = 1.0
+    """m, world."""
     lift: float = 0.0
+    """Height in m above the drawing between two strokes."""
     yaw: float | Literal["along"] = 0.0
+    """rad, or "along" the path."""
     timing: Literal["even", "drawn"] = "even"
+    """"even": as fast as bends and limits allow. "drawn": slower where the hand was; it needs t."""
     spacing: float = 0.05
+    """m, between knots."""
     smoothing: float = 0.004
+    """m, standard deviation of the hand."""
 
     def __post_init__(self) -> None:
         if self.timing not in ("even", "drawn"):
@@ -65,16 +70,16 @@ class Pen:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing as it will be flown.
-
-    path: from rest to rest;  deviation: m, the largest distance between the flown lines and the drawn ones;
-    speed: m/s, acceleration: m/s2, the largest on the way.
-    """
+    """A drawing as it will be flown."""
 
     path: Piecewise
+    """The flight, from rest to rest."""
     deviation: float
+    """m, the largest distance between the flown and the drawn lines."""
     speed: float
+    """m/s, the largest of the flight."""
     acceleration: float
+    """m/s2, the largest of the flight."""
 
 
 def drawing(
@@ -83,14 +88,18 @@ def drawing(
     limits: Limits = STANDARD,
     longest: float = math.inf,
 ) -> Drawing:
-    """The smooth flight along drawn strokes, each from rest to rest from its first drawn point to its last.
+    """Return the smooth flight along drawn strokes, each from rest to rest, from end to end.
 
-    A stroke is thinned and split where it turns sharply, where the drone stops. The tremor of a part is smoothed out,
-    the part cut into equal lengths, timed, interpolated by a spline of degree 7 and slowed down as the limits need.
-    Strokes are joined by straight flights, at the same height or lifted; one of a single place is a dot, flown to.
-    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
-    the flight; one that takes longer is refused as soon as that is known.
-    Errors: ConfigError.
+    A stroke is thinned, and split at sharp turns, where the drone stops. The tremor of a part is
+    smoothed out. The part is cut into equal lengths, timed, interpolated by a spline of degree 7
+    and slowed down as the limits need. Straight flights join the strokes, at the same height or
+    lifted. A stroke of a single place is a dot: the drone flies to it.
+
+    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world
+    pen: how strokes are flown
+    limits: v_max and a_max finite
+    longest: s, of the flight. A longer flight is refused as soon as its duration is known.
+    Raises ConfigError for strokes that are wrong, or a flight that is too long.
     """
     limits.check_timed("drawing")
     drawn = [
@@ -135,6 +144,7 @@ def drawing(
 
 
 def _check_time(seconds: float, longest: float) -> None:
+    """Raise ConfigError for a flight that is too long."""
     if seconds > longest:
         do = "Draw less at once, with fewer corners, or let it be faster."
         raise ConfigError(
@@ -145,7 +155,15 @@ def _check_time(seconds: float, longest: float) -> None:
 def _line(
     t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float
 ) -> Piecewise:
-    """One part of a stroke from rest to rest, as fast as the limits allow; spent: s, of the parts before it."""
+    """Return one part of a stroke from rest to rest, as fast as the limits allow.
+
+    t: (k,) s, of the drawing
+    xy: (k, 2) m
+    pen: how strokes are flown
+    limits: of the flight
+    spent: s, of the parts before it
+    longest: s, of the flight
+    """
     places, clock = _even(xy, t, pen)
     durations = _durations(places, limits)
     if pen.timing == "drawn":
@@ -158,7 +176,10 @@ def _line(
 
 
 def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
-    """Places (n, 2) on the smoothed line, equally far along it, its ends as drawn, and the drawn times (n,) there."""
+    """Return places (n, 2) at equal distances on the smoothed line, and the drawn times (n,) there.
+
+    The ends are as drawn.
+    """
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
     fine = np.linspace(0.0, u[-1], max(10 * len(u), 100))
     curve = smoothed(xy, u, pen.smoothing, fine)
@@ -176,7 +197,16 @@ def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
 
 
 def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
-    """The cubic smoothing spline through places (k, 2) at parameters u (k,), evaluated: sum (w d / sigma)^2 <= k."""
+    """Return the cubic smoothing spline through places at certain parameters.
+
+        sum (w d / sigma)^2 <= k
+
+    xy: (k, 2) m
+    u: (k,), parameters of the places
+    sigma: m
+    at: (n,), parameters of the result
+    Returns (n, 2).
+    """
     if len(xy) < 4:
         return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])
     w = np.ones(len(xy))
@@ -186,7 +216,10 @@ def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
 
 
 def _durations(places: Mat, limits: Limits) -> Vec:
-    """Times (n - 1,) s between places (n, 2): v^2 <= SHARE a_max / curvature, |v'| <= SHARE a_max, 0 at both ends."""
+    """Return times (n - 1,) s between places (n, 2).
+
+    v^2 <= SHARE a_max / curvature,  |v'| <= SHARE a_max,  v = 0 at both ends
+    """
     d = np.linalg.norm(np.diff(places, axis=0), axis=1)
     v = np.zeros(len(places))
     v[1:-1] = np.minimum(
@@ -203,7 +236,7 @@ def _durations(places: Mat, limits: Limits) -> Vec:
 
 
 def _curvatures(places: Mat) -> Vec:
-    """1/m, of the circles through three places in a row (Menger): 4 area / (a b c)."""
+    """Return 1/m of the circles through three places in a row (Menger): 4 area / (a b c)."""
     a = places[1:-1] - places[:-2]
     b = places[2:] - places[1:-1]
     sides = (
@@ -217,7 +250,10 @@ def _curvatures(places: Mat) -> Vec:
 
 
 def _drawn_pace(clock: Vec) -> Vec:
-    """Share of each step of the drawn times (n,), the mean 1, within a third and three times of it."""
+    """Return the share of each step in the drawn times (n,).
+
+    The mean is 1, and each is within a third and three times of it.
+    """
     steps = np.diff(clock)
     return np.asarray(
         np.clip(steps / max(steps.mean(), 1e-9), FASTEST_PACE, SLOWEST_PACE)
@@ -225,7 +261,10 @@ def _drawn_pace(clock: Vec) -> Vec:
 
 
 def _directions(places: Mat) -> Vec:
-    """rad, of the line at each of places (n, 2): towards the next from the one before."""
+    """Return the direction in rad of the line at each of places (n, 2).
+
+    It points from the place before to the next place.
+    """
     step = np.concatenate(
         [
             places[1:2] - places[0:1],
@@ -237,7 +276,7 @@ def _directions(places: Mat) -> Vec:
 
 
 def _dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
-    """At rest at a place; a yaw along the path stays as it is."""
+    """Return rest at a place; a yaw along the path stays as it is."""
     yaw = pen.yaw if pen.yaw != "along" else here.yaw if here else 0.0
     return FullState.at((xy[0], xy[1], pen.height), yaw=yaw)
 
@@ -245,7 +284,7 @@ def _dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
 def _transfer(
     here: FullState, there: FullState, lift: float, limits: Limits
 ) -> list[Piecewise]:
-    """Straight from rest to rest, above the height of the drawing where it lifts."""
+    """Return straight flights from rest to rest, above the drawing if the pen is lifted."""
     up = np.array([0.0, 0.0, lift])
     if np.allclose(here.flat, there.flat, atol=1e-9):
         return []
@@ -265,7 +304,7 @@ def _transfer(
 
 
 def _deviation(lines: list[Piecewise], drawn: list[Mat]) -> float:
-    """m, the largest distance between the flown and the drawn lines, from each to the other."""
+    """Return the largest distance in m between the flown and the drawn lines, both ways."""
     flown = np.concatenate([references(line)[1][:, 0:2] for line in lines])
     wanted = np.concatenate([_dense(xy) for xy in drawn])
     there, _ = cKDTree(flown).query(wanted)
@@ -274,7 +313,7 @@ def _deviation(lines: list[Piecewise], drawn: list[Mat]) -> float:
 
 
 def _dense(xy: Mat) -> Mat:
-    """Places along the straight lines between places (k, 2), at most DENSE m apart."""
+    """Return places along the straight lines between places (k, 2), at most DENSE m apart."""
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
     at = np.union1d(u, np.linspace(0.0, u[-1], math.ceil(u[-1] / DENSE) + 1))
     return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])

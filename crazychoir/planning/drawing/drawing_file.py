@@ -1,4 +1,4 @@
-"""Drawings in files: strokes as CSV, or what is seen in an SVG picture."""
+"""Drawings in files: strokes as CSV, or the visible lines of an SVG picture."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,23 +11,24 @@ from crazychoir.types import Mat
 
 @dataclass(frozen=True)
 class DrawingFile:
-    """What a file says.
-
-    strokes: (k, 3) rows t s, x, y m of a CSV file, (k, 2) rows x, y m of an SVG picture;  words: remarks on what an
-    SVG picture shows and is not flown.
-    """
+    """The contents of a file."""
 
     strokes: list[Mat]
+    """(k, 3) rows t s, x, y m of a CSV file, or (k, 2) rows x, y m of an SVG picture."""
     words: list[str] = field(default_factory=list)
+    """Remarks on what an SVG picture shows and is not flown."""
 
     @property
     def is_timed(self) -> bool:
-        """Does it say when the hand was where?"""
+        """Whether the file says when the hand was where."""
         return all(stroke.shape[1] == 3 for stroke in self.strokes)
 
 
 def read_drawing(path: str | Path) -> DrawingFile:
-    """Read a file: an SVG picture if its name ends in .svg or .svgz, else CSV. Errors: ConfigError."""
+    """Read a file: an SVG picture if its name ends in .svg or .svgz, else CSV.
+
+    Raises ConfigError for a file that cannot be read.
+    """
     if Path(path).suffix.lower() in (".svg", ".svgz"):
         picture = read_picture(path)
         return DrawingFile(picture.strokes, picture.words)
@@ -35,7 +36,10 @@ def read_drawing(path: str | Path) -> DrawingFile:
 
 
 def parse_drawing(text: str, name: str) -> DrawingFile:
-    """Read a text of a file with this name, which ends in .svg or .csv. Errors: ConfigError."""
+    """Read the text of a file with this name, which ends in .svg or .csv.
+
+    Raises ConfigError for another name, or a text that cannot be read.
+    """
     if name.lower().endswith(".svg"):
         picture = parse_picture(text, name)
         return DrawingFile(picture.strokes, picture.words)

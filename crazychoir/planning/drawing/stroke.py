@@ -1,4 +1,4 @@
-"""Hand-drawn strokes: read, checked, thinned, split at corners."""
+"""Hand-drawn strokes: reading, checking, thinning, and splitting at corners."""
 
 import math
 from collections.abc import Sequence
@@ -13,28 +13,31 @@ from crazychoir.planning.number_table import TableError, parse_table, read_table
 from crazychoir.types import Mat, Vec
 
 COLUMNS = ("stroke", "t", "x", "y")
+"""Columns of a CSV file of strokes."""
 
-THINNING = 0.25  # of the spacing: points that are closer say no more about the shape, only about the hand
-SHARP = math.radians(
-    80.0
-)  # a turn within one spacing that is flown as a stop, not as a bend
+THINNING = 0.25
+"""Share of the spacing: closer points tell nothing about the shape, only about the hand."""
+SHARP = math.radians(80.0)
+"""Turn in rad within one spacing that is flown as a stop, not as a bend."""
 
 
 def read_strokes(path: str | Path) -> list[Mat]:
-    """The strokes of a CSV file, (k, 3) rows t s, x, y m each: columns stroke, t, x, y, the rows of a stroke together.
+    """Return the strokes of a CSV file, each (k, 3) rows t s, x, y m.
 
-    Errors: TableError naming file, line and column; also where a stroke comes back, or t goes back within one.
+    The columns are stroke, t, x, y. The rows of a stroke stand together.
+    Raises TableError with file, line and column; also if a stroke comes back, or t goes back within
+    a stroke.
     """
     return _strokes(read_table(path, COLUMNS), path)
 
 
 def parse_strokes(text: str, path: str) -> list[Mat]:
-    """`read_strokes` of what a file contains; path: what errors call it."""
+    """Apply `read_strokes` to the contents of a file; `path` is its name in errors."""
     return _strokes(parse_table(text, path, COLUMNS), path)
 
 
 def csv_of(strokes: Sequence[Mat]) -> str:
-    """What `parse_strokes` reads: strokes (k, 3) rows t, x, y."""
+    """Return strokes, (k, 3) rows t, x, y, as a text that `parse_strokes` reads."""
     rows = (
         f"{n},{t:.4f},{x:.5f},{y:.5f}"
         for n, stroke in enumerate(strokes)
@@ -44,6 +47,7 @@ def csv_of(strokes: Sequence[Mat]) -> str:
 
 
 def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
+    """Return the strokes of a table; raise TableError for rows out of order."""
     ids = table["stroke"]
     rows = np.column_stack([table["t"], table["x"], table["y"]])
     starts = np.flatnonzero(np.diff(ids, prepend=np.nan))
@@ -68,9 +72,13 @@ def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
 
 
 def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
-    """Times (k,) s (0 without) and places (k, 2) m of a stroke, without the repetitions of a place.
+    """Return times and places of a stroke, without repetitions of a place.
 
-    stroke: (k, 2) rows x, y or (k, 3) rows t, x, y;  Errors: ConfigError, with `where` and the row.
+    stroke: (k, 2) rows x, y or (k, 3) rows t, x, y
+    where: name in errors
+    Returns times (k,) s, 0 without t, and places (k, 2) m.
+    Raises ConfigError, with `where` and the row, for wrong shapes, numbers that are not finite, or
+    times that go back.
     """
     rows = np.asarray(stroke, dtype=float)
     if rows.ndim != 2 or rows.shape[1] not in (2, 3) or len(rows) == 0:
@@ -97,7 +105,14 @@ def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
 
 
 def thinned(xy: Mat, distance: float) -> list[int]:
-    """Indices of the first of places (k, 2), of each that is `distance` m from the one kept before, and of the last."""
+    """Return the indices of the places that are kept of a line.
+
+    They are the first place, each place `distance` m from the kept one before it, and the last
+    place.
+
+    xy: (k, 2) m
+    distance: m
+    """
     kept = [0]
     for i in range(1, len(xy)):
         if math.dist(xy[i], xy[kept[-1]]) >= distance:
@@ -108,7 +123,10 @@ def thinned(xy: Mat, distance: float) -> list[int]:
 
 
 def split(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
-    """Times and places of the thinned stroke, in parts that end, and the next begin, where it turns sharply."""
+    """Return times and places of the thinned stroke, in parts.
+
+    A part ends, and the next one begins, where the stroke turns sharply.
+    """
     kept = thinned(xy, THINNING * spacing)
     cuts = [0, *_corners(xy[kept], spacing), len(kept) - 1]
     parts = [kept[a : b + 1] for a, b in pairwise(cuts)]
@@ -116,7 +134,10 @@ def split(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
 
 
 def _corners(xy: Mat, reach: float) -> list[int]:
-    """Indices where the line turns by SHARP or more between the places `reach` m behind and ahead; the sharpest."""
+    """Return the indices where the line turns by SHARP or more; of neighbours the sharpest.
+
+    The turn is measured between the places `reach` m behind and ahead.
+    """
     turns = np.zeros(len(xy))
     for i in range(1, len(xy) - 1):
         far = np.linalg.norm(xy - xy[i], axis=1) >= reach

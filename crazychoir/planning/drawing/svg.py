@@ -1,16 +1,18 @@
-"""Drawings as SVG files: what is seen of them, as strokes; and strokes as a picture that is read again.
+"""Drawings as SVG files: what is seen of them, as strokes; and strokes as a picture to read again.
 
-An SVG picture's y points down, a floor's up: y is turned round, and units are millimetres unless a scale says else.
-Units are those of the page's viewBox; the width and height of the page change nothing.
+The y axis of an SVG picture points down, that of a floor up: y changes its sign. Units are
+millimetres unless a scale is given. They are the units of the page's viewBox; width and height of
+the page change nothing.
 
-Seen and flown are the outlines of path, rect, circle, ellipse, line, polyline and polygon, with their transforms, also
-in groups, nested svg, and by use. Not seen are what only defines something (defs, symbol, clipPath, marker, pattern,
-mask) and what is hidden (display, visibility, opacity, neither fill nor stroke, no size). What is seen and cannot be
-flown (text, images, what a clip or a mask cuts) is refused by its name.
+Flown are the visible outlines of path, rect, circle, ellipse, line, polyline and polygon, with
+their transforms, also in groups, nested svg, and by use. Not visible are mere definitions (defs,
+symbol, clipPath, marker, pattern, mask) and hidden elements (display, visibility, opacity, neither
+fill nor stroke, no size). A visible element that cannot be flown (text, images, shapes cut by a
+clip or a mask) is refused by its name.
 
-The curves and transforms are those of svgpathtools. Its documents, and those of svgelements, are not used: the first
-ignore display, style sheets, visibility, symbols and use, the second draw markers and symbols twice, and both leave out
-without a word what they cannot read.
+The curves and transforms are those of svgpathtools. Its documents, and those of svgelements, are
+not used. The first ignore display, style sheets, visibility, symbols and use. The second draw
+markers and symbols twice. Both leave out, without a message, what they cannot read.
 """
 
 from collections import Counter
@@ -37,20 +39,19 @@ __all__ = [
 ]
 
 SCALE = 0.001
-"""m a unit of the picture."""
+"""Metres a unit of the picture."""
 WORDS_SHOWN = 5
-"""Remarks that are quoted."""
+"""Largest number of remarks that are quoted."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What is seen in an SVG document.
-
-    strokes: (k, 2) rows x, y m each, in the order of the document;  words: remarks on the rest, the first few.
-    """
+    """The visible lines of an SVG document."""
 
     strokes: list[Mat]
+    """(k, 2) rows x, y m each, in the order of the document."""
     words: list[str]
+    """The first remarks on the rest of the document."""
 
 
 def read_svg(path: str | Path, scale: float = SCALE) -> list[Mat]:
@@ -75,8 +76,10 @@ def parse_svg(text: str | bytes, where: str, scale: float = SCALE) -> list[Mat]:
 def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Picture:
     """Return what is seen in an SVG text.
 
-    where: what errors call the file;  scale: m a unit of the picture.
-    Errors: ConfigError, with `where`, the element, its id and its line; also where nothing is seen.
+    text: the text, or bytes in the encoding that they declare
+    where: name of the file in errors
+    scale: m a unit of the picture
+    Raises ConfigError, with `where`, the element, its id and its line; also if nothing is seen.
     """
     root = read_document(text, where)
     reader = Reader(root, where, scale)
@@ -96,7 +99,7 @@ def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Pictur
 
 
 def _nothing(root: Element, words: list[str]) -> str:
-    """Return what was found in a picture where no line is seen."""
+    """Return what was found in a picture without a visible line."""
     counts = Counter(element.name for element in root.walk() if element.name)
     names = ", ".join(f"{count} {name}" for name, count in counts.items())
     said = f" ({'; '.join(first_of(words))})" if words else ""
@@ -110,7 +113,11 @@ def first_of(words: list[str]) -> list[str]:
 
 
 def svg_of(strokes: Sequence[Mat], scale: float = SCALE) -> str:
-    """A picture of strokes, rows x, y or t, x, y m, that `parse_svg` reads as they are, to 0.01 mm."""
+    """Return a picture of strokes, which `parse_svg` reads to 0.01 mm.
+
+    strokes: rows x, y or t, x, y m
+    scale: m a unit of the picture
+    """
     flat = [stroke[:, -2:] * (1.0 / scale, -1.0 / scale) for stroke in strokes]
     low = np.concatenate(flat).min(axis=0) - 50.0
     high = np.concatenate(flat).max(axis=0) + 50.0

@@ -1,4 +1,4 @@
-"""Outlines of SVG documents outside which nothing is seen."""
+"""Clips of SVG documents: outlines outside which nothing is seen."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,16 +10,15 @@ from crazychoir.types import Mat
 
 @dataclass(frozen=True)
 class Clip:
-    """A convex outline outside which nothing is seen.
-
-    corners: (k, 2), k >= 3, one after the other, in units of the picture;  owner: what errors call it.
-    """
+    """A convex outline outside which nothing is seen."""
 
     corners: Mat
+    """(k, 2), k >= 3, one after the other, in units of the picture."""
     owner: str
+    """Its name in errors."""
 
     def sides_passed(self, places: Mat) -> Mat:
-        """Return for each side (rows) whether each place (columns) is on its inner side or on it."""
+        """Return for each side (rows) whether each place (columns) is inside it or on it."""
         sides = np.roll(self.corners, -1, axis=0) - self.corners
         x = places[None, :, 0] - self.corners[:, None, 0]
         y = places[None, :, 1] - self.corners[:, None, 1]
@@ -32,7 +31,10 @@ class Clip:
 
 
 def corners_of(strokes: Sequence[Mat]) -> Mat | None:
-    """Return the corners of the convex shape that the strokes are the outline of; None for another shape."""
+    """Return the corners of a convex shape with these strokes as its outline.
+
+    Returns None for another shape.
+    """
     if len(strokes) != 1:
         return None
     stroke = strokes[0]
@@ -45,7 +47,7 @@ def corners_of(strokes: Sequence[Mat]) -> Mat | None:
 
 
 def orientation(corners: Mat) -> float:
-    """Return 1 or -1 for corners (k, 2) that turn one way or the other, once around; 0 for another shape."""
+    """Return 1 or -1 for corners (k, 2) that turn one way or the other, once around; else 0."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)
     turns = sides[:, 0] * after[:, 1] - sides[:, 1] * after[:, 0]

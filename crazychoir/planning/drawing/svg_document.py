@@ -26,14 +26,17 @@ class Element:
     name: str
     """Its local name in the namespace of SVG; empty for an element of another namespace."""
     attributes: dict[str, str]
+    """Its attributes by name."""
     line: int
+    """Line of the document where it begins."""
     children: list["Element"] = field(default_factory=list)
+    """The elements directly in it."""
     text: str = ""
     """The text directly in it."""
 
     @property
     def label(self) -> str:
-        """What errors call it."""
+        """Its name in errors."""
         name = (
             f' id="{shortened(self.attributes["id"])}"'
             if self.attributes.get("id")
@@ -56,16 +59,19 @@ def quoted(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """Return a text, or the begin of a long one."""
+    """Return a text, or the beginning of a long one."""
     return text if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
 
 
 def read_document(data: str | bytes, where: str) -> Element:
     """Return the root of an SVG document.
 
-    Nothing is loaded: no DTD, no external entity. Entities of the document itself are short texts without others.
-    data: bytes in the encoding that they declare (UTF-8 without), or a text that is decoded already.
-    Errors: ConfigError, with `where` and the line.
+    Nothing is loaded: no DTD, no external entity. Entities of the document itself are short texts
+    without others.
+
+    data: bytes in the encoding that they declare (UTF-8 without), or a decoded text
+    where: name of the file in errors
+    Raises ConfigError, with `where` and the line.
     """
     raw = (
         data.lstrip("\ufeff \t\r\n").encode("utf-8", "surrogatepass")
@@ -85,7 +91,8 @@ def read_document(data: str | bytes, where: str) -> Element:
 class _Builder:
     """Builds the tree of a document from the events of the parser.
 
-    where: what errors call the file;  encoding: of the bytes; None as they declare.
+    where: name of the file in errors
+    encoding: of the bytes; None for the encoding that they declare
     """
 
     def __init__(self, where: str, encoding: str | None) -> None:
@@ -116,6 +123,7 @@ class _Builder:
         return self._root
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:
+        """Add an element; raise ConfigError for too many or too deep elements."""
         self._count += 1
         if self._count > MOST_ELEMENTS:
             raise ConfigError(
@@ -141,6 +149,7 @@ class _Builder:
         self._open.append(element)
 
     def _check_root(self, name: str, element: Element) -> None:
+        """Raise ConfigError unless the root is an SVG element."""
         if not element.name or element.name == "html":
             found = f"a document of <{shortened(name.rpartition(' ')[2])}>"
             raise ConfigError(
@@ -163,6 +172,7 @@ class _Builder:
         _public: object,
         _notation: object,
     ) -> None:
+        """Raise ConfigError for an entity that is not a short text."""
         if (
             is_parameter
             or value is None
@@ -172,6 +182,7 @@ class _Builder:
             self._refuse_entity(name, is_parameter)
 
     def _check_instruction(self, target: str, said: str) -> None:
+        """Raise ConfigError for a style sheet in another file."""
         if target == "xml-stylesheet":
             line = self._parser.CurrentLineNumber
             found = f"a style sheet in another file, <?{target} {shortened(said)}?> in line {line}"
@@ -183,6 +194,7 @@ class _Builder:
             )
 
     def _refuse_entity(self, name: str, _: object) -> None:
+        """Raise ConfigError for an entity."""
         found = f"entity {quoted(name)} in line {self._parser.CurrentLineNumber}"
         allowed = f"entities that the document declares as texts of at most {LONGEST_ENTITY} characters"
         raise ConfigError(self.where, found, allowed, "Save the drawing as plain SVG.")
@@ -195,6 +207,7 @@ def _local(name: str, namespace: str) -> str:
 
 
 def _local_attributes(attributes: dict[str, str]) -> dict[str, str]:
+    """Return the attributes without a namespace, and the link."""
     own = {name: value for name, value in attributes.items() if " " not in name}
     link = attributes.get(f"{XLINK_NAMESPACE} href")
     return own if link is None else {"href": link} | own

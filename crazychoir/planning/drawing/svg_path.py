@@ -1,4 +1,4 @@
-"""SVG path data as lines of places: every command, written out or minified."""
+"""SVG path data as lines of places: all commands, written out or minified."""
 
 import math
 import re
@@ -11,9 +11,9 @@ from svgpathtools import Arc, CubicBezier, QuadraticBezier
 from crazychoir.planning.drawing.svg_document import shortened
 
 LEAST_LINES = 24
-"""Straight lines a curve, at least."""
+"""Least number of straight lines a curve."""
 MOST_LINES = 10_000
-"""Straight lines a curve, at most."""
+"""Largest number of straight lines a curve."""
 COORDINATES = {
     "M": 2,
     "L": 2,
@@ -26,10 +26,11 @@ COORDINATES = {
     "A": 7,
     "Z": 0,
 }
-"""How many numbers each command takes."""
+"""Number of numbers that each command takes."""
 FLAGS = (3, 4)
-"""Numbers of an arc that are one digit, 0 or 1, after which no separator is needed."""
+"""Positions of the flags of an arc: one digit, 0 or 1, after which no separator is needed."""
 COMMANDS = "path data of M L H V C S Q T A Z and finite numbers"
+"""Text for what is allowed."""
 _TOKEN = re.compile(
     r"(?P<command>[MmLlHhVvCcSsQqTtAaZz])"
     r"|(?P<number>[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
@@ -39,7 +40,9 @@ _TOKEN = re.compile(
 _FLAG = re.compile(r"[01]")
 
 Places = list[tuple[float, float]]
+"""x and y of each place."""
 Command = tuple[str, list[float]]
+"""A command and its numbers."""
 
 
 class PathDataError(ValueError):
@@ -54,8 +57,12 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
     """Return the lines of path data, each from a move to the next.
 
     A curve becomes straight lines that stay within `tolerance` of it.
-    tolerance: units of the data;  most: places.
-    Errors: PathDataError; PathSizeError for more places; ArithmeticError for numbers that are too large.
+
+    d: the path data
+    tolerance: in units of the data
+    most: largest number of places
+    Raises PathDataError for wrong data, PathSizeError for more places, and ArithmeticError for
+    numbers that are too large.
     """
     count = 0
     strokes: list[Places] = []
@@ -93,7 +100,10 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
 
 
 def _commands(d: str) -> Iterator[Command]:
-    """Yield each command with its numbers; a command that goes on with more numbers comes again."""
+    """Yield each command with its numbers.
+
+    A command that is followed by more numbers than it takes is repeated.
+    """
     name = ""
     numbers: list[float] = []
     is_complete = True
@@ -121,6 +131,7 @@ def _commands(d: str) -> Iterator[Command]:
 
 
 def _check_complete(name: str, numbers: list[float], is_complete: bool) -> None:
+    """Raise PathDataError for a command without all its numbers."""
     if numbers or not is_complete:
         raise PathDataError(f"path data that breaks off in {name!r}")
 
@@ -155,6 +166,7 @@ def _tokens(d: str) -> Iterator[tuple[str, str]]:
 def _absolute(
     kind: str, numbers: list[float], here: tuple[float, float]
 ) -> list[float]:
+    """Return the numbers of a relative command as those of an absolute one."""
     match kind:
         case "H":
             return [numbers[0] + here[0]]
@@ -208,7 +220,8 @@ def _drawn(
 def _bezier(points: Places, tolerance: float) -> Places:
     """Return places on a Bezier curve of degree 2 or 3.
 
-    |chord - curve| <= |B''| / (8 n^2),   |B''| <= degree (degree - 1) max |p_k - 2 p_(k+1) + p_(k+2)|
+    |chord - curve| <= |B''| / (8 n^2)
+    |B''| <= degree (degree - 1) max |p_k - 2 p_(k+1) + p_(k+2)|
     """
     corners = [complex(*point) for point in points]
     degree = len(corners) - 1
@@ -219,7 +232,10 @@ def _bezier(points: Places, tolerance: float) -> Places:
 
 
 def _arc(here: tuple[float, float], n: list[float], tolerance: float) -> Places:
-    """Return places on an elliptical arc from `here`: rx, ry, rotation deg, large, sweep, x, y."""
+    """Return places on an elliptical arc from `here`.
+
+    n: rx, ry, rotation deg, large, sweep, x, y
+    """
     radii = (abs(n[0]), abs(n[1]))
     end = (n[5], n[6])
     if here == end:
@@ -239,7 +255,13 @@ def _sampled(
     end: tuple[float, float],
     tol: float,
 ) -> Places:
-    """Return places on the curve after its begin; bend: its largest second derivative."""
+    """Return places on the curve after its beginning.
+
+    curve: the curve
+    bend: its largest second derivative
+    end: its last place
+    tol: largest distance from the curve
+    """
     count = math.sqrt(bend / (8.0 * tol))
     if not count <= MOST_LINES:
         raise OverflowError("a curve of very many lines")

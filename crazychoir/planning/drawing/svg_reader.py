@@ -1,4 +1,4 @@
-"""What is seen in an SVG document: its elements drawn with their transforms, styles, viewports and clips."""
+"""The visible parts of an SVG document, drawn with transforms, styles, viewports and clips."""
 
 import math
 from dataclasses import dataclass, replace
@@ -46,13 +46,15 @@ from crazychoir.planning.drawing.svg_style import (
 from crazychoir.types import Mat
 
 TOLERANCE = 0.002
-"""m between a curve and the straight lines that are flown."""
+"""Distance in m between a curve and the straight lines that are flown."""
 MOST_POINTS = 100_000
+"""Largest number of places of a picture."""
 MOST_VISITS = 50_000
-"""Elements that are drawn, each as often as it is used."""
+"""Largest number of elements that are drawn; each counts as often as it is used."""
 ODD_SCALE = 0.01
-"""Share by which the page's millimetres may differ from those that are flown, without a remark."""
+"""Share by which the page's millimetres may differ from the flown ones without a remark."""
 CONTAINERS = ("g", "a", "svg", "switch", "use")
+"""Elements that hold others."""
 DEFINITIONS = (
     "defs",
     "symbol",
@@ -89,29 +91,36 @@ MOVING = (
 )
 """Elements that change others with time."""
 LIKE_TEXT = ("text", "textPath", "tspan", "tref", "altGlyph")
+"""Elements of text."""
 PICTURES = ("image", "foreignObject", "video", "audio", "iframe", "canvas")
+"""Elements of other content."""
 DRAWN = f"{', '.join(SHAPES)}, alone, in groups, in nested svg and by use"
+"""Text for what is allowed."""
 RELEASE = "Release the clip or mask (Inkscape: Object, Clip, Release), or cut the shape itself."
+"""Advice for clips and masks."""
 UNLINK = "Unlink the clone, or delete it."
+"""Advice for clones."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What an element has from those around it.
-
-    matrix: (3, 3), from its units to those of the picture;  inherited: properties;  viewport: what shares in % are of;
-    clips: outside of which it is not seen;  users: links of the <use> elements that show it;  depth: of elements.
-    """
+    """The surroundings of an element."""
 
     matrix: Mat
+    """(3, 3), from its units to those of the picture."""
     inherited: dict[str, str]
+    """Properties by name."""
     viewport: Size | None
+    """The size that lengths in % refer to; None if unknown."""
     clips: tuple[Clip, ...] = ()
+    """Clips outside which the element is not seen."""
     users: tuple[str, ...] = ()
+    """Links of the <use> elements that show it."""
     depth: int = 0
+    """Number of elements around it."""
 
     def transformed(self, matrix: Mat) -> "Scene":
-        """Return the scene of what has this transform, too."""
+        """Return the scene with a further transform."""
         return replace(self, matrix=self.matrix @ matrix)
 
     def placed(self, places: Mat) -> Mat:
@@ -121,14 +130,18 @@ class Scene:
 
 
 class Reader:
-    """Collects the strokes that are seen, (k, 2) rows in units of the picture, and remarks on the rest.
+    """Collects the visible strokes of a document, and remarks on the rest.
 
-    where: what errors call the document;  scale: m a unit.
+    root: of the document
+    where: name of the document in errors
+    scale: m a unit
     """
 
     def __init__(self, root: Element, where: str, scale: float) -> None:
         self.strokes: list[Mat] = []
+        """The visible strokes, (k, 2) rows in units of the picture."""
         self.words: list[str] = []
+        """Remarks on the rest."""
         self.where = where
         self._root = root
         self._scale = scale
@@ -142,7 +155,11 @@ class Reader:
         self._points = 0
 
     def read(self) -> None:
-        """Draw the whole document. Errors: ConfigError; ArithmeticError for numbers that are too large."""
+        """Draw the whole document.
+
+        Raises ConfigError for what cannot be flown, and ArithmeticError for numbers that are too
+        large.
+        """
         try:
             self._page = page_of(self._root)
             self._note_millimetres()
@@ -155,7 +172,7 @@ class Reader:
         )
 
     def _note_millimetres(self) -> None:
-        """Remark that the page has a size in millimetres and a unit of it is flown with another."""
+        """Remark that a unit of the page in millimetres differs from the unit that is flown."""
         width = self._root.attributes.get("width", "").strip().lower()
         physical = tuple(unit for unit in UNITS if unit not in ("", "px"))
         if (
@@ -172,6 +189,7 @@ class Reader:
             )
 
     def _draw(self, element: Element, scene: Scene) -> None:
+        """Draw an element if it is drawn at all."""
         self._visits += 1
         if self._visits > MOST_VISITS:
             raise self._refusal(
@@ -197,7 +215,12 @@ class Reader:
     def _draw_styled(
         self, element: Element, scene: Scene, given: dict[str, str]
     ) -> None:
-        """Draw an element in its style and with its transform; given: width and height of the <use> that shows it."""
+        """Draw an element in its style and with its transform.
+
+        element: the element
+        scene: around it
+        given: width and height of the <use> that shows it
+        """
         style = self._styles.of(element)
         if reason := hidden_by(style):
             self._leave_out(element, reason)
@@ -234,6 +257,7 @@ class Reader:
             ) from error
 
     def _check_origin(self, element: Element, style: dict[str, str]) -> None:
+        """Raise ConfigError for a transform about another origin."""
         origin = style.get("transform-origin", "0 0")
         is_moved = any(
             part not in ("0", "0px", "0%", "left", "top", *INITIAL_WORDS)
@@ -246,6 +270,7 @@ class Reader:
             )
 
     def _draw_children(self, element: Element, scene: Scene) -> None:
+        """Draw what is in an element; of a <switch> only the first child that it may show."""
         for child in element.children:
             if element.name == "switch" and not _is_chosen(child):
                 continue
@@ -254,7 +279,7 @@ class Reader:
                 return
 
     def _refuse_if_seen(self, element: Element, scene: Scene) -> None:
-        """Raise a ConfigError for a text or an image that is seen."""
+        """Raise ConfigError for a visible text or image."""
         is_text = element.name in LIKE_TEXT
         is_empty = is_text and not any(part.text.strip() for part in element.walk())
         if is_empty or not is_visible(scene.inherited):
@@ -294,6 +319,7 @@ class Reader:
         )
 
     def _draw_use(self, element: Element, scene: Scene) -> None:
+        """Draw the element that a <use> refers to."""
         link = element.attributes.get("href", "").strip()
         if link and not link.startswith("#"):
             raise self._refusal(
@@ -325,6 +351,7 @@ class Reader:
     def _draw_shape(
         self, element: Element, style: dict[str, str], scene: Scene
     ) -> None:
+        """Draw a shape if it is visible."""
         if not is_visible(scene.inherited):
             self._leave_out(element, f"visibility: {scene.inherited['visibility']}")
             return
@@ -363,6 +390,7 @@ class Reader:
         return [self._placed(element, stroke, scene) for stroke in found]
 
     def _placed(self, element: Element, stroke: Places, scene: Scene) -> Mat:
+        """Return a stroke in units of the picture; raise ConfigError if it is not finite."""
         places = np.array(stroke)
         if np.isfinite(places).all():
             places = scene.placed(places)
@@ -373,7 +401,7 @@ class Reader:
     def _is_inside(
         self, element: Element, stroke: Mat, clips: tuple[Clip, ...]
     ) -> bool:
-        """Is a stroke seen? Raise a ConfigError if it may be seen in part."""
+        """Return whether a stroke is seen; raise ConfigError if a part of it may be seen."""
         for clip in clips:
             passed = clip.sides_passed(stroke)
             if passed.all():
@@ -389,7 +417,10 @@ class Reader:
     def _clips_of(
         self, element: Element, style: dict[str, str], scene: Scene
     ) -> tuple[Clip, ...]:
-        """Return the clips of the element itself. Raise a ConfigError for masks, and for clips that are not convex."""
+        """Return the clips of the element itself.
+
+        Raises ConfigError for masks, and for clips that are not convex.
+        """
         if self._referred(style.get("mask", "none")) is not None:
             raise self._refusal(
                 element, f"with mask: {shortened(style['mask'])}", RELEASE
@@ -432,7 +463,10 @@ class Reader:
         return (Clip(corners, clip.label),)
 
     def _referred(self, value: str) -> Element | str | None:
-        """Return the element of url(#id); None for none, or for an id that is not there; another value as it is."""
+        """Return the element of url(#id), or another value as it is.
+
+        Returns None for none, or for an unknown id.
+        """
         if value in ("none", "", "inherit", *INITIAL_WORDS):
             return None
         if value.startswith("url(") and value.endswith(")"):
@@ -453,14 +487,17 @@ class Reader:
             self.words.append(f"{element.label}: flown, though it is beside the page")
 
     def _leave_out(self, element: Element, reason: str) -> None:
+        """Remark that an element is left out, and why."""
         self.words.append(f"{element.label}: left out: {reason}")
 
     def _refusal(
         self, element: Element, found: str, do: str = "", allowed: str = DRAWN
     ) -> ConfigError:
+        """Return the error for an element that cannot be flown."""
         return ConfigError(self.where, f"{element.label} {found}".rstrip(), allowed, do)
 
     def _too_large(self, element: Element) -> ConfigError:
+        """Return the error for too many places."""
         found = f"more than {MOST_POINTS} places up to {element.label}"
         return ConfigError(
             self.where, found, f"at most {MOST_POINTS} places", "Simplify the drawing."
@@ -468,7 +505,7 @@ class Reader:
 
 
 def _is_chosen(child: Element) -> bool:
-    """Does a <switch> show this child, if it is the first that it may show?"""
+    """Return whether a <switch> shows this child if no child before it is shown."""
     asks = ("requiredExtensions", "systemLanguage")
     return bool(child.name) and not any(
         child.attributes.get(name, "").strip() for name in asks
@@ -476,6 +513,9 @@ def _is_chosen(child: Element) -> bool:
 
 
 def _widening(matrix: Mat) -> float:
-    """Return the largest factor by which a transform stretches a length, its largest singular value."""
+    """Return the largest factor by which a transform stretches a length.
+
+    It is the largest singular value.
+    """
     (a, b), (c, d) = matrix[:2, :2].tolist()
     return 0.5 * (math.hypot(a + d, b - c) + math.hypot(a - d, b + c))

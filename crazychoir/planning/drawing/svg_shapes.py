@@ -13,6 +13,7 @@ from crazychoir.types import Mat
 Size = tuple[float, float]
 """Width and height of a viewport, in its own units."""
 SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
+"""Elements that are flown."""
 UNITS = {
     "": 1.0,
     "px": 1.0,
@@ -23,12 +24,14 @@ UNITS = {
     "pt": 4.0 / 3.0,
     "pc": 16.0,
 }
-"""Units of the picture a unit of length, as CSS defines them."""
+"""Units of the picture per unit of length, as CSS defines them."""
 LENGTHS = f"a number, or one with %, {', '.join(filter(None, UNITS))}"
+"""Text for what is allowed."""
 TRANSFORMS = "matrix(a b c d e f), translate(x y), scale(x y), rotate(deg x y), skewX(deg), skewY(deg)"
+"""Text for what is allowed."""
 MILLIMETRE = UNITS["mm"]  # units of the picture
 
-# No expression here can match the same text in two ways: a hostile text costs no more than a good one of its length.
+# No expression matches a text in two ways: a hostile text costs as much as a good one as long.
 _NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _LENGTH = re.compile(rf"\s*({_NUMBER})\s*([a-zA-Z]*|%)\s*\Z", re.ASCII)
 _NUMBER_OR_GAP = re.compile(rf"({_NUMBER})|[\s,]+", re.ASCII)
@@ -49,8 +52,11 @@ def length(
 ) -> float:
     """Return an attribute that is a length, in units of the picture.
 
-    whole: what 100 % is; None where the document does not say it.
-    Errors: ShapeError.
+    element: the element
+    name: of the attribute
+    whole: length of 100 %; None if the document does not say it
+    default: value of a missing attribute
+    Raises ShapeError for a text that is no length.
     """
     text = element.attributes.get(name, default)
     found = _LENGTH.match(text)
@@ -72,7 +78,10 @@ def length(
 
 
 def numbers(text: str, what: str) -> list[float]:
-    """Return a list of numbers, with or without separators. Errors: ShapeError."""
+    """Return a list of numbers, with or without separators.
+
+    Raises ShapeError for another text.
+    """
     found: list[float] = []
     at = 0
     while at < len(text):
@@ -90,7 +99,8 @@ def numbers(text: str, what: str) -> list[float]:
 def transform_of(text: str) -> Mat:
     """Return the matrix (3, 3) of a list of matrix, translate, scale, rotate, skewX and skewY.
 
-    Numbers may stand without separators, as in translate(10-5). Errors: ShapeError.
+    Numbers may stand without separators, as in translate(10-5).
+    Raises ShapeError for another text.
     """
     if text.strip() in ("", "none"):
         return np.eye(3)
@@ -112,8 +122,9 @@ def transform_of(text: str) -> Mat:
 def path_data(element: Element, viewport: Size | None) -> str:
     """Return a shape as path data; empty for a shape without size.
 
-    viewport: what shares in % are of.
-    Errors: ShapeError.
+    element: the shape
+    viewport: the size that lengths in % refer to; None if unknown
+    Raises ShapeError for attributes that cannot be read.
     """
     attributes = element.attributes
     match element.name:
@@ -139,6 +150,7 @@ def path_data(element: Element, viewport: Size | None) -> str:
 
 
 def _rectangle(element: Element, viewport: Size | None) -> str:
+    """Return a rectangle, with round corners if it has radii, as path data."""
     x, y, width, height = (
         length(element, name, _whole(name, viewport))
         for name in ("x", "y", "width", "height")
@@ -179,6 +191,7 @@ def _rectangle(element: Element, viewport: Size | None) -> str:
 
 
 def _ellipse(element: Element, viewport: Size | None) -> str:
+    """Return a circle or an ellipse as path data."""
     cx = length(element, "cx", _whole("x", viewport))
     cy = length(element, "cy", _whole("y", viewport))
     if element.name == "circle":
@@ -207,7 +220,7 @@ def _ellipse(element: Element, viewport: Size | None) -> str:
 
 
 def _radii(element: Element, viewport: Size | None) -> Size:
-    """Return rx and ry; where one is missing, auto or negative, it is the other."""
+    """Return rx and ry; a missing, auto or negative one equals the other."""
     found: list[float | None] = []
     for name in ("rx", "ry"):
         is_auto = element.attributes.get(name, "auto").strip() == "auto"
@@ -220,7 +233,7 @@ def _radii(element: Element, viewport: Size | None) -> Size:
 
 
 def _whole(name: str, viewport: Size | None) -> float | None:
-    """Return what 100 % of an attribute is."""
+    """Return the length of 100 % of an attribute."""
     if viewport is None:
         return None
     if name == "r":
@@ -229,6 +242,7 @@ def _whole(name: str, viewport: Size | None) -> float | None:
 
 
 def _data(*parts: str | list[float]) -> str:
+    """Return commands and numbers as path data."""
     return " ".join(
         part if isinstance(part, str) else " ".join(map(repr, part)) for part in parts
     )
@@ -236,30 +250,31 @@ def _data(*parts: str | list[float]) -> str:
 
 @dataclass(frozen=True)
 class View:
-    """How what is in an <svg> or <symbol> is shown.
-
-    matrix: (3, 3), from its units to those around it;  size: of its viewport in its own units;  window: corners
-    (4, 2) of what is shown, in the units around it. Both are None where the document does not say them.
-    """
+    """The view of the inside of an <svg> or <symbol>."""
 
     matrix: Mat
+    """(3, 3), from its units to those around it."""
     size: Size | None
+    """Size of its viewport in its own units; None if the document does not say it."""
     window: Mat | None
+    """(4, 2): corners of the visible part, in the units around it; None if not said."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """The page of a document, in units of the picture.
-
-    corner: (2,) its upper left corner;  size: width and height.
-    """
+    """The page of a document, in units of the picture."""
 
     corner: tuple[float, float]
+    """(2,): its upper left corner."""
     size: Size
+    """Its width and height."""
 
 
 def page_of(element: Element) -> Page | None:
-    """Return the page of the outermost element: its viewBox, or else its width and height; None without them."""
+    """Return the page of the outermost element: its viewBox, or else its width and height.
+
+    Returns None without them.
+    """
     if box := _view_box(element):
         return Page((box[0], box[1]), (box[2], box[3]))
     if element.name != "svg" or any(
@@ -275,8 +290,10 @@ def page_of(element: Element) -> Page | None:
 def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View | None:
     """Return how the inside of a nested <svg> or a used <symbol> is shown; None if it has no size.
 
-    outer: the viewport around it;  given: width and height of the <use>, which come before its own.
-    Errors: ShapeError.
+    element: the element
+    outer: the viewport around it
+    given: width and height of the <use>, which replace its own
+    Raises ShapeError for attributes that cannot be read.
     """
     asked = Element(element.name, element.attributes | given, element.line)
     x = length(asked, "x", _whole("x", outer))
@@ -308,6 +325,7 @@ def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View
 
 
 def _view_box(element: Element) -> list[float] | None:
+    """Return the viewBox of an element; None without one."""
     text = element.attributes.get("viewBox", "").strip()
     if not text or text == "none":
         return None
@@ -338,6 +356,7 @@ def _fit(text: str, box: list[float], size: Size) -> Mat:
 
 
 def _moved(x: float, y: float) -> Mat:
+    """Return the matrix of a translation."""
     matrix = np.eye(3)
     matrix[:2, 2] = (x, y)
     return matrix

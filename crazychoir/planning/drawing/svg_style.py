@@ -1,4 +1,4 @@
-"""Styles of SVG elements: what attributes, `style` and style sheets say of what is seen."""
+"""Styles of SVG elements: attributes, `style` and style sheets decide what is seen."""
 
 import re
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.svg_document import Element, quoted, shortened
 
 INITIAL_WORDS = ("initial", "unset", "revert", "revert-layer")
+"""Values that reset a property."""
 FOLLOWED_PROPERTIES = (
     "display",
     "visibility",
@@ -29,8 +30,9 @@ FOLLOWED_PROPERTIES = (
 )
 """Properties that decide what is seen and where; each may be an attribute, too."""
 EVERYTHING = ""
-"""Stands for elements of each name."""
+"""Stands for elements of any name."""
 BOXES = ("rect", "svg", "symbol", "use", "image", "foreignObject")
+"""Elements with a place and a size."""
 GEOMETRY_PROPERTIES = {
     **dict.fromkeys(
         ("transform", "translate", "rotate", "scale", "offset-path"), (EVERYTHING,)
@@ -41,7 +43,10 @@ GEOMETRY_PROPERTIES = {
     "r": ("circle",),
     "d": ("path",),
 }
-"""Properties of CSS that would move or reshape these elements; they are refused: attributes say the same."""
+"""Properties of CSS that would move or reshape these elements.
+
+They are refused, because attributes can say the same.
+"""
 INHERITED_PROPERTIES = (
     "visibility",
     "fill",
@@ -51,7 +56,9 @@ INHERITED_PROPERTIES = (
     "stroke-width",
     "stroke-linecap",
 )
+"""Properties that an element gets from the element around it."""
 MARKERS = ("marker", "marker-start", "marker-mid", "marker-end")
+"""Properties for markers."""
 
 _NO_PAINT = re.compile(r"none|transparent|#[0-9a-f]{3}0|#[0-9a-f]{6}00", re.IGNORECASE)
 _ALPHA = re.compile(
@@ -70,14 +77,16 @@ class Rule:
     """One selector of a style sheet with its declarations."""
 
     name: str
-    """Of elements; empty for all."""
+    """Name of the elements; empty for all."""
     classes: frozenset[str]
+    """Classes that an element must have."""
     id: str | None
+    """Id that an element must have; None for any."""
     declarations: dict[str, tuple[str, bool]]
     """Values by property, and whether they are important."""
 
     def applies_to(self, element: Element) -> bool:
-        """Is it an element that the selector means?"""
+        """Return whether the selector selects an element."""
         return (
             self.name in ("", element.name)
             and (self.id is None or self.id == element.attributes.get("id"))
@@ -91,10 +100,14 @@ class Rule:
 
 
 class Styles:
-    """What the style sheets, attributes and `style` of an element say about it.
+    """The style sheets, attributes and `style` of the elements of a document.
 
-    Sheets may select by element, class and id. Another selector, or another rule than `{}`, is refused if it sets a
-    property that decides what is seen. Errors: ConfigError, with `where` and the element.
+    Sheets may select by element, class and id. Another selector, or another rule than `{}`, is
+    refused if it sets a property that decides what is seen.
+
+    root: of the document
+    where: name of the document in errors
+    Raises ConfigError with `where` and the element.
     """
 
     def __init__(self, root: Element, where: str) -> None:
@@ -107,7 +120,10 @@ class Styles:
         self._rules.sort(key=lambda rule: rule.specificity)
 
     def of(self, element: Element) -> dict[str, str]:
-        """Return the values of the properties that are followed, by name; words in small letters."""
+        """Return the values of the followed properties of an element, by name.
+
+        Words are in small letters.
+        """
         found = {
             name: element.attributes[name]
             for name in FOLLOWED_PROPERTIES
@@ -131,7 +147,10 @@ class Styles:
         }
 
     def _check_geometry(self, element: Element, found: dict[str, str]) -> None:
-        """Raise a ConfigError for a style that moves or reshapes the element; the size of the page changes nothing."""
+        """Raise ConfigError for a style that moves or reshapes the element.
+
+        The size of the page changes nothing.
+        """
         for name, elements in GEOMETRY_PROPERTIES.items():
             value = found.get(name, "none").strip()
             is_meant = EVERYTHING in elements or (
@@ -145,6 +164,7 @@ class Styles:
                 )
 
     def _read_sheet(self, element: Element) -> list[Rule]:
+        """Return the rules of a style sheet."""
         sheet = _HARMLESS_RULE.sub(" ", _COMMENT.sub(" ", element.text))
         if mark := re.search(r"@[\w-]+", sheet):
             self._refuse(element, shortened(mark.group()))
@@ -186,6 +206,7 @@ class Styles:
         ]
 
     def _refuse(self, element: Element, what: str) -> NoReturn:
+        """Raise ConfigError for a style sheet that cannot be read."""
         do = "Write what it sets as attributes of the elements, or save the drawing as plain SVG."
         raise ConfigError(
             self.where,
@@ -196,7 +217,7 @@ class Styles:
 
 
 def _is_followed(sheet: Element) -> bool:
-    """Is a <style> element CSS for what is seen on a screen?"""
+    """Return whether a <style> element is CSS for a screen."""
     media = sheet.attributes.get("media", "all").strip().lower()
     return sheet.attributes.get("type", "text/css").strip() in (
         "",
@@ -220,7 +241,11 @@ def _declarations(body: str) -> dict[str, tuple[str, bool]]:
 
 
 def handed_down(outer: dict[str, str], style: dict[str, str]) -> dict[str, str]:
-    """Return the inherited properties of an element; outer: those of the element around it."""
+    """Return the inherited properties of an element.
+
+    outer: properties of the element around it
+    style: of the element
+    """
     found = dict(outer)
     for name in INHERITED_PROPERTIES:
         value = style.get(name, "inherit")
@@ -239,19 +264,22 @@ def hidden_by(style: dict[str, str]) -> str:
 
 
 def is_visible(inherited: dict[str, str]) -> bool:
-    """Does `visibility` show an element?"""
+    """Return whether `visibility` shows an element."""
     return inherited.get("visibility", "visible") not in ("hidden", "collapse")
 
 
 def has_dots(inherited: dict[str, str]) -> bool:
-    """Is a line without length seen, as a dot of the width of the stroke?"""
+    """Return whether a line without length is seen, as a dot of the width of the stroke."""
     return _is_paint(inherited.get("stroke", "none")) and inherited.get(
         "stroke-linecap"
     ) in ("round", "square")
 
 
 def is_painted(name: str, inherited: dict[str, str]) -> bool:
-    """Has a shape a fill or a stroke? A line has no fill, but without a word on its stroke it counts as drawn."""
+    """Return whether a shape has a fill or a stroke.
+
+    A line has no fill, but counts as drawn if nothing is said about its stroke.
+    """
     has_stroke = (
         _is_paint(inherited.get("stroke", "none"))
         and _share(inherited.get("stroke-opacity", "1")) > 0.0
@@ -267,13 +295,16 @@ def is_painted(name: str, inherited: dict[str, str]) -> bool:
 
 
 def _share(text: str) -> float:
-    """Return the number at the begin of a value, such as 50% or 2px; 1 without one, as for a value in error."""
+    """Return the number at the beginning of a value, such as 50% or 2px.
+
+    Returns 1 without one, as for a value in error.
+    """
     found = re.match(r"[-+]?[0-9]*\.?[0-9]+(?:e[-+]?[0-9]+)?", text.strip().lower())
     return float(found.group()) if found else 1.0
 
 
 def _is_paint(value: str) -> bool:
-    """Is it a colour or a pattern that is seen?"""
+    """Return whether a value is a visible colour or pattern."""
     if _NO_PAINT.fullmatch(value):
         return False
     alpha = _ALPHA.fullmatch(value)

@@ -1,1 +1,1 @@
-"""The collision filter: what is heard of the others, and the nearest acceleration with which nobody is hit."""
+"""Collision avoidance: the states of the others, and the nearest safe acceleration."""

@@ -6,17 +6,22 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot
 
 EVEN = 0.05
-"""m/s: of drones that hardly move each takes half."""
+"""Speed in m/s that is added to both in `part`: of drones that hardly move each takes half."""
 
 
 @kernel()
 def approach(gap: float, brake: float, stiff: float) -> tuple[float, float]:
-    """How fast a gap may close from which one must be able to brake, m/s, and how that changes with it, 1/s.
+    """Return how fast a gap may close, m/s, and the slope of this speed over the gap, 1/s.
 
         s(g) = k g  up to g0 = alpha / k^2,   sqrt(2 alpha (g - g0 / 2))  beyond
 
-    The braking curve, with its infinite slope cut off: a drone that obeys late would shake there. Continuous, and so is
-    its slope. A gap that is negative opens.  gap: m;  alpha: `brake`, m/s2;  k: `stiff`, 1/s.
+    At this speed the drone can still brake. It is the braking curve without its infinite slope,
+    where a drone that obeys late would shake. It is continuous, and so is its slope. A negative gap
+    opens.
+
+    gap: m, g
+    brake: m/s2, alpha
+    stiff: 1/s, k
     """
     knee = brake / (stiff * stiff)
     if gap < knee:
@@ -35,14 +40,20 @@ def barrier(
     stiff: float,
     gamma: float,
 ) -> float:
-    """What both together must accelerate apart: n . r'' >= the value, m/s2.
+    """Return the least acceleration apart of both drones together, n . r'', m/s2.
 
         h = s(|r| - D) + n . w - unsure >= 0,   n = r / |r|,   r'' = S (u_i - u_j)
         h' + gamma h >= 0:   n . r'' >= - gamma h - s' n . w - (|w|^2 - (n . w)^2) / |r|
 
-    r, w: relative place m and velocity m/s, scaled by S;  gap: |r| - D, m;  s: of `approach`, brake: m/s2, of both
-    together;  unsure: m/s, by which they may come nearer faster than is known;  gamma: 1/s.
-    Source: Borrmann, Wang, Ames & Egerstedt 2015, ADHS: the barrier; its derivative is this one's own.
+    r: m, relative place, scaled by S
+    w: m/s, relative velocity, scaled by S
+    gap: m, |r| - D
+    unsure: m/s, by which they may close in faster than known
+    brake: m/s2, of both together, in s of `approach`
+    stiff: 1/s, in s of `approach`
+    gamma: 1/s
+    Source: Borrmann, Wang, Ames & Egerstedt 2015, ADHS: the barrier; its derivative is derived
+        here.
     """
     d = math.sqrt(dot(r, r))
     away = dot(r, w) / d
@@ -54,12 +65,15 @@ def barrier(
 
 @kernel()
 def part(own: float, others: float) -> float:
-    """The share of a barrier's acceleration that a drone takes: that of its speed towards the other, in both of theirs.
+    """Return the share of a barrier's acceleration that one drone takes.
 
         c_i / (c_i + c_j),   c = EVEN + max(-speed, 0)
 
-    Who stands between two that come nearer could not give way to both. The shares of both add up to 1.  own, others:
-    m/s, apart.
+    It is the drone's speed towards the other in relation to both speeds: a drone at rest between
+    two that close in could not give way to both. The shares of both add up to 1.
+
+    own: m/s, speed of this drone away from the other
+    others: m/s, speed of the other away from this one
     """
     mine = EVEN + max(-own, 0.0)
     theirs = EVEN + max(-others, 0.0)

@@ -1,4 +1,4 @@
-"""Buffered Voronoi cells: each drone can always stop on its own side of the plane midway to the other."""
+"""Buffered Voronoi cells: each drone can always stop on its own side of the plane midway."""
 
 import math
 
@@ -18,15 +18,24 @@ def cell(
     stiff: float,
     gamma: float,
 ) -> float:
-    """What the drone itself must accelerate away from its side's border: n . S u_i >= the value, m/s2.
+    """Return the least acceleration of this drone away from its border, n . S u_i, m/s2.
 
         h = s(d) + n . S v_i - unsure >= 0,   d = (|r| - D) / 2,   n = r / |r|
-        h' + gamma h >= 0:   n . S u_i >= - gamma h - s' n . w / 2 - n' . S v_i,   n' = (w - n (n . w)) / |r|
+        h' + gamma h >= 0:   n . S u_i >= - gamma h - s' n . w / 2 - n' . S v_i,
+        n' = (w - n (n . w)) / |r|
 
-    The point where it stops stays in its cell, which ends D / 2 before the plane midway.  r, w: relative place m and
-    velocity m/s, scaled by S;  own: S v_i;  gap: |r| - D, m;  s: of `approach`, brake: m/s2, of this drone;  unsure:
-    m/s;  gamma: 1/s.
-    Source: Zhou, Wang, Bandyopadhyay & Schwager 2017, IEEE RA-L 2(2): the cells, there for places alone.
+    The point where the drone stops stays in its cell, which ends D / 2 before the plane midway.
+
+    r: m, relative place, scaled by S
+    w: m/s, relative velocity, scaled by S
+    own: m/s, S v_i
+    gap: m, |r| - D
+    unsure: m/s
+    brake: m/s2, of this drone, in s of `approach`
+    stiff: 1/s, in s of `approach`
+    gamma: 1/s
+    Source: Zhou, Wang, Bandyopadhyay & Schwager 2017, IEEE RA-L 2(2): the cells, there for places
+        only.
     """
     d = math.sqrt(dot(r, r))
     closing = dot(r, w) / d

@@ -1,4 +1,7 @@
-"""Drones that are in each other's way go round each other, all the same way; who does not get on, the other way."""
+"""Deadlock: drones in each other's way all pass on the same side.
+
+A stuck drone tries the other side.
+"""
 
 import math
 
@@ -7,22 +10,32 @@ from crazychoir.numerics.math3d import Triple, dot
 from crazychoir.types import Vec
 
 HARDEST = 4.0
-"""m/s2, of what is turned at most."""
-STUCK, MOVED, THERE = 4.0, 0.3, 0.3
-"""s, and m: who has not moved farther in that time does not get on, unless it is so near where it wants to be."""
+"""Largest acceleration, m/s2, that is turned."""
+STUCK = 4.0
+"""Seconds with little motion after which a drone is stuck."""
+MOVED = 0.3
+"""Distance in m beyond which a drone is not stuck."""
+THERE = 0.3
+"""Distance in m from its goal within which a drone is not stuck."""
 FREE = 1.0
-"""s, without having given way, after which it goes round others as all do."""
+"""Seconds without giving way after which a drone passes others on the common side again."""
 
 
 @kernel()
 def turned(u: Triple, planes: Vec, first: int, last: int, turn: float) -> Triple:
-    """What is wanted, and for each half space that takes some of it away, `turn` times as much to the side.
+    """Return the wanted acceleration, turned sideways by what each half space takes away from it.
 
         u + turn sum_k max(b_k - n_k . u, 0) e3 x n_k
 
-    n_k points away from the other drone, so both turn about their middle in the same sense, against the clock from
-    above: a standstill, in which all that is wanted is taken away, is none with it.
-    planes: rows n_k, b_k, of which those from `first` to `last` - 1 are of other drones.
+    n_k points away from the other drone. So both drones turn about their middle in the same sense,
+    anticlockwise seen from above. A standstill, in which all of the wanted acceleration is taken
+    away, is thereby avoided.
+
+    u: (3,) m/s2: what is wanted
+    planes: rows n_k, b_k
+    first: first row of another drone
+    last: the row after the last one
+    turn: sideways share
     """
     x = 0.0
     y = 0.0
@@ -35,21 +48,32 @@ def turned(u: Triple, planes: Vec, first: int, last: int, turn: float) -> Triple
 
 
 class Side:
-    """Which way one drone goes round others: against the clock, as all do, unless it does not get on.
+    """The side on which one drone passes others: anticlockwise as all do, unless it is stuck.
 
-    Between two that stay where they are that way may be a pocket: then it tries the other way, until it is free.
+    Between two drones that stay where they are, that side may be a dead end. Then the drone tries
+    the other side until it is free.
+
+    drone: its id
     """
 
     def __init__(self, drone: int = 0) -> None:
         self.sign = 1.0
         self.patience = STUCK + 0.2 * (drone % 8)
-        """s, other ones for each: two that turned at once would stay in each other's way."""
+        """Seconds before the drone changes side.
+
+        The value differs between drones: two that turn at once would stay in each other's way.
+        """
         self._at: list[float] | None = None
         self._since = 0.0
         self._gave_way = -math.inf
 
     def gives_way(self, p: Vec, goal: Vec, now: float) -> None:
-        """It gives way at p, and wants to be at goal, (3,) m each."""
+        """Note that the drone gives way.
+
+        p: (3,) m: where it is
+        goal: (3,) m: where it wants to be
+        now: s
+        """
         if now > self._gave_way + FREE:
             self.sign = 1.0
             self._at = None

@@ -1,4 +1,4 @@
-"""The collision filter: the acceleration nearest to the one wanted with which this drone hits nobody."""
+"""The collision filter: the safe acceleration that is nearest to the wanted one."""
 
 import math
 
@@ -29,34 +29,65 @@ from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import State, Vec
 
 MOST = 16
-"""Others that count at most, the nearest."""
+"""Largest number of others that count, the nearest ones."""
 STANDING = 0.08
-"""m above the ground, below which a drone stands on the floor, or as good as."""
-BODY, BESIDE = 0.15, 0.2
-"""m, between the centres of two drones one of which stands on the floor: 0.137 m would touch; and for who lands."""
-NEAR = 0.5
-"""m, between the ellipsoids of this drone and of one that it does not hear, below which it brakes."""
-LASTS = 0.15
-"""s, for which a drone is taken to go on commanding what it did: two that foresee more of each other flee for ever."""
-HIDES = 2.0
-"""s, for which one that is not heard flies on at most, before it brakes for want of the others' states."""
-BRAKES = 4.0
-"""1/s, of its speed that one that brakes takes away."""
-HOLDS = 0.2
-"""m/s, below which one that brakes stays where it is."""
-FLOOR_GAP = 0.2
-"""m above the floor, at least, for who gives way, unless it wants to be lower."""
-NEAR_WALL = 1.0
-"""m."""
+"""Height in m above the ground below which a drone counts as standing on the floor."""
+BODY = 0.15
+"""Distance in m to keep between the centres of two drones if one stands on the floor.
 
-# Figures of the kernel.
+At 0.137 m they would touch.
+"""
+BESIDE = 0.2
+"""Distance in m that a landing drone keeps from the centre of a drone on the floor."""
+NEAR = 0.5
+"""Distance in m between the ellipsoids of this drone and a silent one.
+
+Below it this drone brakes.
+"""
+LASTS = 0.15
+"""Seconds for which a drone is assumed to go on with its last command.
+
+Two drones that predict each other further ahead evade each other for ever.
+"""
+HIDES = 2.0
+"""Longest time in s that a silent drone is assumed to fly on.
+
+Then it brakes because it does not receive the others' states.
+"""
+BRAKES = 4.0
+"""Braking gain k in 1/s: the deceleration as a multiple of the speed."""
+HOLDS = 0.2
+"""Speed in m/s below which a braking drone stays where it is."""
+FLOOR_GAP = 0.2
+"""Least height in m above the floor of a drone that gives way, unless it wants to be lower."""
+NEAR_WALL = 1.0
+"""Distance in m from a side of the fence within which that side counts."""
+
+# Indices of the figures f of the kernel:
+
+# LAG s, DELAY s
+# SX, SY, SZ: diagonal of S
+# WIDTH m: D
+# BRAKE m/s2, GAMMA 1/s, STIFF 1/s: of `barrier` and `cell`
+# A_XY, A_Z m/s2: largest horizontal and vertical acceleration
+# TURN: sideways share of `turned`, with the sign of the side
+# RANGE m: distance within which others count
+# UNSURE m/s2: unknown acceleration of another drone
+# GROUND m: height of the ground
+# V_MAX m/s: largest speed of the others
+# CELLS: 1 for `cell`, 0 for `barrier`
+# WAITS: 0 while the drone lands, else 1
 LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY = range(9)
 A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS, STIFF, WAITS = range(9, 18)
+"""-"""
 
 
 @kernel()
 def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
-    """a_d + follow (kp (p_d - p) + kv (v_d - v)): what the controller would ask for, m/s2."""
+    """Return the acceleration that the controller would ask for, (3,) m/s2.
+
+    a_d + follow (kp (p_d - p) + kv (v_d - v))
+    """
     return (
         ref[6] + follow * (gains[0] * (ref[0] - x[0]) + gains[3] * (ref[3] - x[3])),
         ref[7] + follow * (gains[1] * (ref[1] - x[1]) + gains[4] * (ref[4] - x[4])),
@@ -66,7 +97,14 @@ def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
 
 @kernel()
 def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
-    """What brings it to rest, and lets it stay there, whatever the wind does, m/s2: -k v - (k / 2)^2 (p - p_0)."""
+    """Return the acceleration that brings the drone to rest and keeps it there, (3,) m/s2.
+
+        -k v - (k / 2)^2 (p - p_0)
+
+    p_0: the place, kept in out[6:9], where the drone came to rest; the second term holds it there
+        against the wind
+    out: out[5] is 1 while the drone holds p_0
+    """
     if out[5] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
         out[5] = 1.0
         out[6] = x[0]
@@ -88,9 +126,15 @@ def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
 def _insert(
     planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: float, row: int
 ) -> int:
-    """Put a half space among the nearest, in the order of d; returns how many there are.
+    """Insert a half space among the nearest ones, in the order of d, and return their number.
 
-    planes: from row 6 on;  near: (MOST, 2) = d, and the row of the other drone in the traffic.
+    planes: (., 4): the half spaces, from row 6 on
+    near: (MOST, 2): d, and the row of the other drone in the traffic table
+    count: number of half spaces so far
+    d: m, the distance
+    normal: normal of the half space
+    b: its right-hand side
+    row: row of the other drone
     """
     if count == MOST:
         if d >= near[MOST - 1, 0]:
@@ -113,14 +157,24 @@ def _insert(
 
 @kernel()
 def _wall(gap: float, away: float, f: Vec) -> float:
-    """What it must accelerate away from a wall, m/s2; gap: m, away: m/s, as in `barrier`."""
+    """Return the least acceleration away from a wall, m/s2.
+
+    gap: m, from the wall
+    away: m/s, speed away from the wall, as in `barrier`
+    f: the figures
+    """
     speed, slope = approach(gap, f[BRAKE], f[STIFF])
     return float(-f[GAMMA] * (speed + away) - slope * away)
 
 
 @kernel()
 def _box(planes: Vec, floor: float, f: Vec) -> None:
-    """The accelerations that the drone can fly, and those that keep it above the floor: rows 0 to 5."""
+    """Set rows 0 to 5: the accelerations that the drone can fly and that keep it above the floor.
+
+    planes: (., 4): the half spaces
+    floor: m/s2, least acceleration upwards
+    f: the figures
+    """
     for c in range(3):
         for side in range(2):
             k = 2 * c + side
@@ -133,7 +187,16 @@ def _box(planes: Vec, floor: float, f: Vec) -> None:
 
 @kernel()
 def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
-    """Half spaces that keep it inside its fence, but for the floor; returns how many rows there are then."""
+    """Append the half spaces that keep the drone inside its fence, without the floor.
+
+    planes: (., 4): the half spaces
+    m: number of rows so far
+    p: m
+    v: m/s
+    box: (6,) m: lower corner, then upper corner
+    f: the figures
+    Returns the number of rows then.
+    """
     for k in range(6):
         c = k % 3
         sign = 1.0 if k < 3 else -1.0
@@ -174,10 +237,21 @@ def _filtered(
     near: Vec,
     out: Vec,
 ) -> bool:
-    """The law of CollisionFilter; whether it acts.
+    """Apply the law of CollisionFilter, and return whether it acts.
 
-    out: (9,) = the acceleration, the row of the nearest that is in the way, whether it is cut off, and whether it stays
-    while it brakes, and where.
+    x: (13,): state of this drone
+    a: (3,) m/s2: its commanded acceleration
+    ref: (14,): what it wants, as FullState.flat
+    gains: (13,), as Gains.position
+    follow: 1 to fly ref as a full state, 0 to fly its acceleration only
+    others: (n, COLUMNS): the table of Traffic
+    now: s
+    box: (6,) m: lower corner of the fence, then upper corner
+    f: the figures
+    planes: (., 4): work space for the half spaces
+    near: (MOST, 2): work space, see _insert
+    out: (9,): the acceleration (3,), the row of the nearest drone in the way, whether this drone is
+        cut off, whether it stays while it brakes, and the place (3,) where it stays
     """
     p, v = late(x, a, f[LAG], f[DELAY], LASTS)
     low = x[2] < f[GROUND] + STANDING
@@ -220,24 +294,21 @@ def _filtered(
             ):
                 continue
             blind = True
-            q, w = resting(
-                q, w, BRAKES, age - USABLE
-            )  # as a rule it does not hear this one either
+            # As a rule the silent drone does not hear this one either.
+            q, w = resting(q, w, BRAKES, age - USABLE)
         r = scaled(p, q, scale)
         w = scaled(v, w, scale)
         d = max(length(r), 1e-3)
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
         reach = length(side)
-        old = (
-            0.0 if stands else min(age, USABLE)
-        )  # who stands does not run away while it is not heard
+        # A standing drone does not run away while it is not heard.
+        old = 0.0 if stands else min(age, USABLE)
         gap = d - width - 0.5 * f[UNSURE] * old * old * reach
         unsure = f[UNSURE] * old * reach
         brake = f[BRAKE] * reach
-        if (
-            f[CELLS] > 0.0 and other[SHARE] < 1.0
-        ):  # who gives way to nobody keeps to no side
+        # A drone that never gives way does not keep to its side.
+        if f[CELLS] > 0.0 and other[SHARE] < 1.0:
             own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
             b = cell(r, w, own, gap, 0.5 * unsure, brake, f[STIFF], f[GAMMA])
         else:
@@ -272,19 +343,31 @@ def _filtered(
 
 
 class CollisionFilter:
-    """The one interface: own state, what is wanted, what is heard of the others -> an acceleration that is safe.
+    """Turns a wanted acceleration into a safe one, by the states of this drone and the others.
 
-        min |u - u_n|^2   s.t.   n_ij . S u >= share b_ij  for each other drone j in range,  |u_c| <= most,  the fence
+        min |u - u_n|^2   s.t.   n_ij . S u >= share b_ij  for each other drone j in range,
+                                 |u_c| <= most,  the fence
         |S (p_i - p_j)| >= D,   S = diag(1, s_x / s_y, s_x / s_z),   D = 2 s_x + margin
 
-    semi-axes s of the ellipsoid around each drone;  b_ij: of `barrier`, or of `cell` with those that give way as well;
-    u_n: what is wanted, turned to the side where somebody is in the way. Places and velocities are those of `late`, so
-    that the lag of the drones counts. What cannot be had all is relaxed by least violation: the fence first, the
-    nearest drone last, the floor never. Drones that stand on the floor are balls of BODY m; who takes off does not see
-    them. If one that may be near has not been heard for USABLE s, or half of those that flew for SILENT s, it brakes,
-    unless it lands, and keeps clear of where that one is if it brakes too.
-    settings: [collision];  fence: from the floor upwards;  a_max: m/s2, with which it brakes;  v_max: m/s, at which
-    others fly at most;  ground: m.
+    s: semi-axes of the ellipsoid around each drone
+    b_ij: of `barrier`, or of `cell` for another drone that gives way as well
+    u_n: what is wanted, turned to the side where another drone is in the way
+
+    Places and velocities are those of `late`, so that the lag of the drones counts. Constraints
+    that cannot all be met are relaxed by the least violation: the fence first, the nearest drone
+    last, the floor never. Drones on the floor are balls of BODY m; a drone that takes off ignores
+    them.
+
+    A drone brakes if another drone that may be near has been silent for USABLE s, or if more than
+    half of the other drones that flew have been silent for SILENT s. It does not brake for this
+    while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
+
+    settings: [collision]
+    traffic: the states of the others
+    fence: from the floor upwards
+    a_max: m/s2, with which the drone brakes
+    v_max: m/s, largest speed of the others
+    ground: m, height of the ground
     """
 
     def __init__(
@@ -333,14 +416,22 @@ class CollisionFilter:
         self.side = Side(traffic.port.address)
 
     def look(self, now: float) -> None:
-        """See to it that it hears those that are near, now and then."""
+        """Make sure, now and then, that the drone hears the drones near it."""
         if self.traffic.look(now):
             self.hearsay.seek(now)
 
     def full_state(
         self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False
     ) -> Vec | None:
-        """The acceleration (3,) for who flies the reference (14,) by these gains; None: as he would."""
+        """Return the safe acceleration, (3,) m/s2, of a drone that follows a full state.
+
+        state: of the drone
+        reference: (14,), as FullState.flat
+        gains: (13,), as Gains.position
+        now: s
+        lands: whether the drone is landing
+        Returns None if the drone may fly as it wants.
+        """
         self._figures[WAITS], self._figures[TURN] = (
             0.0 if lands else 1.0,
             self._turn * self.side.sign,
@@ -351,7 +442,14 @@ class CollisionFilter:
         return safe
 
     def acceleration(self, state: State, a: Vec, gains: Vec, now: float) -> Vec | None:
-        """The same for who flies an acceleration (3,)."""
+        """Return the safe acceleration, (3,) m/s2, of a drone that follows an acceleration.
+
+        state: of the drone
+        a: (3,) m/s2: what it wants
+        gains: (13,), as Gains.position
+        now: s
+        Returns None if the drone may fly as it wants.
+        """
         self._accelerates[6:9], self._figures[WAITS], self._figures[TURN] = (
             a,
             1.0,
@@ -383,11 +481,11 @@ class CollisionFilter:
 
     @property
     def cut_off(self) -> bool:
-        """Whether it hears, of all that fly, itself too, no more than half."""
+        """Whether the drone hears at most half of all flying drones, itself included."""
         return bool(self._out[4])
 
     @property
     def gives_way_to(self) -> int | None:
-        """The nearest drone that it gave way to, the last time it acted; None: it braked."""
+        """Id of the nearest drone that this one last gave way to; None if it braked."""
         row = int(self._out[3])
         return None if row < 0 else self.traffic.ids[row]

@@ -1,4 +1,4 @@
-"""How two drones move relative to each other, in a space in which both are balls, and as late as they obey."""
+"""Relative motion of two drones that obey late, in a space in which both are balls."""
 
 import math
 
@@ -7,14 +7,21 @@ from crazychoir.numerics.math3d import GRAVITY, Triple, columns
 from crazychoir.types import Vec
 
 STEEPEST = 0.3
-"""Of z_b along the vertical, at least: a drone on its side accelerates sideways by no more than this says."""
+"""Least vertical component of z_b: limits the sideways acceleration of a drone on its side."""
 
 Motion = tuple[Triple, Triple]
+"""Place m and velocity m/s."""
 
 
 @kernel()
 def tilted(q: Vec, a: Vec) -> Triple:
-    """The acceleration m/s2 of a drone: sideways by its attitude, g z_b,xy / z_b,z; upwards what it has commanded."""
+    """Return the acceleration of a drone, (3,) m/s2.
+
+        sideways by its attitude, g z_b,xy / z_b,z;  upwards as it has commanded
+
+    q: (4,): attitude
+    a: (3,) m/s2: commanded acceleration
+    """
     _, _, z = columns((q[0], q[1], q[2], q[3]))
     s = GRAVITY / max(z[2], STEEPEST)
     return (s * z[0], s * z[1], a[2])
@@ -22,12 +29,18 @@ def tilted(q: Vec, a: Vec) -> Triple:
 
 @kernel()
 def late(x: Vec, a: Vec, lag: float, t: float, lasts: float) -> Motion:
-    """Place m and velocity m/s in which a drone that obeys late is a double integrator, moved on by t s.
+    """Return place and velocity in which a late drone is a double integrator, t s later.
 
         p~ = p + T v,   v~ = v + T a_t,   p~' = v~,   v~' = u      since  a_t' = (u - a_t) / T
 
-    so that what it commands now acts on p~ and v~ at once, and p follows p~ by the lag T.  x: (13,) state;  u: a (3,),
-    what it commands, for `lasts` s at most: then nothing;  a_t: of `tilted`;  lag: T, s.
+    a_t is the result of `tilted`. What the drone commands now acts on p~ and v~ at once, and p
+    follows p~ with the lag T.
+
+    x: (13,): state
+    a: (3,) m/s2: u, the command, valid for at most `lasts` s, then zero
+    lag: s, T
+    t: s
+    lasts: s
     """
     now = tilted(x[6:10], a)
     v = (x[3] + lag * now[0], x[4] + lag * now[1], x[5] + lag * now[2])
@@ -43,7 +56,13 @@ def late(x: Vec, a: Vec, lag: float, t: float, lasts: float) -> Motion:
 
 @kernel()
 def resting(p: Triple, v: Triple, k: float, t: float) -> Motion:
-    """Where one is, and how fast, that has braked for t s by -k v."""
+    """Return place and velocity after braking by -k v for t s.
+
+    p: m
+    v: m/s
+    k: 1/s
+    t: s
+    """
     left = math.exp(-k * t)
     far = (1.0 - left) / k
     return (p[0] + far * v[0], p[1] + far * v[1], p[2] + far * v[2]), (
@@ -55,7 +74,7 @@ def resting(p: Triple, v: Triple, k: float, t: float) -> Motion:
 
 @kernel()
 def scaled(a: Triple, b: Triple, scale: Triple) -> Triple:
-    """S (a - b), S = diag(scale)."""
+    """Return S (a - b), S = diag(scale)."""
     return (
         scale[0] * (a[0] - b[0]),
         scale[1] * (a[1] - b[1]),
@@ -65,12 +84,12 @@ def scaled(a: Triple, b: Triple, scale: Triple) -> Triple:
 
 @kernel()
 def length(a: Triple) -> float:
-    """|a|."""
+    """Return |a|."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 @kernel()
 def shrunk(a: Triple, limit: float) -> Triple:
-    """a, no longer than `limit`."""
+    """Return a, shortened to the length `limit` if it is longer."""
     s = limit / max(length(a), limit)
     return (s * a[0], s * a[1], s * a[2])

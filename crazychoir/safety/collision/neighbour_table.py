@@ -1,4 +1,4 @@
-"""What a drone hears of all others of its swarm: the newest state of each, and how often each hears its own."""
+"""The newest state that a drone has of each other drone, and the rate at which it sends its own."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -11,41 +11,78 @@ from crazychoir.runtime.clock import SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import LinkStatus, State, Vec
 
-BORN, SHARE, SOON, BORNE, HEARD, COLUMNS = 16, 17, 18, 19, 20, 21
-"""Columns after the state (13,) and the acceleration (3,): s, when it was so; 1 if it gives way to nobody, else 0.5;
-s, after which both could be near each other; s, the age of its state beyond which one brakes for want of a newer one;
-s, when it was so that it itself has said it: of others it may be heard later.
+BORN = 16
+"""Column after the state (13,) and the acceleration (3,): time in s of that state."""
+SHARE = 17
+"""Column: 1 if the drone gives way to no other, else 0.5."""
+SOON = 18
+"""Column: s until both drones could be near each other."""
+BORNE = 19
+"""Column: age in s of the state beyond which this drone brakes for want of a newer one."""
+HEARD = 20
+"""Column: time in s of the last state that the drone sent itself.
+
+States that others relay may be newer.
 """
+COLUMNS = 21
+"""Number of columns."""
 USABLE = 0.6
-"""s: a state that is older is no use."""
+"""Age in s beyond which a state is of no use."""
 UNHEARD = 0.2
-"""s without a state after which a place that the cameras say counts."""
+"""Seconds without a state after which a place from the cameras counts."""
 SILENT = 1.5
-"""s, after which a drone that flew counts as not heard by who asks whether it is cut off."""
+"""Seconds of silence after which a drone that flew counts as not heard.
+
+If this holds for more than half of the other flying drones, this drone is cut off, see
+CollisionFilter.cut_off.
+"""
 GONE = 10.0
-"""s: a drone of which nobody hears for so long has come down, see Hearsay: it is cut off itself, or has failed."""
-FAR, FASTEST = 1e6, 100.0
-"""m, m/s2: a state with larger numbers is none."""
+"""Seconds after which a drone that no other drone hears has come down, see Hearsay.
+
+It is cut off itself, or has failed.
+"""
+FAR = 1e6
+"""Largest norm of a valid state (13,), in the units of its entries."""
+FASTEST = 100.0
+"""Largest norm of a valid acceleration, m/s2."""
 SLOW = 0.3
-"""m/s, by which two drones may be faster at once than they are."""
-SELDOM, OFTEN, TOTAL = 2.0, 20.0, 100.0
-"""Hz, at which a drone is heard that is far away: as often as makes TOTAL for all of them, within these two."""
+"""Speed in m/s that two drones may gain at once."""
+SELDOM = 2.0
+"""Least rate in Hz at which a far drone is heard."""
+OFTEN = 20.0
+"""Largest rate in Hz at which a far drone is heard."""
+TOTAL = 100.0
+"""Rate in Hz at which all far drones together are heard, within the two limits above."""
 RATES = ((0.7, 50.0), (3.0, 20.0))
-"""s, within which both could be near each other, and Hz, at which they then hear each other."""
+"""Pairs of a time and a rate for drones that may soon be near each other.
+
+s: within which both drones could be near each other
+Hz: at which they then hear each other
+"""
 PATIENCE = ((1.0, 10.0), (2.0, 5.0))
-"""s, of ages that are borne, and Hz, so that several states in a row may be lost before somebody brakes."""
+"""Pairs of an age and a rate for drones that would brake without a new state.
+
+s: age of a state beyond which the drone brakes
+Hz: at which both then hear each other
+
+Several states in a row may be lost before a drone brakes.
+"""
 LOOK = 0.1
-"""s, between two looks at who is near."""
+"""Seconds between two checks of the distances."""
 DEAF = 0.3
-"""s for which a radio is silent, after which its drone does not do what its agent says that it does."""
+"""Seconds of silence of its radio after which a drone does not do what its agent says."""
 
 
 class Traffic:
-    """The table of the others, by their place in `ids`: state, acceleration, when, share, how soon.
+    """Table of the other drones, in the order of `ids`: see the columns above.
 
-    Each drone hears all others, now and then; it says its own state more often to those that could be near soon, or
-    that would brake soon if they did not hear it, as both know.
-    alone: the drones that do not give way, as they fly by a planner on board.
+    Each drone hears all others at a low rate. It sends its own state more often to drones that
+    could be near soon, and to drones that would soon brake without it. Both sides know when that
+    is.
+
+    port: the port of this drone
+    ids: of the other drones; the own id is left out
+    alone: ids of the drones that do not give way, because a planner on board flies them
     """
 
     def __init__(
@@ -76,16 +113,16 @@ class Traffic:
             )
 
     def now(self) -> float:
-        """s, by the clock of the ages."""
+        """Return the time in s on the clock of the ages."""
         return self.clock.now_ns() / SECOND
 
     def row(self, j: int) -> Vec | None:
-        """What is known of drone j, all columns; None for one that is not among the others."""
+        """Return the row of drone j, all columns; None if j is not among the others."""
         found = self._parts.get(j)
         return None if found is None else found[0]
 
     def hear(self, message: tuple[int, State], age: float) -> None:
-        """Keep a state that a drone has said, `age` s ago, unless a newer one is there or it is none."""
+        """Keep a state that a drone sent `age` s ago, unless it is invalid or outdated."""
         row = self._keep(message, age)
         if row is not None:
             j = message[0]
@@ -93,27 +130,36 @@ class Traffic:
             row[SHARE] = 1.0 if self._deaf[j] else self._shares[j]
 
     def told(self, message: tuple[int, State], age: float) -> None:
-        """Keep a state of a drone that another one has told."""
+        """Keep the state of a drone that another drone has relayed."""
         self._keep(message, age)
 
     def seen(self, j: int, state: State, age: float) -> None:
-        """Where the cameras see drone j: that counts while nothing is heard of it, and then it gives way to nobody."""
+        """Keep the place of drone j that the cameras see, while no state is heard of it.
+
+        The drone then counts as giving way to no other.
+        """
         row = self.row(j)
         if row is not None and self.now() - row[BORN] > UNHEARD:
             self._keep((j, state), age)
             row[SHARE] = 1.0
 
     def linked(self, j: int, link: LinkStatus | None, age: float) -> None:
-        """How the radio of drone j is: one that does not hear its agent gives way to nobody, whatever that says."""
+        """Note the state of the radio of drone j.
+
+        A drone that does not hear its agent gives way to no other, whatever the agent says.
+        """
         if j in self._deaf and link is not None:
             self._deaf[j] = link.silence + age > DEAF
 
     def deaf(self, j: int) -> bool:
-        """Whether the radio of drone j is silent: it goes on with what it heard last."""
+        """Return whether the radio of drone j is silent: it goes on with its last command."""
         return self._deaf[j]
 
     def _keep(self, message: tuple[int, State], age: float) -> Vec | None:
-        """The row of a drone whose state this is; None if it is none, or of nobody."""
+        """Store a state and return the row of its drone.
+
+        Returns None if the state is invalid or the drone unknown.
+        """
         j, state = message
         found = self._parts.get(j)
         if found is None or not (
@@ -130,7 +176,7 @@ class Traffic:
         return row
 
     def look(self, now: float) -> bool:
-        """Say the own state more often to who is near, now and then: whether it has looked."""
+        """Send the own state more often to near drones; return whether it was time to check."""
         if now < self._looks:
             return False
         self._looks = now + LOOK

@@ -1,4 +1,4 @@
-"""The nearest acceleration that half spaces allow; what they cannot all have, the last ones give up."""
+"""The nearest acceleration that half spaces allow; if not all can hold, the last ones give way."""
 
 import math
 
@@ -9,28 +9,41 @@ from crazychoir.types import Vec
 PARALLEL = 1e-9
 """Squared sine of the angle between two planes, below which they count as parallel."""
 EXACT = 1e-10
-"""m/s2, by which a half space may be left: rounding."""
+"""m/s2 by which a half space may be violated, for rounding."""
 SLACK = 1e-6
-"""m/s2, by which a half space is relaxed beyond its least violation: the others may leave but a point there."""
+"""m/s2 by which a half space is relaxed beyond its least violation.
+
+Otherwise the others might leave a single point of it.
+"""
 FAR = 1e3
-"""m/s2: the point of a bounded polytope that is nearest to one so far away in a direction is its farthest in it."""
+"""m/s2: distance of a far point in some direction.
+
+The point of a bounded polytope nearest to it is the polytope's farthest point in that direction.
+"""
 
 
 @kernel()
 def _plus(p: Triple, s: float, n: Triple) -> Triple:
-    """p + s n."""
+    """Return p + s n."""
     return (p[0] + s * n[0], p[1] + s * n[1], p[2] + s * n[2])
 
 
 @kernel()
 def _row(planes: Vec, k: int) -> Triple:
-    """The normal of row k."""
+    """Return the normal of row k."""
     return (planes[k, 0], planes[k, 1], planes[k, 2])
 
 
 @kernel()
 def _on_line(q: Triple, along: Triple, planes: Vec, m: int) -> tuple[bool, Triple]:
-    """The point of the line through q along a unit vector that is nearest to q in the first m half spaces."""
+    """Return the point of a line nearest to q within the first m half spaces.
+
+    q: a point of the line
+    along: unit vector of the line
+    planes: rows n_k, b_k
+    m: number of half spaces
+    Returns (False, _) if there is no such point.
+    """
     low = -math.inf
     high = math.inf
     for k in range(m):
@@ -51,7 +64,10 @@ def _on_line(q: Triple, along: Triple, planes: Vec, m: int) -> tuple[bool, Tripl
 
 @kernel()
 def _on_plane(u: Triple, planes: Vec, at: int) -> tuple[bool, Triple]:
-    """The point of plane `at` that is nearest to u in the half spaces before it."""
+    """Return the point of plane `at` nearest to u within the half spaces before it.
+
+    Returns (False, _) if there is no such point.
+    """
     n = _row(planes, at)
     start = _plus(u, planes[at, 3] - dot(n, u), n)
     q = start
@@ -61,7 +77,7 @@ def _on_plane(u: Triple, planes: Vec, at: int) -> tuple[bool, Triple]:
         if lack <= EXACT:
             continue
         cosine = dot(n, other)
-        side = _plus(other, -cosine, n)  # of the half space, within the plane
+        side = _plus(other, -cosine, n)  # normal of the half space within the plane
         length = dot(side, side)
         if length < PARALLEL:
             if lack > 1e-7:
@@ -82,7 +98,10 @@ def _on_plane(u: Triple, planes: Vec, at: int) -> tuple[bool, Triple]:
 
 @kernel()
 def _nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
-    """m and the point nearest to u in the first m half spaces; or the first of them that cannot be had, and no good."""
+    """Return m and the point nearest to u in the first m half spaces.
+
+    If a half space leaves no point, return its row instead; the point is then meaningless.
+    """
     q = u
     for k in range(m):
         if dot(_row(planes, k), q) < planes[k, 3] - EXACT:
@@ -95,21 +114,26 @@ def _nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
 
 @kernel()
 def nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
-    """How many half spaces were relaxed, and the point nearest to u in them; the first six are a box.
+    """Return the number of relaxed half spaces, and the point of the half spaces nearest to u.
 
         min |x - u|^2   s.t.   n_k . x >= b_k,   k = 0 ... m - 1
 
-    Row by row: a half space that holds changes nothing; else the answer lies on its plane, where the same is done in
-    two dimensions, and there in one. One that leaves no point is moved, b_k = max n_k . x over those before it, which
-    is its least violation once all before it are as they are; so the rows are in the order of their importance.
-    planes: (>= m, 4), rows n_k (3,) of length 1, b_k; b_k of relaxed ones is changed.
-    Source: Seidel 1991, Small-dimensional linear programming and convex hulls made easy, for the order of the steps.
+    The rows are added one by one. A half space that holds changes nothing. Otherwise the answer
+    lies on its plane, where the same is done in two dimensions, and there in one. A half space that
+    leaves no point is moved to b_k = max n_k . x over those before it. This is its least violation
+    with all earlier ones unchanged, so the rows are in the order of their importance.
+
+    u: (3,)
+    planes: (>= m, 4): rows n_k (3,) of length 1, b_k; the first six are a box; b_k of relaxed ones
+        is changed
+    m: number of half spaces
+    Source: Seidel 1991, Small-dimensional linear programming and convex hulls made easy, for the
+        order of the steps.
     """
     relaxed, last, slack, (k, q) = 0, -1, SLACK, _nearest(u, planes, m)
     while k < m:
-        if (
-            k == last
-        ):  # rounding has left no point, as of planes that are almost parallel: twice as much each time
+        # Rounding has left no point, for example of almost parallel planes: double the slack.
+        if k == last:
             slack *= 2.0
             planes[k, 3] -= slack
         else:
@@ -128,7 +152,12 @@ def nearest(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
 
 @kernel(vector, table, memory)
 def project(u: Vec, planes: Vec, out: Vec) -> int:
-    """`nearest` for arrays: u (3,), planes (m, 4), into out (3,); returns how many were relaxed."""
+    """Apply `nearest` to arrays, and return the number of relaxed half spaces.
+
+    u: (3,)
+    planes: (m, 4), changed as in `nearest`
+    out: (3,): the result
+    """
     relaxed, q = nearest((u[0], u[1], u[2]), planes, planes.shape[0])
     for c in range(3):
         out[c] = q[c]

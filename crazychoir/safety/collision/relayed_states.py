@@ -1,4 +1,4 @@
-"""What the others hear of a drone that this one does not hear: it asks them, and tells what it hears itself."""
+"""Relayed states: a drone asks others about drones that it does not hear, and answers them."""
 
 from typing import Any
 
@@ -19,23 +19,35 @@ from crazychoir.safety.collision.neighbour_table import (
 from crazychoir.types import State
 
 ASKS = 0.25
-"""s, of the age of a state, before which nobody is asked for a newer one."""
+"""Age in s of a state before which no newer one is asked for."""
 AHEAD = 1.0
-"""s before it would brake for want of a state, from when on it asks."""
-RARELY, SELDOM = 5, 10
-"""Times that it looks, once for those of whom nobody has told for AHEAD s, and for those never heard, or gone."""
+"""Seconds before the drone would brake for want of a state, at which it begins to ask."""
+RARELY = 5
+"""Number of checks between two questions about a drone unanswered for AHEAD s."""
+SELDOM = 10
+"""Number of checks between two questions about a drone that is gone or was never heard."""
 NEAREST = 2
-"""Of those that it hears, so many that are nearest to whom it seeks are asked each time, and one more in turn."""
+"""Number of drones that are asked each time about one drone.
+
+They are the heard drones that are nearest to it. One more drone is asked in turn.
+"""
 
 
 class Hearsay:
-    """Asks and answers for a Traffic; what is told counts as heard, but for who asks whether it is cut off.
+    """Asks and answers for a Traffic.
 
-    Where one link fails, others hear both its ends. Two that do not hear each other have such a third one, unless
-    one of them hears less than half of the others, which lands (DEAF): of F that fly, as both know, both hear at least
-    (F - 1) / 2 among F - 2. So who is told nothing may count on it that the other comes down. Of those that were last
-    seen on the floor nobody knows whether they fly: a network that splits before the take-off is for
-    the roster to notice.
+    A relayed state counts as heard, except for the question whether this drone is cut off.
+
+    If one link fails, other drones hear both its ends. Two drones that do not hear each other have
+    such a third drone between them, unless one of the two hears less than half of the others. That
+    drone lands (DEAF). The reason: let F be the number of flying drones, as both know. Both hear at
+    least (F - 1) / 2 of the F - 2 others. So a drone that gets no answer may assume that the other
+    one comes down.
+
+    It is unknown whether the drones that were last seen on the floor fly. A network that splits
+    before the take-off is for the roster to notice.
+
+    traffic: the table of the other drones
     """
 
     def __init__(self, traffic: Traffic) -> None:
@@ -47,7 +59,10 @@ class Hearsay:
         self.port.handlers[HEARSAY.number] = self._told
 
     def seek(self, now: float) -> None:
-        """Ask for those whose newer state is needed soon; less often for whom a second of asking has not helped."""
+        """Ask for the drones from which a newer state is needed soon.
+
+        Ask less often for a drone if a second of asking has not helped.
+        """
         rows = self.traffic.rows
         ids = self.traffic.ids
         age = now - rows[:, BORN]
@@ -73,6 +88,7 @@ class Hearsay:
             self._send(SOUGHT, k, those)
 
     def _send(self, topic: Topic, to: int, value: list[Any]) -> None:
+        """Send a list, unless it is empty."""
         if value:
             self._sent += 1
             self.port.send(topic, (to,), encode(value), self._sent)
@@ -86,6 +102,7 @@ class Hearsay:
         flags: int,
         age: float,
     ) -> None:
+        """Answer a question with the usable states of the drones it lists."""
         traffic = self.traffic
         those = self._opened(payload)
         now = traffic.now()
@@ -111,6 +128,7 @@ class Hearsay:
         flags: int,
         age: float,
     ) -> None:
+        """Keep the states of an answer."""
         for item in self._opened(payload):
             match item:
                 case [int(j), State() as state, float(old)] if 0.0 <= old < GONE:
@@ -119,7 +137,11 @@ class Hearsay:
                     self._none()
 
     def _opened(self, payload: bytes) -> list[Any]:
-        """What a message lists; nothing, and it is counted, if it is none, or longer than there are drones."""
+        """Return the list in a message.
+
+        Returns an empty list, and counts the message as malformed, if it is none or longer than the
+        number of drones.
+        """
         try:
             value = decode(payload)
         except CodecError:
@@ -131,5 +153,6 @@ class Hearsay:
         )
 
     def _none(self) -> list[Any]:
+        """Count a malformed message and return an empty list."""
         self.port.counters.malformed += 1
         return []

@@ -1,48 +1,64 @@
-"""Whether a pose can be that of the body that was seen last: one that jumps is another body's, or a mistake."""
+"""The pose gate: a pose that jumps is that of another body, or a mistake of the cameras."""
 
 import math
 from collections import deque
 
 from crazychoir.types import Pose
 
-JUMP, HARDEST, FARTHEST = 0.12, 6.0, 0.5
-"""m, m/s2, m: noise, markers and delays; what no drone of ours accelerates by; and what no gap excuses."""
-TURN, FASTEST = math.radians(40.0), 10.0
-"""rad, and rad/s beyond."""
-LATELY, KEPT = 0.03, 0.5
-"""s, at least, over which the velocity is taken; and for which poses are kept for it."""
+JUMP = 0.12
+"""Distance in m that noise, markers and delays may add between two poses."""
+HARDEST = 6.0
+"""Acceleration in m/s2 that no drone exceeds."""
+FARTHEST = 0.5
+"""Distance in m that no gap in the poses can explain."""
+TURN = math.radians(40.0)
+"""Angle in rad that noise may add between two poses."""
+FASTEST = 10.0
+"""Turn rate in rad/s that is allowed beyond."""
+LATELY = 0.03
+"""Least time in s over which the velocity is taken."""
+KEPT = 0.5
+"""Seconds for which poses are kept for the velocity."""
 UNKNOWN = 3.0
-"""m/s, with which one may fly whose velocity is not known yet."""
+"""Speed in m/s that is allowed while the velocity is not known yet."""
 
 
 SURE = 0.06
-"""s for which poses go on from each other until they are believed again, if the first of them was in reach."""
+"""Seconds for which doubted poses must continue each other until they are believed.
+
+This holds if the first of them was in reach.
+"""
 
 Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Seen = tuple[float, Triple, Quaternion]
+"""Time in s, place (3,) m, attitude (4,)."""
 
 
 class PoseGate:
     """Judges the poses of one body in flight.
 
-        |p - (p_0 + v_0 h)| <= min(JUMP + HARDEST h^2 / 2, FARTHEST),   angle(q_0, q) <= TURN + FASTEST h
+        |p - (p_0 + v_0 h)| <= min(JUMP + HARDEST h^2 / 2, FARTHEST)
+        angle(q_0, q) <= TURN + FASTEST h
 
-    p_0, v_0, q_0: m, m/s, and the attitude, of the last pose that was believed;  h: s since then.  Before v_0 is known,
-    |p - p_0| <= min(JUMP + UNKNOWN h, FARTHEST).
+    p_0 m, v_0 m/s and the attitude q_0 are those of the last believed pose, h s ago. Before v_0 is
+    known, |p - p_0| <= min(JUMP + UNKNOWN h, FARTHEST).
 
-    Poses that go on from one that was not believed are not either, however long, unless that one was within
-    min(JUMP + |v_0| h + HARDEST h^2 / 2, FARTHEST) of p_0: then they are after SURE. v_0 may have been wrong: poses
-    that were late come together.
+    Poses that continue a doubted pose are doubted too, however long. There is one exception: if the
+    first doubted pose was within min(JUMP + |v_0| h + HARDEST h^2 / 2, FARTHEST) of p_0, they are
+    believed after SURE s. v_0 may have been wrong, because late poses arrive together.
     """
 
     def __init__(self) -> None:
         self._last: deque[Seen] = deque()
         self._doubted: deque[Seen] = deque()
-        self._sure_at = math.inf  # s, when what is doubted is believed
+        self._sure_at = math.inf  # s, when the doubted poses are believed
 
     def believes(self, pose: Pose, now: float, flying: bool) -> bool:
-        """Take in a pose of `now`, s; on the ground a drone may be carried about."""
+        """Take in a pose at the time `now` in s, and return whether it is believed.
+
+        On the ground all poses are believed: a drone may be carried about.
+        """
         x, y, z, *turn = pose.flat.tolist()
         seen = (now - pose.age, (x, y, z), (turn[0], turn[1], turn[2], turn[3]))
         if flying and self._last:
@@ -61,7 +77,7 @@ class PoseGate:
         return True
 
     def _doubt(self, seen: Seen) -> None:
-        """The first pose that does not go on from those before."""
+        """Keep the first pose that does not continue the earlier ones."""
         (t_0, p_0, q_0), (t, p, q) = self._last[-1], seen
         h = max(t - t_0, 0.0)
         v = _velocity(self._last)
@@ -80,7 +96,7 @@ def _keep(before: deque[Seen], seen: Seen) -> None:
 
 
 def _near(before: deque[Seen], seen: Seen) -> bool:
-    """Whether a pose goes on from these."""
+    """Return whether a pose continues these."""
     (t_0, p_0, q_0), (t, p, q) = before[-1], seen
     h = max(t - t_0, 0.0)
     v = _velocity(before)
@@ -94,13 +110,13 @@ def _near(before: deque[Seen], seen: Seen) -> bool:
 
 
 def _turns(a: Quaternion, b: Quaternion, h: float) -> bool:
-    """Whether a body turns so far in h s."""
+    """Return whether a body can turn from one attitude to the other in h s."""
     cosine = abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
     return 2.0 * math.acos(min(1.0, cosine)) <= TURN + FASTEST * h
 
 
 def _velocity(seen: deque[Seen]) -> Triple | None:
-    """m/s; None if they are too few."""
+    """Return the velocity in m/s; None if there are too few poses."""
     t, p, _ = seen[-1]
     for s, r, _ in reversed(seen):
         if t - s >= LATELY:

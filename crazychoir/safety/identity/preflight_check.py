@@ -1,7 +1,7 @@
-"""Whether motion capture sees the drone that it says, before it is armed: by places and headings.
+"""The check before arming that motion capture sees the right drone, by places and headings.
 
-A drone at rest and level looks like any other, so safety/identity/takeoff_check.py checks again in the air. Poses are
-those of the drones: the mounting of each marker body is already removed.
+A drone at rest and level looks like any other, so safety/identity/takeoff_check.py checks again in
+the air. Poses are those of the drones: the mounting of each marker body is already removed.
 """
 
 import math
@@ -13,31 +13,38 @@ import numpy as np
 from crazychoir.numerics.math3d import columns, dot, wrap, yaw_of
 from crazychoir.types import Pose, Vec
 
-PLACE, ANGLE = 0.05, math.radians(5.0)
-"""m, rad: more than this between what a drone says of itself and what is seen of it keeps it on the ground."""
+PLACE = 0.05
+"""Largest distance in m between a drone's own place and the place where it is seen.
+
+A drone with a larger one stays on the ground.
+"""
+ANGLE = math.radians(5.0)
+"""Largest angle in rad between a drone's own attitude and the attitude that is seen."""
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A drone on the ground, before it is armed.
-
-    home: (3,) m, None if it need not stand there;  own: what it says of itself, seen: what the cameras say of it, None
-    where nothing is said.
-    """
+    """A drone on the ground, before it is armed."""
 
     home: Vec | None
+    """(3,) m, world; None if the drone need not stand at a home."""
     own: Pose | None
+    """The pose that the drone reports of itself; None if it reports none."""
     seen: Pose | None
+    """The pose that the cameras report of it; None if they report none."""
 
 
 def before_arming(i: int, drones: Mapping[int, Standing]) -> list[str]:
-    """Why drone i must not be armed; nothing if all agrees.
+    """Return why drone i must not be armed; an empty list if all agrees.
 
         |p_own - p_seen| <= PLACE,   |yaw_own - yaw_seen| <= ANGLE,   angle(z_own, z_seen) <= ANGLE,
         argmin_j |p_seen - home_j| = i
 
-    A drone that is told where it is by the cameras agrees with whatever body it is told: then only homes, and what it
-    does in the air, tell one from another.
+    A drone that gets its place from the cameras agrees with any body that they take for it. Then
+    only homes, and its motion in the air, distinguish the drones.
+
+    i: id of the drone
+    drones: all drones by id
     """
     me = drones[i]
     found = [] if me.own else ["it does not say where it is"]
@@ -49,7 +56,7 @@ def before_arming(i: int, drones: Mapping[int, Standing]) -> list[str]:
 
 
 def _disagreement(own: Pose, seen: Pose) -> list[str]:
-    """What it says of itself, beside what is seen of it."""
+    """Return how the drone's own pose differs from the seen one."""
     found = []
     far = float(np.linalg.norm(own.p - seen.p))
     if not far <= PLACE:
@@ -74,7 +81,7 @@ def _disagreement(own: Pose, seen: Pose) -> list[str]:
 
 
 def _elsewhere(i: int, drones: Mapping[int, Standing], seen: Pose) -> list[str]:
-    """Whether its body stands at somebody else's home."""
+    """Return a reason if the drone's body stands at another drone's home."""
     homes = {j: one.home for j, one in drones.items() if one.home is not None}
     if i not in homes:
         return []
@@ -89,4 +96,5 @@ def _elsewhere(i: int, drones: Mapping[int, Standing], seen: Pose) -> list[str]:
 
 
 def _nearest(p: Vec, homes: Mapping[int, Vec]) -> int:
+    """Return the id of the home nearest to p, (3,) m."""
     return min(homes, key=lambda j: float(np.linalg.norm(p - homes[j])))

@@ -1,9 +1,10 @@
-"""Whether the body that the cameras take for a drone moves as the drone does, from its take-off on.
+"""The check after take-off that the body seen by the cameras moves as the drone does.
 
-On the ground, level, one drone is like any other, and one that is told by the cameras how it looks agrees with whatever
-body it is told. In the air its own sensors tell: a drone whose body is another's, or is turned about the vertical, is
-steered the wrong way, tilts more and more, and its body does not tilt as it does. Nothing here is worth more than its
-independence: until this has judged, the drone is told places, and no attitudes.
+On the ground, level, one drone is like any other, and a drone that gets its attitude from the
+cameras agrees with any body. In the air its own sensors decide. A drone with another's body, or
+with a body turned about the vertical, is steered the wrong way and tilts more and more, and its
+body does not tilt as it does. The check needs independent measurements: until it has judged, the
+drone gets places only, and no attitudes.
 """
 
 import cmath
@@ -18,52 +19,74 @@ import numpy.typing as npt
 from crazychoir.types import Vec
 
 Complex = npt.NDArray[np.complex128]
-NOISE, SHARE = math.radians(0.25), 0.2
-"""rad, and share of its tilt, by which what a drone says of its own tilt and what is seen of it may differ, beside what
-the cameras are seen to be wrong by."""
+NOISE = math.radians(0.25)
+"""Difference in rad between a drone's own tilt and the seen tilt, beside camera errors."""
+SHARE = 0.2
+"""Share of its tilt by which both may differ in addition."""
 ODD = 5.0
-"""Cost of one sample at most: a pose that is wrong touches two, and tells nothing."""
-CLEARLY, ALIKE, UNLIKE = 12.0, 6.0, 40.0
-"""Cost by which another body, or the own one turned, must explain a drone's motion better; within which these two do so
-equally well; and beyond which its own body does not, whoever's does."""
-RATIO, MOVED = 3.0, 0.5
-"""How many times less that cost is then; and the share of all motion that is left where nobody's body explains it."""
+"""Largest cost of one sample: a wrong pose affects two samples and proves nothing."""
+CLEARLY = 12.0
+"""Cost by which another body, or the own one turned, must explain the motion better."""
+ALIKE = 6.0
+"""Cost within which these two explanations count as equally good."""
+UNLIKE = 40.0
+"""Cost beyond which the drone's own body does not explain its motion, whichever does."""
+RATIO = 3.0
+"""Factor by which the cost of a better explanation must be smaller."""
+MOVED = 0.5
+"""Share of all motion that remains if no body explains it."""
 SHAKEN = math.radians(1.0)
-"""rad: more noise than that is none: somebody puts the drone down."""
+"""Largest noise in rad; more is not noise: a person puts the drone down."""
 TURNED = math.radians(30.0)
-"""rad: a body that is turned by less is not called so."""
+"""Angle in rad below which a turned body is not reported."""
 LAGS = (0.01, 0.03, 0.05, 0.08, 0.12)
-"""s by which what a drone says of itself may be late: the one of these that fits best."""
-STAYS, ROSE, SURELY = 0.03, 0.15, 0.2
-"""m by less than which a body has not risen, by which another has that should not; and s for which that is so."""
-WINDOW, STOOD, KEPT = 20, 0.5, 1.5
-"""Samples that are looked at; s of standing before the take-off, from which tilts count; and of poses that are kept."""
-SHORTEST, LONGEST, ENOUGH = 2.0, 8.0, 40.0
-"""s that a take-off is watched: at least, at most; and the cost of its motion from which on it has been judged."""
+"""Delays in s of a drone's own tilt that are tried; the best fit counts."""
+STAYS = 0.03
+"""Rise in m below which a body has not risen."""
+ROSE = 0.15
+"""Rise in m above which another body has risen that should not."""
+SURELY = 0.2
+"""Seconds for which this must hold."""
+WINDOW = 20
+"""Number of samples that are compared."""
+STOOD = 0.5
+"""Seconds on the ground before the take-off that give the reference tilt."""
+KEPT = 1.5
+"""Seconds for which poses are kept."""
+SHORTEST = 2.0
+"""Least time in s that a take-off is watched."""
+LONGEST = 8.0
+"""Longest time in s that a take-off is watched."""
+ENOUGH = 40.0
+"""Cost of its motion from which on the take-off has been judged."""
 
 
 def tilt(q: Vec) -> complex:
-    """Where up is, in the plane of the body: the x and y, as one complex number, of R(q)^T e_z.
+    """Return where up is in the plane of the body: x and y of R(q)^T e_z as one complex number.
 
         u = 2 (q_x q_z - q_w q_y) + 2 i (q_y q_z + q_w q_x)
 
-    q: (4,) body to world. A body whose axes are turned by psi about its z sees u e^(-i psi).
+    A body with axes turned by psi about its z sees u e^(-i psi).
+
+    q: (4,): body to world
     """
     x, y, z, w = q.tolist()
     return complex(2.0 * (x * z - w * y), 2.0 * (y * z + w * x))
 
 
 class Track:
-    """How one body was tilted lately, and how high it is, m;  flies: whether its drone says that it does."""
+    """The recent tilts of one body, and its height."""
 
     def __init__(self) -> None:
         self._times: deque[float] = deque()
         self._tilts: deque[complex] = deque()
         self.height = math.nan
+        """m."""
         self.flies = True
+        """Whether its drone reports that it flies."""
 
     def add(self, t: float, u: complex, height: float = math.nan) -> None:
-        """At t s."""
+        """Add the tilt u at the time t in s, and the height in m."""
         if self._times and t <= self._times[-1]:
             return
         self.height = height
@@ -74,7 +97,11 @@ class Track:
             self._tilts.popleft()
 
     def at(self, t: float) -> complex:
-        """Between its neighbours in time, the newest after it; nan if it was not seen within 0.1 s."""
+        """Return the tilt at the time t in s, interpolated.
+
+        After the newest sample it is that sample. Returns nan if the body was not seen within 0.1
+        s.
+        """
         times = self._times
         k = bisect(times, t)
         if k == len(times):
@@ -87,7 +114,12 @@ class Track:
         return (1.0 - share) * self._tilts[k - 1] + share * self._tilts[k]
 
     def rest(self, since: float, until: float) -> tuple[complex, float]:
-        """The mean between two times, nan if it was not seen; and the variance an axis, rad2, at most SHAKEN^2."""
+        """Return the mean tilt between two times, and its variance per axis.
+
+        since: s
+        until: s
+        Returns nan for the mean if the body was not seen; the variance in rad2 is at most SHAKEN^2.
+        """
         found = np.array(
             [
                 u
@@ -101,17 +133,36 @@ class Track:
 
 
 class Ascent:
-    """One take-off of drone i: its own tilt beside those of its body and of all others.
+    """One take-off of drone i: its own tilt is compared with those of its body and all others.
 
         s_k = u_own(t_k) - mean of u_own before,   b_jk = u_j(t_k - lag) - mean of u_j before
         J_j(psi) = min over lags of sum_k min(|s_k - e^(i psi) b_jk|^2 / (2 sigma_k^2), ODD)
         sigma_k^2 = NOISE^2 + n_own^2 + n_i^2 + (SHARE |s_k|)^2
 
-    over the last WINDOW samples;  n_own, n_i: rad, standard deviations an axis before the take-off.
-    Its body is another's if J_i(0) - J_j(0) > CLEARLY for a j; turned, if J_i(0) - J_i(psi) > CLEARLY for the
-    psi = arg sum_k s_k conj(b_ik) that fits best, |psi| > TURNED; in both cases the better cost is less than
-    J_i(0) / RATIO. It is nobody's if J_i(0) > UNLIKE and sum |s - b|^2 > MOVED sum (|s|^2 + |b|^2). And it is another's
-    if it stays on the floor, while that of a drone that does not fly rises.
+    The sums are over the last WINDOW samples. n_own and n_i are standard deviations per axis before
+    the take-off, in rad. The check reports four errors.
+
+    The body is another drone's:
+
+        J_i(0) - J_j(0) > CLEARLY for a j
+
+    The body is turned, by the best fit psi = arg sum_k s_k conj(b_ik):
+
+        J_i(0) - J_i(psi) > CLEARLY,   |psi| > TURNED
+
+    In both cases the better cost must also be less than J_i(0) / RATIO.
+
+    The body belongs to no drone:
+
+        J_i(0) > UNLIKE,   sum |s - b|^2 > MOVED sum (|s|^2 + |b|^2)
+
+    The body is another drone's, by the heights: it stays on the floor while the body of a drone
+    that does not fly rises.
+
+    i: id of the drone
+    now: s
+    own: the drone's own tilt
+    bodies: the tilt of each body, by id
     """
 
     def __init__(
@@ -132,15 +183,24 @@ class Ascent:
         }
         self._moved = 0.0
         self._heights = {j: track.height for j, track in bodies.items()}
+        # The body that rises instead of the drone's own, and since when.
         self._rises: tuple[int, float] = (
             i,
             now,
-        )  # whose body rises instead of its own, and since when
+        )
         self.over = False
-        """Whether it has been judged: it moves as its body does, or has been watched for long enough."""
+        """Whether the judgement is final.
+
+        Drone and body move alike, or the watch has been long enough.
+        """
 
     def judge(self, now: float, u: complex, flies: bool) -> str:
-        """What is wrong, empty if nothing is, when the drone says its tilt u, and whether it flies, of this time."""
+        """Return what is wrong, empty if nothing is.
+
+        now: s
+        u: the tilt that the drone reports for this time
+        flies: whether the drone reports that it flies
+        """
         if not self._zeros:
             self._look_back()
         s = u - self._level
@@ -153,7 +213,10 @@ class Ascent:
         return self._by_tilts() or (self._by_heights(now) if flies else "")
 
     def _look_back(self) -> None:
-        """At how all stood, once it has said all that it has said of that."""
+        """Compute the reference tilts and the noise from the time before the take-off.
+
+        It is called when the drone's reports of that time have arrived.
+        """
         began = self._began
         since = self._began - STOOD
         rest = {j: track.rest(since, began) for j, track in self._bodies.items()}
@@ -162,7 +225,11 @@ class Ascent:
         self._noise = NOISE**2 + noise + rest[self.drone][1]
 
     def _by_heights(self, now: float) -> str:
-        """Whether its body stays while it flies, and another's rises, whose drone does not fly."""
+        """Return what is wrong by the heights, empty if nothing is.
+
+        It is wrong if the body stays down while the drone flies, and the body of a drone that does
+        not fly rises.
+        """
         rises = {
             j: track.height - self._heights[j] for j, track in self._bodies.items()
         }
@@ -179,6 +246,7 @@ class Ascent:
         return f"it flies, its body stays on the floor, and that of drone {j}, which does not fly, rises"
 
     def _by_tilts(self) -> str:
+        """Return what is wrong by the tilts, empty if nothing is."""
         s = np.array(self._own)
         own = np.array(self._seen[self.drone])
         good = np.isfinite(s) & np.isfinite(own).all(axis=1)
@@ -209,14 +277,21 @@ class Ascent:
         return "it does not tilt as its body does" if nobodys else ""
 
     def _turned(self, s: Complex, own: Complex) -> tuple[float, float]:
-        """The cost of its own body, turned as fits best, and by how many rad; infinite if that is by little."""
+        """Return the cost of the drone's own body, turned as fits best, and the angle in rad.
+
+        The cost is infinite if the angle is small.
+        """
         psi = cmath.phase(complex(np.sum(s[:, None] * own.conj())))
         return (
             self._cost(s, cmath.exp(1j * psi) * own) if abs(psi) > TURNED else math.inf
         ), psi
 
     def _cost(self, s: Complex, seen: Complex) -> float:
-        """J: s (n,), seen (n, lags); who was not seen explains nothing."""
+        """Return the cost J; a body that was not seen explains nothing.
+
+        s: (n,)
+        seen: (n, lags)
+        """
         if not s.size:
             return 0.0
         variance = 2.0 * (self._noise + (SHARE * np.abs(s)) ** 2)

@@ -1,4 +1,4 @@
-"""The watchdog of one drone: what is too old, too far or not a number, and what is done about it. A table decides."""
+"""The watchdog of one drone: a table of rules decides what to do about stale data and positions."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from crazychoir.types import Mat, Point, State, Vec
 
 
 class Action(IntEnum):
-    """What the drone does, the worse the larger."""
+    """Actions of the drone. A larger value is a stronger action."""
 
     NOMINAL = 0  # fly the reference
     BRAKE = 1  # come to rest and stay, on the prediction if there is no pose
@@ -26,31 +26,42 @@ class Action(IntEnum):
 
 
 INSET = 0.1
-"""m from the sides of the fence where a drone comes to rest that would leave it."""
+"""Distance from the sides of the fence, m, at which a drone that would leave it comes to rest."""
 DOING = {Action.BRAKE: "braking", Action.LAND: "landing", Action.CUT: "motors cut"}
+"""Text of each action in error messages."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One row of the safety table.
-
-    measure: "pose" (s since the last pose), "reference" (s since the last one), "fence" (m outside the fence), "stop"
-    (m outside the fence, there or where it comes to rest if it brakes now, the worse), "limit area" (m outside it),
-    "broken" (1 if the state is not finite), or one that the guard is told, see TOLD;  limit: exceeded, the rule acts;
-    clear: it acts until the measure has been at or below this for `settle` seconds;  latched: it acts for good.
-    """
+    """One row of the safety table."""
 
     measure: str
+    """Name of the quantity that the rule watches:
+
+    "pose": s since the last pose
+    "reference": s since the last reference
+    "fence": m outside the fence
+    "stop": m outside the fence, now or where the drone comes to rest if it brakes now; the larger
+    "limit area": m outside the limit area
+    "broken": 1 if the state is not finite
+    or a measure that the guard receives by `tell`, see TOLD.
+    """
     limit: float
+    """The rule starts to act when the measure exceeds this."""
     action: Action
+    """Action of the drone while the rule acts."""
     clear: float = 0.0
+    """The rule acts until the measure has been at or below this for `settle` seconds."""
     settle: float = 0.5
+    """Seconds at or below `clear` before the rule stops acting."""
     latched: bool = False
+    """True: once the rule has acted, it acts for good."""
 
 
-# Poses: 0.10 s is ten of them missed at 100 Hz, 0.1 m at 1 m/s; after 0.50 s a prediction is worth little; after 2.00 s
-# without commands the firmware cuts by itself. Fence: it brakes while it can still stop inside, and lands if it does
-# not. Beyond the limit area it is the paper's keep-out zone: shut down at once.
+# Poses: 0.10 s is ten missed poses at 100 Hz, or 0.1 m at 1 m/s. After 0.50 s a prediction is
+# worth little. After 2.00 s without commands the firmware cuts the motors by itself.
+# Fence: the drone brakes while it can still stop inside, and lands if it does not stop there.
+# The space beyond the limit area is the keep-out zone of the paper: shut down at once.
 TABLE = (
     Rule("pose", 0.10, Action.BRAKE, clear=0.05),
     Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
@@ -77,18 +88,30 @@ REACHED = tuple(
     else r
     for r in TABLE
 )
-"""The table of a drone that a radio reaches: its firmware lands it by its own sensors when nobody sees it."""
+"""The table of a drone that is reached by a radio.
+
+Without poses, its firmware lands it by its own sensors.
+"""
 PLANS_ON_BOARD = tuple(
     rule
     for rule in REACHED
     if rule.measure != "link" or rule.action is not Action.BRAKE
 )
-"""The same where its planner is on board: it goes on with its plan, and nobody could tell it to brake."""
+"""The table of a drone that is reached by a radio and has its planner on board.
+
+When its radio is silent it continues its plan, because no command to brake could reach it.
+"""
 TOLD = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
-"""Of a drone that a radio reaches: s since its last packet; s that its battery is low, and V below what is critical,
-both as the firmware of its platform has it; 1 if it lies on its back, has crashed, or is locked by its firmware; 1 if
-what the cameras take for it does not rise when it takes off; 1 if that does not move as the drone does, 2 if it may not
-land; m outside the limit area where a body is seen for some time that is not believed to be its own."""
+"""Measures that a drone behind a radio reports by `tell`:
+
+link: s since its last packet
+battery: s since its battery voltage has been low, by the firmware of its platform
+empty: V below the critical battery voltage, by the firmware of its platform
+tumbled: 1 if it lies on its back, has crashed, or is locked by its firmware
+body: 1 if the body that the cameras take for it does not rise when it takes off
+astray: 1 if that body does not move as the drone does, 2 if the drone may not land either
+gone: m outside the limit area where a body is seen for some time that is not believed to be its own
+"""
 
 TEXT = {
     "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
@@ -110,14 +133,21 @@ AT_EDGE = "can just come to rest inside the fence: {doing}"
 
 @dataclass(frozen=True)
 class Fence:
-    """The box in which a drone may fly, from corner `low` to corner `high`, (3,) m each."""
+    """The box in which a drone may fly."""
 
     low: tuple[float, float, float]
+    """Lower corner: (3,) m, world."""
     high: tuple[float, float, float]
+    """Upper corner: (3,) m, world."""
 
     @classmethod
     def box(cls, low: Point, high: Point) -> "Fence":
-        """From two corners."""
+        """Return the box between two corners.
+
+        low: (3,) m, world: lower corner
+        high: (3,) m, world: upper corner
+        Raises ConfigError unless the first corner is below the second in all three coordinates.
+        """
         corners = np.array([low, high], dtype=float)
         if corners.shape != (2, 3) or not np.all(corners[0] < corners[1]):
             raise ConfigError(
@@ -129,40 +159,57 @@ class Fence:
         return cls((a, b, c), (d, e, f))
 
     def with_floor(self, z: float) -> "Fence":
-        """The same box from the height z m upwards."""
+        """Return this box with its floor at the height z in m."""
         return Fence.box((*self.low[:2], z), self.high)
 
     def grown(self, margin: float) -> "Fence":
-        """The same box, its sides `margin` m further out."""
+        """Return this box with its sides moved outwards by `margin` m."""
         return Fence.box(
             [x - margin for x in self.low], [x + margin for x in self.high]
         )
 
     def outside(self, x: float, y: float, z: float) -> float:
-        """m by which a position is outside, the largest over the six sides; negative inside."""
+        """Return by how many m a position is outside: the largest over the six sides.
+
+        Negative inside.
+        """
         a = self.low
         b = self.high
         return max(a[0] - x, x - b[0], a[1] - y, y - b[1], a[2] - z, z - b[2])
 
     def nearest(self, p: Vec, inset: float = INSET) -> Vec:
-        """The place inside, `inset` m from the sides, that is nearest to p (3,): where to hold."""
+        """Return the place inside, `inset` m from the sides, that is nearest to p.
+
+        p: (3,) m, world
+        Returns (3,) m: where a drone at p is held.
+        """
         return np.clip(p, np.array(self.low) + inset, np.array(self.high) - inset)
 
 
 BELOW_GROUND = 0.2
-"""m below the ground where the fence of a drone that takes off or lands begins: cameras and floors are not exact."""
+"""Depth in m below the ground where the fence of a drone that takes off or lands begins.
+
+Cameras and floors are not exact.
+"""
 REACTION = 0.1
-"""s for which a drone that is told to brake flies on at its speed: delays of filter, commands and attitude."""
+"""Seconds that a drone flies on at its speed after the command to brake.
+
+These are the delays of filter, commands and attitude.
+"""
 ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
+"""Default fence."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to do and why; reason, and the measure that it is about, are empty when all is well."""
+    """The action of the drone, and its reason."""
 
     action: Action
+    """Action of the drone."""
     reason: str = ""
+    """Text of the rule that acts; empty when all is well."""
     measure: str = ""
+    """Name of the measure of the rule that acts; empty when all is well."""
 
 
 ALL_WELL = Verdict(Action.NOMINAL)
@@ -170,11 +217,14 @@ ALL_WELL = Verdict(Action.NOMINAL)
 
 @kernel(vector, vector, real)
 def _outside(x: Vec, box: Vec, reach: float) -> float:
-    """The measure "stop": m by which the place of x (13,), or where it comes to rest, is outside the box (6,).
+    """Return the measure "stop": m outside the box, now or where the drone comes to rest.
 
         p + (reach |v| + REACTION) v
 
-    box: low, high;  reach: s2/m, 0 for one that ends inside by its own plan.  Negative inside; not finite if x is not.
+    x: (13,): state of the drone
+    box: (6,) m: lower corner, then upper corner
+    reach: s2/m, 0 if the drone flies a plan of its own that ends inside
+    Returns a negative number inside, and a number that is not finite if x is not finite.
     """
     far = (
         reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION
@@ -196,23 +246,34 @@ def _outside(x: Vec, box: Vec, reach: float) -> float:
 
 @kernel(matrix, vector, memory)
 def _each_outside(rows: Mat, box: Vec, out: Vec) -> None:
-    """The measure "stop" of each of the rows (n, 6 or more) of a path, which brakes by itself, into out (n,)."""
+    """Compute the measure "stop" of each set-point of a path that brakes by itself.
+
+    rows: (n, 6 or more): p and v of each set-point
+    box: (6,) m: lower corner, then upper corner
+    out: (n,) m: the result
+    """
     for k in range(rows.shape[0]):
         out[k] = _outside(rows[k], box, 0.0)
 
 
 class Guard:
-    """Judges one drone every tick: each rule of the table that acts has a say, the worst action wins.
+    """Judges one drone in every tick: all acting rules of the table compete, the worst action wins.
 
-    A rule starts to act when its measure exceeds its limit and stops after `settle` seconds at or below `clear`;
-    a latched one never stops: an operator looks at the drone and starts its agent again.
+    A rule starts to act when its measure exceeds its limit. It stops after `settle` seconds at or
+    below `clear`. A latched rule never stops: an operator looks at the drone and starts its agent
+    again.
 
-    fence: where it flies;  limit: the area beyond which its motors are cut, None: AROUND m around the fence;
-    ground: m. To take off and to land it leaves the fence downwards, and so far no rule but
-    "stop" knows its floor.
-    a_max: m/s2, with which it brakes. It brakes at the distance STOP |v|^2 / a_max from the fence that `stopping`
-    needs, REACTION s before, so a drone that follows references comes to rest at the fence; one that flies a plan of
-    its own, which ends inside, at the fence itself.
+    A drone that follows references brakes at the distance STOP |v|^2 / a_max from the fence that
+    `stopping` needs, REACTION s earlier, and so comes to rest at the fence. A drone that flies a
+    plan of its own, which ends inside, brakes at the fence itself.
+
+    fence: where the drone flies
+    table: the rules
+    a_max: m/s2: acceleration with which the drone brakes
+    ground: m: height of the ground. To take off and to land, the drone leaves the fence downwards.
+        Until then no rule but "stop" knows the floor of the fence.
+    limit: area outside which the motors are cut, None for AROUND m around the fence
+    Raises ConfigError for a table with an unknown measure, or with `clear` above `limit`.
     """
 
     def __init__(
@@ -233,11 +294,12 @@ class Guard:
                     f"a measure of {', '.join(TEXT)}; clear at or below limit",
                 )
         self.table = self._own = table
-        self._acting: dict[
-            Rule, float
-        ] = {}  # a rule that acts, and since when its measure has been clear
-        self._found: dict[Rule, float] = {}  # the last value for which it did
-        self._latched: dict[Rule, str] = {}  # a latched one, and why it began to act
+        # The rules that act, and since when the measure of each has been clear.
+        self._acting: dict[Rule, float] = {}
+        self._found: dict[Rule, float] = {}  # The last value for which a rule acted.
+        self._latched: dict[
+            Rule, str
+        ] = {}  # The latched rules that have acted, and the text of each.
         least = {
             m: min((r.limit for r in table if r.measure == m), default=math.inf)
             for m in TEXT
@@ -260,11 +322,14 @@ class Guard:
         self.room = Fence(
             *flight_room(fence.low, fence.high, None if drives else ground)
         )
-        """Where a drone may be sent: nowhere inside does this guard brake it."""
+        """The box into which a drone may be sent: nowhere inside does this guard brake it."""
 
     @property
     def latched(self) -> str:
-        """Why this drone must not fly again: the reason of the first latched rule that acted; empty if none has."""
+        """The reason of the first latched rule that acted; empty if none has.
+
+        While it is not empty, this drone must not fly again.
+        """
         return next(iter(self._latched.values()), "")
 
     def check(
@@ -275,9 +340,13 @@ class Guard:
         reference_age: float | None = None,
         low: bool = False,
     ) -> Verdict:
-        """The verdict at `now` (s); ages in s.
+        """Return the verdict at the time `now`.
 
-        state None: nothing was ever seen;  reference_age None: none needed;  low: it takes off or lands.
+        now: s
+        state: None if the drone was never seen
+        pose_age: s
+        reference_age: s, None if the drone needs no reference
+        low: whether the drone takes off or lands
         """
         age, reach = (
             (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
@@ -297,9 +366,12 @@ class Guard:
         return self._judge(now, self._measured(state, pose_age, age, stop))
 
     def leaves_room(self, path: Mat) -> Vec:
-        """Return (n,) m by which each set-point of a path (n, 14) is outside `room`, negative inside.
+        """Return by how many m each set-point of a path is outside `room`.
 
-        The measure is "stop" of the table, as `check` takes it of a drone that flies a plan of its own.
+        The measure is "stop" of the table, as `check` computes it for a drone on its own plan.
+
+        path: (n, 14), rows as FullState.flat
+        Returns (n,) m, negative inside.
         """
         out = np.empty(len(path))
         _each_outside(
@@ -308,7 +380,12 @@ class Guard:
         return out
 
     def tell(self, measure: str, value: float, said: str = "") -> None:
-        """A measure of TOLD now; said: what its reason says in place of {said}."""
+        """Set the current value of a measure of TOLD.
+
+        measure: one of TOLD
+        value: in the unit of the measure
+        said: text in place of {said} in the reason of its rule
+        """
         self._told[measure] = value
         self._said[measure] = said
         self._told_well = all(
@@ -316,20 +393,20 @@ class Guard:
         )
 
     def told(self, measure: str) -> float:
-        """What a measure of TOLD is."""
+        """Return the current value of a measure of TOLD."""
         return self._told[measure]
 
     def beyond(self, p: Vec) -> float:
-        """m by which p (3,) m is outside the limit area."""
+        """Return by how many m the position p, (3,) m, is outside the limit area."""
         return self._limit.outside(*p.tolist())
 
     @property
     def acts(self) -> bool:
-        """Whether a rule acts, or has too recently."""
+        """Whether a rule acts, or has not settled yet."""
         return bool(self._acting)
 
     def excuse(self, measure: str) -> None:
-        """Stop the rules of a measure that counts no more; a latched one stays."""
+        """Stop the rules of a measure that no longer matters; latched rules stay."""
         self._acting = {
             rule: since
             for rule, since in self._acting.items()
@@ -337,14 +414,17 @@ class Guard:
         }
 
     def forget(self) -> None:
-        """A flight is over, or begins: no rule of the one before acts any more, but for latched ones."""
+        """Stop all rules except the latched ones, because a flight begins or is over."""
         self._acting = {
             rule: since for rule, since in self._acting.items() if rule.latched
         }
         self.table = self._own
 
     def bear_unseen(self, seconds: float) -> None:
-        """Until it has landed: do not cut the motors of a drone because nobody has seen it for less than this."""
+        """Do not cut the motors of an unseen drone before `seconds` s without a pose.
+
+        This holds until the drone has landed.
+        """
         cuts = ("pose", Action.CUT)
         self.table = tuple(
             replace(rule, limit=max(rule.limit, seconds))
@@ -356,7 +436,7 @@ class Guard:
     def _measured(
         self, state: State | None, pose_age: float, reference_age: float, stop: float
     ) -> dict[str, float]:
-        """The measures of the table."""
+        """Return the value of each measure of the table."""
         outside = -math.inf
         beyond = -math.inf
         broken = 0.0
@@ -376,7 +456,7 @@ class Guard:
         }
 
     def _judge(self, now: float, values: dict[str, float]) -> Verdict:
-        """Start and stop rules, then let the worst one that acts speak."""
+        """Start and stop rules, then return the verdict of the worst acting rule."""
         for rule in self.table:
             value = values[rule.measure]
             if not value <= rule.limit:  # a NaN is beyond every limit
@@ -398,7 +478,7 @@ class Guard:
         )
 
     def _settle(self, rule: Rule, value: float, now: float) -> None:
-        """Stop a rule whose measure has been clear for long enough."""
+        """Stop a rule when its measure has been clear for long enough."""
         if rule.latched:
             return
         since = min(self._acting[rule], now) if value <= rule.clear else math.inf
@@ -408,7 +488,7 @@ class Guard:
 
 
 def _reason(rule: Rule, value: float, said: str = "") -> str:
-    """What was found, the limit, what is done."""
+    """Return the text of a rule: what was found, the limit, and what is done."""
     at_edge = rule.measure == "stop" and abs(value) < EDGE
     text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(
         value=value, limit=rule.limit, doing=DOING[rule.action], said=said

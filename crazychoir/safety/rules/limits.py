@@ -1,4 +1,4 @@
-"""What a reference may ask for: the limits of [flight] hold whatever guidance wants, and wherever it wants to be."""
+"""Limits of references: those of [flight] apply to everything that guidance wants."""
 
 import math
 
@@ -13,14 +13,22 @@ from crazychoir.types import Acceleration, FullState, State, Vec
 
 @kernel()
 def _share(a: Triple, limit: float) -> float:
-    """The factor, at most 1, that shortens a to the length `limit`."""
+    """Return the factor, at most 1, that shortens the vector a to the length `limit`."""
     length = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     return limit / length if length > limit else 1.0
 
 
 @kernel(vector, vector, vector, vector, memory)
 def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
-    """The law of ReferenceLimits for a reference (14,), into out (14,); False, and out is no good: nothing to cut."""
+    """Apply the law of ReferenceLimits to a full-state reference.
+
+    x: (13,): state of the drone
+    ref: (14,): reference, as FullState.flat
+    gains: (13,), as Gains.position
+    limits: (4,): v_max, a_max, largest jerk, largest yaw rate
+    out: (14,): the result
+    Returns False if the reference is within the limits; out is then not to be used.
+    """
     v_max = limits[0]
     a_max = limits[1]
     j_max = limits[2]
@@ -54,7 +62,14 @@ def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool
 
 @kernel(vector, vector, vector, real, memory)
 def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> None:
-    """The law of ReferenceLimits for an acceleration `wanted` (3,), into out (3,)."""
+    """Apply the law of ReferenceLimits to a wanted acceleration.
+
+    x: (13,): state of the drone
+    wanted: (3,) m/s2, world
+    limits: (4,), as for _cut_full_state
+    kv: 1/s
+    out: (3,) m/s2: the result
+    """
     v_max = limits[0]
     a_max = limits[1]
     hard = _share((wanted[0], wanted[1], wanted[2]), a_max)
@@ -73,25 +88,31 @@ def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> 
 
 
 class ReferenceLimits:
-    """Cuts a reference to v_max, a_max of [flight] and what follows from them; one within stays as it is, to the bit.
+    """Cuts a reference to v_max and a_max of [flight], and to the limits that follow from them.
 
         Acceleration:  a . v / |v| <= kv (v_max - |v|),  |a| <= a_max
-        FullState:     |v_d| <= v_max (a cut one without acceleration),  |a_d| <= a_max (a cut one without jerk),
+        FullState:     |v_d| <= v_max (a cut velocity goes without acceleration),
+                       |a_d| <= a_max (a cut acceleration goes without jerk),
                        |(kp / kv) (p_d - p)| <= v_max,  |kp (p_d - p) + kv (v_d - v)| <= a_max,
                        |j_d| <= kr a_max,  |yaw_d'| <= kr_yaw (1 rad)
 
-    So a far place is flown to at v_max, a reference that runs away is followed at 2 v_max, and none asks for more than
-    2 a_max, however its place, velocity and acceleration jump. The jerk and the yaw rate are fed forward to the body
-    rates: those that nothing else in the reference bears out tilt the drone until its attitude control outweighs them,
-    for a_max m/s2 more, and turn it by 1 rad.
-    kp 1/s2, kv 1/s, kr 1/s: of the controller that flies FullStates.
+    A reference within the limits stays as it is, to the bit. The drone flies to a far place at
+    v_max and follows a reference that runs away at 2 v_max. No reference asks for more than
+    2 a_max, however its place, velocity and acceleration jump.
+
+    Jerk and yaw rate are fed forward to the body rates. If nothing else in the reference agrees
+    with them, they tilt the drone until its attitude control outweighs them: by at most a_max m/s2
+    more, and 1 rad of yaw.
+
+    flight: speed_limit and acceleration_limit are v_max and a_max
+    gains: of the controller that flies FullStates: kp 1/s2, kv 1/s, kr 1/s
     """
 
     def __init__(self, flight: Flight, gains: Gains) -> None:
         self.a_max = flight.acceleration_limit
         self._a_max_squared = self.a_max**2
         self.gains = gains.position
-        """(13,), of Gains.position."""
+        """(13,), as Gains.position."""
         self._kv = min(gains.kv)
         self._v_max = flight.speed_limit
         roll, pitch, yaw = gains.kr
@@ -102,7 +123,12 @@ class ReferenceLimits:
     def acceleration(
         self, reference: Acceleration, state: State, speed: float
     ) -> Acceleration | None:
-        """What of it the limits leave to a drone in `state`, |v| = speed; None: of another shape, or not finite."""
+        """Return the part of an acceleration reference that the limits allow.
+
+        state: of the drone
+        speed: |v| of the drone in m/s
+        Returns None for a reference of another shape, or with numbers that are not finite.
+        """
         wanted = np.asarray(reference.a)
         if wanted.shape != (3,):
             return None
@@ -118,7 +144,7 @@ class ReferenceLimits:
         return Acceleration(out, reference.yaw)
 
     def full_state(self, reference: FullState, state: State) -> FullState:
-        """A reference that pulls the drone in `state` no harder than the limits allow."""
+        """Return a reference that pulls the drone in `state` no harder than the limits allow."""
         out = np.empty(14)
         is_cut = _cut_full_state(
             state.flat, reference.flat, self.gains, self._limits, out

@@ -1,22 +1,22 @@
-"""The flight state machine that all schemes share: what each command and event does in each mode, in one table."""
+"""The flight state machine of all schemes: one table says what each event does in each mode."""
 
 from enum import Enum
 
 
 class Mode(Enum):
-    """What the pilot is doing."""
+    """Modes of the pilot."""
 
     GROUND = "on ground"
     TAKEOFF = "taking off"
     HOVER = "hovering"
-    FOLLOW = "mission"  # flies what guidance wants: references, or a flight that it has planned
+    FOLLOW = "mission"  # flies what guidance wants: references, or a planned flight
     RETURN = "returning"
     LAND = "landing"
     CUT = "stopped"
 
 
 class Event(Enum):
-    """What may change the mode: what operators command, what guidance wants, what the flight itself comes to."""
+    """Events that may change the mode: commands of an operator or of guidance, or progress."""
 
     ARM = "arm"
     TAKE_OFF = "take-off"
@@ -27,15 +27,17 @@ class Event(Enum):
     HOME = "home"
     STOP = "stop"
     FLY = "fly"  # guidance flies to a place, along a trajectory, or a reference
-    ARRIVED = "arrived"  # the flight that was planned is over
-    DOWN = "down"  # it is low enough, or at rest where its descent ends
-    FOUND = "found in the air"  # another agent has flown it there
+    ARRIVED = "arrived"  # the planned flight is over
+    DOWN = "down"  # low enough, or at rest where the descent ends
+    FOUND = "found in the air"  # another agent has flown the drone there
 
 
 GROUND, TAKEOFF, HOVER, FOLLOW, RETURN, LAND, CUT = Mode
-# Members of an enumeration are slow to look up, in Python 3.11 above all; a tick needs these.
+# Members of an enumeration are slow to look up, above all in Python 3.11; each tick needs these.
 DOWN = (GROUND, CUT)
+"""Modes in which the motors are off."""
 GUIDED = (FOLLOW, HOVER, TAKEOFF)
+"""Modes in which guidance may move the drone."""
 COMMANDS = (
     Event.ARM,
     Event.TAKE_OFF,
@@ -46,18 +48,17 @@ COMMANDS = (
     Event.HOME,
     Event.STOP,
 )
-"""What an operator may command."""
+"""Events that an operator may command."""
 HELD = "held by its operator"
-"""Said of a drone that stays where it is until it is let go."""
+"""Text for a drone that stays where it is until its operator lets it go on."""
 
-_STANDS, _LANDS = "it is on the ground", "it is landing"
+_STANDS = "it is on the ground"
+_LANDS = "it is landing"
 _RETURNS = "it is returning: its mission is over"
 _OFF = "its motors are off until its agent is started again"
-_FLIES, _UNPLANNED, _UP = (
-    "it is in the air already",
-    "no flight is planned",
-    "it is not landing",
-)
+_FLIES = "it is in the air already"
+_UNPLANNED = "no flight is planned"
+_UP = "it is not landing"
 _RISES = "it is taking off already"
 
 TABLE: dict[Mode, dict[Event, Mode | str]] = {
@@ -147,20 +148,21 @@ TABLE: dict[Mode, dict[Event, Mode | str]] = {
     },
     CUT: {event: _OFF for event in Event} | {Event.STOP: CUT},
 }
-"""By mode and event: the next mode, or why the event changes nothing.
+"""For each mode and event: the next mode, or the reason why the event changes nothing.
 
-A start frees a mission that waits for its operator, go one that was held: both leave the mode to what guidance does
-then. What else must hold (a pose, a latched rule of the safety table, a mission that waits) is asked before.
+START frees a mission that waits for its operator, and GO frees a held mission. Neither changes
+the mode: what guidance does next changes it. Other conditions (a pose, a latched rule of the
+safety table, a waiting mission) are checked before this table is read.
 """
 
 
 def after(mode: Mode, event: Event) -> Mode:
-    """The mode after an event: the same one where the table refuses it."""
+    """Return the mode after an event: the old mode if the table refuses the event."""
     found = TABLE[mode][event]
     return found if isinstance(found, Mode) else mode
 
 
 def refusal(mode: Mode, event: Event) -> str:
-    """Why the table refuses the event in this mode; empty if it does not."""
+    """Return why the table refuses the event in this mode; empty if it does not."""
     found = TABLE[mode][event]
     return found if isinstance(found, str) else ""

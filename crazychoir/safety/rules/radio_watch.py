@@ -1,4 +1,4 @@
-"""What a drone that a radio reaches says of itself, for the safety table and for who wants to take off."""
+"""The reports of a drone behind a radio, for the safety table and the check before take-off."""
 
 import math
 
@@ -10,16 +10,25 @@ from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import LinkStatus
 
-TUMBLED, LOCKED, CRASHED = 1 << 5, 1 << 6, 1 << 7
-"""Bits of the firmware's supervisor: it flies no more."""
-SILENT, LATELY = 0.5, 5.0
-"""s without a packet that are worth a word of who has fallen, and for how many s after them."""
+TUMBLED = 1 << 5
+"""Bit of the firmware's supervisor: the drone lies on its back."""
+LOCKED = 1 << 6
+"""Bit of the firmware's supervisor: the firmware has locked the drone."""
+CRASHED = 1 << 7
+"""Bit of the firmware's supervisor: the drone has crashed."""
+SILENT = 0.5
+"""Seconds without a packet that are mentioned when a drone has fallen."""
+LATELY = 5.0
+"""Seconds for which such a gap is still mentioned after it has ended."""
 
 
 class RadioWatch(Actor):
-    """Tells the guard of one drone how its link, its battery and its attitude are, ten times a second.
+    """Reports link, battery and attitude of one drone to its guard, ten times a second.
 
-    source: the address that says LINK;  firmware: of its platform, which knows when a battery is low.
+    port: the port of the drone
+    source: the address that publishes LINK
+    guard: of the drone
+    firmware: of its platform: which battery voltages are low and critical
     """
 
     name = "radio watch"
@@ -42,12 +51,12 @@ class RadioWatch(Actor):
         port.bus.subscribe(LINK, source, port.address, self._status)
 
     async def run(self) -> None:
-        """As often as it is said."""
+        """Report at the rate of LINK."""
         async for _ in self.clock.ticks(LINK.rate, drone=self.port.address):
             self.look()
 
     def look(self) -> None:
-        """Tell what is known now."""
+        """Report the newest link status to the guard."""
         status = self._status.peek()
         if status is None:
             return
@@ -82,24 +91,28 @@ class RadioWatch(Actor):
         )
 
     def _hear(self, at: float, now: float) -> None:
-        """Its last packet came at s; an owner that was started again has not heard it yet, the one before has."""
+        """Note that the last packet of the drone came at the time `at`, in s.
+
+        A restarted owner of the dongle has not received a packet yet, but its predecessor has.
+        So the time of the last packet never goes back.
+        """
         if math.isfinite(self._heard_at) and at - self._heard_at > SILENT:
             self._gap = at - self._heard_at
             self._gap_ended = now
         self._heard_at = max(self._heard_at, at)
 
     def turning(self) -> bool:
-        """Whether its motors turn, as its firmware has said last; True while nobody says anything."""
+        """Return whether the motors turn, by the last report of the firmware; True without one."""
         status = self._status.fresh()
         return status is None or status.flying
 
     def astray(self) -> str:
-        """How what the cameras take for it has moved otherwise than it, empty if it has not."""
+        """Return how the body that the cameras take for the drone moved unlike it, else ""."""
         status = self._status.peek()
         return "" if status is None else status.astray
 
     def problems(self) -> list[str]:
-        """Why its drone may not take off."""
+        """Return the reasons why the drone may not take off."""
         status = self._status.fresh()
         if status is None:
             return ["nothing is heard of the owner of its dongle (crazychoir-radio)"]

@@ -1,9 +1,11 @@
-"""Who may fly what: a drone asks those with lower ids before it flies another way, and keeps clear of what it allowed.
+"""The agreement on paths: a drone asks all lower ids before it changes its path.
 
-A drone flies its way until all drones with lower ids that fly have agreed to the offer of another. The lowest asks
-nobody, and begins at once; but it keeps clear of all ways that it has agreed to, until it hears that they are not
-flown. So of any two one always knows all that the other may fly, however many messages are lost. Who was in the air
-when it was heard last flies until it says otherwise: a drone that gets no answer stays on the way it has.
+It keeps clear of every path that it has agreed to. A drone flies its path until all flying drones
+with lower ids have agreed to its offer of another one. The drone with the lowest id asks no other
+and begins at once; but it keeps clear of all paths that it has agreed to, until it hears that they
+are not flown. So in each pair of drones, one always knows everything that the other may fly,
+however many messages are lost. A drone that was in the air when it was last heard flies until it
+says otherwise. A drone that gets no answer stays on its path.
 """
 
 from collections.abc import Iterable
@@ -20,55 +22,66 @@ from crazychoir.safety.collision.neighbour_table import USABLE
 from crazychoir.types import Mat, Plan, Vec
 
 REPEAT = 0.05
-"""s between two messages without news."""
+"""Seconds between two messages without news."""
 RESTING = 0.2
-"""s between two messages of one that is on the ground."""
+"""Seconds between two messages of a drone on the ground."""
 NO_WAY: Mat = np.zeros((0, PIECE))
+"""A path without pieces: the drone does not fly, or has no offer."""
 NOWHERE: Vec = np.zeros(0)
+"""No place."""
 NOTHING = -1
+"""Number of no offer."""
 NUMBERS = 2**20
-"""Of offers, for one incarnation of an agent."""
+"""Number of offers for one incarnation of an agent."""
 
 
 @dataclass
 class Other:
-    """What is heard of another drone that plans.
-
-    heard: s, when it said so;  began, begins: s, when its way began, when its offer would begin;  agreed: what it has
-    agreed to;  allowed: the number of its offer to which this drone has agreed;  pending: an offer to be looked at;
-    awaits: (3,) m, where it wants to rest, and cannot come to, or (0,).
-    """
+    """Known facts about another drone with agreed paths."""
 
     id: int
+    """Id of the drone."""
     heard: float = -np.inf
+    """Time in s of its newest message."""
     way: Mat = field(default_factory=lambda: NO_WAY)
+    """(k, 25): its path."""
     began: float = 0.0
+    """Time in s when its path began."""
     offer: Mat = field(default_factory=lambda: NO_WAY)
+    """(k, 25): the path that it offers."""
     begins: float = 0.0
+    """Time in s when its offer would begin."""
     number: int = NOTHING
+    """Number of its offer."""
     agreed: dict[int, int] = field(default_factory=dict)
+    """Its agreements: id of a drone -> number of the offer."""
     allowed: int = NOTHING
+    """Number of its offer to which this drone has agreed."""
     pending: bool = False
+    """Whether its offer still needs an answer."""
     awaits: Vec = field(default_factory=lambda: NOWHERE)
+    """(3,) m, world: where it wants to rest but cannot; (0,) for nowhere."""
     stands: bool = False
+    """Whether it has stood on the floor since its newest message."""
 
     @property
     def flies(self) -> bool:
-        """Whether it is in the air, or about to be, by the last that was heard of it."""
+        """Whether it is in the air, or about to be, by its newest message."""
         return len(self.way) > 0 and not self.stands
 
     def silent(self, now: float) -> bool:
-        """Whether what it has said is too old to go by."""
+        """Return whether its newest message is too old to rely on."""
         return now - self.heard > USABLE
 
 
 class Agreement:
-    """The own way and offer, and those of the others.
+    """Path and offer of this drone, and those of the others.
 
-    way, began: what is flown, and since when, s;  offer, begins, number: what is asked for;  awaits: (3,) m,
-    where it wants to rest, and cannot come to, or (0,);  in_vain: s that it has asked, or could not ask, without having
-    its way since;  lacking: whose word it lacked last.
-    Numbers begin where no earlier agent of this drone has come to: what was agreed to for that one counts no more.
+    Offer numbers begin above those of each earlier agent of this drone: an agreement with an
+    earlier agent no longer counts.
+
+    port: the port of this drone
+    ids: of the drones with agreed paths
     """
 
     def __init__(self, port: Port, ids: Iterable[int]) -> None:
@@ -77,14 +90,22 @@ class Agreement:
         self.id = port.address
         self.others = {j: Other(j) for j in ids if j != port.address}
         self.way = NO_WAY
+        """(k, 25): the path that is flown."""
         self.began = 0.0
+        """Time in s when the path began."""
         self.offer = NO_WAY
+        """(k, 25): the path that is asked for."""
         self.begins = 0.0
+        """Time in s when the offer begins."""
         self.number = port.incarnation % 2**32 * NUMBERS
+        """Number of the offer."""
         self.awaits = NOWHERE
+        """(3,) m, world: where this drone wants to rest but cannot; (0,) for nowhere."""
         self.in_vain = 0.0
+        """Seconds that it has asked, or could not ask, since an offer last succeeded."""
         self._asked = 0.0
         self.lacking: int | None = None
+        """Id of the drone that last failed to answer."""
         self._next = 0.0
         self._news = False
         if self.others:
@@ -93,6 +114,7 @@ class Agreement:
             )
 
     def _hear(self, message: tuple[int, Plan], age: float) -> None:
+        """Keep a sound and newer message of another drone."""
         j, plan = message
         other = self.others.get(j)
         heard = self.clock.now_ns() / SECOND - age
@@ -109,11 +131,11 @@ class Agreement:
         other.number = plan.number
 
     def flying(self) -> list[Other]:
-        """Those in the air, as far as is heard."""
+        """Return the drones in the air, as far as is known."""
         return [other for other in self.others.values() if other.flies]
 
     def awaited(self, now: float) -> tuple[Vec, ...]:
-        """The places (3,) m that others want to come to, and cannot."""
+        """Return the places, (3,) m each, where others want to rest but cannot."""
         return tuple(
             other.awaits
             for other in self.flying()
@@ -121,14 +143,14 @@ class Agreement:
         )
 
     def begin(self, way: Mat, now: float) -> None:
-        """Fly this from now on, without asking: at first, and when there is no other way."""
+        """Fly this path from now on without asking: the first path, or the only way out."""
         self.way = way
         self.began = now
         self.offer = NO_WAY
         self._news = True
 
     def propose(self, way: Mat, begins: float) -> None:
-        """Ask for another way, which begins at the time `begins`, s."""
+        """Ask for another path, which begins at the time `begins`, s."""
         self.offer = way
         self.begins = begins
         self.number = self.number + 1
@@ -136,7 +158,10 @@ class Agreement:
         self._asked = self.clock.now()
 
     def settle(self, now: float) -> None:
-        """When the offer is due: fly it if all have agreed; else forget it."""
+        """Fly the offer if it is due and all have agreed.
+
+        Drop it if it is due and they have not.
+        """
         if len(self.offer) == 0 or now < self.begins:
             return
         lower = [other for other in self.flying() if other.id < self.id]
@@ -154,12 +179,12 @@ class Agreement:
         self._news = True
 
     def waited(self, j: int, seconds: float) -> None:
-        """So long, for the word of drone j, in vain."""
+        """Note that this drone has waited `seconds` s in vain for drone j."""
         self.lacking = j
         self.in_vain = self.in_vain + seconds
 
     def rest(self, now: float) -> None:
-        """Say that it does not fly."""
+        """Tell the others that this drone does not fly."""
         if len(self.way):
             self.way = NO_WAY
             self.offer = NO_WAY
@@ -169,22 +194,24 @@ class Agreement:
         self.tell(now)
 
     def agree(self, other: Other) -> None:
-        """The other may fly what it offers."""
+        """Let the other drone fly its offer."""
         other.allowed = other.number
         other.pending = False
         self._news = True
 
     def may_be_flown(self, other: Other) -> bool:
-        """Whether the other may fly its offer, as far as this drone is concerned."""
+        """Return whether the other drone may fly its offer, as far as this drone decides."""
         return len(other.offer) > 0 and (
             other.id < self.id or other.allowed == other.number
         )
 
     def mute(self, now: float) -> int | None:
-        """One that keeps it from asking, or from flying another way unasked; None: nobody does.
+        """Return the id of a drone that prevents this one from asking, or from flying another path.
 
-        It is to be asked, and silent; or does not know that this drone flies. A silent one with a higher id stays on
-        the ways that it has told.
+        That is a silent drone with a lower id, which must be asked, or a drone that does not know
+        that this one flies. A silent drone with a higher id stays on the paths that it has
+        announced.
+        Returns None if there is no such drone.
         """
         for other in self.flying():
             if self.id not in other.agreed or (
@@ -194,11 +221,11 @@ class Agreement:
         return None
 
     def asks(self) -> bool:
-        """Whether there is anybody to ask."""
+        """Return whether there is a drone to ask."""
         return any(other.id < self.id for other in self.flying())
 
     def tell(self, now: float) -> None:
-        """Say it, when there is something new or it is time again."""
+        """Publish path and offer if there is news, or when it is time to repeat them."""
         if not self.others or not (self._news or now >= self._next):
             return
         self._next = now + (REPEAT if len(self.way) else RESTING)
@@ -217,13 +244,16 @@ class Agreement:
 
 
 class _Judge:
-    """Says whether a plan is sound; what many drones of a process are given is looked at once."""
+    """Checks whether a plan is sound.
+
+    A plan that many drones of a process receive is checked once.
+    """
 
     def __init__(self) -> None:
         self._last: tuple[Plan | None, bool] = None, False
 
     def is_sound(self, plan: Plan) -> bool:
-        """Whether all of it can be flown."""
+        """Return whether all of the plan can be flown."""
         last, sound = self._last
         if plan is not last:
             sound = _is_way(plan.way) and _is_way(plan.offer) and _is_place(plan.awaits)
@@ -235,11 +265,11 @@ JUDGE = _Judge()
 
 
 def _is_way(way: Mat) -> bool:
-    """Whether it is a table of pieces, all numbers finite, no duration negative."""
+    """Return whether it is a table of pieces with finite numbers and no negative duration."""
     fits = way.ndim == 2 and way.shape[1] == PIECE and len(way) <= 8
     return fits and bool(np.isfinite(way).all() and (way[:, 0] >= 0.0).all())
 
 
 def _is_place(p: Vec) -> bool:
-    """Whether it is one, all numbers finite, or none."""
+    """Return whether it is a finite place, (3,), or no place, (0,)."""
     return p.shape in ((0,), (3,)) and bool(np.isfinite(p).all())

@@ -1,4 +1,4 @@
-"""The ways to a goal among which a drone chooses: straight, later, by a waypoint, or only some of it."""
+"""The paths to a goal among which a drone chooses: straight, later, by a waypoint, or in part."""
 
 import math
 from collections.abc import Iterator
@@ -21,33 +21,43 @@ from crazychoir.safety.rules.guard import INSET, Fence
 from crazychoir.types import Mat, Vec
 
 DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""s, after it has come to rest."""
+"""s, delays after the drone has come to rest."""
 SHARES = (0.25, 0.5, 0.75, 0.9)
-"""Of the straight way, where it may wait, or turn aside before and after."""
-ASIDE, ABOVE = (0.5, 0.9), 0.95
-"""m beside, above and below the straight way."""
+"""Shares of the straight path at which the drone may wait, or turn aside and back."""
+ASIDE = (0.5, 0.9)
+"""m, distances beside the straight path."""
+ABOVE = 0.95
+"""m, distance above and below the straight path."""
 DRAWN = 10
-"""Waypoints that are drawn."""
+"""Number of waypoints that are drawn at random."""
 AROUND = np.array([0.9, 0.9, 1.0])
-"""m beyond the straight way's box in which they are drawn."""
+"""m, margin around the box of the straight path in which waypoints are drawn."""
 DIP = 0.15
-"""m below the lowest waypoint, at most, that a way may sink of a drone that cannot stop before: there is the floor."""
+"""Largest depth in m below the lowest waypoint for a drone that cannot stop before.
+
+The floor is there.
+"""
 TURN = 0.3
-"""s that each further flight of a way costs beside its duration: it is not taken for nothing."""
+"""Cost in s of each further flight of a path beside its duration: each must be worth it."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """A way, and what it costs, s."""
+    """A path and its cost."""
 
     cost: float
+    """s."""
     way: Mat
+    """(k, 25): the path."""
 
 
 class Detours:
-    """Ways from a motion to a goal, cheapest first.
+    """Finds paths from a motion to a goal, cheapest first.
 
-    v_max m/s, a_max m/s2: of go_to;  fence: where ways are, and their waypoints;  draw: for some of those.
+    v_max: m/s, of go_to
+    a_max: m/s2, of go_to
+    fence: where paths and their waypoints are
+    draw: source of the random waypoints
     """
 
     def __init__(
@@ -59,9 +69,14 @@ class Detours:
         self.draw = draw
 
     def options(self, start: Vec, aim: Aim, most: float) -> list[Option]:
-        """All that cost less than `most` s, from a motion (12,) to rest at a goal, and stay INSET inside the fence.
+        """Return all paths that cost less than `most` s and stay INSET inside the fence.
 
-        Less so, or outside, where the drone cannot stop before, or the goal is there; but no deeper than DIP.
+        A path may be nearer to the fence, or outside, if the drone cannot stop before, or if its
+        goal is there; but no deeper than DIP.
+
+        start: (12,): motion at the beginning
+        aim: the goal, where the path ends at rest
+        most: s
         """
         places = np.array([start[0:3], aim.goal, end(braking(start, self.a_max))])
         low = np.minimum(places.min(axis=0), np.array(self.fence.low) + INSET)
@@ -75,11 +90,12 @@ class Detours:
         return sorted(found, key=lambda option: option.cost)
 
     def _option(self, aim: Aim, *pieces: Mat) -> Option:
+        """Return the path of these pieces with its cost."""
         way = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
         return Option(seconds(way) + aim.missing(end(way)) + TURN * (len(way) - 1), way)
 
     def _straight(self, start: Vec, aim: Aim) -> Iterator[Option]:
-        """At once, or after a while."""
+        """Yield the straight paths: at once, or after a delay."""
         yield self._option(aim, flight(start, aim.goal, self.v_max, self.a_max))
         rest = braking(start, self.a_max)
         stopped = moving(rest, seconds(rest))
@@ -88,7 +104,7 @@ class Detours:
             yield self._option(aim, rest, hold(stopped[0:3], delay), later)
 
     def _by_waypoints(self, start: Vec, aim: Aim) -> Iterator[Option]:
-        """Over a waypoint, or to it only."""
+        """Yield the paths over a waypoint, or to it only."""
         for point in self._waypoints(start[0:3], aim.goal):
             first = flight(start, point, self.v_max, self.a_max)
             yield self._option(aim, first)
@@ -98,6 +114,7 @@ class Detours:
             )
 
     def _waypoints(self, p: Vec, goal: Vec) -> Iterator[Vec]:
+        """Yield waypoints: on the straight path, beside, above and below it, and random ones."""
         straight = goal - p
         flat = math.hypot(straight[0], straight[1])
         side = (
@@ -120,4 +137,5 @@ class Detours:
             yield self._inside(point)
 
     def _inside(self, p: Vec) -> Vec:
+        """Return the place inside the fence that is nearest to p."""
         return self.fence.nearest(p)

@@ -1,18 +1,23 @@
-"""Where a drone comes down that cannot do so where it is, as others are there."""
+"""A place to come down for a drone that others keep from landing where it is."""
 
 import numpy as np
 
 from crazychoir.safety.rules.guard import INSET, Fence
 from crazychoir.types import Mat, Vec
 
-RADII, ANGLES = 0.1 * np.arange(21), np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-"""m and rad, around the place where it is."""
+RADII = 0.1 * np.arange(21)
+"""m, distances from the present place that are tried."""
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+"""rad, directions from the present place that are tried."""
 
 
 def nearest_free(p: Vec, others: Mat, fence: Fence) -> Vec | None:
-    """The place nearest to p (3,) m, as high, inside the fence and far enough from all others; None: there is none.
+    """Return the nearest place to p, at the same height, inside the fence and away from all others.
 
-    others: (n, 3), x and y m, and how far it must be from there in the plane, m.
+    p: (3,) m, world
+    others: (n, 3): x m, y m, and the horizontal distance in m to keep from there
+    fence: where the drone flies
+    Returns None if there is no such place.
     """
     for radius in RADII.tolist():
         for angle in ANGLES.tolist():

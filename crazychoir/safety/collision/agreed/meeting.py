@@ -1,4 +1,4 @@
-"""Where two ways meet: the first time at which two drones that fly theirs come too near to each other."""
+"""Meeting of two paths: the first time at which two drones on them come too near to each other."""
 
 import math
 
@@ -15,35 +15,54 @@ from crazychoir.safety.collision.agreed.paths import (
 from crazychoir.types import Mat, Vec
 
 STEP = 0.05
-"""s between two looks: at 2 m/s of relative speed a distance of 0.3 m is seen 4 mm too large at most."""
+"""Seconds between two checks.
+
+At 2 m/s of relative speed a distance of 0.3 m is seen at most 4 mm too large.
+"""
 NEARER = 1e-3
-"""m: two that are too near already may come that much nearer: rounding."""
+"""Distance in m by which two drones that are too near may still approach, for rounding."""
 WIDEST = 0.15
-"""m, of what is added for a way that is only guessed."""
+"""Largest extra distance in m from a path that is only guessed."""
 GROWS = 0.15
-"""m/s, by which such a guess becomes worse."""
+"""Growth in m/s of the uncertainty of such a guess."""
 APART = 0.1
-"""s between the places on a way at which a silent drone may be."""
+"""Seconds between the places on its path at which a silent drone may be."""
 COLUMN = 0.3
-"""m between the heights at which one that may have come down may be."""
+"""Height in m between the places where a drone that may have come down may be."""
 GOES_ON = 0.3
-"""s that one who tells no way is taken to go on as he does, before he comes to rest."""
+"""Seconds that a drone without an announced path is assumed to go on before it brakes."""
 
 FIRST, COUNT, BEGAN, FLOOR, GUESS, TAG, COLUMNS = range(7)
-"""Columns of what is known of another's way: the first row and the number of its pieces; s, when it began; whether he
-stands on the floor; m/s, by which it is unsure; whose it is."""
+"""Columns of what is known of another drone's path:
+
+FIRST: the first row of its pieces
+COUNT: the number of its pieces
+BEGAN: s, when it began
+FLOOR: whether the drone stands on the floor
+GUESS: m/s, growth of the uncertainty
+TAG: id of the drone
+"""
 
 
 @kernel(matrix, real, matrix, matrix, real, vector)
 def meets(
     way: Mat, began: float, pieces: Mat, others: Mat, now: float, f: Vec
 ) -> tuple[float, float]:
-    """The first time s at which a way meets one of the others, infinite if it never does; and whose that is.
+    """Return the first time in s at which a path meets another, and the id of that drone.
 
-        |S (p_i(t) - p_j(t))| < min(D, |S (p_i - p_j)| when both have begun),   S = diag(1, s_x / s_y, s_x / s_z)
+        |S (p_i(t) - p_j(t))| < min(D, |S (p_i - p_j)| when both have begun),
+        S = diag(1, s_x / s_y, s_x / s_z)
 
-    so that two that are too near part again.  others: rows of FIRST ... TAG, of ways in pieces (., 25);  f: (4,) = the
-    diagonal of S without its first, D m, and the width m of one on the floor, for whom S = 1.
+    By the minimum, two drones that are too near may part again.
+
+    way: (k, 25): the path
+    began: s, when it begins
+    pieces: (., 25): pieces of the other paths
+    others: (n, 6): FIRST ... TAG of each other path
+    now: s
+    f: (4,): diagonal of S without its first element, D m, and the width m of a drone on the floor,
+        for which S = 1
+    Returns (inf, -1) if the path meets no other.
     """
     duration = 0.0
     for k in range(way.shape[0]):
@@ -79,9 +98,10 @@ def meets(
 
 
 class Meeting:
-    """The ways of the others that a way must not meet.
+    """The paths of the others that a path must not meet.
 
-    figures: as f of `meets`;  a_max: m/s2, with which one who tells no way is taken to brake.
+    figures: (4,), as f of `meets`
+    a_max: m/s2, with which a drone without an announced path is assumed to brake
     """
 
     def __init__(self, figures: Vec, a_max: float) -> None:
@@ -95,13 +115,22 @@ class Meeting:
     def way(
         self, j: int, way: Mat, began: float, guess: float = 0.0, floor: bool = False
     ) -> None:
-        """Drone j flies this."""
+        """Add the path of drone j.
+
+        way: (k, 25)
+        began: s
+        guess: m/s, growth of the uncertainty
+        floor: whether the drone stands on the floor
+        """
         self._rows.append((self._count, len(way), began, float(floor), guess, j))
         self._pieces.append(way)
         self._count += len(way)
 
     def somewhere(self, j: int, way: Mat, began: float, heard: float) -> None:
-        """Drone j is silent since `heard`, s: it may have stopped anywhere on what was left of its way then."""
+        """Add drone j, silent since `heard` s.
+
+        It may have stopped anywhere on the path that was left then.
+        """
         lasts = seconds(way)
         for t in np.arange(
             min(max(0.0, heard - began), lasts), lasts + APART, APART
@@ -109,16 +138,21 @@ class Meeting:
             self.way(j, hold(moving(way, t)[0:3], 0.0), -math.inf)
 
     def below(self, j: int, p: Vec) -> None:
-        """Drone j may have come down from p (3,) m, to the ground."""
+        """Add drone j, which may have come down from p, (3,) m, to the ground."""
         for z in np.arange(p[2], -APART, -COLUMN).tolist():
             self.way(j, hold(np.array([p[0], p[1], z]), 0.0), -math.inf)
 
     def stands(self, j: int, p: Vec) -> None:
-        """Drone j stands on the floor."""
+        """Add drone j, which stands on the floor at p, (3,) m."""
         self.way(j, hold(p, 0.0), -math.inf, floor=True)
 
     def guessed(self, j: int, p: Vec, v: Vec, born: float) -> None:
-        """Drone j tells no way: it goes on a little, and brakes."""
+        """Add drone j without an announced path: it goes on for a short time, then brakes.
+
+        p: (3,) m
+        v: (3,) m/s
+        born: s, time of p and v
+        """
         start = np.concatenate([p, v, np.zeros(6)])
         going = hold(p, GOES_ON)
         going[0, 2], going[0, 10], going[0, 18] = v
@@ -130,7 +164,14 @@ class Meeting:
     def first(
         self, way: Mat, began: float, now: float, room: float = 0.0
     ) -> tuple[float, int | None]:
-        """s, when a way first meets one of them, and whom; infinite and None if it is clear. room: m, more to keep."""
+        """Return the time in s at which a path first meets another, and the id of that drone.
+
+        way: (k, 25)
+        began: s
+        now: s
+        room: m, distance to keep beside D
+        Returns infinity and None if the path is clear.
+        """
         if not self._rows:
             return math.inf, None
         if self._packed is None:
@@ -141,5 +182,5 @@ class Meeting:
         return time, None if whose < 0.0 else int(whose)
 
     def clear(self, way: Mat, began: float, now: float) -> bool:
-        """Whether it meets nobody."""
+        """Return whether the path meets no other."""
         return self.first(way, began, now)[1] is None

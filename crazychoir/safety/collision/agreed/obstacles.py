@@ -1,4 +1,4 @@
-"""Where all others may be: on the ways that they tell, or, if they tell none, by the state that is heard of them."""
+"""Obstacles: all other drones, on their announced paths, else where their states suggest."""
 
 import math
 
@@ -20,18 +20,24 @@ from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import State, Vec
 
 RESTS = 0.3
-"""m/s, below which a low drone stands."""
+"""Speed in m/s below which a low drone stands."""
 FREE = 0.25
-"""m between one that comes down beside others and what it keeps clear of anyway."""
+"""Further distance in m that a drone keeps when it lands beside others."""
 UNANSWERED = 5.0
-"""s, for which one that lands waits for agreement: then it comes down as far as that is clear of what it knows."""
+"""Seconds for which a landing drone waits for agreement.
+
+After this it comes down as far as this is clear of everything it knows.
+"""
 
 
 class Obstacles:
-    """The others, as a drone that tells its ways sees them.
+    """The others, as a drone that announces its paths sees them.
 
-    figures: as f of `meets`;  agreement: with those that tell theirs;  traffic: the states of all;  a_max: m/s2, with
-    which one who tells no way is taken to brake;  ground: m.
+    figures: (4,), as f of `meets`
+    agreement: with the drones that announce their paths
+    traffic: the states of all
+    a_max: m/s2, with which a drone without an announced path is assumed to brake
+    ground: m, height of the ground
     """
 
     def __init__(
@@ -51,13 +57,16 @@ class Obstacles:
         self._guessed = [j for j in traffic.ids if j not in agreement.others]
 
     def look(self, now: float) -> None:
-        """Say its state as often as is due; who has stood on the floor since it told its way flies no more."""
+        """Send the own state when due, and mark drones that have landed since their last message.
+
+        Such a drone has stood on the floor since it announced its path.
+        """
         self.traffic.look(now)
         for j, other in self.agreement.others.items():
             other.stands = self.stands(j) and self._rows[j][BORN] > other.heard + USABLE
 
     def measure(self, state: State) -> None:
-        """How soon it could be near each of the others."""
+        """Compute how soon this drone could be near each of the others."""
         rows = self.traffic.rows
         apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
         rows[:, SOON] = apart / (
@@ -65,14 +74,19 @@ class Obstacles:
         )
 
     def who_stands_at(self, p: Vec) -> int | None:
-        """One that stands where another would come down, p (3,) m: that does not begin to, as it may sink further."""
+        """Return the id of a drone that stands at the landing place p, (3,) m.
+
+        None if there is none.
+
+        A landing there must not begin, because the drone may sink further.
+        """
         for j, x in self._rows.items():
             if math.hypot(x[0] - p[0], x[1] - p[1]) < BODY and self.stands(j):
                 return j
         return None
 
     def stands(self, j: int) -> bool:
-        """Whether it stood on the floor when it was heard last."""
+        """Return whether drone j stood on the floor in its newest state."""
         x = self._rows[j]
         return bool(
             x[BORN] > -math.inf
@@ -81,7 +95,12 @@ class Obstacles:
         )
 
     def beside(self, p: Vec, fence: Fence) -> Vec | None:
-        """The place nearest to p (3,) m, as high, to come down beside all others; None: there is none near."""
+        """Return the place nearest to p, at the same height, to come down beside all others.
+
+        p: (3,) m, world
+        fence: where the drone flies
+        Returns None if there is none near.
+        """
         spots = []
         for j, x in self._rows.items():
             if x[BORN] > -math.inf:
@@ -93,20 +112,21 @@ class Obstacles:
         return nearest_free(p, np.array(spots), fence)
 
     def all(self, now: float) -> Meeting:
-        """All that its own way must keep clear of."""
+        """Return everything that the own path must keep clear of."""
         meeting = self.strangers()
         for other in self.agreement.others.values():
             self._add(meeting, other, now)
         return meeting
 
     def strangers(self) -> Meeting:
-        """Those that say no way, and keep clear by themselves."""
+        """Return the drones that announce no path and keep clear by themselves."""
         meeting = Meeting(self.figures, self.a_max)
         for j in self._guessed:
             self._guess(meeting, j)
         return meeting
 
     def _add(self, meeting: Meeting, other: Other, now: float) -> None:
+        """Add the path of a drone, and its offer if it may fly that."""
         if not other.flies:
             self._guess(meeting, other.id)
             return
@@ -120,10 +140,12 @@ class Obstacles:
                 meeting.way(other.id, way, began)
         if now - other.heard > UNANSWERED:
             meeting.below(other.id, end(other.way))
-        if self.traffic.deaf(other.id):  # what it says, and where it is
+        # It may follow its announced path, or not: both count.
+        if self.traffic.deaf(other.id):
             self._guess(meeting, other.id)
 
     def _guess(self, meeting: Meeting, j: int) -> None:
+        """Add a drone by its newest state."""
         x = self._rows[j]
         if self.stands(j):
             meeting.stands(j, x[0:3])

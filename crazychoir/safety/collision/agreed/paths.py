@@ -1,7 +1,8 @@
-"""Ways: what a planner on board flies, piece by piece, each a polynomial of degree 7 that go_to makes.
+"""Paths that a planner on board flies, piece by piece: each is a polynomial of degree 7 of go_to.
 
-A way is a (k, 25) table: of each piece its duration s and the coefficients of x, y and z in t, ascending, 8 each.
-It ends at rest, and there the drone stays. A motion is (12,) = p m, v m/s, a m/s2, j m/s3, each (3,), world.
+A path is a (k, 25) table. Each row is a piece: its duration in s, then the coefficients of x, y and
+z in t, ascending, 8 each. A path ends at rest, and there the drone stays.
+A motion is (12,): p m, v m/s, a m/s2, j m/s3, each (3,), world.
 """
 
 import math
@@ -19,21 +20,33 @@ from crazychoir.planning.point_to_point import (
 from crazychoir.types import Mat, Vec
 
 PIECE = 25
-GROWTH, PATIENT, LOOKS = 1.06, 2.0, 16
-"""Durations are tried in a row that grows so, up to so many times the one from rest; peaks are those of samples."""
-LOOK, ROUNDING = 0.1, 1e-3
-"""s between two looks at where a way is, and m by which it may be elsewhere: 1 m/s2 makes 1.3 mm in between."""
-FAST, HARD = 1.05, 1.1
-"""Of a limit, what sampled peaks may come to."""
+"""Numbers of a piece."""
+GROWTH = 1.06
+"""Ratio of successive durations that are tried."""
+PATIENT = 2.0
+"""Longest duration that is tried, as a multiple of the duration from rest."""
+LOOKS = 16
+"""Number of samples of a piece in the search for its peaks."""
+LOOK = 0.1
+"""Seconds between two checks of the place on a path."""
+ROUNDING = 1e-3
+"""Distance in m by which the drone may be elsewhere between two checks: 1 m/s2 makes 1.3 mm."""
+FAST = 1.05
+"""Allowed sampled peak speed, as a share of the limit."""
+HARD = 1.1
+"""Allowed sampled peak acceleration, as a share of the limit."""
 STEEP = 1.25
-"""Of a_max, from where on an acceleration is no peak of such a way."""
+"""Share of a_max from which an acceleration is no peak of such a path."""
 SWING = 2.0
-"""Of a_max, at least, the limit of who begins with more: it would become far too fast before it turned round gently."""
+"""Least limit, as a multiple of a_max, for a path that begins with a larger acceleration.
+
+With a gentler limit the drone would become far too fast before it turned round.
+"""
 
 
 @kernel()
 def _begin(way: Mat, t: float) -> tuple[int, float]:
-    """The piece that is flown t s after the beginning of the way, and s since that began."""
+    """Return the piece that is flown t s after the beginning of the path, and s since it began."""
     last = way.shape[0] - 1
     for k in range(last):
         if t < way[k, 0]:
@@ -44,7 +57,7 @@ def _begin(way: Mat, t: float) -> tuple[int, float]:
 
 @kernel()
 def place(way: Mat, t: float) -> Triple:
-    """Where it is t s after the beginning."""
+    """Return the place, (3,) m, t s after the beginning."""
     k, s = _begin(way, t)
     x = way[k, 8]
     y = way[k, 16]
@@ -58,16 +71,20 @@ def place(way: Mat, t: float) -> Triple:
 
 @kernel(matrix, real, memory)
 def motion(way: Mat, t: float, out: Vec) -> None:
-    """The motion t s after the beginning, into out (12,); at rest after the end."""
+    """Compute the motion t s after the beginning; at rest after the end.
+
+    way: (k, 25)
+    t: s
+    out: (12,): the result
+    """
     k, s = _begin(way, t)
     for c in range(3):
         p = 0.0
         v = 0.0
         a = 0.0
         j = 0.0
-        for n in range(
-            7, -1, -1
-        ):  # Horner's scheme: j, a, v hold a sixth, half and the whole of a derivative
+        # Horner's scheme: j, a and v hold a sixth, half and the whole of a derivative.
+        for n in range(7, -1, -1):
             j = j * s + a
             a = a * s + v
             v = v * s + p
@@ -82,9 +99,14 @@ def motion(way: Mat, t: float, out: Vec) -> None:
 
 @kernel(vector, vector, real, memory)
 def connect(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
-    """The polynomial from a motion (12,) to another in `duration` s, into piece (25,).
+    """Compute the polynomial from one motion to another.
 
-    p(t) = sum_n c_n t^n:  p, v, a, j are the start's at 0 and the end's at T
+        p(t) = sum_n c_n t^n:  p, v, a, j are the start's at 0 and the end's at T
+
+    start: (12,)
+    end: (12,)
+    duration: s, T
+    piece: (25,): the result
     """
     t = piece[0] = duration
     for c in range(3):
@@ -112,12 +134,19 @@ def connect(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
 
 @kernel()
 def _length(x: Vec, first: int) -> float:
+    """Return the length of the three numbers of x from index `first` on."""
     return math.sqrt(x[first] ** 2 + x[first + 1] ** 2 + x[first + 2] ** 2)
 
 
 @kernel()
 def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
-    """The largest speed and acceleration of a piece, as shares of their limits."""
+    """Return the larger of peak speed and peak acceleration of a piece, as shares of their limits.
+
+    piece: (25,)
+    v_max: m/s
+    a_max: m/s2
+    at: (12,): work space
+    """
     worst = 0.0
     way = piece.reshape((1, PIECE))
     for n in range(1, LOOKS):
@@ -130,7 +159,7 @@ def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
 
 @kernel()
 def _limit(acceleration: float, a_max: float) -> float:
-    """m/s2, for who begins with an acceleration."""
+    """Return the limit in m/s2 for a path that begins with an acceleration."""
     if acceleration <= STEEP * a_max:
         return max(a_max, acceleration / HARD)
     return max(acceleration, SWING * a_max)
@@ -138,7 +167,7 @@ def _limit(acceleration: float, a_max: float) -> float:
 
 @kernel(matrix)
 def hardest(way: Mat) -> float:
-    """The largest acceleration sideways on a way, m/s2, of samples."""
+    """Return the largest sampled sideways acceleration on a path, m/s2."""
     at = np.zeros(12)
     worst = 0.0
     began = 0.0
@@ -152,7 +181,12 @@ def hardest(way: Mat) -> float:
 
 @kernel(matrix, vector, vector)
 def leaves(way: Mat, low: Vec, high: Vec) -> bool:
-    """Whether a way comes out of the box from corner low (3,) m to corner high, seen every LOOK s."""
+    """Return whether a path leaves a box, checked every LOOK s.
+
+    way: (k, 25)
+    low: (3,) m: lower corner
+    high: (3,) m: upper corner
+    """
     lasts = np.sum(way[:, 0])
     t = 0.0
     while t < lasts + LOOK:
@@ -166,11 +200,19 @@ def leaves(way: Mat, low: Vec, high: Vec) -> bool:
 
 @kernel(vector, vector, real, real, memory)
 def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
-    """What go_to on board makes of a motion (12,), whose jerk it does not know, and a goal (3,) at rest.
+    """Compute the piece that go_to on board makes of a motion and a goal at rest.
 
-    As short as the limits allow: from rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)); else the first of
-    a growing row of durations whose samples do, or which miss them least, where a start that is itself too fast counts
-    as its own limit, and one that is too hard as well, or SWING a_max from STEEP a_max on.
+    The planner on board does not know the jerk of the motion. The piece is as short as the limits
+    allow. From rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)). Otherwise it is the
+    first of a growing series of durations with samples within the limits, or with the least excess.
+    A start that is itself too fast counts as its own limit. So does a start with too much
+    acceleration, or SWING a_max from STEEP a_max on.
+
+    start: (12,)
+    goal: (3,) m
+    v_max: m/s
+    a_max: m/s2
+    piece: (25,): the result
     """
     begin = start.copy()
     end = np.zeros(12)
@@ -202,9 +244,13 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
 
 @kernel(vector, real, memory)
 def stop(start: Vec, a_max: float, piece: Vec) -> None:
-    """The shortest way from a motion (12,) to rest, wherever that is.
+    """Compute the shortest piece from a motion to rest, wherever that is.
 
-    p(T) = p + v T / 2 + a T^2 / 10,   T = 15/8 |v| / a_max without acceleration
+        p(T) = p + v T / 2 + a T^2 / 10,   T = 15/8 |v| / a_max without acceleration
+
+    start: (12,)
+    a_max: m/s2
+    piece: (25,): the result
     """
     begin = start.copy()
     end = np.zeros(12)
@@ -223,28 +269,34 @@ def stop(start: Vec, a_max: float, piece: Vec) -> None:
 
 
 def hold(p: Vec, seconds: float) -> Mat:
-    """Staying at p (3,) m."""
+    """Return the path that stays at p, (3,) m."""
     way = np.zeros((1, PIECE))
     way[0, 0], way[0, 1], way[0, 9], way[0, 17] = seconds, *p
     return way
 
 
 def flight(start: Vec, goal: Vec, v_max: float, a_max: float) -> Mat:
-    """The way of one go_to."""
+    """Return the path of one go_to."""
     way = np.empty((1, PIECE))
     go_to(start, goal, v_max, a_max, way[0])
     return way
 
 
 def braking(start: Vec, a_max: float) -> Mat:
-    """The way to rest."""
+    """Return the path to rest."""
     way = np.empty((1, PIECE))
     stop(start, a_max, way[0])
     return way
 
 
 def keeping_up(start: Vec, then: Vec, seconds: float, a_max: float) -> Mat:
-    """To a motion (12,) that will be wanted `seconds` later, and to rest from there."""
+    """Return the path to a motion that will be wanted `seconds` later, and to rest from there.
+
+    start: (12,)
+    then: (12,)
+    seconds: s
+    a_max: m/s2
+    """
     way = np.empty((2, PIECE))
     connect(start, then, seconds, way[0])
     stop(then, a_max, way[1])
@@ -252,17 +304,17 @@ def keeping_up(start: Vec, then: Vec, seconds: float, a_max: float) -> Mat:
 
 
 def moving(way: Mat, t: float) -> Vec:
-    """The motion (12,) t s after the beginning."""
+    """Return the motion, (12,), t s after the beginning."""
     out = np.empty(12)
     motion(way, t, out)
     return out
 
 
 def seconds(way: Mat) -> float:
-    """s, of all pieces."""
+    """Return the duration of all pieces in s."""
     return float(way[:, 0].sum())
 
 
 def end(way: Mat) -> Vec:
-    """(3,) m, where it ends."""
+    """Return the place, (3,) m, where a path ends."""
     return moving(way, seconds(way))[0:3]

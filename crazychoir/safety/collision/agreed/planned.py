@@ -1,8 +1,9 @@
-"""Keeping clear for drones that fly by a planner on board, and for those that are sent velocities: by agreed ways.
+"""Collision avoidance by agreed paths, for drones with a planner on board or that get velocities.
 
-Each such drone says what it will fly, to the end. It flies where it is wanted as long as that is clear of all that
-the others will fly; else it delays its flight, splits it by a waypoint, or goes part of it; see `agreement` for when it
-may. It says which place it cannot come to, and whoever rests there without being at its own goal goes elsewhere.
+Each such drone announces what it will fly, to the end. It flies where it is wanted as long as that
+is clear of all that the others will fly. Otherwise it delays its flight, splits it by a waypoint,
+or flies a part of it; `agreement` says when it may. It announces which place it cannot come to. A
+drone that rests there without being at its own goal goes elsewhere.
 """
 
 import math
@@ -33,48 +34,71 @@ from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State, Vec
 
 PERIOD = 0.1
-"""s between two looks at what could be flown."""
+"""Seconds between two looks for a better path."""
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Its multiples are spread over each PERIOD: drones of one process that take off together do not look together."""
+"""Its multiples spread the looks over a PERIOD.
+
+Drones of one process that take off together then do not look at the same time.
+"""
 ASKING = 0.3
-"""s before an offer begins, within which the others agree, or do not."""
+"""Seconds before an offer begins, within which the others agree, or do not."""
 AHEAD = 0.8
-"""s, at least, of what is wanted by somebody who does not say where it ends."""
+"""Least time in s that is planned ahead if the wanted reference has no known end."""
 BETTER = 0.3
-"""s that another way must save."""
+"""Seconds that another path must save."""
 LEADS = 0.25
-"""Of what is left to a goal that moves: ending so near to it, a way still leads there. Each new one begins slowly."""
-ON, OFF = 0.03, 0.05
-"""m from what is wanted: as good as there; and too far to catch up without a flight of its own."""
+"""Share of the distance left to a moving goal.
+
+A path that ends that near to the goal still leads there. Each new path begins slowly.
+"""
+ON = 0.03
+"""Distance in m from the wanted reference within which the drone is on it."""
+OFF = 0.05
+"""Distance in m from the wanted reference that needs a flight of its own to catch up."""
 GENTLE = 0.8
-"""m/s2, with which it flies where others are: harder ways are flown less exactly."""
+"""Acceleration in m/s2 of flights among others; harder paths are flown less exactly."""
 URGENT = 1.6
-"""m/s2, with which it brakes before a stranger."""
-ROUGH, ROOM = 1.2, 0.4
-"""m/s2 sideways, from which on a way as it is wanted is such a one; m of room that it needs beside D."""
+"""Acceleration in m/s2 with which the drone brakes before a drone without an announced path."""
+ROUGH = 1.2
+"""Sideways acceleration in m/s2 from which on a wanted path counts as hard."""
+ROOM = 0.4
+"""Distance in m that a hard path needs beside D."""
 SAME = 1e-3
-"""m and m/s, in which what is wanted and what is flown end the same way."""
+"""Two ends of paths within this, in m and m/s, are the same."""
 LOST = 0.35
-"""m between a drone and its way, beyond which it begins another one from where it is."""
+"""Distance in m between a drone and its path, beyond which it begins a new path from here."""
 IMMINENT = 1.0
-"""s before a meeting with somebody who does not agree, within which it brakes if there is no other way."""
+"""Seconds before a meeting with a drone outside the agreement.
+
+Within this the drone brakes if there is no other path.
+"""
 AWAY = 0.5
-"""s without a flight, after which the next one begins anew."""
+"""Seconds without a flight after which the next one begins anew."""
 LOWEST = 0.25
-"""m above the ground, of waypoints."""
+"""Height in m above the ground of waypoints."""
 LONG = 60.0
-"""s, after which every landing has ended."""
+"""Seconds after which each landing has ended."""
 Future = Callable[[float], FullState]
-"""What is wanted so many s from now."""
+"""The wanted reference a number of seconds from now."""
 
 
 class PlannedFlights:
-    """The one interface: what is wanted -> what may be flown.
+    """Turns a wanted reference into a reference that the drone may fly.
 
-    |S (w_i(t) - w_j(t))| >= D for all t,  S = diag(1, s_x / s_y, s_x / s_z),  D = 2 s_x + margin + slack
+        |S (w_i(t) - w_j(t))| >= D for all t,  S = diag(1, s_x / s_y, s_x / s_z),
+        D = 2 s_x + margin + slack
 
-    w: the ways of two drones that say theirs;  one who says none is taken to brake, from the state that is heard of it.
-    settings: [collision];  planners: ids of those that plan;  v_max, a_max: of the ways.
+    w_i and w_j are the paths of two drones that announce theirs. A drone that announces none is
+    assumed to brake from its newest known state.
+
+    port: the port of this drone
+    settings: [collision]
+    traffic: the states of the others
+    planners: ids of the drones that announce their paths
+    fence: where the drone flies
+    a_max: m/s2, of the paths
+    v_max: m/s, of the paths
+    ground: m, height of the ground
     """
 
     def __init__(
@@ -98,9 +122,8 @@ class PlannedFlights:
             [sx / sy, sx / sz, 2.0 * sx + settings.margin + settings.slack, BODY]
         )
         self.agreement = Agreement(port, planners)
-        self.hearsay = Hearsay(
-            traffic
-        )  # it answers; who is not heard by it is asked for its way
+        # It answers; a drone that it does not hear is asked for its path.
+        self.hearsay = Hearsay(traffic)
         self.obstacles = Obstacles(figures, self.agreement, traffic, a_max, ground)
         self.detours = Detours(v_max, a_max, fence, np.random.default_rng(port.address))
         self._flew = -math.inf
@@ -109,7 +132,10 @@ class PlannedFlights:
         self._kept = self._stands = False
         self._brakes = NO_WAY
         self.gives_way_to: int | None = None
-        """Whom it would have met, had it flown as it was wanted to; None: nobody."""
+        """Id of the drone that this one would have met on its wanted path.
+
+        None if there is no such drone.
+        """
 
     def fly(
         self,
@@ -121,11 +147,15 @@ class PlannedFlights:
         lands: bool = False,
         waits: bool = False,
     ) -> FullState:
-        """What to fly now instead of `wanted`; that itself as long as nobody is in the way.
+        """Return what to fly now instead of `wanted`; `wanted` itself while no other is in the way.
 
-        future: what is wanted later;  whole: s until that ends at rest, if it does so after one go_to; else 0;
-        lands: whether it is on its way down, for which it waits UNANSWERED s for agreement at most;  waits: whether
-        what is wanted stands still while the drone is delayed.
+        state: of the drone
+        wanted: the wanted reference of now
+        future: the wanted reference a number of seconds from now
+        whole: s until the wanted reference ends at rest, if one go_to leads there; else 0
+        now: s
+        lands: whether the drone is landing; it then waits for agreement for at most UNANSWERED s
+        waits: whether the wanted reference stands still while the drone is delayed
         """
         mine = self.agreement
         self._stands = waits and self.delayed
@@ -151,21 +181,27 @@ class PlannedFlights:
         return wanted if self._kept else _reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:
-        """Whether it sees itself, and can ask all that it has to: else it cannot agree with them."""
+        """Return whether the drone sees itself and can ask all drones that it must ask.
+
+        Without this it cannot agree with them.
+        """
         return state.age <= USABLE and self.agreement.mute(now) is None
 
     def rest(self, now: float) -> None:
-        """It is on the ground."""
+        """Note that the drone is on the ground."""
         self.agreement.rest(now)
         self._kept = True
 
     @property
     def unanswered(self) -> bool:
-        """Whether it has waited for agreement as long as one that lands does."""
+        """Whether the drone has waited for agreement as long as a landing drone does."""
         return self.agreement.in_vain >= UNANSWERED
 
     def lands(self, wanted: FullState, now: float) -> FullState:
-        """What is wanted, whoever is in the way: for a drone that must come down, and cannot agree."""
+        """Return the wanted reference itself, whatever is in the way.
+
+        This is for a drone that must land and cannot agree with the others.
+        """
         if now >= self._next:
             self.agreement.begin(braking(wanted.flat[0:12], self.a_max), now)
             self._next = self._look_after(now)
@@ -177,30 +213,33 @@ class PlannedFlights:
         return wanted
 
     def departure(self, yaw: float, now: float) -> FullState | None:
-        """Where it is to be now, if it is not where it is wanted."""
+        """Return where the drone should be now, if it is not on the wanted reference; else None."""
         if self._kept or len(self.agreement.way) == 0 or now - self._flew > AWAY:
             return None
         return _reference(moving(self.agreement.way, now - self.agreement.began), yaw)
 
     def left(self, now: float) -> float:
-        """s until its way ends."""
+        """Return s until its path ends."""
         return max(self.agreement.began + seconds(self.agreement.way) - now, 0.0)
 
     def comes_to(self, goal: Vec) -> bool:
-        """Whether its way ends at goal (3,) m."""
+        """Return whether its path ends at the goal, (3,) m."""
         return math.dist(end(self.agreement.way), goal) < NEAR
 
     @property
     def delayed(self) -> bool:
-        """Whether it is elsewhere than it was wanted to be when it flew last."""
+        """Whether the drone was away from the wanted reference when it last flew."""
         return not self._kept
 
     def _look_after(self, now: float) -> float:
-        """The next look after this one, PERIOD later at most."""
+        """Return the time in s of the next look, at most PERIOD later."""
         return now + PERIOD - (now - self._phase) % PERIOD
 
     def _begin(self, state: State, wanted: FullState, now: float) -> None:
-        """A first way, to rest; again, from where it is, when it has been blown away from the one it had."""
+        """Begin a first path, to rest.
+
+        If the drone was blown off its path, begin another one from here.
+        """
         mine = self.agreement
         if len(mine.way) == 0 or now - self._flew > AWAY:
             near = math.dist(state.p, wanted.p) < LOST
@@ -211,7 +250,7 @@ class PlannedFlights:
             mine.begin(braking(_motion(state), self.a_max), now)
 
     def _answer(self, now: float) -> None:
-        """Agree to the offers of drones with higher ids that do not meet what it flies, or may fly soon."""
+        """Agree to offers of higher ids that do not meet what this drone flies, or may fly soon."""
         mine = self.agreement
         asking = [
             other
@@ -229,7 +268,10 @@ class PlannedFlights:
                 mine.agree(other)
 
     def _decide(self, future: Future, whole: float, now: float, alone: bool) -> None:
-        """Look for a better way than the one that is flown, and ask for it; alone: who wants to land, asks nobody."""
+        """Look for a better path than the present one, and ask for it.
+
+        alone: whether a landing drone goes on without asking
+        """
         mine = self.agreement
         if self._arrives(future, whole, now):
             mine.in_vain = 0.0
@@ -245,13 +287,13 @@ class PlannedFlights:
             self._brake_before(threat, now, self.obstacles.all(now))
 
     def _arrives(self, future: Future, whole: float, now: float) -> bool:
-        """Whether its way is what is wanted, to its end."""
+        """Return whether the present path is the wanted reference, to its end."""
         mine = self.agreement
         near = math.dist(moving(mine.way, now - mine.began)[0:3], future(0.0).p) <= OFF
         return near and self._ends(future(whole if whole > 0.0 else AHEAD))
 
     def _ends(self, wanted: FullState) -> bool:
-        """Whether what is wanted is to be at rest where its way ends."""
+        """Return whether the wanted reference rests where the present path ends."""
         then = wanted.flat
         return (
             math.dist(then[0:3], end(self.agreement.way)) < SAME
@@ -259,9 +301,10 @@ class PlannedFlights:
         )
 
     def _brake_before(self, threat: float, now: float, others: Meeting) -> None:
-        """Brake, unasked, if it meets a stranger in `threat` s, and would meet nobody sooner if it did.
+        """Brake unasked before a meeting in `threat` s, unless braking would cause one sooner.
 
-        Once: a way to rest that is begun anew, and slowly each time, comes to rest ever later and further on.
+        The meeting is with a drone that announces no path. The drone brakes once: a path to rest
+        that begins anew, slowly each time, comes to rest ever later and further on.
         """
         mine = self.agreement
         if threat >= IMMINENT or mine.way is self._brakes:
@@ -272,7 +315,7 @@ class PlannedFlights:
             mine.begin(way, now)
 
     def _choose(self, future: Future, whole: float, now: float, threat: float) -> None:
-        """The best way that is clear."""
+        """Ask for the best path that is clear."""
         mine = self.agreement
         begins = now + ASKING if mine.asks() else now
         start = moving(mine.way, begins - mine.began)
@@ -307,7 +350,16 @@ class PlannedFlights:
         others: Meeting,
         alone: bool = False,
     ) -> bool:
-        """Go on as wanted, if it is there and nobody is in the way."""
+        """Follow the wanted reference if the drone is near it and no other is in the way.
+
+        future: the wanted reference a number of seconds from now
+        whole: s until the wanted reference ends at rest, if one go_to leads there; else 0
+        begins: s, when the path begins
+        now: s
+        others: the paths of the others
+        alone: whether the drone flies without asking
+        Returns whether it does.
+        """
         mine = self.agreement
         wait = 0.0 if self._stands else begins - now
         start = moving(mine.way, begins - mine.began)
@@ -331,11 +383,17 @@ class PlannedFlights:
         return True
 
     def _catches_up(self, behind: Vec) -> float:
-        """s that it takes to come from a motion (12,), relative to what is wanted, to that."""
+        """Return the time in s to catch up with the wanted reference.
+
+        behind: (12,): motion relative to the wanted reference
+        """
         return seconds(flight(behind, np.zeros(3), self.v_max, self.a_max))
 
     def _goal(self, future: Future, whole: float, wait: float) -> tuple[Vec, bool]:
-        """(3,) m, where what is wanted ends; or would, if it braked, inside the fence; and whether that moves."""
+        """Return where the wanted reference ends, (3,) m, and whether that place moves.
+
+        A reference without a known end is assumed to brake, inside the fence.
+        """
         if whole > 0.0:
             return future(whole).p, False
         if self._stands:
@@ -346,7 +404,7 @@ class PlannedFlights:
         return self._inside(then[0:3], end(braking(then, self.a_max))), True
 
     def _inside(self, wanted: Vec, beyond: Vec) -> Vec:
-        """A place (3,) m not further outside the fence than what is wanted."""
+        """Return a place, (3,) m, that is not further outside the fence than the wanted place."""
         fence = self.detours.fence
         return np.clip(
             beyond, np.minimum(fence.low, wanted), np.maximum(fence.high, wanted)
@@ -354,9 +412,10 @@ class PlannedFlights:
 
 
 def _motion(state: State) -> Vec:
-    """The motion (12,) of a drone, whose acceleration nobody knows."""
+    """Return the motion, (12,), of a drone with an unknown acceleration."""
     return np.concatenate([state.p, state.v, np.zeros(6)])
 
 
 def _reference(motion: Vec, yaw: float) -> FullState:
+    """Return the reference of a motion, (12,), with this yaw in rad."""
     return FullState(np.array([*motion.tolist(), yaw, 0.0]))

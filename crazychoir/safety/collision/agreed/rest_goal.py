@@ -1,4 +1,4 @@
-"""Where a drone wants to come to rest, and what it costs to do so elsewhere."""
+"""The goal where a drone wants to rest, and the cost of resting elsewhere."""
 
 import math
 from dataclasses import dataclass
@@ -9,35 +9,42 @@ from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
 from crazychoir.types import Vec
 
 NEAR = 0.05
-"""m from the goal that counts as there."""
+"""Distance in m from the goal within which the drone has arrived."""
 UNENDED = 1.0
-"""s that a way costs that does not end at the goal; and more for what is left, REST times what it takes."""
+"""Cost in s of a path that does not end at the goal."""
 REST = 2.0
+"""Further cost of such a path, as a multiple of the time of the remaining flight."""
 AWAITED = 5.0
-"""s that it costs beside, to rest where another one waits to come to: more than a flight aside, and back, takes."""
+"""Cost in s of resting where another drone wants to rest.
+
+It is more than the time of a flight aside and back.
+"""
 
 
 @dataclass(frozen=True)
 class Aim:
-    """A goal, among those of others.
-
-    goal: (3,) m;  v_max m/s, a_max m/s2: of go_to;  awaited: (3,) m each, where others want to rest, and cannot come
-    to;  figures: as f of `meets`.
-    """
+    """A goal among the goals of others."""
 
     goal: Vec
+    """(3,) m, world."""
     v_max: float
+    """m/s, of go_to."""
     a_max: float
+    """m/s2, of go_to."""
     awaited: tuple[Vec, ...]
+    """(3,) m each: where others want to rest but cannot."""
     figures: Vec
+    """(4,), as f of `meets`."""
 
     def missing(self, p: Vec) -> float:
-        """s that a way costs which ends at p (3,) m instead of at the goal: more than a flight from there takes.
+        """Return the cost in s of a path that ends at p, (3,) m, instead of at the goal.
 
-            UNENDED + REST T(|p - goal|) + AWAITED where p is in the way,   T: s, of a flight;  T within NEAR
+            UNENDED + REST T(|p - goal|) + AWAITED where p is in the way,   T: s, of a flight
+            T within NEAR
 
-        Who is not at its goal leaves the place of another who waits for it: two that stand on each other's goals would
-        do so for ever, if neither gained anything by going away alone.
+        It is more than the time of a flight from p to the goal. A drone away from its goal leaves
+        the place of another drone that waits for it. Otherwise two drones on each other's goals
+        would stay there for ever, because neither would gain by leaving alone.
         """
         gap = math.dist(p, self.goal)
         left = max(
@@ -53,7 +60,7 @@ class Aim:
         )
 
     def _occupies(self, p: Vec, place: Vec) -> bool:
-        """Whether nobody can rest at a place (3,) m while another one does at p (3,) m: |S (p - q)| < D."""
+        """Return whether a drone at p blocks a place, both (3,) m: |S (p - q)| < D."""
         sy, sz, width, _ = self.figures.tolist()
         d = np.array([1.0, sy, sz]) * (p - place)
         return bool(np.linalg.norm(d) < width)
