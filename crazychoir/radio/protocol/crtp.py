@@ -51,9 +51,7 @@ class Packet(NamedTuple):
 
 
 def parse(datagram: bytes) -> Packet:
-    """Return the packet of a datagram. Raises CodecError for an empty one and for one that is too
-    long for a radio.
-    """
+    """Return the packet of a datagram. Raises CodecError if it is empty or too long for a radio."""
     if not 1 <= len(datagram) <= 1 + MOST:
         raise CodecError(
             f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + MOST}."
