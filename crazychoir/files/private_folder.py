@@ -16,12 +16,12 @@ from crazychoir.files.user_folders import (
 )
 
 ALLOWED = "a folder of this user alone"
-"""What errors name as allowed."""
+"""The allowed folder, for errors."""
 REMOVE_IT = (
     f"Remove it, if need be as root; or set {RUNTIME_VARIABLE} to a folder of yours, "
     "alike in every shell and service."
 )
-"""What to do if another user has taken the place, by mistake or on purpose."""
+"""Advice if another user has taken the place, by mistake or on purpose."""
 
 
 def runtime_folder() -> Path:

@@ -16,7 +16,7 @@ WIDE_MARKS = (
 )
 """First bytes of texts in other encodings, longer ones first."""
 AS_UTF_8 = "Save it as UTF-8: with an editor, or by `iconv -f ENCODING -t UTF-8 FILE > NEW_FILE`."
-"""What to do about another encoding."""
+"""Advice for a file in another encoding."""
 
 
 def read_text(

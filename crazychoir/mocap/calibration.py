@@ -82,7 +82,8 @@ def from_rest(
 ) -> Rest:
     """Return rotation and height of a body while its drone stands level.
 
-        R(q_b) = Rz(psi) R(q_m):  roll and pitch of q_b are those of q_m;  yaw of q_m = yaw of q_b - psi
+        R(q_b) = Rz(psi) R(q_m):  roll and pitch of q_b are those of q_m
+        yaw of q_m = yaw of q_b - psi
 
     poses: (k, 7), as tracked
     home_z: m: height of the drone's centre

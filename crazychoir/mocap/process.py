@@ -148,7 +148,7 @@ class MocapProcess(Actor):
         )
         self.view = view_of(config)
         self.failure = ""
-        """Why the process failed; empty if it did not."""
+        """Reason why the process failed; empty if it did not."""
         self._truth = RateLimit(TRUTH.rate)
         self._link: ZenohLink | None = None
         self._ending = ""

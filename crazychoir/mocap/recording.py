@@ -52,7 +52,7 @@ class Recorder:
         self.frames = 0
         """Frames written."""
         self.error = ""
-        """Why the recording ended early; empty if it did not."""
+        """Reason why the recording ended early; empty if it did not."""
         try:
             self._file: TextIO = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 - closed by __exit__
         except OSError as error:
@@ -168,7 +168,9 @@ def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
 
 
 def _require_seconds(path: str | Path, rows: list[Row]) -> None:
-    """Raise ConfigError if times are not in s: if they are too large, or too far from each other."""
+    """Raise ConfigError if times are not in s: if they are too large, or too far from each
+    other.
+    """
     line, largest = max(
         ((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1])
     )

@@ -27,7 +27,7 @@ class Source(Protocol):
     state: str
     """State, in a word or two."""
     again: int
-    """How often it was started again."""
+    """Number of restarts."""
 
     async def run(self, take: Take) -> None:
         """Deliver each frame as it arrives, and return when there are no more. It must not block

@@ -1,5 +1,5 @@
-"""From the frames of a source to the published frames: in order, at a limited rate, and blurred if
-they are exact.
+"""Turn the frames of a source into the published frames: in order, at a limited rate, and blurred
+if they are exact.
 """
 
 import math
@@ -143,7 +143,9 @@ class View:
         return (frame, 0.0) if self.blur is None else self.blur.see(frame)
 
     def _follows(self, frame: Frame) -> bool:
-        """Return whether a frame comes after the last one, or from a source that was started again."""
+        """Return whether a frame comes after the last one, or from a source that was started
+        again.
+        """
         last = self._last
         if not abs(frame.time) < LARGEST_TIME:  # also true for NaN
             self.timeless += 1

@@ -137,7 +137,9 @@ class Watch:
             sight.dropped += name not in frame.bodies
 
     def age(self, name: str, now: float) -> float:
-        """Return for how many s a live body has shown the same pose; 0 if the source is not live."""
+        """Return for how many s a live body has shown the same pose; 0 if the source is not
+        live.
+        """
         return now - self.sights[name].last if self.live else 0.0
 
     def look(self, now: float) -> list[str]:

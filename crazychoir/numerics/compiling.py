@@ -1,5 +1,5 @@
-"""When laws are compiled: when their modules are imported, or after a program has checked the
-user's files.
+"""The time at which laws are compiled: at the import of their modules, or after a program has
+checked the user's files.
 
 A first run compiles for a minute or two. Errors in a swarm file, a graph or an option are reported
 before that.

@@ -74,7 +74,9 @@ NUMBERS = (np.number, np.bool_, np.dtype, numba.types.Type)
 
 # Parts of numba that have no type annotations.
 _SETTINGS: Any = numba.config
+"""Settings of numba."""
 _REBUILD: Any = CompileResult._rebuild
+"""Function of numba that builds a compiled law from kept data."""
 
 GLOBAL = opmap["LOAD_GLOBAL"]
 """Byte code operation that loads a global name."""
@@ -258,9 +260,7 @@ def say(text: str) -> None:
 
 @cache
 def say_once() -> None:
-    """Print once why this process, or its parent, makes the user wait, unless a warning was
-    printed.
-    """
+    """Print once that laws are compiled and take a while, unless a warning was printed before."""
     if NAME not in os.environ.get(TOLD_VARIABLE, "").split(","):
         say(COMPILES)
 
@@ -323,8 +323,8 @@ def _folders(file: str) -> list[Path]:
 
 
 _FAULTS: dict[Path, str] = {}
-"""Why nothing can be written to a folder (empty: it can), for each folder that this process has
-tried.
+"""Reason why nothing can be written to a folder (empty: it can), for each folder that this
+process has tried.
 """
 
 
@@ -371,7 +371,9 @@ class _Turn:
                 return
 
     def end(self) -> None:
-        """Remove the lock file, so that waiting processes check for the machine code."""
+        """Release the lock and remove its file; waiting processes then check for the machine
+        code.
+        """
         if self._file >= 0:
             _remove(self._place)
             os.close(self._file)

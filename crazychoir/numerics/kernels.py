@@ -1,4 +1,4 @@
-"""How laws are compiled: the decorator `kernel` and the types of its arguments."""
+"""Compilation of laws: the decorator `kernel` and the types of its arguments."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar, cast

@@ -16,7 +16,9 @@ DECK_FAULT = 1 << 11
 
 
 def harm(supervisor: int) -> str:
-    """Return what has damaged or locked a drone, from its supervisor's bits; empty if nothing has."""
+    """Return what has damaged or locked a drone, from its supervisor's bits; empty if nothing
+    has.
+    """
     words = {
         CRASHED: "crashed",
         TUMBLED: "tumbled",

@@ -25,7 +25,8 @@ RING_DECK = "deck.bcLedRing"
 ASKED = Packet(SUPERVISOR, 0, b"\x0c")
 """Packet that asks the supervisor for its state."""
 SAYS = 0.5
-"""Seconds for the supervisor to answer whether the drone flies; older firmware has no such answer.
+"""Seconds for the supervisor to answer whether the drone flies; older firmware has no such
+answer.
 """
 
 

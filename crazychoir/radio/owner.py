@@ -89,7 +89,7 @@ class RadioProcess(Actor):
         self.rate = rate
         """Hz of set-points for each drone."""
         self.failure = ""
-        """Why the process failed; empty if it did not."""
+        """Reason why the process failed; empty if it did not."""
         self._missing = ""
         self._ending = 0.0
         self._limit = Fence.box(*limit_area(config))

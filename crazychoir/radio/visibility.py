@@ -66,7 +66,7 @@ class TakeOff:
         self.drone = i
         self.sights = sights
         self.found = ""
-        """Why the drone must land; empty if nothing is wrong."""
+        """Reason why the drone must land; empty if nothing is wrong."""
         self._own = Track()
         self._began = math.nan
         self._flies = False

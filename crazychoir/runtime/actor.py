@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Restart:
-    """How often a supervisor restarts an actor that fails."""
+    """The restarts that a supervisor allows an actor that fails."""
 
     limit: int = 0
     """Most restarts within `window`; a further failure ends the actor."""
@@ -32,7 +32,7 @@ class Actor:
     name: str = "actor"
     """Name in log lines and reports."""
     restart: Restart = NEVER
-    """How often the supervisor restarts this actor."""
+    """Restarts that the supervisor allows this actor."""
 
     async def run(self) -> None:
         """Do the work of the actor, from its start to its end."""

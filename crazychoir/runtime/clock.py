@@ -60,7 +60,8 @@ class Clock:
     virtual = False
     """True in virtual time."""
     epoch_ns = 0
-    """Nanoseconds from the start of 1970 to the instant at which `now_ns` was 0; 0 in virtual time.
+    """Nanoseconds from the start of 1970 to the instant at which `now_ns` was 0; 0 in virtual
+    time.
     """
 
     def __init__(self) -> None:
@@ -404,7 +405,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return handle
 
     def _run_once(self) -> None:
-        """Run all callbacks that are ready; if none is, advance the clock and run the next alarm."""
+        """Run all callbacks that are ready; if none is, advance the clock and run the next
+        alarm.
+        """
         ready = self._ready
         if not ready and not self._stopping:
             self._clock.advance()._run()

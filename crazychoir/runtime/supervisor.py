@@ -26,7 +26,9 @@ class _Child:
     """An actor under supervision."""
 
     actor: Actor
+    """The actor."""
     task: "asyncio.Task[None]" = field(init=False)
+    """The task that runs it."""
     failures: deque[float] = field(default_factory=deque)
     """Times in s of its failures within the window of its `restart`."""
     stopping: bool = False

@@ -113,7 +113,7 @@ JUMPS = 0.1
 UNSEEN = 0.5
 """Seconds without a pose after which the drone counts as not seen, at any rate of poses."""
 REMEDY = ": put its body right, out of the cameras' sight, or switch it off and on"
-"""What to do about a drone with the wrong body."""
+"""Advice for a drone with the wrong body."""
 WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its dongle (crazychoir-radio) again"
 """Problem of a drone with motors that were cut."""
 TRAILS = 0.5
@@ -158,9 +158,9 @@ class RadioDrone(Actor):
     name = "radio"
     restart = ON_FAILURE
     flies: tuple[str, ...] = ("xyz",)
-    """Plans that the body lets the drone fly."""
+    """Kinds of commands that the drone obeys."""
     command_timeout: float | None = None
-    """s: limit for commands of the body; None: no limit."""
+    """s without a command after which a flying drone gets no thrust; None: its firmware decides."""
 
     def __init__(
         self,
@@ -227,8 +227,7 @@ class RadioDrone(Actor):
                 POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE
             )
 
-    # Connecting and looking after the link
-    # ---------------------------------------------------------
+    # Connecting and looking after the link --------------------------------------------------------
 
     async def run(self) -> None:
         """Connect, look after the link, and connect again when it fails."""
@@ -338,7 +337,9 @@ class RadioDrone(Actor):
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
     def _learn_thrust(self, release: str) -> None:
-        """Set the thrust command a newton. Raises ConfigError if it is not known for this release."""
+        """Set the thrust command a newton. Raises ConfigError if it is not known for this
+        release.
+        """
         if self.handler.needs_thrust:
             given = self.config.radio.thrust_map
             where = f"drone {self.drone}"
@@ -574,7 +575,7 @@ class RadioDrone(Actor):
         self.problem = why
 
     problem = ""
-    """Why the link is not up."""
+    """Reason why the link is not up."""
     place: tuple[float, Pose] | None = None
     """s and pose: when and where the cameras last saw the drone, among the poses that were
     accepted.
@@ -584,8 +585,7 @@ class RadioDrone(Actor):
         """Note that the driver has given up; called by the connection."""
         self.why = reason
 
-    # What the drone is sent
-    # ------------------------------------------------------------------------
+    # What the drone is sent -----------------------------------------------------------------------
 
     def send(self, command: Command) -> None:
         """Send a command to the drone: a set-point when the next one is due, a plan at once."""
@@ -803,8 +803,7 @@ class RadioDrone(Actor):
         for task in self._tasks:
             task.cancel()
 
-    # What the drone answers
-    # ------------------------------------------------------------------------
+    # What the drone answers -----------------------------------------------------------------------
 
     def _heard(self, packet: Packet) -> None:
         if packet.port != HIGH_LEVEL or len(packet.data) < 4:
@@ -941,7 +940,9 @@ class RadioDrone(Actor):
         return checks.harm(self.supervisor) + hint
 
     def _astray(self) -> list[str]:
-        """Return what the last take-off has shown: that the body does not move as the drone does."""
+        """Return what the last take-off has shown: that the body does not move as the drone
+        does.
+        """
         return (
             [self._take_off.found]
             if self._take_off is not None and self._take_off.found
@@ -998,8 +999,7 @@ class RadioDrone(Actor):
         if self._own_ns:  # before the first log it is unknown whether the drone flies
             self.port.publish(BODY, Body(self._harm(), self.flying and not self._cut))
 
-    # What the body asks
-    # ----------------------------------------------------------------------------
+    # What the body asks ---------------------------------------------------------------------------
 
     def resting(self, i: int) -> bool:
         """Return whether the drone stands.

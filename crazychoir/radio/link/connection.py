@@ -118,8 +118,7 @@ class Connection:
         cf.link_statistics.uplink_rssi_updated.add_callback(self._set_rssi)
         return cf
 
-    # Open and close
-    # ---------------------------------------------------------------------------------------------
+    # Open and close -------------------------------------------------------------------------------
 
     async def open(self, seconds: float, tables: float = 0.0) -> None:
         """Open the link, and return when its tables of contents are known.
@@ -188,7 +187,7 @@ class Connection:
 
     @property
     def stage(self) -> str:
-        """What is still missing until the connection is usable."""
+        """The data still missing until the connection is usable."""
         if self._opened.done():
             return WORDLESS
         if self._heard_ns is None:
@@ -200,7 +199,9 @@ class Connection:
         return f"its table of {missing} is not complete"
 
     async def close(self) -> None:
-        """Close the link without sending a set-point, so that a flying drone notices only silence."""
+        """Close the link without sending a set-point, so that a flying drone notices only
+        silence.
+        """
         self._over = True
         if self.cf.incoming.ident is not None:
             self._contents.forget(self.cf.incoming.ident)
@@ -240,8 +241,7 @@ class Connection:
         if link is not None:
             link.close()
 
-    # Packets
-    # ----------------------------------------------------------------------------------------------------
+    # Packets --------------------------------------------------------------------------------------
 
     def send(self, packet: Packet) -> None:
         """Send a packet after all earlier ones."""
@@ -317,7 +317,7 @@ class Connection:
 
     @property
     def dongle_failure(self) -> str:
-        """Why the dongle cannot be used; empty if it can."""
+        """Reason why the dongle cannot be used; empty if it can."""
         return DONGLES.failure(self.uri)
 
     async def log(
@@ -382,7 +382,9 @@ class Connection:
             self._from_thread(_fail, started, "the drone does not begin it")
 
     async def reset_logs(self, seconds: float) -> None:
-        """Let the drone drop all its log blocks. Raises LinkFailed if it does not confirm in time."""
+        """Let the drone drop all its log blocks. Raises LinkFailed if it does not confirm in
+        time.
+        """
         try:
             await self.ask(
                 RESET_LOGS,
@@ -421,8 +423,7 @@ class Connection:
             self._trips.stayed(packet)
         return went
 
-    # From cflib's threads
-    # -----------------------------------------------------------------------------------------
+    # From cflib's threads -------------------------------------------------------------------------
 
     def _from_thread(self, function: Callable[..., None], *arguments: Any) -> None:
         if not self._over:
@@ -444,8 +445,7 @@ class Connection:
     def _set_rssi(self, rssi: float) -> None:
         self.rssi = -float(rssi)
 
-    # In the loop
-    # ----------------------------------------------------------------------------------------------------
+    # In the loop ----------------------------------------------------------------------------------
 
     def _is_open(self) -> None:
         if not self._opened.done():

@@ -17,7 +17,7 @@ from cflib.crtp import radiodriver
 from crazychoir.errors import LinkFailed
 
 PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
-"""What to do about a missing dongle."""
+"""Advice for a missing dongle."""
 PAUSE = 0.05
 """Seconds until a dongle that has not answered is asked again."""
 ANSWERS = 0.002
@@ -147,7 +147,7 @@ class Turns:
         self._vain = 0
         self._missed = 0
         self.ends = False
-        """Whether the link is about to be closed."""
+        """True once the link is about to be closed."""
         self._never = threading.Event()
 
     def set_channel(self, channel: int) -> None:
@@ -262,7 +262,9 @@ class Dongles:
                     del self._open[number]
 
     def failure(self, uri: str) -> str:
-        """Return why the dongle of this uri cannot be used; empty if it can, or was not opened yet."""
+        """Return why the dongle of this uri cannot be used; empty if it can, or was not opened
+        yet.
+        """
         number = uri.removeprefix("radio://").partition("/")[0]
         return (
             self._why.get(int(number), "")

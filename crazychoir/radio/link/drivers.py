@@ -71,7 +71,9 @@ class Outbox(queue.Queue[Any]):
         self._turns = turns
 
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        """Return the packet; raise queue.Empty if none comes before the drone must be asked again."""
+        """Return the packet; raise queue.Empty if none comes before the drone must be asked
+        again.
+        """
         return super().get(True, self._turns.idle)
 
 

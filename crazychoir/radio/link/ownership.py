@@ -22,9 +22,9 @@ from crazychoir.errors import Refused
 from crazychoir.files.user_folders import user_name
 
 LAND_FIRST = "and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
-"""What to do about drones of a process of the same user."""
+"""Advice about drones of a process of the same user."""
 LAND_AS_OWNER = "and may fly drones: that user, or root, must land them first (Ctrl-C there, or `crazychoir land`)"
-"""What to do about drones of a process of another user."""
+"""Advice about drones of a process of another user."""
 PREFIX = "crazychoir-"
 """Start of the name of each lock."""
 LONGEST_NAME = 107  # bytes of a name, after the zero byte that makes it abstract

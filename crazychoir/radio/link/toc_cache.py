@@ -56,7 +56,9 @@ class TableOfContents:
         self._told = threading.Condition()
 
     def fetch(self, crc: int) -> Contents | None:
-        """Return the table with this checksum; None: the calling link must load it from its drone."""
+        """Return the table with this checksum; None: the calling link must load it from its
+        drone.
+        """
         me = threading.get_ident()
         with self._told:
             self._closed.pop(me, None)

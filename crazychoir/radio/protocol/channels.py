@@ -1,4 +1,6 @@
-"""The Crazyradio's channels 0 to 125, and the choice of the k best. Channel c is at 2400 + c MHz."""
+"""The Crazyradio's channels 0 to 125, and the choice of the k best. Channel c is at 2400 + c
+MHz.
+"""
 
 from collections.abc import Mapping, Sequence
 

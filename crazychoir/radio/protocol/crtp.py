@@ -31,7 +31,8 @@ SUPERVISOR = 9
 PLATFORM = 13
 LINK = 15
 _RESERVED = 0b1100
-"""Header bits that safelink counts with; cflib sets them in each packet that it sends or receives.
+"""Header bits that safelink counts with; cflib sets them in each packet that it sends or
+receives.
 """
 
 
@@ -43,7 +44,7 @@ class Packet(NamedTuple):
     channel: int
     """0 to 3."""
     data: bytes = b""
-    """At most MOST bytes."""
+    """Content: at most MOST bytes."""
 
     def framed(self) -> bytes:
         """Return the packet as a datagram."""
@@ -64,8 +65,11 @@ class Form:
     """One kind of packet: its port and channel, its first bytes, and its fields."""
 
     name: str
+    """Name of the form."""
     port: int
+    """Port of its packets."""
     channel: int
+    """Channel of its packets."""
     head: bytes
     """First bytes, which distinguish this form from others."""
     fields: str

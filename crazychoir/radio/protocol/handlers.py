@@ -1,5 +1,5 @@
-"""From commands to packets: one radio handler for each kind of command, with the paper's names. No
-I/O, no clock.
+"""Translate commands into packets: one radio handler for each kind of command, with the paper's
+names. No I/O, no clock.
 
 A drone that estimates its own pose, by lighthouse, flow deck or anchors, uses the same handlers:
 the packets do not depend on the source of the pose.

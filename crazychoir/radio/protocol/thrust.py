@@ -1,4 +1,4 @@
-"""From newtons to the thrust command of a set-point, by platform and firmware release."""
+"""Convert newtons to the thrust command of a set-point, by platform and firmware release."""
 
 import re
 

@@ -136,7 +136,7 @@ class Network:
     frame: float
     """s: mean length of a frame."""
     uses: Uses
-    """When it is in use; at other times it sends only beacons."""
+    """Times of use; at other times it sends only beacons."""
 
     def level(self, channel: int) -> float:
         """Return the part of its power that falls into the receiver, dBm."""
@@ -191,7 +191,7 @@ class Jammer:
     power: float
     """dBm."""
     uses: Uses
-    """When it is in use."""
+    """Times of use."""
 
     def level(self, channel: int) -> float:
         """Return the power that the receiver's filter passes, dBm."""

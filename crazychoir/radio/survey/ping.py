@@ -33,12 +33,13 @@ class Echoes:
     """The result of a ping."""
 
     uri: str
+    """Address of the drone."""
     sent: int
     """Echoes sent."""
     round_trip: tuple[float, ...]
     """s: round trips of the echoes that came back."""
     error: str = ""
-    """Why the ping ended early; empty if it did not."""
+    """Reason why the ping ended early; empty if it did not."""
 
     @property
     def lost(self) -> int:

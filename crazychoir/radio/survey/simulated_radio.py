@@ -54,9 +54,8 @@ SPREAD = 50e-9
 DIRECT = 4.0
 """Power of the direct signal in relation to the power of all reflections."""
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
-"""Nodes and weights for means over a normal distribution."""
 WEIGHTS = WEIGHTS / WEIGHTS.sum()
-"""For means over a normal distribution."""
+"""NODES and WEIGHTS compute means over a normal distribution."""
 
 
 def success(sinr: Mat) -> Mat:

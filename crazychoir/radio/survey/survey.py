@@ -64,6 +64,7 @@ class Measured:
     """The results of a channel."""
 
     channel: int
+    """The channel."""
     passes: tuple[float, ...]
     """Share of acknowledged packets without retries, for each pass."""
     retries: tuple[int, ...]
@@ -145,7 +146,9 @@ class Survey:
         )
 
     def pick(self, k: int, spacing: int) -> tuple[int, ...]:
-        """Return the k channels with the spacing (MHz) and the best worst pass; see channels.pick."""
+        """Return the k channels with the spacing (MHz) and the best worst pass; see
+        channels.pick.
+        """
         return pick(
             {row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing
         )

@@ -30,9 +30,9 @@ TRIES = 50
 PATIENT = 15
 """Retransmissions of each of these: the most that the dongle allows."""
 ROUNDS = 5
-"""How often the probe searches for the drone on its possible channels."""
+"""Number of searches for the drone on its possible channels."""
 RESTART = "Switch it off and on: it starts on its own channel."
-"""What to do about a lost drone."""
+"""Advice for a lost drone."""
 
 
 class CrazyradioProbe:

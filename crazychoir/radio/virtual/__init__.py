@@ -1,1 +1,3 @@
-"""Virtual Crazyflies: a CRTP server over UDP, the behaviour of the firmware, and a simulated body."""
+"""Virtual Crazyflies: a CRTP server over UDP, the behaviour of the firmware, and a simulated
+body.
+"""

@@ -66,6 +66,7 @@ class Identity:
     """The properties that distinguish a drone from others."""
 
     name: str = "virtual Crazyflie"
+    """Name for log lines."""
     number: int = 0xE7
     """Last byte of its address."""
     release: str = RELEASE
@@ -110,7 +111,7 @@ class VirtualCrazyflie:
         self.truth = truth
         self.kept = Kept()
         self.starts = 0
-        """How often the drone was switched on."""
+        """Number of times that the drone was switched on."""
         self.received = 0
         """Packets received."""
         self.sent = 0

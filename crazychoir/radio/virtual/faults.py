@@ -1,4 +1,6 @@
-"""Faults of a virtual drone, its link and the cameras: their names, their ranges and their values."""
+"""Faults of a virtual drone, its link and the cameras: their names, their ranges and their
+values.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +24,7 @@ class Knob:
     means: str
     """Effect of the fault."""
     size: int = 1
-    """How many numbers its value has."""
+    """Number of numbers in its value."""
     whole: bool = False
     """True if only whole numbers are allowed."""
 

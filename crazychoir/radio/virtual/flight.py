@@ -208,7 +208,9 @@ class Flight:
         return bytes([done, bool(self.onboard.record["armed"] or (done and wanted))])
 
     def recover(self) -> bytes:
-        """Recover from a crash; return whether this was done, and whether the drone has recovered."""
+        """Recover from a crash; return whether this was done, and whether the drone has
+        recovered.
+        """
         done = self.onboard.recover()
         return bytes([done, done])
 

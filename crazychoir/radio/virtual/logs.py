@@ -21,7 +21,7 @@ ENOEXEC = 8
 ENOMEM = 12
 EEXIST = 17
 BY_ADDRESS = 0xFFFF
-"""In place of an index: an address in the drone's memory follows."""
+"""Index of a variable that is named by an address in the drone's memory, which follows."""
 BLOCKS = 16
 """Most blocks."""
 VARIABLES = 128

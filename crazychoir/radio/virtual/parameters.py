@@ -223,7 +223,9 @@ class Parameters:
 
 
 def packed(entry: Entry, value: float) -> bytes:
-    """Return a value in the format of its entry; whole numbers are cut to the size of their type."""
+    """Return a value in the format of its entry; whole numbers are cut to the size of their
+    type.
+    """
     if entry.letter == "f":
         return struct.pack("<f", value)
     size = struct.calcsize(entry.letter)

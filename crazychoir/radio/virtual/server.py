@@ -309,7 +309,9 @@ class VirtualServer(Actor):
         self._put(i, "motor", self.faults[i].motor)
 
     def _swap(self, i: int, j: int) -> None:
-        """Exchange the poses of i and j; undo any earlier exchange of either. j = -1 only undoes."""
+        """Exchange the poses of i and j; undo any earlier exchange of either. j = -1 only
+        undoes.
+        """
         for k in (i, j):
             if k in self.faults and (old := int(self.faults[k].swap)) >= 0:
                 self.faults[k].swap = self.faults[old].swap = -1.0

@@ -29,7 +29,7 @@ OF_FILE = (
     "The swarm file names it, and another `crazychoir virtual`, or another program, has it: end that, or change the "
     "uri of the drone, or mocap.port, in the file."
 )
-"""What to do if a port of a swarm is taken."""
+"""Advice if a port of a swarm is taken."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Seat:
     """The address and the properties of one drone."""
 
     id: int
+    """Id of the drone."""
     at: tuple[str, int]
     """Host and port."""
     body: str
@@ -64,7 +65,7 @@ class Hall:
     poses: tuple[str, int]
     """Address of the cameras."""
     taken: str = "Choose another --port."
-    """What to do if one of its ports is taken."""
+    """Advice if one of its ports is taken."""
 
     def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
         """Return the world: the drones at home, with their platforms, the swarm's [motors] and the

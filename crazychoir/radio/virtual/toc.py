@@ -54,7 +54,9 @@ class Entry:
     """One entry of a table."""
 
     group: str
+    """Group of the variable or parameter."""
     name: str
+    """Name within the group."""
     kind: str
     """C type."""
     persistent: bool = False
@@ -77,7 +79,9 @@ class Entry:
 
 @cache
 def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
-    """Return the log variables and the parameters of the firmware, in the order of their indices."""
+    """Return the log variables and the parameters of the firmware, in the order of their
+    indices.
+    """
     logs: list[Entry] = []
     parameters: list[Entry] = []
     for line in (
