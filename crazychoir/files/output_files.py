@@ -60,8 +60,9 @@ def require_writable_file(
 
 
 def require_writable_folder(path: str | Path, option: str) -> None:
-    """Make the folder. Raise ConfigError, before anything is computed, if files cannot be written
-    into it.
+    """Make the folder.
+
+    Raise ConfigError, before anything is computed, if files cannot be written into it.
     """
     path = Path(path)
     try:
@@ -98,12 +99,12 @@ def require_different(paths: Mapping[str, Path | None]) -> None:
 
 @contextlib.contextmanager
 def written_file(path: str | Path, what: str) -> Iterator[Path]:
-    """Yield the path to write to; if the block ends without an error, the file is moved to its
-    place.
+    """Yield the path to write to.
 
-    So a full disk destroys no existing file and leaves no half-written file. A symbolic link is
-    followed. A device, and an existing file in a folder that takes no new file, are written
-    directly. The yielded path has the suffix of `path`, except for a device.
+    If the block ends without an error, the file is moved to its place. So a full disk destroys no
+    existing file and leaves no half-written file. A symbolic link is followed. A device, and an
+    existing file in a folder that takes no new file, are written directly. The yielded path has the
+    suffix of `path`, except for a device.
 
     what: name for errors
     Raises ConfigError in place of an OSError.
@@ -134,8 +135,9 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
 
 
 def save_figure(figure: Any, path: str | Path, **options: Any) -> None:
-    """Write a figure of matplotlib, in the format of the suffix. Raises ConfigError if it cannot be
-    written.
+    """Write a figure of matplotlib, in the format of the suffix.
+
+    Raises ConfigError if it cannot be written.
     """
     kind = Path(path).suffix.removeprefix(".").lower() or None
     with written_file(path, "picture") as place:
@@ -148,8 +150,9 @@ def _make_folder(folder: Path, parents: bool) -> None:
 
 
 def _open_to_write(path: Path) -> None:
-    """Open an existing file for writing, without changing it. Raises OSError if it cannot be
-    opened.
+    """Open an existing file for writing, without changing it.
+
+    Raises OSError if it cannot be opened.
     """
     os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
 

@@ -40,8 +40,9 @@ def runtime_folder() -> Path:
 
 
 def existing_runtime_folder() -> Path | None:
-    """Return the private folder of this user, or None if there is none. Raises the errors of
-    `runtime_folder`.
+    """Return the private folder of this user, or None if there is none.
+
+    Raises the errors of `runtime_folder`.
     """
     folder = private_folder()
     try:

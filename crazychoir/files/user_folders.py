@@ -13,8 +13,9 @@ import uuid
 from pathlib import Path
 
 RUNTIME_VARIABLE = "CRAZYCHOIR_RUNTIME_DIR"
-"""Environment variable that names another private folder; it must be the same in every shell of the
-user.
+"""Environment variable that names another private folder.
+
+It must be the same in every shell of the user.
 """
 SHARED_FOLDER = "/tmp"  # noqa: S108 - the private folder below it is checked: its owner, its mode, no symbolic link
 """The folder that holds the private folders.
@@ -24,8 +25,9 @@ It is not TMPDIR or XDG_RUNTIME_DIR: a login shell, cron and sudo set these to d
 PROBE_SIZE = 1 << 16  # bytes: a folder must have room for so many
 PRIVATE_MODE = 0o700  # permissions of the private folder
 WARNING = "cache: "
-"""Start of every warning about a cache. A run prints only the first warning of its processes about
-each cache.
+"""Start of every warning about a cache.
+
+A run prints only the first warning of its processes about each cache.
 """
 TOLD_VARIABLE = "CRAZYCHOIR_TOLD"
 """Environment variable: names of the caches about which this process, or its parent, has already
@@ -81,11 +83,10 @@ def _is_own_or_roots(folder: Path) -> bool:
 
 
 def write_fault(folder: Path) -> str:
-    """Make the folder if it is missing; return why nothing can be written into it, or an empty
-    text.
+    """Return why nothing can be written into a folder, or an empty text.
 
-    A full disk often still accepts an empty file, so a file of PROBE_SIZE bytes is written and
-    removed.
+    The folder is made if it is missing. A full disk often still accepts an empty file, so a file of
+    PROBE_SIZE bytes is written and removed.
     """
     probe = folder / f".probe.{uuid.uuid4().hex[:16]}"
     try:
@@ -128,9 +129,9 @@ def owner_fault(folder: Path, uid: int) -> str:
 
 
 def make_private(folder: Path) -> str:
-    """Make the private folder of this user if it is missing; return why it is unsafe, or an empty
-    text.
+    """Make the private folder of this user if it is missing.
 
+    Returns why it is unsafe, or an empty text.
     Raises OSError if it cannot be made.
     """
     try:
@@ -157,10 +158,10 @@ def user_name(uid: int) -> str:
 
 
 def first_warning(cache: str) -> bool:
-    """Return whether this process, and its parents, have not warned about this cache yet; note the
-    warning.
+    """Note a warning about this cache; return whether it is the first.
 
-    The environment keeps this note, so that child processes do not repeat the warning.
+    It is not if this process or one of its parents has already warned. The environment keeps the
+    note, so that child processes do not repeat the warning.
     """
     told = os.environ.get(TOLD_VARIABLE, "").split(",")
     if cache in told:

@@ -43,8 +43,9 @@ class Frame:
     bodies: dict[str, Vec]
     """{name: (7,) = p m, q [x, y, z, w]}, world; without the bodies that are not seen."""
     doubled: tuple[str, ...] = ()
-    """Names that the frame gives to two or more bodies. They are not in `bodies`: it is unknown
-    which body is meant.
+    """Names that the frame gives to two or more bodies.
+
+    They are not in `bodies`: it is unknown which body is meant.
     """
 
     def packed(self) -> bytes:

@@ -18,8 +18,9 @@ LOOK = 0.02
 async def gather(
     clock: Clock, source: Source, view: View, seconds: float
 ) -> list[Frame]:
-    """Return the frames of a source for some seconds after its first frame; their times are those
-    of the source.
+    """Return the frames of a source for some seconds after its first frame.
+
+    Their times are those of the source.
 
     seconds: s
     Raises Refused if no frame arrives within FIRST s, whatever the source does.

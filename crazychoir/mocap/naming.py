@@ -59,8 +59,9 @@ def _seen(name: str, at: Vec, seconds: float) -> Seen:
 
 
 def matched(seen: Sequence[Seen], homes: Mapping[int, Sequence[float]]) -> list[Match]:
-    """Return one body for each drone, with the least sum of distances; if there are too few bodies,
-    some drones have none.
+    """Return one body for each drone, with the least sum of distances.
+
+    If there are too few bodies, some drones have none.
 
         min sum_i |p_m(i) - h_i|,  m one to one
 

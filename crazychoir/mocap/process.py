@@ -211,8 +211,9 @@ class MocapProcess(Actor):
     def _publish(
         self, track: Track, flat: Vec | None, age: float, now: float
     ) -> Pose | None:
-        """Publish and return one drone's pose. A pose identical to the last one is as old as that
-        one.
+        """Publish and return one drone's pose.
+
+        A pose identical to the last one is as old as that one.
         """
         if flat is None:
             return None

@@ -67,8 +67,9 @@ def _flat(body: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _short(name: str) -> str:
-    """Return a name cut to the size in a frame; two long names that become equal are doubled in the
-    frame.
+    """Return a name cut to the size in a frame.
+
+    Two long names that become equal are doubled in the frame.
     """
     return name.encode()[:NAME].decode(errors="ignore")
 

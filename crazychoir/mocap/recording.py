@@ -43,8 +43,9 @@ UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
 
 
 class Recorder:
-    """Writes frames into a new file, until its `with` block ends. Raises ConfigError if the file
-    cannot be made.
+    """Writes frames into a new file, until its `with` block ends.
+
+    Raises ConfigError if the file cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -222,11 +223,12 @@ def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:
 
 
 class ReplaySource:
-    """Replays a recording once, as fast as it was recorded. Raises ConfigError if it cannot be
-    read.
+    """Replays a recording once, as fast as it was recorded.
 
     The times of the recording have any origin; the times of the replayed frames count from the
     first frame.
+
+    Raises ConfigError if it cannot be read.
     """
 
     live = False

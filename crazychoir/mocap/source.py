@@ -30,10 +30,9 @@ class Source(Protocol):
     """Number of restarts."""
 
     async def run(self, take: Take) -> None:
-        """Deliver each frame as it arrives, and return when there are no more. It must not block
-        the event loop.
+        """Deliver each frame as it arrives, and return when there are no more.
 
-        A source that fails reports it and tries again.
+        It must not block the event loop. A source that fails reports it and tries again.
         """
         ...
 

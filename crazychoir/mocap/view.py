@@ -24,12 +24,11 @@ LARGEST_TIME = 1e11  # s
 
 
 class RateLimit:
-    """Lets at most `rate` frames a second through, on average; frames of this very rate all pass,
-    even if they jitter.
+    """Lets at most `rate` frames a second through, on average.
 
-    A frame at t passes if t >= due - EARLY / rate; then due becomes max(due, t) + 1 / rate. A time
-    before the last one comes from a clock that was set back: the frame passes, and due counts from
-    there.
+    Frames of this very rate all pass, even if they jitter. A frame at t passes if t >= due - EARLY
+    / rate; then due becomes max(due, t) + 1 / rate. A time before the last one comes from a clock
+    that was set back: the frame passes, and due counts from there.
 
     rate: Hz
     """
@@ -111,11 +110,10 @@ class Blur:
 
 
 class View:
-    """Decides which frames of a source are published, and in which form. Invalid poses are left
-    out.
+    """Decides which frames of a source are published, and in which form.
 
-    Times may have any origin. The number of a frame distinguishes a late frame from a clock that
-    was set back.
+    Invalid poses are left out. Times may have any origin. The number of a frame distinguishes a
+    late frame from a clock that was set back.
 
     rate: Hz: highest rate
     blur: blurs exact poses; None for cameras
@@ -133,8 +131,9 @@ class View:
         self._last = Frame(-1, -math.inf, {})
 
     def see(self, frame: Frame) -> tuple[Frame, float] | None:
-        """Return the frame to publish, and how many s older it is than the given frame; None if
-        none is published.
+        """Return the frame to publish, and how many s older it is than the given frame.
+
+        Returns None if no frame is published.
         """
         if not self._follows(frame) or not self._pace.passes(frame.time):
             return None

@@ -1,5 +1,6 @@
-"""Watch the quality of the tracking: rates, gaps, missing bodies, unknown bodies, frozen poses; and
-report problems.
+"""Watch the quality of the tracking, and report problems.
+
+Problems are low rates, gaps, missing bodies, unknown bodies, doubled names and frozen poses.
 """
 
 import difflib
@@ -137,8 +138,9 @@ class Watch:
             sight.dropped += name not in frame.bodies
 
     def age(self, name: str, now: float) -> float:
-        """Return for how many s a live body has shown the same pose; 0 if the source is not
-        live.
+        """Return for how many s a live body has shown the same pose.
+
+        Returns 0 if the source is not live.
         """
         return now - self.sights[name].last if self.live else 0.0
 

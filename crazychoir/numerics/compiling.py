@@ -57,8 +57,9 @@ class _Law:
         self._is_compiled = False
 
     def compile(self) -> Any:
-        """Compile the law if it is not compiled, and refuse to compile it for other types. Return
-        its entry point.
+        """Compile the law if it is not compiled, and refuse to compile it for other types.
+
+        Return its entry point.
         """
         dispatcher = self._dispatcher
         if not self._is_compiled:

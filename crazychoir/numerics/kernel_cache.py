@@ -56,8 +56,9 @@ NAME = "compiled laws"
 """Name of this cache in warnings."""
 CHECK_SIZE = 16  # bytes at the start of a file: the digest of the rest
 LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
-"""Packages that enter the digest only by the names of their functions and constants; VERSIONS
-covers their content.
+"""Packages that enter the digest only by the names of their functions and constants.
+
+VERSIONS covers their content.
 """
 COMPILES = (
     "crazychoir compiles its laws, once on this machine; that takes a minute or two"
@@ -115,8 +116,9 @@ class Kept(NullCache):
 
     @cached_property
     def digest(self) -> str:
-        """Digest of everything that the law is compiled from. Raises Untold if there is none, also
-        for a law that calls itself.
+        """Digest of everything that the law is compiled from.
+
+        Raises Untold if there is none, also for a law that calls itself.
         """
         if self._busy:
             raise Untold(self._law.__qualname__)
@@ -133,8 +135,9 @@ class Kept(NullCache):
 
     @cached_property
     def _stores(self) -> "list[_Store]":
-        """The files of this law in each folder, in the order of the folders; empty if there is no
-        digest.
+        """The files of this law in each folder, in the order of the folders.
+
+        The list is empty if there is no digest.
         """
         try:
             digest = self.digest
@@ -151,8 +154,9 @@ class Kept(NullCache):
         return str(self._stores[0].folder) if self._stores else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code for these types, or None; then this process has the turn to
-        compile it.
+        """Return the machine code for these types.
+
+        Returns None if there is none; then this process has the turn to compile it.
         """
         target_context.refresh()
         key = (sig, target_context.codegen().magic_tuple())
@@ -371,8 +375,9 @@ class _Turn:
                 return
 
     def end(self) -> None:
-        """Release the lock and remove its file; waiting processes then check for the machine
-        code.
+        """Release the lock and remove its file.
+
+        Waiting processes then check for the machine code.
         """
         if self._file >= 0:
             _remove(self._place)
@@ -416,8 +421,9 @@ class _Store:
         return data if saved_key == key else None
 
     def save(self, key: Any, data: Any) -> None:
-        """Write the data, and remove the files of other digests of the law. Raises OSError if they
-        cannot be written.
+        """Write the data, and remove the files of other digests of the law.
+
+        Raises OSError if they cannot be written.
         """
         index = self._index()
         numbers = itertools.count(1)
@@ -480,8 +486,9 @@ def _remove(path: str) -> None:
 
 
 def _function(law: Callable[..., Any]) -> Any:
-    """Return everything that a function is made of, as nested tuples. Raises Untold if that is not
-    possible.
+    """Return everything that a function is made of, as nested tuples.
+
+    Raises Untold if that is not possible.
     """
     if not isinstance(law, FunctionType):
         raise Untold(repr(law))

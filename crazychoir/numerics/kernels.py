@@ -25,10 +25,10 @@ table = numba.float64[:, ::1]
 
 
 def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
-    """Compile a law for these argument types when its module is imported; later runs load it from
-    disk.
+    """Compile a law for these argument types when its module is imported.
 
-    A program that must check something first lets the laws wait: see crazychoir.numerics.compiling.
+    Later runs load it from disk. A program that must check something first lets the laws wait: see
+    crazychoir.numerics.compiling.
 
     The types are fixed on purpose: another kind of array raises TypeError at once, instead of
     compiling for a second in flight. Without argument types, the law is a part of other kernels and

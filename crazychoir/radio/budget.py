@@ -8,8 +8,9 @@ from crazychoir.control.robots import sender_of
 
 
 def rates(config: SwarmConfig) -> dict[int, float]:
-    """Return the set-point rate in Hz for each dongle. Raises ConfigError if a dongle cannot carry
-    its drones.
+    """Return the set-point rate in Hz for each dongle.
+
+    Raises ConfigError if a dongle cannot carry its drones.
     """
     senders = {i: sender_of(config, i) for i in config.reached}
     return {dongle: carried(config, dongle, senders) for dongle in config.dongles}

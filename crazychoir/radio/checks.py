@@ -1,5 +1,6 @@
-"""Checks before the take-off of a drone on a radio. The functions take values and return the
-problems as text.
+"""Checks before the take-off of a drone on a radio.
+
+The functions take values and return the problems as text.
 """
 
 import math
@@ -16,8 +17,9 @@ DECK_FAULT = 1 << 11
 
 
 def harm(supervisor: int) -> str:
-    """Return what has damaged or locked a drone, from its supervisor's bits; empty if nothing
-    has.
+    """Return what has damaged or locked a drone; empty if nothing has.
+
+    supervisor: bits of its supervisor
     """
     words = {
         CRASHED: "crashed",

@@ -25,8 +25,9 @@ RING_DECK = "deck.bcLedRing"
 ASKED = Packet(SUPERVISOR, 0, b"\x0c")
 """Packet that asks the supervisor for its state."""
 SAYS = 0.5
-"""Seconds for the supervisor to answer whether the drone flies; older firmware has no such
-answer.
+"""Seconds for the supervisor to answer whether the drone flies.
+
+Older firmware has no such answer.
 """
 
 
@@ -38,8 +39,9 @@ async def identify(
     deadline: float,
     lit_now: Callable[[], None] = lambda: None,
 ) -> dict[str, float]:
-    """Light the LEDs of a drone for a while. Return the parameters that did it; their old values
-    are restored in every case.
+    """Light the LEDs of a drone for a while.
+
+    Return the parameters that did it; their old values are restored in every case.
 
     seconds: s: how long the LEDs are lit
     deadline: s: longest time until the drone is connected

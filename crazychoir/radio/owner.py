@@ -1,5 +1,6 @@
-"""The owner of one dongle, in a process of its own; the agents of its drones run in other
-processes.
+"""The owner of one dongle, in a process of its own.
+
+The agents of its drones run in other processes.
 """
 
 import logging

@@ -22,11 +22,10 @@ ON_FAILURE = Restart(limit=5)
 
 
 class Actor:
-    """A task of a drone. A subclass writes `run`, and sets `restart` if it may run again after a
-    failure.
+    """A task of a drone.
 
-    `run` ends when its work is done. From outside only a cancellation stops it. `on_stop` runs in
-    every case.
+    A subclass writes `run`, and sets `restart` if it may run again after a failure. `run` ends when
+    its work is done. From outside only a cancellation stops it. `on_stop` runs in every case.
     """
 
     name: str = "actor"

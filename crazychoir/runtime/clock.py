@@ -60,8 +60,9 @@ class Clock:
     virtual = False
     """True in virtual time."""
     epoch_ns = 0
-    """Nanoseconds from the start of 1970 to the instant at which `now_ns` was 0; 0 in virtual
-    time.
+    """Nanoseconds from the start of 1970 to the instant at which `now_ns` was 0.
+
+    It is 0 in virtual time.
     """
 
     def __init__(self) -> None:
@@ -131,8 +132,9 @@ class Clock:
         """Make sure that the loop notices the earliest alarm."""
 
     def _next(self) -> tuple[int, Alarm] | None:
-        """Remove and return the earliest alarm that is not cancelled, with its time in ns; None if
-        there is none.
+        """Remove and return the earliest alarm that is not cancelled, with its time in ns.
+
+        Returns None if there is none.
         """
         while self._heap:
             when_ns, _, _, _, alarm = heapq.heappop(self._heap)
@@ -152,12 +154,11 @@ def wake(waiter: "asyncio.Future[None]") -> None:
 
 
 class Ticks:
-    """Ticks at k / hz s from the start. Late ticks are counted in `missed` and skipped, never
-    caught up.
+    """Ticks at k / hz s from the start.
 
-    A task awaits this object itself, by the protocol of asyncio's futures: the alarm runs the
-    waiting task at once, without a future and a loop pass for each tick. One task at a time may use
-    it.
+    Late ticks are counted in `missed` and skipped, never caught up. A task awaits this object
+    itself, by the protocol of asyncio's futures: the alarm runs the waiting task at once, without a
+    future and a loop pass for each tick. One task at a time may use it.
     """
 
     _asyncio_future_blocking = False
@@ -405,8 +406,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return handle
 
     def _run_once(self) -> None:
-        """Run all callbacks that are ready; if none is, advance the clock and run the next
-        alarm.
+        """Run all callbacks that are ready.
+
+        If none is, advance the clock and run the next alarm.
         """
         ready = self._ready
         if not ready and not self._stopping:

@@ -1,8 +1,8 @@
-"""Mailboxes: a message waits here for its actor; the policy decides what happens if it is not read
-in time.
+"""Mailboxes: a message waits here for its actor.
 
-A mailbox belongs to the drone, not to the actor: it survives a restart of its reader. A message
-carries its age and not a time stamp; the receiver's own clock then adds to this age.
+The policy decides what happens if it is not read in time. A mailbox belongs to the drone, not to
+the actor: it survives a restart of its reader. A message carries its age and not a time stamp; the
+receiver's own clock then adds to this age.
 """
 
 import asyncio
@@ -100,8 +100,9 @@ class Latest(Mailbox[T]):
         return self._value
 
     def fresh(self) -> T | None:
-        """Return the content if it is not older than `max_age`; otherwise count it as stale and
-        return None.
+        """Return the content if it is not older than `max_age`.
+
+        Otherwise count it as stale and return None.
         """
         return self.fresh_with_age()[0]
 
@@ -158,8 +159,9 @@ class DropOldest(Mailbox[T]):
 
 
 class Block(Mailbox[T]):
-    """A queue of at most `size` messages; the sender waits for room. Use it inside one process
-    only.
+    """A queue of at most `size` messages; the sender waits for room.
+
+    Use it inside one process only.
     """
 
     def __init__(self, clock: Clock, name: str = "", size: int = 64) -> None:

@@ -13,8 +13,9 @@ from crazychoir.runtime.clock import Clock
 
 log = logging.getLogger(__name__)
 STOP_DEADLINE = 2.0
-"""Seconds for a cancelled actor to end, and the same again for its `on_stop`; then it is logged and
-left behind.
+"""Seconds for a cancelled actor to end, and the same again for its `on_stop`.
+
+An actor that takes longer is logged and left behind.
 """
 
 OnFailure = Callable[[Actor, Exception, bool], None]
@@ -52,8 +53,9 @@ class Supervisor:
         self._stop = asyncio.Event()
 
     async def run(self, actors: list[Actor]) -> None:
-        """Run all actors until they end, `stop` is called, or this task is cancelled. On return all
-        have stopped.
+        """Run all actors until they end, `stop` is called, or this task is cancelled.
+
+        On return all have stopped.
         """
         self._children = [_Child(actor) for actor in actors]
         for child in self._children:

@@ -58,8 +58,9 @@ class Stages:
 
 
 def _do(stage: list[Work], failed: list[Exception]) -> None:
-    """Do all work of a stage. An error of one drone must not keep another drone from its
-    command.
+    """Do all work of a stage.
+
+    An error of one drone must not keep another drone from its command.
     """
     for work in stage:
         try:

@@ -24,8 +24,9 @@ HOOK = 300.0
 LOOK = 0.25
 """Seconds of real time between two checks."""
 SAID = 5.0
-"""Seconds of real time after which a computation is logged; it is logged again each time they have
-doubled.
+"""Seconds of real time after which a computation is logged.
+
+It is logged again each time they have doubled.
 """
 log = logging.getLogger(__name__)
 

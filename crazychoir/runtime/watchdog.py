@@ -81,12 +81,11 @@ class Stall:
 
 
 class Watchdog:
-    """Watches the running loop from a thread of its own. Start it inside the loop, in real time
-    only.
+    """Watches the running loop from a thread of its own.
 
-    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then each time it has
-    doubled. Short stalls of one actor, or outside every task and guarded code, are reported once in
-    QUIET s, with their number.
+    Start it inside the loop, in real time only. A stall is reported when it reaches LATE, HAND_OVER
+    and INTERRUPT, and then each time it has doubled. Short stalls of one actor, or outside every
+    task and guarded code, are reported once in QUIET s, with their number.
 
     clock: the clock of the loop
     on_stall: called with each report, in the watchdog's thread
@@ -273,8 +272,9 @@ class Guard:
         return (self.clock.now_ns() - since_ns) / SECOND if since_ns else 0.0
 
     def interrupt(self, thread: int, sooner: float | None = None) -> None:
-        """Raise Hung in a thread if its code has been inside for its limit. Called from another
-        thread.
+        """Raise Hung in a thread if its code has been inside for its limit.
+
+        Called from another thread.
 
         thread: identifier of the thread
         sooner: s, used instead of the limit unless the code is patient

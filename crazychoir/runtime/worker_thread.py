@@ -108,11 +108,12 @@ class Worker(Generic[C, T]):
         return await inner
 
     def _wait(self) -> None:
-        """Wait for the end of the worker. Raises KeyboardInterrupt if a task of the blocked loop is
-        cancelled meanwhile.
+        """Wait for the end of the worker.
 
         The blocked loop runs no task, so only a handler of Ctrl-C can cancel one: the handler of
         asyncio.run.
+
+        Raises KeyboardInterrupt if a task of the blocked loop is cancelled meanwhile.
         """
         loop = asyncio.get_running_loop()
         cancellations = _cancellations(loop)

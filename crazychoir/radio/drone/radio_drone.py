@@ -52,8 +52,9 @@ from crazychoir.types import XYZ, Body, Command, LinkStatus, Pose, State, Vec
 
 log = logging.getLogger(__name__)
 DEGRADED = 0.3
-"""Seconds of silence after which a link is degraded. Set-points are still sent: the firmware takes
-the first that arrives, if it arrives within 2 s.
+"""Seconds of silence after which a link is degraded.
+
+Set-points are still sent: the firmware takes the first that arrives, if it arrives within 2 s.
 """
 LOST = 2.5
 """Seconds of silence after which a link is lost and is opened again."""
@@ -337,8 +338,9 @@ class RadioDrone(Actor):
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
     def _learn_thrust(self, release: str) -> None:
-        """Set the thrust command a newton. Raises ConfigError if it is not known for this
-        release.
+        """Set the thrust command a newton.
+
+        Raises ConfigError if it is not known for this release.
         """
         if self.handler.needs_thrust:
             given = self.config.radio.thrust_map
@@ -348,8 +350,9 @@ class RadioDrone(Actor):
             )
 
     async def _prepare(self, firmware: Firmware) -> None:
-        """Set parameters, and the start of the estimator for a drone without cameras; once, on the
-        ground.
+        """Set the parameters and, for a drone without cameras, start its estimator.
+
+        This is done once, on the ground.
         """
         await firmware.set_all({"stabilizer.estimator": 2} | self.handler.parameters)
         await firmware.set_all(self.config.radio.parameters | self.row.parameters)
@@ -445,8 +448,9 @@ class RadioDrone(Actor):
             self._work_on(connection, silence)
 
     def _work_on(self, connection: Connection, silence: float) -> None:
-        """Do work that waits for answers in a task of its own, one piece at a time; raise the error
-        of the last piece.
+        """Do work that waits for answers in a task of its own, one piece at a time.
+
+        Raises the error of the last piece.
         """
         work = self._work
         if work is not None and not work.done():
@@ -771,8 +775,9 @@ class RadioDrone(Actor):
                 self.malformed += 1
 
     def ask(self, names: Iterable[str], period: float) -> None:
-        """Let the drone log these variables too, from now on. Unknown variables are reported in the
-        log.
+        """Let the drone log these variables too, from now on.
+
+        Unknown variables are reported in the log.
 
         period: s
         """
@@ -932,8 +937,9 @@ class RadioDrone(Actor):
         return "is being prepared" if spoken else f"is being connected, {stage} so far"
 
     def _harm(self) -> str:
-        """Return what has damaged or locked the drone, empty if nothing has; for a virtual drone,
-        also how to restart it.
+        """Return what has damaged or locked the drone; empty if nothing has.
+
+        For a virtual drone the text also tells how to restart it.
         """
         switch = self.row.uri.startswith("udp") and self.supervisor & checks.LOCKED
         hint = f" (`crazychoir virtual fault {self.drone} reboot=1`)" if switch else ""
@@ -1010,8 +1016,9 @@ class RadioDrone(Actor):
         return not self.flying or self._stopped
 
     def state(self, i: int) -> State:
-        """Return the last recent pose from the cameras, at rest; without one, the drone's own
-        estimate.
+        """Return the last recent pose from the cameras, at rest.
+
+        Without such a pose it is the drone's own estimate, or its home before the first log.
         """
         if self.place is not None and self.clock.now() - self.place[0] < LATELY:
             pose = self.place[1]

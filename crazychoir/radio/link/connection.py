@@ -249,8 +249,9 @@ class Connection:
             self._writer.put(packet)
 
     def urgent(self, packets: Iterable[Packet]) -> None:
-        """Send packets before all waiting ones, also while the link is being opened; earlier urgent
-        packets are dropped.
+        """Send packets before all waiting ones, also while the link is being opened.
+
+        Earlier urgent packets are dropped.
         """
         if self._writer is not None:
             self._writer.urgent(packets)
@@ -366,8 +367,9 @@ class Connection:
 
     @property
     def failure(self) -> str:
-        """Error of a packet that could not be sent since the last read of this property; empty if
-        there was none.
+        """Error of a packet that could not be sent; empty if there was none.
+
+        Reading this property clears it.
         """
         return "" if self._writer is None else self._writer.failed()
 
@@ -382,8 +384,9 @@ class Connection:
             self._from_thread(_fail, started, "the drone does not begin it")
 
     async def reset_logs(self, seconds: float) -> None:
-        """Let the drone drop all its log blocks. Raises LinkFailed if it does not confirm in
-        time.
+        """Let the drone drop all its log blocks.
+
+        Raises LinkFailed if it does not confirm in time.
         """
         try:
             await self.ask(
@@ -405,10 +408,10 @@ class Connection:
             self._put(packet)
 
     def _put(self, packet: Packet) -> bool:
-        """Put a packet on the link; return False if there is no room. Called from the writer's
-        thread.
+        """Put a packet on the link; return False if there is no room.
 
-        It bypasses cflib's send lock, which a blocked sender would hold.
+        Called from the writer's thread. It bypasses cflib's send lock, which a blocked sender would
+        hold.
         """
         out = CRTPPacket()
         out.set_header(packet.port, packet.channel)

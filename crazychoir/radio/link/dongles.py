@@ -1,9 +1,8 @@
-"""Crazyradio dongles. The links of this process share each dongle and take turns, in the threads of
-their drivers.
+"""Crazyradio dongles, each shared by the links of this process.
 
-cflib's own sharing has a thread for each dongle, which dies of a USB error, or does not notice that
-no link reads its answers any more; the links then wait for ever. Here such an error is kept, and
-reported with the dongle.
+The links take turns, in the threads of their drivers. cflib's own sharing has a thread for each
+dongle, which dies of a USB error, or does not notice that no link reads its answers any more; the
+links then wait for ever. Here such an error is kept, and reported with the dongle.
 """
 
 import contextlib
@@ -23,9 +22,10 @@ PAUSE = 0.05
 ANSWERS = 0.002
 """Seconds for this process to answer a drone's packet, before the drone is asked for more."""
 SOON = 0.005
-"""Seconds until an idle link asks its drone again after the first request without data. The time
-doubles with each further one, up to LATER times the links of the dongle. cflib asks again at once,
-and takes time from the other links.
+"""Seconds until an idle link asks its drone again after the first request without data.
+
+The time doubles with each further one, up to LATER times the links of the dongle. cflib asks again
+at once, and takes time from the other links.
 """
 LATER = 0.01
 """Seconds for each link of the dongle: limit of that time."""
@@ -82,8 +82,9 @@ class Dongle:
     def exchange(
         self, channel: int, address: bytes, rate: int, data: Sequence[int]
     ) -> Any:
-        """Send a packet to a drone and return cflib's acknowledgement; None if the dongle does not
-        answer.
+        """Send a packet to a drone and return cflib's acknowledgement.
+
+        Returns None if the dongle does not answer.
         """
         with self._turn():
             answer = self._use(
@@ -226,8 +227,9 @@ class Dongles:
         self._why: dict[int, str] = {}
 
     def open(self, number: int) -> Turns:
-        """Return a link's share of a dongle, which is opened for its first link. Raises the errors
-        of cflib.
+        """Return a link's share of a dongle, which is opened for its first link.
+
+        Raises the errors of cflib.
         """
         with self._lock:
             dongle = self._open.get(number)
@@ -262,8 +264,9 @@ class Dongles:
                     del self._open[number]
 
     def failure(self, uri: str) -> str:
-        """Return why the dongle of this uri cannot be used; empty if it can, or was not opened
-        yet.
+        """Return why the dongle of this uri cannot be used.
+
+        The text is empty if the dongle can be used, or was not opened yet.
         """
         number = uri.removeprefix("radio://").partition("/")[0]
         return (

@@ -62,8 +62,9 @@ class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
 
 
 class Outbox(queue.Queue[Any]):
-    """Room for the one packet that leaves with the next exchange; an idle link waits here until it
-    listens again.
+    """Room for the one packet that leaves with the next exchange.
+
+    An idle link waits here until it listens again.
     """
 
     def __init__(self, turns: Turns) -> None:
@@ -119,8 +120,9 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
             return waiting.not_full.wait_for(lambda: not waiting.queue, ROOM)
 
     def close(self) -> None:
-        """Close the link once its thread has ended, or has had the time to; readers of packets stop
-        waiting.
+        """Close the link once its thread has ended, or has had the time to.
+
+        Readers of packets stop waiting.
         """
         thread = self._thread
         turns = self._radio
@@ -138,8 +140,9 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
 
 
 def room(cf: Any) -> bool:
-    """Return whether a packet would leave soon. A closed link has room: the sender gets its error
-    when it sends.
+    """Return whether a packet would leave soon.
+
+    A closed link has room: the sender gets its error when it sends.
     """
     link = cf.link
     return link.room() if isinstance(link, PatientRadioDriver) else True
@@ -155,8 +158,9 @@ OURS = {UdpDriver: LossyUdpDriver, RadioDriver: PatientRadioDriver}
 
 @cache
 def ready() -> None:
-    """Register cflib's drivers, with ours in place of its own; once a process, because cflib adds
-    them at each call.
+    """Register cflib's drivers, with ours in place of its own.
+
+    This is done once a process, because cflib adds its drivers again at each call.
     """
     # The caller reports each failure, once.
     logging.getLogger("cflib").setLevel(logging.CRITICAL)

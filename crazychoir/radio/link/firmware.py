@@ -1,5 +1,6 @@
-"""Requests to a connected drone: parameters, release, arming, trajectories. Each ends by its
-deadline.
+"""Requests to a connected drone: parameters, release, arming, trajectories.
+
+Each ends by its deadline.
 """
 
 import difflib
@@ -118,8 +119,9 @@ class Firmware:
     async def upload(
         self, memory: bytes, slot: int, pieces: int, offset: int = 0
     ) -> None:
-        """Upload a trajectory, which is then started by its slot. Too large a trajectory is refused
-        before anything is sent.
+        """Upload a trajectory, which is then started by its slot.
+
+        Too large a trajectory is refused before anything is sent.
 
         memory: bytes from planning/upload.py
         pieces: number of pieces
@@ -240,8 +242,9 @@ FLOATS = {"e": 65504.0, "f": 3.4028235e38, "d": 1.7976931348623157e308}
 
 
 def _packed(kind: str, value: float) -> bytes:
-    """Return a value in the firmware's format. Raises the errors of int, float and struct;
-    ValueError if it is not finite.
+    """Return a value in the firmware's format.
+
+    Raises the errors of int, float and struct; ValueError if it is not finite.
     """
     if kind[-1] not in FLOATS:
         return struct.pack(kind, int(value))

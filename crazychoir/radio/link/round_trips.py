@@ -23,8 +23,9 @@ WORST = 0.95
 
 
 class RoundTrips:
-    """The echoes of one link; its methods may be called from any thread. Times are s of one
-    clock.
+    """The echoes of one link; its methods may be called from any thread.
+
+    Times are s of one clock.
     """
 
     def __init__(self) -> None:

@@ -19,8 +19,9 @@ from crazychoir.files.user_folders import WARNING, cache_home
 
 log = logging.getLogger(__name__)
 PATIENCE = 60.0
-"""Seconds for which a link waits while another link loads the table; longer than a link has to
-open.
+"""Seconds for which a link waits while another link loads the table.
+
+This is longer than a link may take to open.
 """
 LOOKS = 0.25
 """Seconds between two checks whether that link, or this one, was closed meanwhile."""
@@ -56,8 +57,9 @@ class TableOfContents:
         self._told = threading.Condition()
 
     def fetch(self, crc: int) -> Contents | None:
-        """Return the table with this checksum; None: the calling link must load it from its
-        drone.
+        """Return the table with this checksum.
+
+        Returns None if the calling link must load it from its drone.
         """
         me = threading.get_ident()
         with self._told:

@@ -40,8 +40,9 @@ MOST = 1000
 
 
 class Writer:
-    """Sends packets in order, and between them the newest of each kind, in turn; urgent packets
-    before all others.
+    """Sends packets in order, and between them the newest of each kind, in turn.
+
+    Urgent packets go before all others.
 
     send: puts a packet on the link; False: no room. Then it is tried again, unless a more urgent or
       newer packet has come.

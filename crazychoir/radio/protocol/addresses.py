@@ -15,8 +15,9 @@ from crazychoir.files import text_files
 from crazychoir.radio.protocol.channels import LAST
 
 RADIO = re.compile(r"(radio://([^/]+)/)(\d{1,3})((?:[/?].*)?)")
-"""Pattern of a radio uri. Groups: all before the channel, the dongle within it, the channel, the
-rest.
+"""Pattern of a radio uri.
+
+Groups: all before the channel, the dongle within it, the channel, the rest.
 """
 _TOKENS = re.compile(
     r'"""(?:\\.|[^\\])*?"""'

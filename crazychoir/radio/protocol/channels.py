@@ -1,5 +1,6 @@
-"""The Crazyradio's channels 0 to 125, and the choice of the k best. Channel c is at 2400 + c
-MHz.
+"""The Crazyradio's channels 0 to 125, and the choice of the k best.
+
+Channel c is at 2400 + c MHz.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,12 +81,11 @@ def _leftmost(channels: Sequence[int], spacing: int) -> list[int]:
 
 
 def _best_sum(values: Mapping[int, float], k: int, spacing: int) -> tuple[int, ...]:
-    """Return the k channels with the spacing and the largest sum; among equals the lowest. There
-    must be k such channels.
+    """Return the k channels with the spacing and the largest sum; among equals the lowest.
 
-    best[n][m] holds the sum and channels of the best m among the last n channels. A solution that
-    contains the next channel is that channel with the best m - 1 of the channels that are far
-    enough.
+    There must be k such channels. best[n][m] holds the sum and channels of the best m among the
+    last n channels. A solution that contains the next channel is that channel with the best m - 1
+    of the channels that are far enough.
     """
     channels = list(values)
     best: list[dict[int, tuple[float, tuple[int, ...]]]] = [{0: (0.0, ())}]

@@ -13,11 +13,10 @@ _MOST = (1 << _BITS) - 1
 
 
 def compressed(q: Vec) -> int:
-    """Return the 32 bits of a unit quaternion: 2 bits name the largest component; each other has a
-    sign and 9 bits.
+    """Return the 32 bits of a unit quaternion: 2 bits name the largest component.
 
-    The sign of q is chosen such that the largest component is positive; the others are then at most
-    1 / sqrt 2.
+    Each other has a sign and 9 bits. The sign of q is chosen such that the largest component is
+    positive; the others are then at most 1 / sqrt 2.
 
     q: (4,) [x, y, z, w]
     """

@@ -31,9 +31,7 @@ SUPERVISOR = 9
 PLATFORM = 13
 LINK = 15
 _RESERVED = 0b1100
-"""Header bits that safelink counts with; cflib sets them in each packet that it sends or
-receives.
-"""
+"""Header bits that safelink counts with; cflib sets them in each packet."""
 
 
 class Packet(NamedTuple):
@@ -73,8 +71,9 @@ class Form:
     head: bytes
     """First bytes, which distinguish this form from others."""
     fields: str
-    """Name and struct letter of each field, such as "roll:f pitch:f"; they follow the head without
-    gaps.
+    """Name and struct letter of each field, such as "roll:f pitch:f".
+
+    They follow the head without gaps.
     """
 
     @cached_property
@@ -90,8 +89,9 @@ class Form:
         )
 
     def packet(self, *values: Any) -> Packet:
-        """Return the packet with these values, in the order of the fields. Raises CodecError if a
-        value does not fit.
+        """Return the packet with these values, in the order of the fields.
+
+        Raises CodecError if a value does not fit.
         """
         try:
             return Packet(
@@ -243,6 +243,7 @@ SINCE: Final = {
     "supervisor_watchdog": 12,
     "supervisor_info": 12,
 }
-"""First protocol version that knows a form, according to cflib 0.1.34; the other forms have no such
-version there.
+"""First protocol version that knows a form, according to cflib 0.1.34.
+
+The other forms have no such version there.
 """

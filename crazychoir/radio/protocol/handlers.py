@@ -58,8 +58,9 @@ class RadioHandler:
         return {}
 
     def packets(self, command: Any) -> list[Packet]:
-        """Return the packets of a command. Raises CodecError for values that are not finite or do
-        not fit into a packet.
+        """Return the packets of a command.
+
+        Raises CodecError for values that are not finite or do not fit into a packet.
         """
         if not np.all(np.isfinite(command.flat)):
             raise CodecError(
@@ -72,20 +73,20 @@ class RadioHandler:
         )
 
     def setpoint(self, command: Any) -> list[Packet]:
-        """Return the packets of a set-point of this kind; the firmware holds a set-point until the
-        next one, 0.5 s at most.
+        """Return the packets of a set-point of this kind.
+
+        The firmware holds a set-point until the next one, 0.5 s at most.
         """
         raise CodecError(
             f"{type(command).__name__} for a drone that is sent {self.kind}."
         )
 
     def planned(self, command: XYZ) -> list[Packet]:
-        """Return the packets of a command for the planner on board; after set-points they end with
-        `relax`.
+        """Return the packets of a command for the planner on board.
 
-        The order matters: a planner that has control but no plan switches the motors off
-        (crazyflie-firmware since 2023.11). A drone that is to land flies: it gets `relax`
-        separately, once its planner has answered.
+        After set-points they end with `relax`. The order matters: a planner that has control but no
+        plan switches the motors off (crazyflie-firmware since 2023.11). A drone that is to land
+        flies: it gets `relax` separately, once its planner has answered.
         """
         relax = self.relax
         # After these, `relax` is sent again with each further command: the first may be lost.
@@ -159,8 +160,9 @@ class RadioHandlerFPQR(_Thrust):
 
 
 class RadioHandlerFRPY(_Thrust):
-    """Thrust, roll, pitch and yaw rate. If the link fails, the drone can fly on with this, level,
-    for 2 s.
+    """Thrust, roll, pitch and yaw rate.
+
+    If the link fails, the drone can fly on with this, level, for 2 s.
     """
 
     kind = "frpy"

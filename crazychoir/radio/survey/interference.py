@@ -61,8 +61,9 @@ class Source(Protocol):
 
 
 class Uses:
-    """The times at which a source is in use: spans of exponential length, one after another. Ask
-    for them in order of time.
+    """The times at which a source is in use: spans of exponential length, one after another.
+
+    Ask for them in order of time.
 
     on: s: mean length of use
     off: s: mean pause; 0: always in use

@@ -47,15 +47,17 @@ class Echoes:
         return self.sent - len(self.round_trip)
 
     def percentile(self, share: float) -> float | None:
-        """Return the s within which this share (%) of the returned echoes came back; None if none
-        did.
+        """Return the s within which this share (%) of the returned echoes came back.
+
+        Returns None if no echo came back.
         """
         return float(np.percentile(self.round_trip, share)) if self.round_trip else None
 
 
 def require_uri(uri: str) -> str:
-    """Return a uri in its standard form. Raises ConfigError if cflib has no link for it, or it
-    cannot be pinged.
+    """Return a uri in its standard form.
+
+    Raises ConfigError if cflib has no link for it, or it cannot be pinged.
     """
     try:
         return str(parse_uri(uri, "uri", serials=True))
@@ -147,8 +149,9 @@ def _exchange(
 
 
 def _error(errors: Sequence[str], heard: bool, left: int) -> str:
-    """Return why the ping ended before all echoes were sent, or without any answer; empty if it did
-    not.
+    """Return why the ping ended early, or that there was no answer.
+
+    The text is empty if neither is the case.
     """
     if not heard:
         return ": ".join([*map(_reason, errors[:1]), NOBODY])

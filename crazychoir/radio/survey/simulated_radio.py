@@ -82,12 +82,11 @@ class Room:
         ]
 
     def expected(self, channel: int, in_use: bool = False) -> float:
-        """Return the true share of acknowledged packets without retries; in the long run, or while
-        all sources are in use.
+        """Return the true share of acknowledged packets without retries.
 
-        It is the sum, over all sets of sources that may send at a time, of the probability of the
-        set times the probability that a packet is received, averaged over the flicker of the
-        signal.
+        In the long run, or while all sources are in use. It is the sum, over all sets of sources
+        that may send at a time, of the probability of the set times the probability that a packet
+        is received, averaged over the flicker of the signal.
         """
         heard = self.heard(channel)
         sent = np.array(list(product((False, True), repeat=len(heard))), bool).reshape(
@@ -118,8 +117,9 @@ class SimulatedRadio:
         self._draw = np.random.default_rng(seed)
 
     def measure(self, channel: int, packets: int, retries: int) -> Sample:
-        """Measure a channel, see Probe; each packet takes the time of all its attempts, used or
-        not.
+        """Measure a channel, see Probe.
+
+        Each packet takes the time of all its attempts, used or not.
         """
         if channel != self.channel:
             self.channel = channel

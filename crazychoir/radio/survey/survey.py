@@ -22,8 +22,9 @@ from crazychoir.types import Vec
 RETRIES = 3
 """Retransmissions that the Crazyradio does by itself, as cflib sets it."""
 PASSES = 20
-"""Default number of passes. With PACKETS they take two and a half minutes for 41 channels, at 1 to
-2 ms a packet.
+"""Default number of passes.
+
+With PACKETS they take two and a half minutes for 41 channels, at 1 to 2 ms a packet.
 """
 PACKETS = 50
 """Default number of packets in a visit, for each kind."""
@@ -68,8 +69,9 @@ class Measured:
     passes: tuple[float, ...]
     """Share of acknowledged packets without retries, for each pass."""
     retries: tuple[int, ...]
-    """Packets received at the 1st, 2nd, ... attempt; the last number counts packets that were not
-    received at all.
+    """Packets received at the 1st, 2nd, ... attempt.
+
+    The last number counts packets that were not received at all.
     """
     round_trip: tuple[float, float] | None
     """s: median and 95 % of the received packets; None: none was received."""
@@ -146,8 +148,9 @@ class Survey:
         )
 
     def pick(self, k: int, spacing: int) -> tuple[int, ...]:
-        """Return the k channels with the spacing (MHz) and the best worst pass; see
-        channels.pick.
+        """Return the k channels with the spacing (MHz) and the best worst pass.
+
+        See channels.pick.
         """
         return pick(
             {row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing

@@ -36,8 +36,9 @@ RESTART = "Switch it off and on: it starts on its own channel."
 
 
 class CrazyradioProbe:
-    """Measures channels with a drone that is on and does not fly. It is a context, which ends on
-    the drone's own channel.
+    """Measures channels with a drone that is on and does not fly.
+
+    It is a context, which ends on the drone's own channel.
 
     radio: cflib's Crazyradio, with data rate and address set
     home: the drone's own channel
@@ -91,8 +92,9 @@ class CrazyradioProbe:
         return ack, self.now() - began
 
     def _go(self, channel: int) -> None:
-        """Move the drone to a channel. After its acknowledgement it is there, even if that was
-        lost.
+        """Move the drone to a channel.
+
+        After its acknowledgement it is there, even if that was lost.
         """
         if channel == self._at:
             return
@@ -136,11 +138,10 @@ class CrazyradioProbe:
 
 
 def rssi(data: Sequence[int]) -> float:
-    """Return the dBm at which the drone has received a packet, from its answer; NaN if the answer
-    does not tell it.
+    """Return the dBm at which the drone has received a packet, from its answer.
 
-    An idle drone answers f3 01 and the absolute value; the third and fourth bit of the first byte
-    count packets.
+    Returns NaN if the answer does not tell it. An idle drone answers f3 01 and the absolute value;
+    the third and fourth bit of the first byte count packets.
     """
     says = len(data) > 2 and data[0] & 0xF3 == 0xF3 and data[1] == 0x01
     return -float(data[2]) if says else float("nan")

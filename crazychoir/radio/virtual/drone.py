@@ -217,8 +217,9 @@ class VirtualCrazyflie:
             self.onboard.arm(False)
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """Return the answers to a packet; none while the drone starts, and none if the packet makes
-        it restart.
+        """Return the answers to a packet.
+
+        There are none while the drone starts, or if the packet makes it restart.
         """
         if self.booting:
             return

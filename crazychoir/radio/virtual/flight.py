@@ -101,8 +101,9 @@ class Flight:
         """ms of the last plan that waits for the end of set-points; None without one."""
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """Do what a packet asks for; return the answers. Raises Assertion where the firmware would
-        restart.
+        """Do what a packet asks for; return the answers.
+
+        Raises Assertion where the firmware would restart.
         """
         port, channel, data = packet
         command = data[0] if data else -1
@@ -165,8 +166,9 @@ class Flight:
         return OWN[form.name](self, *values)
 
     def _nobody_knows(self, packet: Packet) -> None:
-        """Count an unknown packet. An unknown set-point acts as a set-point without thrust; an
-        empty one fails an assertion.
+        """Count an unknown packet.
+
+        An unknown set-point acts as a set-point without thrust; an empty one fails an assertion.
         """
         self.unknown += 1
         if packet.port == SETPOINT and packet.channel == 0:
@@ -251,8 +253,9 @@ class Flight:
         self.onboard.external_position(np.array(p, float))
 
     def _packed(self, body: bytes, layout: struct.Struct) -> None:
-        """Take poses or positions of several drones in one packet; only those with the number of
-        this drone count.
+        """Take poses or positions of several drones in one packet.
+
+        Only those with the number of this drone count.
         """
         for number, x, y, z, *q in layout.iter_unpack(
             body[: len(body) // layout.size * layout.size]
@@ -267,8 +270,9 @@ class Flight:
     # The channels of an emulated receiver
 
     def _emulated(self, body: bytes) -> None:
-        """Apply roll, pitch, yaw and thrust as pulses of 1000 to 2000 us; the first further channel
-        selects angles or rates.
+        """Apply roll, pitch, yaw and thrust as pulses of 1000 to 2000 us.
+
+        The first further channel selects angles or rates.
         """
         count = body[0] & 0x0F if body else 0
         if len(body) != 9 + 2 * count:
@@ -308,6 +312,7 @@ OWN: dict[str, Callable[..., Any]] = {
     "recover": Flight.recover,
     "platform_recover": Flight.recover,
 }
-"""Functions of the forms that the model does not handle; the result is the answer if the port
-answers.
+"""Functions of the forms that the model does not handle.
+
+The result is the answer if the port answers.
 """

@@ -86,8 +86,9 @@ class Logs:
             yield Packet(LOG, SETTINGS, bytes([command, number, error]))
 
     def due(self, now: int) -> Iterator[Packet]:
-        """Return the packets that are due at this ms of uptime. A late block skips the times that
-        it has missed.
+        """Return the packets that are due at this ms of uptime.
+
+        A late block skips the times that it has missed.
         """
         for number, block in self.blocks.items():
             if block.once:
@@ -143,8 +144,9 @@ class Logs:
         return OK
 
     def _append(self, number: int, rest: bytes) -> int:
-        """Add variables up to the first that does not fit; a new block stays in any case, as in the
-        firmware.
+        """Add variables up to the first that does not fit.
+
+        A new block stays in any case, as in the firmware.
         """
         block = self.blocks.get(number)
         if block is None:
@@ -164,8 +166,9 @@ class Logs:
 
 
 def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
-    """Return types and indices of variables. A variable by address has four more bytes, and its
-    value is 0.
+    """Return types and indices of variables.
+
+    A variable by address has four more bytes, and its value is 0.
     """
     at = 0
     while at + 3 <= len(rest):

@@ -114,8 +114,9 @@ def configured(
 
 
 class Memories:
-    """All memories of a drone, numbered by position. A restart keeps the EEPROM and the memory of
-    the lighthouse.
+    """All memories of a drone, numbered by position.
+
+    A restart keeps the EEPROM and the memory of the lighthouse.
 
     onboard: model of the firmware
     kept: content that survives restarts, by type

@@ -1,5 +1,6 @@
-"""Port 2: parameters of a virtual drone. Those of the firmware model act at once; the others are
-only stored.
+"""Port 2: parameters of a virtual drone.
+
+Those of the firmware model act at once; the others are only stored.
 """
 
 import struct
@@ -80,8 +81,9 @@ class Parameters:
         return self.onboard.get(name) if name in TABLE else self.values[name]
 
     def set(self, name: str, value: float) -> None:
-        """Set a parameter, even a read-only one, as the firmware itself does; a value that the
-        model refuses is only stored.
+        """Set a parameter, even a read-only one, as the firmware itself does.
+
+        A value that the model refuses is only stored.
         """
         if name in TABLE or name == RESET_ESTIMATION:
             with suppress(ConfigError):
@@ -106,8 +108,9 @@ class Parameters:
         yield Packet(PARAM, READ, data[:2] + body)
 
     def _write(self, data: bytes) -> Iterator[Packet]:
-        """Set a parameter and echo the packet; a read-only parameter gets no answer, as from the
-        firmware.
+        """Set a parameter and echo the packet.
+
+        A read-only parameter gets no answer, as from the firmware.
         """
         entry = self._found(data)
         if entry is None:
@@ -127,8 +130,9 @@ class Parameters:
             yield Packet(PARAM, MISC, bytes([UPDATED]) + index + b"\0")
 
     def _take(self, entry: Entry, body: bytes) -> None:
-        """Set a parameter from as many bytes as its type has; missing bytes are 0, as in the
-        firmware.
+        """Set a parameter from as many bytes as its type has.
+
+        Missing bytes are 0, as in the firmware.
         """
         layout = struct.Struct("<" + entry.letter)
         (value,) = layout.unpack(body[: layout.size].ljust(layout.size, b"\0"))
@@ -223,8 +227,9 @@ class Parameters:
 
 
 def packed(entry: Entry, value: float) -> bytes:
-    """Return a value in the format of its entry; whole numbers are cut to the size of their
-    type.
+    """Return a value in the format of its entry.
+
+    Whole numbers are cut to the size of their type.
     """
     if entry.letter == "f":
         return struct.pack("<f", value)

@@ -1,5 +1,6 @@
-"""The UDP port of one virtual drone. The last sender is its client. A closed port looks like a
-missing drone.
+"""The UDP port of one virtual drone.
+
+The last sender is its client. A closed port looks like a missing drone.
 """
 
 import asyncio
@@ -14,8 +15,9 @@ from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 
 PROBE = b"\xff"
-"""Packet of a scan. Any reply means that the port is in use; a scan does not make the sender the
-client.
+"""Packet of a scan.
+
+Any reply means that the port is in use; a scan does not make the sender the client.
 """
 BUFFER = 1 << 20
 """Bytes that the system buffers for a socket, so that a late server loses nothing."""

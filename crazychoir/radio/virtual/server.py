@@ -171,8 +171,9 @@ class VirtualServer(Actor):
                 )
 
     def _start_anew(self) -> None:
-        """Reset the drones with a failed model. A drone without a finite state is put back at home
-        first.
+        """Reset the drones with a failed model.
+
+        A drone without a finite state is put back at home first.
         """
         for i, why in self.world.failed.items():
             if not np.all(np.isfinite(self.world.states[self.world.row[i]])):
@@ -309,8 +310,9 @@ class VirtualServer(Actor):
         self._put(i, "motor", self.faults[i].motor)
 
     def _swap(self, i: int, j: int) -> None:
-        """Exchange the poses of i and j; undo any earlier exchange of either. j = -1 only
-        undoes.
+        """Exchange the poses of i and j, and undo any earlier exchange of either.
+
+        j: the other drone; -1: only undo
         """
         for k in (i, j):
             if k in self.faults and (old := int(self.faults[k].swap)) >= 0:

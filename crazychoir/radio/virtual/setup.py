@@ -199,8 +199,9 @@ def known_decks(text: str) -> tuple[str, ...]:
 
 
 def released(base: Platform, release: str) -> Platform:
-    """Return the platform with the thrust map of a release (year and month), if it is known; for
-    other texts the newest.
+    """Return the platform with the thrust map of a release (year and month).
+
+    If the release is unknown, the platform has its newest thrust map.
     """
     found = re.match(r"(\d{4})\.(\d{1,2})", release)
     old = base.firmware.old_thrust_map
