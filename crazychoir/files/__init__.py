@@ -1,3 +1,1 @@
-"""The user's files: folders, texts to read, results to write, and file names that are not valid
-text.
-"""
+"""The user's files: folders, texts to read, results to write, and names that are not valid text."""

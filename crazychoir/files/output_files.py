@@ -1,5 +1,6 @@
-"""Write result files: check the place before the computation, and write a file as a whole or not at
-all.
+"""Write result files.
+
+The place is checked before the computation, and a file is written as a whole or not at all.
 """
 
 import contextlib
@@ -14,8 +15,9 @@ from typing import Any
 from crazychoir.errors import ConfigError
 
 PROBE = b"\0" * 4096
-"""Bytes written into a new file and removed again: a full disk still creates files, but cannot fill
-them.
+"""Bytes written into a new file and removed again.
+
+A full disk still creates files, but cannot fill them.
 """
 
 

@@ -1,5 +1,4 @@
-"""Text of file names: they appear in messages, digests and outputs, and names in files become
-paths.
+"""Texts of users: names of files in messages, digests and outputs; names in files as paths.
 
 A file name is a sequence of bytes. Python decodes it by the locale, and keeps bytes that are no
 character there as lone surrogates (U+DC80 to U+DCFF, PEP 383). No message, JSON text or picture can
@@ -13,9 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 CHILD_ENCODING = "utf-8:backslashreplace"
-"""Output encoding of the Python programs that this process starts and reads, independent of the
-locale.
-"""
+"""Output encoding of Python programs that this process starts and reads, in any locale."""
 
 
 def readable(text: str, other: str = "backslashreplace") -> str:
@@ -74,9 +71,7 @@ def json_bytes(
 
 
 def as_path(name: str) -> str:
-    """Return a name from a UTF-8 file as a path of this process, also in a locale that lacks its
-    characters.
-    """
+    """Return a name from a UTF-8 file as a path, also in a locale that lacks its characters."""
     try:
         os.fsencode(name)
     except UnicodeEncodeError:
@@ -85,7 +80,5 @@ def as_path(name: str) -> str:
 
 
 def child_environment() -> dict[str, str]:
-    """Return an environment for Python programs that makes them print UTF-8, for this process to
-    read.
-    """
+    """Return an environment for Python programs that lets them print UTF-8."""
     return {**os.environ, "PYTHONIOENCODING": CHILD_ENCODING}

@@ -27,8 +27,9 @@ def read_text(
     do: str = "",
     exact: bool = False,
 ) -> str:
-    """Return the text of a UTF-8 file, without a byte-order mark and with a line feed at the end of
-    each line.
+    """Return the text of a UTF-8 file.
+
+    The text has no byte-order mark, and each line ends with a line feed.
 
     allowed: what the file may contain, for errors
     kind: class of the error

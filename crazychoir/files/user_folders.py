@@ -1,5 +1,4 @@
-"""Folders of the user that runs this process: caches, and files that processes leave for each
-other.
+"""Folders of this process's user: caches, and files that processes leave for each other.
 
 A service, a container or a cron job may run without a home, with a home that is read-only or
 belongs to another user, on a full disk, or as a user unknown to the system. Every function here
@@ -30,14 +29,13 @@ WARNING = "cache: "
 A run prints only the first warning of its processes about each cache.
 """
 TOLD_VARIABLE = "CRAZYCHOIR_TOLD"
-"""Environment variable: names of the caches about which this process, or its parent, has already
-warned.
-"""
+"""Environment variable with the caches about which this process, or its parent, has warned."""
 
 
 def home() -> Path | None:
-    """Return the home of this user, or None if HOME is not set and the system does not know the
-    user.
+    """Return the home of this user.
+
+    Returns None if HOME is not set and the system does not know the user.
     """
     named = os.environ.get("HOME", "")
     if named:
@@ -67,8 +65,9 @@ def cache_home() -> Path | None:
 
 
 def _is_own_or_roots(folder: Path) -> bool:
-    """Return whether the folder, or the nearest existing folder above it, belongs to this user or
-    to root.
+    """Return whether a folder belongs to this user or to root.
+
+    If it does not exist, the nearest existing folder above it counts.
     """
     if sys.platform == "win32":
         return True
@@ -101,8 +100,9 @@ def write_fault(folder: Path) -> str:
 
 
 def private_folder() -> Path:
-    """Return the path of this user's private folder: the same in every environment of the user on
-    this machine.
+    """Return the path of this user's private folder.
+
+    It is the same in every environment of the user on this machine.
     """
     named = os.environ.get(RUNTIME_VARIABLE, "")
     return Path(named) if os.path.isabs(named) else private_folder_of(os.getuid())
@@ -146,8 +146,9 @@ def make_private(folder: Path) -> str:
 
 
 def user_name(uid: int) -> str:
-    """Return a text for a user: name and number, or only the number if the system does not know the
-    user.
+    """Return a text for a user: name and number.
+
+    It is only the number if the system does not know the user.
     """
     try:
         import pwd

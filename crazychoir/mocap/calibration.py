@@ -114,8 +114,9 @@ def from_rest(
 
 
 def from_turn(times: Vec, poses: Mat, mounted: Sequence[float], height: float) -> Turn:
-    """Return the offset of the tracked centre, from a turn about the drone's own centre, which may
-    drift slowly.
+    """Return the offset of the tracked centre, from a turn of the drone.
+
+    The drone turns about its own centre, which may drift slowly.
 
         p_b,k = c + d t_k + R_k o,   R_k = R(q_b,k q_m^-1),   o = (o_x, o_y, height)
 

@@ -1,6 +1,4 @@
-"""Motion capture in a process of its own: it takes frames from a source and publishes the poses of
-the drones.
-"""
+"""Motion capture in a process of its own: frames of a source in, poses of the drones out."""
 
 import logging
 from dataclasses import dataclass
@@ -98,8 +96,7 @@ class Feed(Actor):
 
 
 class MocapProcess(Actor):
-    """Publishes the pose of each seen drone as it arrives and, at the topic's rate, its state as
-    truth.
+    """Publishes each pose as it arrives and, at the topic's rate, the state of the drone as truth.
 
     The truth of virtual drones is exact; that of others is their poses and derivative. The process
     ends when it is asked to. It waits at most PATIENT s while one of its drones has an agent on the

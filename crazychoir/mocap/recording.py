@@ -1,6 +1,4 @@
-"""Frames in a CSV file, `t,name,x,y,z,qx,qy,qz,qw`: recorded while they are published, and
-replayed.
-"""
+"""Frames in a CSV file, `t,name,x,y,z,qx,qy,qz,qw`: recorded while published, and replayed."""
 
 import csv
 import io
@@ -169,9 +167,7 @@ def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
 
 
 def _require_seconds(path: str | Path, rows: list[Row]) -> None:
-    """Raise ConfigError if times are not in s: if they are too large, or too far from each
-    other.
-    """
+    """Raise ConfigError if times are not in s: too large, or too far from each other."""
     line, largest = max(
         ((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1])
     )
@@ -196,8 +192,9 @@ def _require_seconds(path: str | Path, rows: list[Row]) -> None:
 
 
 def _require_later(path: str | Path, line: int, before: float, t: float) -> None:
-    """Raise ConfigError if the clock of a recording goes back, or ahead by more than a replay can
-    wait.
+    """Raise ConfigError if the clock of a recording was set.
+
+    Its times then go back, or ahead by more than a replay can wait.
     """
     where = f"{path}, line {line}"
     do = "The clock of the recording was set there: cut the file in two, or shift the times that follow."

@@ -103,9 +103,7 @@ class SimulatedMocap:
         ]
 
     def _normal(self, tick: int) -> Mat:
-        """Return standard normals (N, 7) of one exposure: six for the noise, one for the
-        dropout.
-        """
+        """Return standard normals (N, 7) of one exposure: six for noise, one for dropout."""
         stream = np.random.Generator(np.random.Philox(key=[self.seed, tick]))
         drawn: Mat = stream.standard_normal((int(self._rows.max()) + 1, 7))
         mine: Mat = drawn[self._rows]

@@ -38,8 +38,7 @@ class Source(Protocol):
 
 
 class Complaints:
-    """Reports what is wrong with a source: each topic at most once a second, and more and more
-    rarely.
+    """Reports problems of a source: each topic at most once a second, and more and more rarely.
 
     where: name of the source
     say: reports a text; None: to the log

@@ -1,5 +1,6 @@
-"""A motion capture system, read with `motioncapture` in a process of its own, because the library
-may hang.
+"""A motion capture system, read with `motioncapture` in a process of its own.
+
+The library may hang, and must not block this process.
 """
 
 import asyncio

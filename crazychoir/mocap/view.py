@@ -100,8 +100,8 @@ class Blur:
         ), age
 
     def _next_tick(self, t: float) -> int:
-        """Return the exposure of a frame: the periods since the first frame, and at least one more
-        than the last.
+        """Return the exposure of a frame: periods since the first, at least one more than the
+        last.
         """
         if math.isnan(self._began):
             self._began = t
@@ -142,9 +142,7 @@ class View:
         return (frame, 0.0) if self.blur is None else self.blur.see(frame)
 
     def _follows(self, frame: Frame) -> bool:
-        """Return whether a frame comes after the last one, or from a source that was started
-        again.
-        """
+        """Return whether a frame is later than the last, or its source was started again."""
         last = self._last
         if not abs(frame.time) < LARGEST_TIME:  # also true for NaN
             self.timeless += 1

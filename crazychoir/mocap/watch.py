@@ -17,14 +17,13 @@ from crazychoir.types import Vec
 WINDOW = 2.0
 """Seconds over which rates are averaged."""
 SLOW = 0.8
-"""Share of [mocap] rate below which the rate is reported: the filters of the drones expect that
-rate.
-"""
+"""Share of [mocap] rate below which the rate is reported: the drones' filters expect that rate."""
 GAP = 3.0
 """Periods without a frame, or without a body in the frames, that count as a gap."""
 SHORT = 0.05
-"""Seconds: a shorter gap between frames is harmless, because drones brake after 0.1 s without a
-pose.
+"""Seconds: a shorter gap between frames is harmless.
+
+Drones brake after 0.1 s without a pose.
 """
 MISSING = 0.5
 """Seconds after which a body is missing."""
@@ -57,7 +56,7 @@ class Sight:
     dropped: int = 0
     """Frames without it since the first."""
     gap: float = 0.0
-    """s: longest time between two measurements since the last report."""
+    """s: longest time between two measurements since the last check."""
     rate: float = math.nan
     """Hz of measurements; NaN while unknown."""
     share: float = 0.0

@@ -70,8 +70,9 @@ class _Law:
         return dispatcher.overloads[dispatcher.nopython_signatures[0].args].entry_point
 
     def wait(self) -> None:
-        """Compile the law, for its own types only, at its first call or when another compiled law
-        needs it.
+        """Compile the law at its first call, or when another compiled law needs it.
+
+        It is compiled for its own types only.
         """
         self._dispatcher.compile = lambda types: self.compile()
 

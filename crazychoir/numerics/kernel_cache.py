@@ -87,8 +87,9 @@ ATTRIBUTES = {
     opmap["LOAD_ATTR"]: int(sys.version_info >= (3, 12)),
     opmap.get("LOAD_METHOD", GLOBAL): 0,
 }
-"""Byte code operations that load an attribute, with the bits by which the number of its name is
-shifted.
+"""Byte code operations that load an attribute.
+
+The value is the number of bits by which the number of the name is shifted.
 """
 SILENT = (opmap["CACHE"], EXTENDED)
 """Byte code operations that may stand between the attributes of a name."""
@@ -386,11 +387,11 @@ class _Turn:
 
 
 class _Store:
-    """The files of one law, with one digest, in one folder: machine code for each signature, and an
-    index.
+    """The files of one law, with one digest, in one folder.
 
-    Each file begins with the digest of the rest. So a file that is cut off, empty or changed is
-    detected before it is loaded, and counts as missing.
+    They are the machine code for each signature, and an index. Each file begins with the digest of
+    the rest. So a file that is cut off, empty or changed is detected before it is loaded, and
+    counts as missing.
     """
 
     def __init__(self, folder: Path, name: str, digest: str) -> None:
@@ -450,8 +451,9 @@ class _Store:
         return index
 
     def _read(self, name: str) -> bytes | None:
-        """Return the content of a file, or None if it is missing, not readable for this user, or
-        damaged.
+        """Return the content of a file.
+
+        Returns None if it is missing, not readable for this user, or damaged.
         """
         try:
             content = (self.folder / name).read_bytes()

@@ -35,9 +35,7 @@ def projector(d: Vec) -> Mat:
 
 
 def skew(w: Vec) -> Mat:
-    """Return the matrix (3, 3) that multiplies a vector from the left like the vector product with
-    w (3,).
-    """
+    """Return the matrix S (3, 3) with S v = w x v."""
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 

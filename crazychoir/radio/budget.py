@@ -1,6 +1,4 @@
-"""Check that the dongles can carry a swarm's packets, and compute the set-point rate that they
-allow.
-"""
+"""Check that dongles can carry a swarm's packets, and compute the rate of set-points."""
 
 from crazychoir.config.radio_checks import carried
 from crazychoir.config.swarm_config import SwarmConfig

@@ -126,10 +126,10 @@ class RadioProcess(Actor):
                 self._leave()
 
     def _look_at_dongle(self, age: float) -> None:
-        """End this process if the dongle was unplugged: a new process is the surest way to find a
-        dongle again.
+        """End this process if the dongle was unplugged.
 
-        A dongle that was missing from the start is waited for as long as its drones are.
+        A new process is the surest way to find a dongle again. A dongle that was missing from the
+        start is waited for as long as its drones are.
 
         age: s since the start
         """

@@ -1,6 +1,4 @@
-"""The time at which a drone took its logged values, from the drone's own clock, which counts since
-its start.
-"""
+"""The time at which a drone took its logs, from its own clock, which counts since its start."""
 
 import math
 
@@ -17,8 +15,7 @@ WAITS = 10.0
 
 
 class Uptime:
-    """The clock of one drone, from the time stamps `at` (ms) of its logs and their times of
-    arrival.
+    """The clock of one drone, from the time stamps `at` (ms) of its logs and their arrivals.
 
     Logs that wait in a link or in the event loop arrive together, so the time of arrival alone does
     not tell when a log was taken.

@@ -1,5 +1,5 @@
-"""The bodies that the owner of a dongle sees, and the check during take-off that a drone moves like
-its body.
+"""The bodies that a dongle's owner sees, and the check at take-off that a drone moves like its
+body.
 
 Until this check has passed, the drone takes only its position from the cameras, not its attitude.
 """
@@ -55,8 +55,7 @@ class Sights:
 
 
 class TakeOff:
-    """Watches one drone from the command to take off until its body is known to move as the drone
-    does.
+    """Watches one drone from its take-off until its body is known to move as the drone does.
 
     i: id of the drone
     sights: the bodies that the cameras see

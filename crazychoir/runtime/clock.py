@@ -31,8 +31,9 @@ LIVELOCK_PASSES = 100_000
 """Loop passes at one instant of virtual time that count as a livelock."""
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which a computing thread gives up the interpreter, so that the event loop does not
-wait longer.
+"""Seconds after which a computing thread gives up the interpreter.
+
+The event loop does not wait longer.
 """
 
 # Priorities of alarms at the same instant.

@@ -4,8 +4,7 @@ import math
 
 
 class Throttle:
-    """Lets each topic through at most once in `period` s, and a repeated topic more and more
-    rarely.
+    """Lets each topic through at most once in `period` s, and a repeated topic more rarely.
 
     Each time a topic is let through, the silence after it doubles, up to `longest` s. A topic that
     was not asked for during `longest` s starts again with `period`.

@@ -1,5 +1,4 @@
-"""The stages of a tick: all drones of a process do the first stage, then all do the second, and so
-on.
+"""The stages of a tick: all drones of a process do one stage, then all do the next.
 
 The poses of all drones arrive together, in one frame. If each drone did all its stages as soon as
 its pose arrived, the law of the first drone would have no state of this tick from its neighbours,

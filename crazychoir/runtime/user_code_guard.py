@@ -55,8 +55,9 @@ class HangWatch:
         self._ending = threading.Event()
 
     def guard(self, actor: str, patient: bool = False) -> Guard:
-        """Return a context in which code is interrupted by Hung after STEP s, or after MISSION s if
-        it is patient.
+        """Return a context in which code is interrupted by Hung after STEP s.
+
+        If it is patient, it is interrupted after MISSION s.
         """
         return self.within(MISSION if patient else STEP, actor)
 

@@ -25,10 +25,10 @@ HAND_OVER = 0.300
 INTERRUPT = 1.000
 """Seconds after which user code under `guard` is interrupted."""
 PATIENT = 8.000
-"""Seconds after which patient code under `guard` is interrupted, such as a mission that plans on
-the ground.
+"""Seconds after which patient code under `guard` is interrupted.
 
-It is less than GIVE_UP: the code is interrupted before the process ends itself.
+An example is a mission that plans on the ground. It is less than GIVE_UP: the code is interrupted
+before the process ends itself.
 """
 GIVE_UP = 10.000
 """Seconds of delay after which the process ends itself.
@@ -46,11 +46,10 @@ QUIET = 10.000
 Stalls without an actor count together as one actor.
 """
 STUCK = 15.000
-"""Seconds without a turn of this thread, because foreign code holds the interpreter's lock: then C
-code ends the process.
+"""Seconds without a turn of this thread after which C code ends the process.
 
-A process that was stopped (SIGSTOP) for that long ends too: the other processes have lost it by
-then.
+Foreign code then holds the interpreter's lock. A process that was stopped (SIGSTOP) for that long
+ends too: the other processes have lost it by then.
 """
 STDERR = 2
 """File descriptor of standard error."""
@@ -132,8 +131,7 @@ class Watchdog:
             self._thread.join(1.0)
 
     def guard(self, actor: str, patient: bool = False) -> "Guard":
-        """Return a context in which code is interrupted by Hung once it has blocked the loop for
-        INTERRUPT s.
+        """Return a context in which Hung interrupts code that blocks the loop for INTERRUPT s.
 
         The code may not await, and guards may not nest. Code that swallows Hung gets it again as
         many seconds later.

@@ -1,5 +1,4 @@
-"""Run an event loop in a worker thread where a loop runs already, as in a notebook's cell or in a
-mission.
+"""Run an event loop in a worker thread where a loop runs already, as in a notebook.
 
 A thread has at most one running loop. If the calling thread has one, a function that runs a loop of
 its own to the end runs in a worker thread; the caller waits for it, as for any function.
@@ -20,8 +19,9 @@ T = TypeVar("T")
 LOOK_INTERVAL = 0.05
 """Seconds between two checks of the waiting thread for an interruption."""
 GRACE_TIME = 1.0
-"""Seconds in which a step of the worker may return to its loop before it is interrupted where it
-computes.
+"""Seconds in which a step of the worker may return to its loop.
+
+Then it is interrupted where it computes.
 """
 MAIN_THREAD = threading.main_thread()
 """The thread in which Python handles signals."""

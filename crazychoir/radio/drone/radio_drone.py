@@ -1,5 +1,4 @@
-"""One drone behind a dongle: connect it, tell it its pose, fly it, and connect again when its link
-fails.
+"""One drone behind a dongle: connect it, tell it its pose, fly it, and reconnect it.
 
 For the body that obeys its agent (simulation/remote.py) this is both the link to the drone and the
 source of its state.
@@ -59,9 +58,7 @@ Set-points are still sent: the firmware takes the first that arrives, if it arri
 LOST = 2.5
 """Seconds of silence after which a link is lost and is opened again."""
 UNREACHED = 1.0
-"""Seconds of silence after which a drone that flies on by itself may not have obeyed its last
-command.
-"""
+"""Seconds of silence after which a drone may not have obeyed its last command."""
 ON_THE_FLOOR = 0.2
 """Metres above the ground below which a drone in view of the cameras stands, or may fall."""
 LOOKS = 20.0
@@ -73,14 +70,12 @@ AGAIN = 1.0
 REOPENS = 1.5
 """Seconds for an attempt to connect in flight; the tables of contents are known by then."""
 TABLES = 30.0
-"""More seconds for a first connection that answers and still loads its tables of contents, on the
-ground.
+"""More seconds for a first connection, on the ground, that still loads its tables of contents.
 
 Over a dongle that four drones share, the tables take about 10 s, once for each firmware.
 """
 FORGOTTEN = 1.0
-"""Seconds without a log from a drone that still answers: the firmware has then dropped its log
-blocks.
+"""Seconds without a log from a drone that still answers: its firmware has dropped its log blocks.
 
 The firmware drops them after 1 s of silence.
 """
@@ -93,9 +88,10 @@ ORPHANED = 3.0
 LANDING = (0, 1)
 """Results in the answer of a planner that starts to land, or lands already."""
 LANDED = 1.0
-"""Seconds after the planned end of a landing until the planner has ended it.
+"""Seconds after the planned end of a landing until the drone is told to stop.
 
-From then on the command to land is not repeated: the planner would start a new landing.
+The planner has then ended the landing. Another command to land would start a new one. From then on
+the command to land is not repeated: the planner would start a new landing.
 """
 IN_VAIN = 3.0
 """Seconds of commands to land without an answer, over a link that works, after which the motors may
@@ -120,9 +116,7 @@ WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its
 TRAILS = 0.5
 """Metres by which a drone may be behind the line that it flies."""
 CATCHES_UP = 1.8
-"""Multiple of speed_limit at which a drone further away flies to its line: it has missed the
-earlier lines.
-"""
+"""Multiple of speed_limit for a drone further away: it has missed earlier lines."""
 MILLI = 1e-3
 """SI units in a unit of the logs (mm, mm/s)."""
 OWN = (
@@ -319,8 +313,9 @@ class RadioDrone(Actor):
         self._only_lands = str(refused or "")
 
     async def _insist(self, connection: Connection) -> None:
-        """Repeat the emergency stop, from the opening of the link on, until a drone with cut motors
-        confirms it.
+        """Repeat the emergency stop until a drone with cut motors confirms it.
+
+        The packets are sent from the opening of the link on.
         """
         async for _ in self.clock.ticks(LOOKS):
             if self._cut and not self._cut_heard:
@@ -493,8 +488,7 @@ class RadioDrone(Actor):
             _ = work.cancelled() or work.exception()
 
     def _forgive(self) -> None:
-        """Forget the fault of the last take-off once the cameras no longer see the body of a landed
-        drone.
+        """Forget the fault of the last take-off once the cameras no longer see the landed drone.
 
         To put a body right, the user takes it out of the cameras' sight. The next take-off checks
         it again.
@@ -520,11 +514,10 @@ class RadioDrone(Actor):
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])
 
     def _go_on_landing(self) -> None:
-        """Repeat the command to land until the planner on board confirms it: packets get lost, and
-        links too.
+        """Repeat the command to land until the planner on board confirms it.
 
-        Then repeat that set-points have ended, until the landing should be over, and then the
-        command to stop.
+        Packets get lost, and links too. Then repeat that set-points have ended, until the landing
+        should be over, and then the command to stop.
         """
         now_ns = self.clock.now_ns()
         if not self.flying or self._landing is None:
@@ -629,8 +622,7 @@ class RadioDrone(Actor):
         self._transmit(self._within_reach(command))
 
     def _flies_unheard(self) -> bool:
-        """Return whether the drone says that it flies although no command of this process has
-        reached it.
+        """Return whether the drone says that it flies, but no command of this process reached it.
 
         A drone on the floor does not count.
         """
@@ -946,9 +938,7 @@ class RadioDrone(Actor):
         return checks.harm(self.supervisor) + hint
 
     def _astray(self) -> list[str]:
-        """Return what the last take-off has shown: that the body does not move as the drone
-        does.
-        """
+        """Return the fault of the last take-off: the body does not move as the drone does."""
         return (
             [self._take_off.found]
             if self._take_off is not None and self._take_off.found

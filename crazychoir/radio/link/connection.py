@@ -1,7 +1,6 @@
-"""The connection to one drone through cflib: opening, closing, sending and asking, each within a
-deadline.
+"""The connection to one drone through cflib: opening, closing, sending and asking.
 
-The threads of cflib end here: all other code runs in the event loop.
+Each ends by a deadline. The threads of cflib end here: all other code runs in the event loop.
 """
 
 import asyncio
@@ -51,9 +50,7 @@ RESET_LOGS = Packet(LOG, 1, b"\x05")
 """Packet that makes the drone drop its log blocks."""
 
 Data = Callable[[dict[str, float], int], None]
-"""Callback: called with log variables and the time at which they were taken, in ms since the
-drone's start.
-"""
+"""Callback: called with log variables, and ms since the drone's start at which they were taken."""
 
 
 class Connection:
@@ -199,9 +196,7 @@ class Connection:
         return f"its table of {missing} is not complete"
 
     async def close(self) -> None:
-        """Close the link without sending a set-point, so that a flying drone notices only
-        silence.
-        """
+        """Close the link without a set-point, so that a flying drone notices only silence."""
         self._over = True
         if self.cf.incoming.ident is not None:
             self._contents.forget(self.cf.incoming.ident)

@@ -32,8 +32,9 @@ LATER = 0.01
 PATIENT = 5
 """Packets in a row without an acknowledgement, after which the link sends more rarely too."""
 SAFELINK = (0xFF, 0x05, 0x01)
-"""First packet of a link: it switches on a count of packets both ways, so that none is lost or
-taken twice.
+"""First packet of a link.
+
+It switches on a count of packets both ways, so that none is lost or taken twice.
 """
 NULL = 0xF3
 """Header of an empty packet, apart from the two bits of safelink."""

@@ -72,15 +72,15 @@ class Outbox(queue.Queue[Any]):
         self._turns = turns
 
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        """Return the packet; raise queue.Empty if none comes before the drone must be asked
-        again.
+        """Return the packet.
+
+        Raises queue.Empty if none comes before the drone must be asked again.
         """
         return super().get(True, self._turns.idle)
 
 
 class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
-    """cflib's radio link, with a short wait for room in the sender, and without callbacks for
-    errors.
+    """cflib's radio link, with a short wait for room, and without callbacks for errors.
 
     cflib's own driver blocks the sender for 2 s when its air is full, then ends the link in that
     thread. Here the sender learns that there is no room. A drone that does not acknowledge is

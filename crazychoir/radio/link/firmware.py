@@ -170,8 +170,9 @@ class Firmware:
         )
 
     async def _memory(self) -> int:
-        """Return the number of the memory of trajectories. cflib would read the memories of decks
-        too.
+        """Return the number of the memory of trajectories.
+
+        cflib would read the memories of decks too.
         """
         count = await self._ask(
             COUNT,

@@ -47,8 +47,9 @@ def owned(config: SwarmConfig, dongle: int) -> Iterator[None]:
 
 
 def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
-    """Raise Refused while another process owns one of these dongles, before anything is started
-    that needs it.
+    """Raise Refused while another process owns one of these dongles.
+
+    Call it before anything is started that needs them.
     """
     for dongle in dongles:
         for name in _names(config, dongle):
@@ -105,9 +106,7 @@ def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
 
 
 def _answer(lock: socket.socket, swarm: bytes) -> None:
-    """Send each asking process the name of the swarm that holds the lock, until the lock is
-    released.
-    """
+    """Send the name of the swarm to each asking process, until the lock is released."""
     with contextlib.suppress(OSError):
         while True:
             asking, _ = lock.accept()

@@ -1,6 +1,4 @@
-"""Round-trip times of a link and the share of echoes that come back, counted here for any kind of
-link.
-"""
+"""Round-trip times of a link, and the share of its echoes that come back, for any kind of link."""
 
 import math
 import struct

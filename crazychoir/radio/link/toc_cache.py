@@ -1,5 +1,6 @@
-"""The cache of tables of contents (log variables and parameters), by checksum: on disk, shared by
-all links.
+"""The cache of tables of contents (log variables, parameters): on disk, by checksum.
+
+All links share it.
 """
 
 import contextlib
@@ -102,8 +103,9 @@ class TableOfContents:
             )
 
     def forget(self, thread: int) -> None:
-        """Note that the link of this thread is closed: links that wait for its tables load them
-        themselves.
+        """Note that the link of this thread is closed.
+
+        Links that wait for its tables then load them themselves.
         """
         with self._told:
             self._asked = {

@@ -1,5 +1,6 @@
-"""The only thread that sends to a drone: a driver may block the sender for seconds when the air is
-full.
+"""The only thread that sends to a drone.
+
+A driver may block the sender for seconds when the air is full.
 """
 
 import threading

@@ -1,6 +1,4 @@
-"""The radio:// addresses of a swarm file: find the dongles that it names, and change their
-channels.
-"""
+"""The radio:// addresses of a swarm file: find their dongles, and change their channels."""
 
 import os
 import re
@@ -93,8 +91,9 @@ def with_channels(text: str, channels: Mapping[str, int], where: str) -> str:
 
 
 def require_writable(path: Path) -> None:
-    """Raise ConfigError, before anything is measured, if the channels in the file could not be
-    changed.
+    """Raise ConfigError if the channels in the file could not be changed.
+
+    Call it before anything is measured.
     """
     path = path.resolve()
     text = read_text(path)

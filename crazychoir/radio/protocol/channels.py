@@ -70,8 +70,9 @@ def _bottleneck(scores: Mapping[int, float], k: int, spacing: int) -> float:
 
 
 def _leftmost(channels: Sequence[int], spacing: int) -> list[int]:
-    """Return as many of the increasing channels as the spacing allows: always the lowest that is
-    far enough.
+    """Return as many of the increasing channels as the spacing allows.
+
+    It always takes the lowest that is far enough.
     """
     taken: list[int] = []
     for c in channels:

@@ -1,5 +1,4 @@
-"""CRTP packets without I/O: the server of virtual drones, the senders and the tests read and write
-them.
+"""CRTP packets without I/O, for the server of virtual drones, the senders and the tests.
 
 One datagram is one packet: a byte with port and channel, then at most 30 bytes. Numbers are
 little-endian and not aligned.

@@ -19,16 +19,16 @@ WIDTH = 2.0
 SILENT = -200.0
 """dBm that no receiver hears."""
 MASK = ((0.0, 9.0, 11.0, 20.0, 30.0), (0.0, 0.0, -20.0, -28.0, -40.0))
-"""MHz from the centre of a WiFi channel, and dB by which its power density is below that at the
-centre.
+"""MHz from the centre of a WiFi channel, and dB by which its power density is lower there.
 
 Source: the transmit mask of IEEE 802.11 for OFDM in 20 MHz, which a transmitter may not exceed.
 """
 WIFI_FLAT = 18.0
 """MHz that hold the power of a WiFi channel."""
 SELECTIVITY = ((0.0, 2.0, 4.0, 6.0, 12.0), (0.0, -7.0, -29.0, -35.0, -50.0))
-"""MHz from the receiver's channel, and dB by which it weakens a narrow signal there: typical of
-such chips.
+"""MHz from the receiver's channel, and dB by which it weakens a narrow signal there.
+
+The values are typical of such chips.
 """
 BEACONS = 0.01
 """Share of the time that an unused network sends."""

@@ -72,11 +72,10 @@ def ping(
     count: int = 100,
     deadline: float = 20.0,
 ) -> list[Echoes]:
-    """Send `count` echoes to each uri, to all uris at the same time, each after the answer to the
-    last.
+    """Send `count` echoes to each uri, each after the answer to the last.
 
-    Each link has a thread, which has ended on return. If cflib does not return from a call, the
-    error says so.
+    All uris are served at the same time. Each link has a thread, which has ended on return. If
+    cflib does not return from a call, the error says so.
 
     now: returns the time in s
     deadline: s until the ping ends at the latest

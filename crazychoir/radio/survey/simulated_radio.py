@@ -1,5 +1,4 @@
-"""A radio and a drone in a noisy room, simulated in a time of its own: to try a survey, and to test
-it.
+"""A simulated radio and drone in a noisy room, with a time of its own, to try a survey.
 
 A packet is received or not by the signal, the noise and the interference at the time of each
 attempt:
@@ -73,7 +72,7 @@ class Room:
     """Other transmitters."""
 
     def heard(self, channel: int) -> list[tuple[Source, float]]:
-        """Return the sources that a receiver on this channel hears, each with its power there in
+        """Return the sources that a receiver on this channel hears, with their power there in
         mW.
         """
         levels = [(source, source.level(channel)) for source in self.sources]
@@ -149,8 +148,9 @@ class SimulatedRadio:
 
 
 def random_room(seed: int, channels: Sequence[int]) -> Room:
-    """Return a link of some metres among one to seven networks, up to two Bluetooth devices and two
-    jammers.
+    """Return a room with a link of some metres.
+
+    It has one to seven networks, up to two Bluetooth devices and up to two jammers.
     """
     draw = np.random.default_rng(seed)
     networks = [_network(draw) for _ in range(draw.integers(1, 8))]
@@ -192,8 +192,9 @@ def _uses(draw: np.random.Generator) -> Uses:
 
 
 def _gains(channels: Vec, draw: np.random.Generator) -> Vec:
-    """Return the gain of each channel in dB: the direct path and its reflections add up or cancel,
-    by frequency.
+    """Return the gain of each channel in dB.
+
+    The direct path and its reflections add up or cancel, by frequency.
 
         h(f) = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) sum_m a_m exp(-2 pi i f t_m)
     """

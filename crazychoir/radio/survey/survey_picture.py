@@ -140,9 +140,7 @@ def _draw_bands(axes: "Axes") -> None:
 
 
 def _name_bands(axes: "Axes", low: int, high: int) -> None:
-    """Label the WiFi bands with a centre inside the picture, above the picture where nothing is
-    drawn.
-    """
+    """Label the WiFi bands that have their centre inside the picture, above its upper edge."""
     for number, middle in WIFI.items():
         name = f"WiFi {number}, {frequency(middle)} MHz"
         if low < middle < high:

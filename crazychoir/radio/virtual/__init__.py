@@ -1,3 +1,1 @@
-"""Virtual Crazyflies: a CRTP server over UDP, the behaviour of the firmware, and a simulated
-body.
-"""
+"""Virtual Crazyflies: a CRTP server over UDP, the firmware's behaviour, and a simulated body."""

@@ -30,8 +30,9 @@ Answer = Callable[[Question], Any]
 def seen(
     states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]
 ) -> dict[str, Any]:
-    """Return the bodies as the cameras see them, with their faults: lost, displaced, turned, or
-    exchanged.
+    """Return the bodies as the cameras see them.
+
+    By their faults, bodies are lost, displaced, turned or exchanged.
 
     states: states of all drones, world
     rows: row of each drone in `states`

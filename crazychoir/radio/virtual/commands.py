@@ -1,6 +1,4 @@
-"""The effect of set-points, plans and stops: from the units of packets to the SI units of the
-firmware model.
-"""
+"""The effect of set-points, plans and stops, from the units of packets to SI units."""
 
 import math
 from collections.abc import Callable

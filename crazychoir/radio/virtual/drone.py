@@ -1,5 +1,6 @@
-"""One virtual Crazyflie without I/O: it takes packets, returns answers, and sends logs and texts as
-time passes.
+"""One virtual Crazyflie without I/O.
+
+It takes packets, returns answers, and sends logs and texts as time passes.
 """
 
 import logging
@@ -44,8 +45,9 @@ TEXT = 30
 BOOT = 1000
 """Milliseconds after a restart in which the drone hears nothing."""
 HELD = 1000
-"""Milliseconds after a plan until a warning that a set-point still has control, so that the plan
-has no effect.
+"""Milliseconds after a plan until a warning that a set-point still has control.
+
+The plan then has no effect.
 """
 SILENCE = 1000
 """Milliseconds without a packet after which the link counts as lost: a returning client starts its
@@ -258,9 +260,7 @@ class VirtualCrazyflie:
             self.flight.unknown += 1
 
     def pass_time(self) -> Iterator[Packet]:
-        """Return the packets that the drone sends by itself, up to the time to which its model was
-        stepped.
-        """
+        """Return the packets that the drone sends by itself, up to the time of its model."""
         try:
             for packet in self._says():
                 self.sent += 1

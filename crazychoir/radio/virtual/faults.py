@@ -1,6 +1,4 @@
-"""Faults of a virtual drone, its link and the cameras: their names, their ranges and their
-values.
-"""
+"""Faults of a virtual drone, its link and the cameras: names, ranges and values."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -88,8 +88,8 @@ class Flight:
                 form
             )
         self.zeros = self.malformed = self.unknown = self.poses = 0
-        """Counts: RPYT packets of zeros only, packets of a wrong length, unknown packets, poses
-        from outside.
+        """Counts of RPYT packets of zeros, of wrong lengths, of unknown packets, of outside
+        poses.
         """
         self.last = ""
         """Kind of the last set-point."""
@@ -210,8 +210,9 @@ class Flight:
         return bytes([done, bool(self.onboard.record["armed"] or (done and wanted))])
 
     def recover(self) -> bytes:
-        """Recover from a crash; return whether this was done, and whether the drone has
-        recovered.
+        """Recover from a crash.
+
+        Returns whether this was done, and whether the drone has recovered.
         """
         done = self.onboard.recover()
         return bytes([done, done])

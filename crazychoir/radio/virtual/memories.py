@@ -104,8 +104,9 @@ class Tester:
 def configured(
     channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7
 ) -> bytearray:
-    """Return the EEPROM of a drone: channel, data rate and address of its radio, no trim, and their
-    checksum.
+    """Return the EEPROM of a drone.
+
+    It holds the channel, data rate and address of its radio, no trim, and their checksum.
     """
     image = b"0xBC" + struct.pack(
         "<BBBffBI", 1, channel, speed, 0.0, 0.0, address >> 32, address & 0xFFFFFFFF

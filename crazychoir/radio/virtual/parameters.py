@@ -121,8 +121,9 @@ class Parameters:
             yield from self._done()
 
     def _done(self) -> Iterator[Packet]:
-        """Reset the parameter that starts an estimator reset, and tell the client, as the firmware
-        does at once.
+        """Reset the parameter that starts an estimator reset, and tell the client.
+
+        The firmware does this as soon as the reset has begun.
         """
         if self.values[RESET_ESTIMATION]:
             self.values[RESET_ESTIMATION] = 0.0

@@ -1,5 +1,6 @@
-"""Log variables that the firmware model lacks (battery, radio, decks, sensors), or that have other
-units there.
+"""Log variables that the firmware model lacks, or that have other units there.
+
+They concern the battery, the radio, decks and sensors.
 """
 
 import math

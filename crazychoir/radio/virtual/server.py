@@ -1,6 +1,4 @@
-"""Virtual Crazyflies over UDP on the wall clock: one port a drone, one world for all of them, and
-cameras.
-"""
+"""Virtual Crazyflies over UDP on the wall clock: one port a drone, one world, and cameras."""
 
 import json
 import random
@@ -37,8 +35,9 @@ FLOW_NOISE = 0.02
 LEAST_CHARGE = 1e-3
 """Least charge of a battery, from 0 to 1."""
 PART = 48_000  # bytes
-"""Most bytes of the rows of drones in one answer: with the rest of the answer they fit into a
-datagram.
+"""Most bytes of the rows of drones in one answer.
+
+With the rest of the answer they fit into a datagram.
 """
 SHOWN = 40
 """Most characters of wrong words, and most drones, in an error."""
@@ -223,10 +222,10 @@ class VirtualServer(Actor):
     def _part(
         self, question: Mapping[str, Any], row_of: Callable[[int], Any]
     ) -> dict[str, Any]:
-        """Return as many drones as a datagram holds, from the drone after "after" on, and whether
-        more follow.
+        """Return as many drones as a datagram holds, and whether more follow.
 
-        The answer repeats "after", which distinguishes it from the answer to another question.
+        The first is the drone after "after". The answer repeats "after", which distinguishes it
+        from the answer to another question.
 
         row_of: returns the row of a drone
         """

@@ -79,9 +79,7 @@ class Entry:
 
 @cache
 def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
-    """Return the log variables and the parameters of the firmware, in the order of their
-    indices.
-    """
+    """Return log variables and parameters of the firmware, in the order of their indices."""
     logs: list[Entry] = []
     parameters: list[Entry] = []
     for line in (
