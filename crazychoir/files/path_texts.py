@@ -16,8 +16,7 @@ CHILD_ENCODING = "utf-8:backslashreplace"
 
 
 def readable(text: str, other: str = "backslashreplace") -> str:
-    r"""Return the text without lone surrogates: as UTF-8 characters if their bytes are UTF-8, else
-    as \xfc.
+    r"""Return the text without lone surrogates: UTF-8 where their bytes are UTF-8, else \xfc.
 
     A name becomes the same text on all hosts, also on a host with a locale that lacks its
     characters.
@@ -35,8 +34,9 @@ def readable(text: str, other: str = "backslashreplace") -> str:
 
 
 def readable_texts(value: Any, other: str = "backslashreplace") -> Any:
-    """Return the value with all its texts `readable`: in lists, dictionaries (keys too) and wire
-    types, at any depth.
+    """Return the value with all its texts `readable`.
+
+    Texts in lists, dictionaries (keys too) and wire types are made readable at any depth.
     """
     if isinstance(value, str):
         return readable(value, other)

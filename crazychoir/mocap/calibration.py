@@ -1,5 +1,4 @@
-"""Estimate how a tracked body is mounted on its drone, from its pose at rest and its motion while
-the drone turns.
+"""Estimate the mounting of a tracked body, from its pose at rest and while the drone turns.
 
 No I/O: the functions take poses (k, 7) of the body as tracked, and return estimates. The mounting
 is that of
@@ -56,12 +55,12 @@ class Turn:
 
 
 def mean_attitude(q: Mat) -> Vec:
-    """Return the unit quaternion (4,) nearest to all of q (k, 4): the eigenvector of sum q q^T with
-    the largest eigenvalue.
+    """Return the unit quaternion (4,) nearest to all of q (k, 4).
 
         max_x  sum (x . q_i)^2,  |x| = 1
 
-    The signs of the q_i do not matter.
+    The solution is the eigenvector of sum q q^T with the largest eigenvalue. The signs of the q_i
+    do not matter.
 
     Source: Markley et al. 2007, J. Guidance 30(4).
     """

@@ -30,8 +30,9 @@ LOOKS = 4.0
 SHOWN = 8
 """Most names of bodies in an error."""
 PATIENT = 60.0
-"""Seconds for which the process goes on after it was asked to end, while a drone that it sees has
-an agent on the network.
+"""Seconds for which the process goes on after it was asked to end.
+
+It does so while a drone that it sees has an agent on the network, or flies.
 """
 
 
@@ -51,8 +52,9 @@ def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Sour
 
 
 def view_of(config: SwarmConfig) -> View:
-    """Return the view of [mocap] on its frames: exact poses of virtual drones are blurred, as if
-    cameras had measured them.
+    """Return the view of [mocap] on its frames.
+
+    Exact poses of virtual drones are blurred, as if cameras had measured them.
     """
     return View(
         config.mocap.rate, Blur(config) if config.mocap.source == "virtual" else None

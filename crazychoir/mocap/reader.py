@@ -1,9 +1,8 @@
-"""The program that reads a motion capture system: `python -m crazychoir.mocap.reader FD SYSTEM
-KEY=VALUE ...`.
+"""The program that reads a motion capture system.
 
-It is a process of its own because connecting may hang for ever and hold the interpreter. It writes
-datagrams into the socket FD: frames, and texts about its progress. It ends with the process that
-has started it.
+It is started as `python -m crazychoir.mocap.reader FD SYSTEM KEY=VALUE ...`. It is a process of its
+own because connecting may hang for ever and hold the interpreter. It writes datagrams into the
+socket FD: frames, and texts about its progress. It ends with the process that has started it.
 """
 
 import ctypes

@@ -1,5 +1,6 @@
-"""Turn the frames of a source into the published frames: in order, at a limited rate, and blurred
-if they are exact.
+"""Turn the frames of a source into the published frames.
+
+These are in order, at a limited rate, and blurred if they are exact.
 """
 
 import math
@@ -54,10 +55,10 @@ class RateLimit:
 
 
 class Blur:
-    """Makes of exact poses what cameras would measure, by the keys of [mocap]: noise, tilt,
-    dropouts, latency.
+    """Makes of exact poses what cameras would measure.
 
-    Bodies that belong to no drone stay exact.
+    Noise, tilt, dropouts and latency are those of [mocap]. Bodies that belong to no drone stay
+    exact.
     """
 
     def __init__(self, config: SwarmConfig) -> None:
@@ -100,8 +101,9 @@ class Blur:
         ), age
 
     def _next_tick(self, t: float) -> int:
-        """Return the exposure of a frame: periods since the first, at least one more than the
-        last.
+        """Return the exposure of a frame.
+
+        It counts the periods since the first frame, and is at least one more than the last.
         """
         if math.isnan(self._began):
             self._began = t

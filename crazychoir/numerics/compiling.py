@@ -1,8 +1,8 @@
-"""The time at which laws are compiled: at the import of their modules, or after a program has
-checked the user's files.
+"""The time at which laws are compiled.
 
-A first run compiles for a minute or two. Errors in a swarm file, a graph or an option are reported
-before that.
+It is the import of their modules, or later, after a program has checked the user's files. A first
+run compiles for a minute or two. Errors in a swarm file, a graph or an option are reported before
+that.
 """
 
 import contextlib

@@ -309,11 +309,11 @@ def shared_by_children(folder: Path) -> Iterator[None]:
 
 
 def _folders(file: str) -> list[Path]:
-    """Return the folders for the laws of a source file: NUMBA_CACHE_DIR, `__pycache__` beside the
-    file, the user's cache.
+    """Return the folders for the laws of a source file.
 
-    Laws are read from each, and written to the first that can be written. So all users can read a
-    package that root has installed and compiled once.
+    They are NUMBA_CACHE_DIR, `__pycache__` beside the file, and the user's cache. Laws are read
+    from each, and written to the first that can be written. So all users can read a package that
+    root has installed and compiled once.
     """
     found = []
     below = InTreeCacheLocator.get_suitable_cache_subpath(file)  # type: ignore[no-untyped-call]
@@ -328,8 +328,9 @@ def _folders(file: str) -> list[Path]:
 
 
 _FAULTS: dict[Path, str] = {}
-"""Reason why nothing can be written to a folder (empty: it can), for each folder that this
-process has tried.
+"""Reason why nothing can be written to a folder; empty if it can.
+
+It has each folder that this process has tried.
 """
 
 
@@ -526,10 +527,10 @@ def _code(code: CodeType, names: Mapping[str, Any], doc: str | None = None) -> A
 
 
 def _paths(code: CodeType) -> list[list[str]]:
-    """Return the global names of a byte code with the attributes that it reads from them, such as
-    ["math", "sqrt"].
+    """Return the global names of a byte code, with the attributes that it reads from them.
 
-    The result is that of `dis`, in a twentieth of its time.
+    An example of an element is ["math", "sqrt"]. The result is that of `dis`, in a twentieth of its
+    time.
     """
     paths: list[list[str]] = []
     inside = False
@@ -567,8 +568,9 @@ def _meaning(path: list[str], names: Mapping[str, Any]) -> Any:
 
 
 def _value(value: Any) -> Any:
-    """Return a constant, a compiled part or a library function as an object with a unique `repr`.
-    Raises Untold if it is none.
+    """Return an object with a unique `repr` for a constant, a compiled part or a library function.
+
+    Raises Untold for anything else.
     """
     kind = type(value)
     if kind in EXACT or isinstance(value, NUMBERS):

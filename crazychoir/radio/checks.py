@@ -81,8 +81,9 @@ def link_problems(latency: float, answered: float) -> list[str]:
 
 
 UNSURE = 0.01
-"""m2: largest variance of the own position on each axis for a take-off without cameras (0.1 m
-standard deviation).
+"""m2: largest variance of the position, on each axis, for a take-off without cameras.
+
+It is a standard deviation of 0.1 m.
 """
 
 

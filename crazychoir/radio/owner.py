@@ -97,8 +97,9 @@ class RadioProcess(Actor):
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _turns(self) -> Turns:
-        """Return the pace of packets: a little less than the dongle carries, because packets that
-        wait in it become old.
+        """Return the pace of packets: a little less than the dongle carries.
+
+        Packets that wait in the dongle become old.
         """
         return Turns(self.clock, PACED * capacity_of(self.config, self.dongle))
 

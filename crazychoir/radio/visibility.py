@@ -1,5 +1,4 @@
-"""The bodies that a dongle's owner sees, and the check at take-off that a drone moves like its
-body.
+"""The bodies that a dongle's owner sees, and the check that a drone moves like its body.
 
 Until this check has passed, the drone takes only its position from the cameras, not its attitude.
 """

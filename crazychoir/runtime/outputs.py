@@ -9,8 +9,7 @@ OUTPUT_ERRORS = "crazychoir.output"
 
 
 def let_outputs_take_any_text() -> None:
-    r"""Print a character that the encoding of the output does not have as an escape: \xfc or
-    \u2192.
+    r"""Print characters that the encoding of the output lacks as escapes: \xfc or \u2192.
 
     This holds for standard output and standard error. Bytes of file names that are no characters
     are printed unchanged.

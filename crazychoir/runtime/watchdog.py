@@ -182,8 +182,9 @@ class Watchdog:
         faulthandler.cancel_dump_traceback_later()
 
     def _computed(self) -> float:
-        """Return the processor time in s that the guarded code has used since the watchdog first
-        saw it; waiting does not count.
+        """Return the processor time in s of the guarded code since the watchdog first saw it.
+
+        Time in which the code waited does not count.
         """
         since_ns = self._guard.since_ns
         used = thread_seconds(self._loop_thread)
@@ -242,8 +243,9 @@ def standing(thread: int) -> str:
 
 
 class Guard:
-    """A region of the loop's thread in which Hung may be raised, and nowhere else: see
-    `Watchdog.guard`.
+    """A region of the loop's thread in which Hung may be raised, and nowhere else.
+
+    See `Watchdog.guard`.
     """
 
     def __init__(self, clock: Clock) -> None:

@@ -94,8 +94,9 @@ The planner has then ended the landing. Another command to land would start a ne
 the command to land is not repeated: the planner would start a new landing.
 """
 IN_VAIN = 3.0
-"""Seconds of commands to land without an answer, over a link that works, after which the motors may
-be stopped instead.
+"""Seconds of unanswered commands to land after which the motors may be stopped instead.
+
+The link works meanwhile: otherwise the drone may still land when it receives the command.
 """
 STOPS = 0.5
 """Seconds between two commands to stop, for a drone that stands."""
@@ -459,8 +460,9 @@ class RadioDrone(Actor):
     def _due_work(
         self, connection: Connection, silence: float
     ) -> Coroutine[Any, Any, None] | None:
-        """Return the next piece of work: start the logs again, prepare the drone, or start its
-        estimator; None if none is due.
+        """Return the next piece of work; None if none is due.
+
+        The work is to start the logs again, to prepare the drone, or to start its estimator.
         """
         if (
             silence < DEGRADED
@@ -501,8 +503,9 @@ class RadioDrone(Actor):
             self._take_off.found = ""
 
     def _feed_watchdog(self) -> None:
-        """Feed the emergency-stop watchdog if [radio] watchdog is set: without this process the
-        drone then cuts its motors.
+        """Feed the emergency-stop watchdog if [radio] watchdog is set.
+
+        Without this process the drone then cuts its motors.
         """
         now_ns = self.clock.now_ns()
         self._fed = self._fed or (
@@ -574,9 +577,7 @@ class RadioDrone(Actor):
     problem = ""
     """Reason why the link is not up."""
     place: tuple[float, Pose] | None = None
-    """s and pose: when and where the cameras last saw the drone, among the poses that were
-    accepted.
-    """
+    """Time in s and pose at which the cameras last saw the drone, among accepted poses."""
 
     def _lost(self, reason: str) -> None:
         """Note that the driver has given up; called by the connection."""
@@ -635,8 +636,9 @@ class RadioDrone(Actor):
         return self.flying and not self._flown_here and not stands
 
     def _comes_down(self) -> bool:
-        """Return whether the drone lands, or will land when the command arrives: its motors must
-        not be stopped before that.
+        """Return whether the drone lands, or will land when the command arrives.
+
+        Its motors must not be stopped before that.
         """
         if self._landing is None or not self.flying:
             return False
@@ -720,8 +722,9 @@ class RadioDrone(Actor):
             self._arming = False
 
     def cut(self) -> None:
-        """Stop the motors for good: the packet is repeated until the drone is locked or was
-        switched off and on.
+        """Stop the motors for good.
+
+        The packet is repeated until the drone is locked or was switched off and on.
         """
         self._cut = True
         if self._cut_heard:
@@ -734,8 +737,9 @@ class RadioDrone(Actor):
             self.connection.send(packet)  # type: ignore[union-attr]
 
     def _seen(self, pose: Pose, age: float) -> None:
-        """Take a pose from the cameras, and send it to the drone's estimator, which lands the drone
-        if this process fails.
+        """Take a pose from the cameras, and send it to the drone's estimator.
+
+        With this estimate the drone lands if this process fails.
         """
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say(

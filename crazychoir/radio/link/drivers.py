@@ -20,8 +20,9 @@ from cflib.crtp.udpdriver import UdpDriver
 from crazychoir.radio.link.dongles import DONGLES, Turns
 
 ROOM = 0.05
-"""Longest time in s that a packet waits for room: a driver's queue holds one packet, which leaves
-with the next exchange.
+"""Longest time in s that a packet waits for room.
+
+A driver's queue holds one packet, which leaves with the next exchange.
 """
 ENDS = 0.5
 """Seconds in which the thread of a link may end its last exchange."""

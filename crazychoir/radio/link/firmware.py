@@ -268,11 +268,11 @@ def _allowed(kind: str) -> str:
 
 
 def _taken_or_not(asked: Packet, packet: Packet) -> bool:
-    """Return whether a packet answers this write of a parameter: with the value written, or with an
-    error of three bytes.
+    """Return whether a packet answers this write of a parameter.
 
-    A repeated request gets two answers, and a late answer to an earlier value must not count. A
-    value of one byte is as long as an error; then only the written value counts.
+    The answer has the value written, or an error of three bytes. A repeated request gets two
+    answers, and a late answer to an earlier value must not count. A value of one byte is as long as
+    an error; then only the written value counts.
     """
     if packet[:2] != (PARAM, WRITE) or packet.data[:2] != asked.data[:2]:
         return False

@@ -1,11 +1,11 @@
-"""The right to use a dongle: one process of this machine at a time holds a lock, which is released
-when the process ends.
+"""The right to use a dongle, for one process of this machine at a time.
 
-The lock is the name of a Unix socket in the abstract namespace of Linux. The name is the same for
-all users and in every environment (a login shell, cron, `sudo`, a service with folders of its own),
-and there is no file that could be taken, removed or left behind. The kernel tells which process
-holds it. Like the addresses of virtual drones it belongs to a network namespace; if two namespaces
-have the same Crazyradio, the kernel lets one process claim the device.
+The process holds a lock, which is released when it ends. The lock is the name of a Unix socket in
+the abstract namespace of Linux. The name is the same for all users and in every environment (a
+login shell, cron, `sudo`, a service with folders of its own), and there is no file that could be
+taken, removed or left behind. The kernel tells which process holds it. Like the addresses of
+virtual drones it belongs to a network namespace; if two namespaces have the same Crazyradio, the
+kernel lets one process claim the device.
 """
 
 import contextlib

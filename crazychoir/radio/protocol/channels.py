@@ -26,8 +26,9 @@ def frequency(channel: int) -> int:
 
 
 def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
-    """Return the channels of a text such as "2-82:2" (every second from 2 to 82) or "4,20-30,76",
-    sorted, each once.
+    """Return the channels of a text, sorted, each once.
+
+    "2-82:2" is every second channel from 2 to 82; another example is "4,20-30,76".
     """
     allowed = f"channels 0 to {LAST}, as 2-82:2 (each second) or 4,20-30,76"
     return tuple(sorted(parse_spans(text, where, allowed, LAST, steps=True)))

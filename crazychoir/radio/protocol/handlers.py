@@ -1,8 +1,8 @@
-"""Translate commands into packets: one radio handler for each kind of command, with the paper's
-names. No I/O, no clock.
+"""Translate commands into packets: one radio handler for each kind of command.
 
-A drone that estimates its own pose, by lighthouse, flow deck or anchors, uses the same handlers:
-the packets do not depend on the source of the pose.
+The names are those of the paper. No I/O, no clock. A drone that estimates its own pose, by
+lighthouse, flow deck or anchors, uses the same handlers: the packets do not depend on the source of
+the pose.
 """
 
 import math

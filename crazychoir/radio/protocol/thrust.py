@@ -7,8 +7,9 @@ from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard.units import thrust_raw
 
 LINEAR_SINCE = (2025, 10)
-"""First release with a thrust command linear in newtons: 65535 is thrust_max of each motor
-(crazyflie-firmware).
+"""First release with a thrust command linear in newtons.
+
+65535 is thrust_max of each motor (crazyflie-firmware).
 """
 MEASURED_UNTIL = (2025, 2)
 """Last release for which a platform's `old_thrust_map` is right.

@@ -27,14 +27,17 @@ from crazychoir.radio.survey.survey import Sample
 from crazychoir.types import Mat, Vec
 
 NOISE = -93.0
-"""dBm in 2 MHz: then one bit in a thousand is wrong at -82 dBm, the specification of nRF24L01+
-receivers at 2 Mbit/s.
+"""dBm in 2 MHz.
+
+One bit in a thousand is then wrong at -82 dBm, the specification of nRF24L01+ receivers at 2
+Mbit/s.
 """
 NEGLIGIBLE = -108.0
 """dBm: 15 dB below the noise."""
 BITS = 178
-"""Bits of a packet of one byte and its answer of three: preamble, address, control field and
-checksum of both.
+"""Bits of a packet of one byte and its answer of three.
+
+They include preamble, address, control field and checksum of both.
 """
 USB = 0.0008
 """Seconds that an exchange takes at least; about what users of the dongle report."""
@@ -72,9 +75,7 @@ class Room:
     """Other transmitters."""
 
     def heard(self, channel: int) -> list[tuple[Source, float]]:
-        """Return the sources that a receiver on this channel hears, with their power there in
-        mW.
-        """
+        """Return the sources that a receiver on this channel hears, with their power in mW."""
         levels = [(source, source.level(channel)) for source in self.sources]
         return [
             (source, _power(level)) for source, level in levels if level > NEGLIGIBLE
@@ -168,8 +169,10 @@ def random_room(seed: int, channels: Sequence[int]) -> Room:
 
 
 def _network(draw: np.random.Generator) -> Network:
-    """Return a network on one of the three channels without overlap or, two times in five, on any
-    channel from 1 to 13.
+    """Return a WiFi network.
+
+    It is on one of the three channels without overlap or, two times in five, on any channel from 1
+    to 13.
     """
     number = draw.choice(list(WIFI)) if draw.random() < 0.6 else draw.integers(1, 14)
     return Network(

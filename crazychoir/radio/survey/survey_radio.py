@@ -1,9 +1,9 @@
-"""The probe of a survey on a real Crazyradio, through cflib: the dongle and one drone change the
-channel together.
+"""The probe of a survey on a real Crazyradio, through cflib.
 
-A null packet that begins with ff 03 01 orders the drone's radio to the channel in the next byte,
-until it is switched off. The drone acknowledges before it changes. If the acknowledgement arrives,
-the drone's channel is known; if it does not, the probe must search for the drone.
+The dongle and one drone change the channel together. A null packet that begins with ff 03 01 orders
+the drone's radio to the channel in the next byte, until it is switched off. The drone acknowledges
+before it changes. If the acknowledgement arrives, the drone's channel is known; if it does not, the
+probe must search for the drone.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,5 +1,6 @@
-"""The air between a client and a virtual drone: the time of a shared dongle, losses, delays and
-silence; all may change.
+"""The air between a client and a virtual drone.
+
+It has the time of a shared dongle, losses, delays and silence; all may change.
 """
 
 import random
@@ -10,8 +11,9 @@ from crazychoir.radio.virtual.faults import Faults
 from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
 
 CAPACITY = 250.0
-"""Exchanges a second of a dongle that several drones share through cflib: a figure of its users,
-not measured here.
+"""Exchanges a second of a dongle that several drones share through cflib.
+
+This is a figure of its users, not measured here.
 """
 ALONE = 1000.0
 """Exchanges a second of a dongle with one drone: also a figure of users."""
@@ -20,19 +22,19 @@ UP = 25
 DOWN = 120
 """Most packets of one drone that wait on board (the firmware's queue)."""
 BEHIND_NS = SECOND // 10
-"""Nanoseconds by which exchanges may be late on a busy machine and are made up for: a radio does
-not wait for this program.
+"""Nanoseconds by which exchanges may be late on a busy machine and are made up for.
+
+A radio does not wait for this program.
 """
 Deliver = Callable[[], None]
 """Callback that delivers a packet."""
 
 
 class Dongle:
-    """One radio with drones that take turns: an exchange carries at most one packet up, and one
-    down on its acknowledgement.
+    """One radio with drones that take turns.
 
-    A drone with a packet to send is polled. A drone with no packet in either direction takes no
-    time.
+    An exchange carries at most one packet up, and one down on its acknowledgement. A drone with a
+    packet to send is polled. A drone with no packet in either direction takes no time.
 
     drones: ids of the drones
     capacity: exchanges a second; None: by the number of drones

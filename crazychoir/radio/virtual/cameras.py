@@ -86,8 +86,9 @@ def _packed(answer: Any) -> bytes:
 
 
 class Cameras:
-    """The port of the cameras: a client that has recently sent ASK gets frames, and a client that
-    sends JSON gets an answer.
+    """The port of the cameras.
+
+    A client that has recently sent ASK gets frames, and a client that sends JSON gets an answer.
 
     at: host and port
     answer: answers a question

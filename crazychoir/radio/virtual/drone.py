@@ -50,8 +50,9 @@ HELD = 1000
 The plan then has no effect.
 """
 SILENCE = 1000
-"""Milliseconds without a packet after which the link counts as lost: a returning client starts its
-log blocks again.
+"""Milliseconds without a packet after which the link counts as lost.
+
+A returning client starts its log blocks again.
 """
 RELEASE = "2025.12"
 """Firmware release that is modelled."""

@@ -1,5 +1,6 @@
-"""Ports 3, 6, 7, 8, 9 and 13: the packets that fly a virtual drone, from the firmware's units to
-the SI units of the model.
+"""Ports 3, 6, 7, 8, 9 and 13: the packets that fly a virtual drone.
+
+The firmware's units become the SI units of the model.
 """
 
 import struct
@@ -88,9 +89,7 @@ class Flight:
                 form
             )
         self.zeros = self.malformed = self.unknown = self.poses = 0
-        """Counts of RPYT packets of zeros, of wrong lengths, of unknown packets, of outside
-        poses.
-        """
+        """Counts: RPYT packets of zeros, wrong lengths, unknown packets, poses from outside."""
         self.last = ""
         """Kind of the last set-point."""
         self.refuses = False

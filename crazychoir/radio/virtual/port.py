@@ -46,8 +46,9 @@ def opened(at: Address) -> socket.socket:
 
 
 def waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
-    """Return the datagrams that wait at a socket, with their senders: at most AT_ONCE, and none
-    once it is closed.
+    """Return the datagrams that wait at a socket, with their senders.
+
+    There are at most AT_ONCE, and none once the socket is closed.
     """
     for _ in range(AT_ONCE):
         if at is None or at.fileno() < 0:

@@ -180,8 +180,9 @@ class VirtualServer(Actor):
             self.ports[i].drone.restart(why)
 
     def _look_around(self) -> None:
-        """Give the estimators the measurements of decks: the position from a lighthouse deck, the
-        velocity from a flow deck.
+        """Give the estimators the measurements of decks.
+
+        A lighthouse deck measures the position, a flow deck the velocity.
         """
         for i, port in self.ports.items():
             if self.faults[i].deck_lost:
@@ -203,8 +204,13 @@ class VirtualServer(Actor):
     # Questions
 
     def answer(self, question: Mapping[str, Any]) -> Any:
-        """Answer a question at the cameras' port: {"ask": "state"}, {"ask": "faults"}, {"faults":
-        {"3,4": {"loss": 0.3}}}.
+        """Answer a question at the cameras' port.
+
+        The questions are:
+
+            {"ask": "state"}
+            {"ask": "faults"}
+            {"faults": {"3,4": {"loss": 0.3}}}
 
         The first two are answered in parts: see `_part`.
         """

@@ -68,8 +68,9 @@ class Hall:
     """Advice if one of its ports is taken."""
 
     def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
-        """Return the world: the drones at home, with their platforms, the swarm's [motors] and the
-        thrust map of a release.
+        """Return the world with the drones at home.
+
+        It has the drones' platforms, the swarm's [motors] and the thrust map of a release.
         """
         config = self.config
         drones = self.drones
