@@ -1,1 +1,1 @@
-"""Files of the user: folders, texts to read, results to write, and names that are not text."""
+"""The user's files: folders, texts to read, results to write, and names that are not valid text."""

@@ -1,4 +1,7 @@
-"""Writing what a computation answers: places are checked before it begins, and a file is there as a whole or not."""
+"""Write result files.
+
+The place is checked before the computation, and a file is written as a whole or not at all.
+"""
 
 import contextlib
 import errno
@@ -13,16 +16,23 @@ from crazychoir.errors import ConfigError
 
 LONGEST_SUFFIX = 64  # characters of a suffix that a temporary name keeps
 PROBE = b"\0" * 4096
-"""Written into a new place and taken away again: a full disk makes files, but does not fill them."""
+"""Bytes written into a new file and removed again.
+
+A full disk still creates files, but cannot fill them.
+"""
 
 
 def require_writable_file(
     path: str | Path, option: str, endings: Sequence[str] = (), parents: bool = False
 ) -> None:
-    """Raise ConfigError, before anything is computed, for a file that could not be written.
+    """Raise ConfigError, before anything is computed, if the file cannot be written.
 
-    option: what errors call it;  endings: those that its name may have, in any case, all if there are none.
-    A missing folder is made, and the folders above it if `parents`. A file that is there may be written over.
+    A missing folder is made, and also the folders above it if `parents` is set. An existing file
+    may be overwritten.
+
+    option: name for errors
+    endings: allowed suffixes of the name, in lower or upper case; empty: all
+    parents: make missing folders above the folder too
     """
     path = Path(path)
     if endings and path.suffix.lower() not in endings:
@@ -53,7 +63,10 @@ def require_writable_file(
 
 
 def require_writable_folder(path: str | Path, option: str) -> None:
-    """Raise ConfigError, before anything is computed, for a folder that files could not be written into; make it."""
+    """Make the folder.
+
+    Raise ConfigError, before anything is computed, if files cannot be written into it.
+    """
     path = Path(path)
     try:
         _make_folder(path, parents=True)
@@ -69,11 +82,15 @@ def require_writable_folder(path: str | Path, option: str) -> None:
 
 @contextlib.contextmanager
 def written_file(path: str | Path, what: str) -> Iterator[Path]:
-    """Yield where to write; the file takes its place when the block ends, unless something is raised in it.
+    """Yield the path to write to.
 
-    So a disk that fills spoils nothing that was there, and leaves no half of a file. A link is followed; a device, and
-    a file in a folder that takes no new one, are written as they are.
-    what: what errors call it. The place has the suffix of `path`, but for a device. Raises ConfigError for an OSError.
+    If the block ends without an error, the file is moved to its place. So a full disk destroys no
+    existing file and leaves no half-written file. A symbolic link is followed. A device, and an
+    existing file in a folder that takes no new file, are written directly. The yielded path has the
+    suffix of `path`, except for a device.
+
+    what: name for errors
+    Raises ConfigError in place of an OSError.
     """
     path = Path(path)
     place = Path(os.path.realpath(path))
@@ -88,7 +105,7 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
             yield place
             return
         if place.exists():
-            _open_to_write(place)  # a file that its owner has protected stays
+            _open_to_write(place)  # keeps a write-protected file
         beside = _new_file_beside(place)
         yield beside
         if place.exists():
@@ -127,7 +144,10 @@ def _put(new: Path, place: Path) -> None:
 
 
 def save_figure(figure: Any, path: str | Path, **options: Any) -> None:
-    """Write a figure of matplotlib, of the kind that the suffix says; raises ConfigError where it cannot be."""
+    """Write a figure of matplotlib, in the format of the suffix.
+
+    Raises ConfigError if it cannot be written.
+    """
     kind = Path(path).suffix.removeprefix(".").lower() or None
     with written_file(path, "picture") as place:
         figure.savefig(place, format=kind, **options)
@@ -139,12 +159,18 @@ def _make_folder(folder: Path, parents: bool) -> None:
 
 
 def _open_to_write(path: Path) -> None:
-    """Open a file that is there, without a change."""
+    """Open an existing file for writing, without changing it.
+
+    Raises OSError if it cannot be opened.
+    """
     os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
 
 
 def _probe(path: Path) -> None:
-    """Make and fill a file beside `path`, and take it away; the name itself is looked up, as it may be too long."""
+    """Create and fill a file beside `path`, then remove it. Raises OSError if there is no room.
+
+    The name itself is looked up, because it may be too long.
+    """
     with contextlib.suppress(FileNotFoundError):
         path.lstat()
     with tempfile.TemporaryFile(dir=path.parent, buffering=0) as file:

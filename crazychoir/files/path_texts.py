@@ -1,7 +1,8 @@
-"""Texts of users: file names go into messages, digests and outputs, and names in files become paths.
+"""Texts of users: names of files in messages, digests and outputs; names in files as paths.
 
-A file name is bytes. Python decodes it by the locale, and keeps bytes that have no character there as lone surrogates
-(U+DC80 to U+DCFF, PEP 383). No message, JSON text or picture can hold these; outputs.py prints them.
+A file name is a sequence of bytes. Python decodes it by the locale, and keeps bytes that are no
+character there as lone surrogates (U+DC80 to U+DCFF, PEP 383). No message, JSON text or picture can
+hold these; outputs.py prints them.
 """
 
 import os
@@ -11,14 +12,16 @@ from typing import Any, Literal
 import msgspec
 
 CHILD_ENCODING = "utf-8:backslashreplace"
-"""How Python programs that this process starts, and listens to, write: whatever the locale is."""
+"""Output encoding of Python programs that this process starts and reads, in any locale."""
 
 
 def readable(text: str, other: str = "backslashreplace") -> str:
-    r"""Return the text without lone surrogates: their bytes as UTF-8 if they are, else written as \xfc.
+    r"""Return the text without lone surrogates: UTF-8 where their bytes are UTF-8, else \xfc.
 
-    A name is the same text on all hosts, also where one host has a locale without its characters.
-    other: what is done with a surrogate that stands for no byte, which no file name has: an error handler of codecs.
+    A name becomes the same text on all hosts, also on a host with a locale that lacks its
+    characters.
+
+    other: error handler of codecs for a surrogate that stands for no byte; no file name has one
     """
     if text.isascii():
         return text
@@ -31,7 +34,10 @@ def readable(text: str, other: str = "backslashreplace") -> str:
 
 
 def readable_texts(value: Any, other: str = "backslashreplace") -> Any:
-    """Return the value with `readable` texts in its lists, dictionaries and wire types, at any depth, in keys too."""
+    """Return the value with all its texts `readable`.
+
+    Texts in lists, dictionaries (keys too) and wire types are made readable at any depth.
+    """
     if isinstance(value, str):
         return readable(value, other)
     if isinstance(value, Mapping):
@@ -65,7 +71,7 @@ def json_bytes(
 
 
 def as_path(name: str) -> str:
-    """Return a name that stands in a UTF-8 file as a path of this process: in a locale without its characters too."""
+    """Return a name from a UTF-8 file as a path, also in a locale that lacks its characters."""
     try:
         os.fsencode(name)
     except UnicodeEncodeError:
@@ -74,5 +80,5 @@ def as_path(name: str) -> str:
 
 
 def child_environment() -> dict[str, str]:
-    """Return the environment of Python programs whose output this process reads as UTF-8."""
+    """Return an environment for Python programs that lets them print UTF-8."""
     return {**os.environ, "PYTHONIOENCODING": CHILD_ENCODING}

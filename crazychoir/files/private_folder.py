@@ -1,4 +1,4 @@
-"""Where processes of one user leave word for each other."""
+"""The private folder, in which processes of one user leave files for each other."""
 
 import contextlib
 import os
@@ -17,11 +17,12 @@ from crazychoir.files.user_folders import (
 )
 
 ALLOWED = "a folder of this user alone"
+"""The allowed folder, for errors."""
 REMOVE_IT = (
     f"Remove it, if need be as root; or set {RUNTIME_VARIABLE} to a folder of yours, "
     "alike in every shell and service."
 )
-"""What to do where another user, by mistake or on purpose, has taken the place."""
+"""Advice if another user has taken the place, by mistake or on purpose."""
 NAME_ANOTHER = (
     f"Let {RUNTIME_VARIABLE} name a folder of yours that others cannot use "
     "(mkdir -m 700 FOLDER), alike in every shell and service."
@@ -34,10 +35,12 @@ def _remedy(folder: Path) -> str:
 
 
 def runtime_folder() -> Path:
-    """Return the private folder of this user; it is made if it is missing.
+    """Return the private folder of this user; make it if it is missing.
 
-    It is the same in a login shell, under cron, in a service and with `su`, so that each finds what others have left.
-    Raises ConfigError where it belongs to another user or is a symbolic link, and OSError where it cannot be made.
+    It is the same in a login shell, under cron, in a service and with `su`, so that each finds the
+    files of the others.
+    Raises ConfigError if it belongs to another user or is a symbolic link.
+    Raises OSError if it cannot be made.
     """
     folder = private_folder()
     fault = make_private(folder)
@@ -47,7 +50,10 @@ def runtime_folder() -> Path:
 
 
 def existing_runtime_folder() -> Path | None:
-    """Return the private folder of this user, None if there is none; raises as `runtime_folder` does."""
+    """Return the private folder of this user, or None if there is none.
+
+    Raises the errors of `runtime_folder`.
+    """
     folder = private_folder()
     try:
         fault = owner_fault(folder, os.getuid())
@@ -60,9 +66,10 @@ def existing_runtime_folder() -> Path | None:
 
 @contextlib.contextmanager
 def scratch_folder(prefix: str) -> Iterator[Path]:
-    """A temporary folder of this user alone, removed at the end; raises ConfigError where none can be made or is full.
+    """Yield a temporary folder that only this user can read; remove it at the end.
 
-    prefix: how its name begins.
+    prefix: start of its name
+    Raises ConfigError if no folder can be made or the disk is full.
     """
     try:
         made = tempfile.TemporaryDirectory(prefix=prefix)

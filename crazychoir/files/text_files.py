@@ -1,19 +1,22 @@
-"""Reading the text files that a user hands in: swarm files, instances, tables, drawings."""
+"""Read the text files of a user: swarm files, instances, tables, drawings."""
 
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
 
 BYTE_ORDER_MARK = "\ufeff"
+"""The mark that may begin a text."""
 UTF_8 = b"\xef\xbb\xbf"
+"""The byte-order mark in UTF-8."""
 WIDE_MARKS = (
     (b"\xff\xfe\x00\x00", "UTF-32"),
     (b"\x00\x00\xfe\xff", "UTF-32"),
     (b"\xff\xfe", "UTF-16"),
     (b"\xfe\xff", "UTF-16"),
 )
-"""The first bytes of texts in other encodings, the longer ones first."""
+"""First bytes of texts in other encodings, longer ones first."""
 AS_UTF_8 = "Save it as UTF-8: with an editor, or by `iconv -f ENCODING -t UTF-8 FILE > NEW_FILE`."
+"""Advice for a file in another encoding."""
 
 
 def read_text(
@@ -24,11 +27,15 @@ def read_text(
     do: str = "",
     exact: bool = False,
 ) -> str:
-    """Return the text of a file in UTF-8; a byte-order mark is left out, and every line ends in a line feed.
+    """Return the text of a UTF-8 file.
 
-    allowed: what the file may be, for the error;  do: what to do about a file that cannot be opened;
-    exact: keep the mark and the ends of the lines, for a text that is written back.
-    Raises `kind`, a ConfigError, for a file that cannot be read or has another encoding.
+    The text has no byte-order mark, and each line ends with a line feed.
+
+    allowed: what the file may contain, for errors
+    kind: class of the error
+    do: what to do about a file that cannot be opened, for errors
+    exact: keep the mark and the line ends, for a text that is written back
+    Raises `kind`, a ConfigError, if the file cannot be read or has another encoding.
     """
     try:
         data = Path(path).read_bytes()
@@ -46,7 +53,10 @@ def decode_text(
     kind: type[ConfigError] = ConfigError,
     exact: bool = False,
 ) -> str:
-    """Return the bytes of a file as text; `where` is what errors call it. The rest is as in `read_text`."""
+    """Return the bytes of a file as text.
+
+    where: name of the file for errors; the other arguments are the same as for `read_text`
+    """
     for mark, encoding in WIDE_MARKS:
         if data.startswith(mark):
             found = f"a text in {encoding}, by its first bytes {mark.hex(' ')}"
@@ -71,7 +81,7 @@ def decode_text(
 
 
 def _place(data: bytes, position: int) -> str:
-    """The line and the column of a byte, both from 1; columns count characters."""
+    """Return the line and column of a byte, both from 1; columns count characters."""
     before = (
         data[:position]
         .removeprefix(UTF_8)

@@ -1,7 +1,8 @@
-"""Folders of the user who runs this process: for caches, and for what processes of one user leave for each other.
+"""Folders of this process's user: caches, and files that processes leave for each other.
 
-A service, a container or a cron job may run without a home, with a home that is read-only or another user's, on a full
-disk, or as a user whom the system does not know. Every function here has an answer for these cases and raises nothing.
+A service, a container or a cron job may run without a home, with a home that is read-only or
+belongs to another user, on a full disk, or as a user unknown to the system. Every function here
+handles these cases; a function that may raise an error says so.
 """
 
 import os
@@ -11,19 +12,31 @@ import uuid
 from pathlib import Path
 
 RUNTIME_VARIABLE = "CRAZYCHOIR_RUNTIME_DIR"
-"""Environment variable that names another private folder; it must be the same in every shell of the user."""
+"""Environment variable that names another private folder.
+
+It must be the same in every shell of the user.
+"""
 SHARED_FOLDER = "/tmp"  # noqa: S108 - the private folder below it is checked: its owner, its mode, no symbolic link
-"""Where private folders lie. Not TMPDIR or XDG_RUNTIME_DIR: a login shell, cron and sudo set these differently."""
-PROBE_SIZE = 1 << 16  # bytes that a folder must have room for
+"""The folder that holds the private folders.
+
+It is not TMPDIR or XDG_RUNTIME_DIR: a login shell, cron and sudo set these to different folders.
+"""
+PROBE_SIZE = 1 << 16  # bytes: a folder must have room for so many
 PRIVATE_MODE = 0o700  # permissions of the private folder
 WARNING = "cache: "
-"""How each warning about a cache begins. A run passes on the first one of its processes about each cache."""
+"""Start of every warning about a cache.
+
+A run prints only the first warning of its processes about each cache.
+"""
 TOLD_VARIABLE = "CRAZYCHOIR_TOLD"
-"""Environment variable with the names of the caches about which this process, or its parent, has warned."""
+"""Environment variable with the caches about which this process, or its parent, has warned."""
 
 
 def home() -> Path | None:
-    """Return the home of this user, or None if HOME is not set and the system does not know the user."""
+    """Return the home of this user.
+
+    Returns None if HOME is not set and the system does not know the user.
+    """
     named = os.environ.get("HOME", "")
     if named:
         return Path(named) if os.path.isabs(named) else None
@@ -34,10 +47,11 @@ def home() -> Path | None:
 
 
 def cache_home() -> Path | None:
-    """Return the folder for caches of this user, or None if there is none; another user's cache is not used.
+    """Return the cache folder of this user, or None if there is none.
 
-    XDG_CACHE_HOME, else ~/.cache. Under `sudo` the home may be that of another user: what lies there could be changed
-    by that user, and what root writes there could not be changed by its owner.
+    It is XDG_CACHE_HOME, else ~/.cache. A folder of another user is not used: under `sudo` the home
+    may belong to another user. That user could change the files in it, and could not change the
+    files that root writes there.
     """
     named = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(named):
@@ -51,7 +65,10 @@ def cache_home() -> Path | None:
 
 
 def _is_own_or_roots(folder: Path) -> bool:
-    """Return whether the folder, or the nearest one above it that exists, belongs to this user or to root."""
+    """Return whether a folder belongs to this user or to root.
+
+    If it does not exist, the nearest existing folder above it counts.
+    """
     if sys.platform == "win32":
         return True
     for place in (folder, *folder.parents):
@@ -65,9 +82,10 @@ def _is_own_or_roots(folder: Path) -> bool:
 
 
 def write_fault(folder: Path) -> str:
-    """Return why nothing can be written into the folder; it is made if it is missing. Empty if all is well.
+    """Return why nothing can be written into a folder, or an empty text.
 
-    A full disk often still takes an empty file, so a file of PROBE_SIZE is written, and removed.
+    The folder is made if it is missing. A full disk often still accepts an empty file, so a file of
+    PROBE_SIZE bytes is written and removed.
     """
     probe = folder / f".probe.{uuid.uuid4().hex[:16]}"
     try:
@@ -82,7 +100,10 @@ def write_fault(folder: Path) -> str:
 
 
 def private_folder() -> Path:
-    """Return the path of the private folder of this user: the same in every environment of the user on this machine."""
+    """Return the path of this user's private folder.
+
+    It is the same in every environment of the user on this machine.
+    """
     named = os.environ.get(RUNTIME_VARIABLE, "")
     return Path(named) if os.path.isabs(named) else private_folder_of(os.getuid())
 
@@ -93,7 +114,10 @@ def private_folder_of(uid: int) -> Path:
 
 
 def owner_fault(folder: Path, uid: int) -> str:
-    """Return why a folder is not the private folder of this user; empty if it is. Raises OSError if it is not there."""
+    """Return why the folder is not the private folder of this user, or an empty text if it is.
+
+    Raises OSError if the folder does not exist.
+    """
     found = folder.lstat()
     if stat.S_ISLNK(found.st_mode):
         return "it is a symbolic link"
@@ -105,8 +129,9 @@ def owner_fault(folder: Path, uid: int) -> str:
 
 
 def make_private(folder: Path) -> str:
-    """Make the private folder of this user if it is missing; return why it is not safe to use, empty if it is.
+    """Make the private folder of this user if it is missing.
 
+    Returns why it is unsafe, or an empty text.
     Raises OSError if it cannot be made.
     """
     try:
@@ -127,7 +152,10 @@ def make_private(folder: Path) -> str:
 
 
 def user_name(uid: int) -> str:
-    """Return how to call a user: by name and number, or by number where the system does not know the user."""
+    """Return a text for a user: name and number.
+
+    It is only the number if the system does not know the user.
+    """
     try:
         import pwd
 
@@ -137,9 +165,10 @@ def user_name(uid: int) -> str:
 
 
 def first_warning(cache: str) -> bool:
-    """Return whether a warning about this cache is the first, of this process and of those that have started it.
+    """Note a warning about this cache; return whether it is the first.
 
-    The environment keeps that one was given, so that processes that this one starts do not repeat it.
+    It is not if this process or one of its parents has already warned. The environment keeps the
+    note, so that child processes do not repeat the warning.
     """
     told = os.environ.get(TOLD_VARIABLE, "").split(",")
     if cache in told:
@@ -149,9 +178,10 @@ def first_warning(cache: str) -> bool:
 
 
 def prepare_matplotlib() -> None:
-    """Give matplotlib a folder for its list of fonts where its own choice cannot be written.
+    """Give matplotlib a folder for its list of fonts if its own folder cannot be written.
 
-    Without it every process warns, leaves a temporary folder behind, and lists all fonts anew.
+    Without such a folder every process warns, leaves a temporary folder behind, and lists all fonts
+    again.
     """
     if os.environ.get("MPLCONFIGDIR") or sys.platform == "win32":
         return
@@ -166,7 +196,7 @@ def prepare_matplotlib() -> None:
     folder = private_folder()
     try:
         fault = make_private(folder) or write_fault(folder / "matplotlib")
-    except OSError:  # matplotlib looks for a temporary folder itself
+    except OSError:  # matplotlib then finds a temporary folder itself
         return
     if not fault:
         os.environ["MPLCONFIGDIR"] = str(folder / "matplotlib")

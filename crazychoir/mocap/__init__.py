@@ -1,1 +1,1 @@
-"""Motion capture sources."""
+"""Motion capture: sources of poses, and the process that publishes them."""

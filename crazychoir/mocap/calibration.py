@@ -1,7 +1,8 @@
-"""Where a tracked body sits on its drone, from how it stands at rest and how it moves when the drone turns.
+"""Estimate the mounting of a tracked body, from its pose at rest and while the drone turns.
 
-Pure: poses of the body as tracked (k, 7) in, estimates out. The mounting is that of mocap/mounting.py:
-q_b = q q_m, p_b = p + R(q) o.
+No I/O: the functions take poses (k, 7) of the body as tracked, and return estimates. The mounting
+is that of
+mocap/mounting.py: q_b = q q_m, p_b = p + R(q) o.
 """
 
 import math
@@ -15,44 +16,53 @@ from crazychoir.mocap.mounting import turned
 from crazychoir.numerics.math3d import conjugate, logarithm, product, rotation
 from crazychoir.types import Mat, Vec
 
-STILL, STEADY = 0.01, math.radians(1.0)
-"""m, rad: who moves by more is not at rest."""
+STILL = 0.01
+"""m: a body that moves by more is not at rest."""
+STEADY = math.radians(1.0)
+"""rad: a body that turns by more is not at rest."""
 TURN = math.radians(180.0)
-"""rad that a drone must turn by, lest its offset is not told from its place."""
+"""rad: least turn of the drone; with less, its offset cannot be separated from its position."""
 FEW = 20
-"""Poses, the least."""
+"""Least number of poses."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """rotation: roll, pitch, yaw rad of the body on the drone;  height: m, of the tracked centre above the drone's;
-    spread: m, the standard deviation of its place;  poses: how many.
-    """
+    """The estimate from a drone at rest."""
 
     rotation: tuple[float, float, float]
+    """Roll, pitch, yaw in rad of the body on the drone."""
     height: float
+    """m: height of the tracked centre above the drone's centre."""
     spread: float
+    """m: standard deviation of the position."""
     poses: int
+    """Number of poses."""
 
 
 @dataclass(frozen=True)
 class Turn:
-    """offset: (3,) m, of the tracked centre in the drone's axes;  deviation: m, of a place from the fit;  error: m, the
-    standard error of the horizontal offset;  angle: rad, by which the drone has turned.
-    """
+    """The estimate from a turn of the drone."""
 
     offset: tuple[float, float, float]
+    """(3,) m, drone's axes: position of the tracked centre."""
     deviation: float
+    """m: root mean square residual of the fit, an axis."""
     error: float
+    """m: standard error of the horizontal offset."""
     angle: float
+    """rad: angle by which the drone has turned."""
 
 
 def mean_attitude(q: Mat) -> Vec:
-    """The unit quaternion (4,) that is nearest to all of q (k, 4): the largest eigenvector of sum q q^T.
+    """Return the unit quaternion (4,) nearest to all of q (k, 4).
 
         max_x  sum (x . q_i)^2,  |x| = 1
 
-    Signs of the q_i do not matter. Source: Markley et al. 2007, J. Guidance 30(4).
+    The solution is the eigenvector of sum q q^T with the largest eigenvalue. The signs of the q_i
+    do not matter.
+
+    Source: Markley et al. 2007, J. Guidance 30(4).
     """
     _, vectors = np.linalg.eigh(q.T @ q)
     x: Vec = vectors[:, -1]
@@ -60,7 +70,7 @@ def mean_attitude(q: Mat) -> Vec:
 
 
 def angles(q: Vec) -> tuple[float, float, float]:
-    """Roll, pitch, yaw rad of R(q) = Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return roll, pitch, yaw in rad of R(q) = Rz(yaw) Ry(pitch) Rx(roll)."""
     r = rotation(q)
     pitch = math.asin(max(-1.0, min(1.0, -float(r[2, 0]))))
     return math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])
@@ -69,12 +79,16 @@ def angles(q: Vec) -> tuple[float, float, float]:
 def from_rest(
     poses: Mat, home_z: float, heading: float | None = None, yaw: float = 0.0
 ) -> Rest:
-    """Rotation and height of a body whose drone stands level, its centre at the height home_z m.
+    """Return rotation and height of a body while its drone stands level.
 
-        R(q_b) = Rz(psi) R(q_m):  roll and pitch of q_b are those of q_m;  yaw of q_m = yaw of q_b - psi
+        R(q_b) = Rz(psi) R(q_m):  roll and pitch of q_b are those of q_m
+        yaw of q_m = yaw of q_b - psi
 
-    poses: (k, 7), as tracked;  heading: psi rad, which way the drone looks, None if that is not known: then the yaw is
-    left as it is, `yaw` rad. Errors: ConfigError if it was not at rest, or seen too seldom.
+    poses: (k, 7), as tracked
+    home_z: m: height of the drone's centre
+    heading: rad: psi, the drone's heading; None if unknown: the yaw stays as it is
+    yaw: rad: yaw of q_m if the heading is unknown
+    Raises ConfigError if the body was not at rest, or there are too few poses.
     """
     _enough(poses)
     q = mean_attitude(poses[:, 3:7])
@@ -99,14 +113,20 @@ def from_rest(
 
 
 def from_turn(times: Vec, poses: Mat, mounted: Sequence[float], height: float) -> Turn:
-    """Offset of the tracked centre, from a turn about the drone's own centre, which may drift slowly meanwhile.
+    """Return the offset of the tracked centre, from a turn of the drone.
+
+    The drone turns about its own centre, which may drift slowly.
 
         p_b,k = c + d t_k + R_k o,   R_k = R(q_b,k q_m^-1),   o = (o_x, o_y, height)
 
-    solved for c, d (3,) each, o_x and o_y by least squares. About one axis a height cannot be told from c.
+    The equation is solved for c (3,), d (3,), o_x and o_y by least squares. A turn about one axis
+    cannot separate the height from c, so the height is given.
 
-    times: t_k (k,) s;  poses: (k, 7), as tracked;  mounted: roll, pitch, yaw rad of q_m;  height: o_z m.
-    Errors: ConfigError for less than half a turn, or too few poses.
+    times: (k,) s: t_k
+    poses: (k, 7), as tracked
+    mounted: rad: roll, pitch, yaw of q_m
+    height: m: o_z
+    Raises ConfigError if the turn is less than half a turn, or there are too few poses.
     """
     _enough(poses)
     drone = np.array(
@@ -132,7 +152,7 @@ def from_turn(times: Vec, poses: Mat, mounted: Sequence[float], height: float) -
 
 
 def _rows(times: Vec, turns: Mat) -> Mat:
-    """(3 k, 8): what c, d, o_x and o_y do to each coordinate."""
+    """Return (3 k, 8): the effect of c, d, o_x and o_y on each coordinate."""
     eye = np.eye(3)
     blocks = [
         np.hstack([eye, t * eye, r[:, 0:2]]) for t, r in zip(times, turns, strict=True)

@@ -1,6 +1,7 @@
-"""Where rigid bodies are, in one datagram: how virtual Crazyflies show themselves to motion capture.
+"""The datagram with the poses of rigid bodies that virtual Crazyflies send as motion capture.
 
-Whoever sends ASK to the port of the poses gets frames for PATIENCE s. Numbers are little-endian, not aligned.
+A client that sends ASK to the port of the poses gets frames for PATIENCE s. Numbers are
+little-endian and not aligned.
 """
 
 import struct
@@ -14,38 +15,43 @@ from crazychoir.errors import CodecError
 from crazychoir.types import Vec
 
 ASK: Final = b"CHOIR?"
+"""Request for frames."""
 PATIENCE: Final = 3.0
-"""s for which one ASK counts."""
+"""Seconds for which one ASK counts."""
 _HEAD = struct.Struct("<6sIdH")
+"""Layout of the start: mark, number, time, count of bodies."""
 _BODY = struct.Struct("<40s7d")
+"""Layout of a body: name and pose."""
 _MARK = b"CHOIR1"
+"""First bytes of a frame."""
 NAME: Final = 40
-"""Bytes of a body's name at most."""
+"""Most bytes of a body's name."""
 MOST: Final = 450
-"""Bodies in one frame: what a datagram holds."""
+"""Most bodies in one frame: a datagram holds no more."""
 NO_POSE: Final = np.full(7, np.nan)
-"""What is written for a body whose name is there twice."""
+"""Pose that is written for a body with a name that is there twice."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What was seen at one time.
-
-    number: counts up;  time: s, of the clock of who sends;  bodies: {name: (7,) = p m, q [x, y, z, w], world frame}.
-    One that is not seen is not in it.
-    doubled: names that the frame gives to two bodies or more. None of those is in `bodies`: which of them is meant is
-    not known.
-    """
+    """The bodies that were seen at one time."""
 
     number: int
+    """Counts up with each frame."""
     time: float
+    """s, on the sender's clock."""
     bodies: dict[str, Vec]
+    """{name: (7,) = p m, q [x, y, z, w]}, world; without the bodies that are not seen."""
     doubled: tuple[str, ...] = ()
+    """Names that the frame gives to two or more bodies.
+
+    They are not in `bodies`: it is unknown which body is meant.
+    """
 
     def packed(self) -> bytes:
-        """As it travels; CodecError for too many bodies, or too long a name.
+        """Return the frame as a datagram; a doubled name is written twice, without a pose.
 
-        A doubled name is written twice, without a pose.
+        Raises CodecError for too many bodies or too long a name.
         """
         rows = [*self.bodies.items()]
         for name in self.doubled:
@@ -72,7 +78,7 @@ def frame_of(number: int, time: float, rows: Iterable[tuple[str, Vec]]) -> Frame
 
 
 def parse(datagram: bytes) -> Frame:
-    """The frame of a datagram; CodecError for anything else."""
+    """Return the frame of a datagram. Raises CodecError for anything else."""
     if len(datagram) < _HEAD.size or not datagram.startswith(_MARK):
         raise CodecError(f"{len(datagram)} bytes that are no frame of poses.")
     _, number, time, count = _HEAD.unpack_from(datagram)

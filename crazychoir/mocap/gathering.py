@@ -1,4 +1,4 @@
-"""Some seconds of frames, for who wants to look at them as a whole."""
+"""Collect the frames of some seconds, for commands that evaluate them together."""
 
 import asyncio
 import contextlib
@@ -10,16 +10,20 @@ from crazychoir.mocap.view import View
 from crazychoir.runtime.clock import Clock
 
 FIRST = 10.0
-"""s within which the first frame must come."""
+"""Seconds within which the first frame must arrive."""
 LOOK = 0.02
+"""Seconds between two checks for the first frame."""
 
 
 async def gather(
     clock: Clock, source: Source, view: View, seconds: float
 ) -> list[Frame]:
-    """What a source shows in so many s from its first frame on; times of frames are those of their source.
+    """Return the frames of a source for some seconds after its first frame.
 
-    Raises Refused if none comes within FIRST s, whatever the source does meanwhile.
+    Their times are those of the source.
+
+    seconds: s
+    Raises Refused if no frame arrives within FIRST s, whatever the source does.
     """
     frames: list[Frame] = []
 

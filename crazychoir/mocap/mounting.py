@@ -1,4 +1,4 @@
-"""How a body that the cameras know sits on its drone."""
+"""The mounting of a tracked body on its drone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,12 @@ from crazychoir.types import Vec
 
 @kernel(vector, vector, vector)
 def _drone(seen: Vec, offset: Vec, turn: Vec) -> Vec:
-    """The drone's pose (7,) of the body's, see Mounting."""
+    """Return the drone's pose (7,) from the body's pose: see Mounting.
+
+    seen: (7,): pose of the body
+    offset: (3,) m: o
+    turn: (4,): q_m
+    """
     out = np.empty(7)
     body = unit((seen[3], seen[4], seen[5], seen[6]))
     q = product(body, conjugate((turn[0], turn[1], turn[2], turn[3])))
@@ -25,7 +30,10 @@ def _drone(seen: Vec, offset: Vec, turn: Vec) -> Vec:
 
 
 def turned(rpy: Sequence[float]) -> Vec:
-    """Unit quaternion (4,) of R = Rz(yaw) Ry(pitch) Rx(roll); rpy: roll, pitch, yaw, rad."""
+    """Return the unit quaternion (4,) of R = Rz(yaw) Ry(pitch) Rx(roll).
+
+    rpy: rad: roll, pitch, yaw
+    """
     roll, pitch, yaw = rpy
     level = product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))
     return np.array(product(exponential(0.0, 0.0, yaw), level))
@@ -33,21 +41,24 @@ def turned(rpy: Sequence[float]) -> Vec:
 
 @dataclass(frozen=True)
 class Mounting:
-    """Where the tracked body is on its drone.
+    """The position and rotation of the tracked body on its drone.
 
         q_b = q q_m,   p_b = p + R(q) o,   so   q = q_b q_m^-1,   p = p_b - R(q) o
 
-    p, q: of the drone;  p_b, q_b: of the body, as tracked;  offset: o (3,) m, of the tracked centre from the drone's
-    centre, in the drone's axes;  rotation: roll, pitch, yaw rad of R(q_m) = Rz Ry Rx, from the body's axes to the
-    drone's: (0, 0, yaw) for a body that was defined while the drone looked along -yaw.
+    p, q are the pose of the drone; p_b, q_b are the pose of the body, as tracked.
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(3,) m, drone's axes: o, from the drone's centre to the tracked centre."""
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """rad: roll, pitch, yaw of R(q_m) = Rz Ry Rx, from the body's axes to the drone's.
+
+    It is (0, 0, yaw) for a body that was defined while the drone looked along -yaw.
+    """
 
     @property
     def is_none(self) -> bool:
-        """Whether the body is the drone."""
+        """Whether body and drone have the same pose."""
         return not any((*self.offset, *self.rotation))
 
     @cached_property
@@ -55,11 +66,11 @@ class Mounting:
         return np.array(self.offset), turned(self.rotation)
 
     def drone(self, seen: Vec) -> Vec:
-        """The drone's pose (7,) where its body has the pose seen (7,)."""
+        """Return the drone's pose (7,) if its body has the pose seen (7,)."""
         return seen if self.is_none else _drone(seen, *self._arrays)
 
     def body(self, drone: Vec) -> Vec:
-        """The body's pose (7,) where the drone has the pose drone (7,)."""
+        """Return the body's pose (7,) if the drone has the pose drone (7,)."""
         o, turn = self._arrays
         q = tuple(drone[3:7])
         way = product(product(q, (*o, 0.0)), conjugate(q))

@@ -1,4 +1,4 @@
-"""Which body is which drone's: a proposal, by where they stand."""
+"""Propose which body belongs to which drone, from their positions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,35 +10,42 @@ from crazychoir.mocap.frames import Frame
 from crazychoir.types import Vec
 
 FAR = 0.3
-"""m from its home beyond which a drone is not taken to stand there."""
+"""Metres from its home within which a drone is assumed to stand there."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What was seen of a body: its mean place (3,) m, how far it was from there, m, its rate, Hz."""
+    """The measurements of a body."""
 
     name: str
+    """Name of the body."""
     p: Vec
+    """(3,) m: mean position."""
     spread: float
+    """m: largest distance from the mean position."""
     rate: float
+    """Hz."""
 
 
 @dataclass(frozen=True)
 class Match:
-    """The drone that a body is taken for, and its distance from that one's home, m."""
+    """A body and the drone that it probably belongs to."""
 
     drone: int
+    """Id of the drone."""
     name: str
+    """Name of the body."""
     distance: float
+    """m: distance of the body from the drone's home."""
 
     @property
     def sure(self) -> bool:
-        """Whether it stands near enough."""
+        """Whether the body is near enough to the home."""
         return self.distance <= FAR
 
 
 def bodies(frames: Sequence[Frame], seconds: float) -> list[Seen]:
-    """All that was seen in so many s, by name."""
+    """Return the bodies in the frames of so many seconds, by name."""
     places: dict[str, list[Vec]] = {}
     for frame in frames:
         for name, flat in frame.bodies.items():
@@ -52,12 +59,16 @@ def _seen(name: str, at: Vec, seconds: float) -> Seen:
 
 
 def matched(seen: Sequence[Seen], homes: Mapping[int, Sequence[float]]) -> list[Match]:
-    """One body a drone, such that the sum of their distances is least; drones are left over if bodies are few.
+    """Return one body for each drone, with the least sum of distances.
+
+    If there are too few bodies, some drones have none.
 
         min sum_i |p_m(i) - h_i|,  m one to one
 
-    homes: h_i (3,) m, where drone i stands. A height counts as the rest: who wants to find swapped drones on two levels
-    needs it.
+    A height counts like the other coordinates, so that swapped drones on two levels are found.
+
+    seen: the bodies
+    homes: (3,) m: h_i, the home of drone i
     """
     if not seen or not homes:
         return []

@@ -26,15 +26,21 @@ from crazychoir.types import Body, Pose, Vec
 
 log = logging.getLogger(__name__)
 LOOKS = 4.0
-"""Hz, at which it is looked at how well the cameras see."""
+"""Hz at which the quality of the tracking is checked."""
 SHOWN = 8
-"""Names of bodies in an error."""
+"""Most names of bodies in an error."""
 PATIENT = 60.0
-"""s for which it goes on, once it is told to end, while an agent of a drone that it sees is on the network."""
+"""Seconds for which the process goes on after it was asked to end.
+
+It does so while a drone that it sees has an agent on the network, or flies.
+"""
 
 
 def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Source:
-    """The source of [mocap]; raises ConfigError for a recording that cannot be read, or a library that is missing."""
+    """Return the source of [mocap].
+
+    Raises ConfigError if a recording cannot be read, or a library is missing.
+    """
     mocap = config.mocap
     if mocap.source == "virtual":
         return VirtualSource(clock, mocap.hostname, mocap.port, say)
@@ -46,7 +52,10 @@ def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Sour
 
 
 def view_of(config: SwarmConfig) -> View:
-    """How the frames of [mocap] are seen: virtual ones as if by cameras."""
+    """Return the view of [mocap] on its frames.
+
+    Exact poses of virtual drones are blurred, as if cameras had measured them.
+    """
     return View(
         config.mocap.rate, Blur(config) if config.mocap.source == "virtual" else None
     )
@@ -54,25 +63,28 @@ def view_of(config: SwarmConfig) -> View:
 
 @dataclass(frozen=True)
 class Track:
-    """One drone that is seen: the name of its body, how that sits on it, where its poses go, and its velocity; and what
-    the owner of its radio says of it.
-    """
+    """One drone that the cameras see."""
 
     name: str
+    """Name of its body."""
     mounting: Mounting
+    """Mounting of the body on the drone."""
     port: Port
+    """Port that publishes its poses."""
     velocity: VelocityFilter
+    """Filter for its velocity."""
     body: Latest[Body]
+    """State of the drone, from the owner of its radio."""
 
     @property
     def flies(self) -> bool:
-        """Whether it is in the air, as far as anybody says so."""
+        """Whether the drone flies, as far as its owner has published it."""
         body = self.body.fresh()
         return body is not None and body.flying
 
 
 class Feed(Actor):
-    """Runs a source; one that fails runs again."""
+    """Runs a source, and runs it again after a failure."""
 
     name = "cameras"
     restart = ON_FAILURE
@@ -81,16 +93,23 @@ class Feed(Actor):
         self._process = process
 
     async def run(self) -> None:
-        """Until the source has no more frames."""
+        """Run until the source has no more frames."""
         await self._process.source.run(self._process.take)
 
 
 class MocapProcess(Actor):
-    """Publishes the pose of each drone that is seen, as it comes, and at the topic's rate its state as truth.
+    """Publishes each pose as it arrives and, at the topic's rate, the state of the drone as truth.
 
-    The truth of virtual drones is what they say; else the poses and their derivative. It ends when it is told to, but
-    while one of its drones has an agent on the network, or flies (to land by itself it needs poses), at most PATIENT s
-    later.
+    The truth of virtual drones is exact; that of others is their poses and derivative. The process
+    ends when it is asked to. It waits at most PATIENT s while one of its drones has an agent on the
+    network or flies: a drone needs poses to land.
+
+    config: the swarm
+    source: source of the frames
+    process: name of this process
+    host: name of this host
+    incarnation: number of this life of the process
+    recorder: records the frames; None: no recording
     """
 
     name = "mocap"
@@ -128,6 +147,7 @@ class MocapProcess(Actor):
         )
         self.view = view_of(config)
         self.failure = ""
+        """Reason why the process failed; empty if it did not."""
         self._truth = RateLimit(TRUTH.rate)
         self._link: ZenohLink | None = None
         self._ending = ""
@@ -135,7 +155,7 @@ class MocapProcess(Actor):
         self._supervisor = Supervisor(clock, "mocap", self._failed)
 
     async def serve(self, link: ZenohLink, *services: Actor) -> None:
-        """Until its end."""
+        """Run the process until its end."""
         self._link = link
         await self._supervisor.run([link, *services, Feed(self), self])
         if not self.failure and (nothing := self._nothing_seen()):
@@ -143,7 +163,7 @@ class MocapProcess(Actor):
             log.error("mocap: %s", nothing)
 
     def _nothing_seen(self) -> str:
-        """Why no drone got a pose; empty if one did."""
+        """Return why no drone got a pose; empty if one did."""
         where = f"{self.source.where} ({self.source.state})"
         if not self.watch.frames:
             dropped = (
@@ -161,7 +181,7 @@ class MocapProcess(Actor):
         return f"{where}: no body of a drone was seen: the frames have {there}, the swarm file {wanted}. {do}"
 
     async def run(self) -> None:
-        """Say what is wrong."""
+        """Log what is wrong with the tracking."""
         async for _ in self.clock.ticks(LOOKS):
             for text in self.watch.look(self.clock.now()):
                 log.warning("%s: %s", self.source.where, text)
@@ -169,7 +189,7 @@ class MocapProcess(Actor):
                 self._end_if_alone()
 
     def take(self, frame: Frame, age: float) -> None:
-        """A frame has come, `age` s after it was seen."""
+        """Take a frame that is `age` s old, and publish its poses."""
         found = self.view.see(frame)
         if found is None:
             return
@@ -190,7 +210,10 @@ class MocapProcess(Actor):
     def _publish(
         self, track: Track, flat: Vec | None, age: float, now: float
     ) -> Pose | None:
-        """One drone's pose; a body that shows the very same pose again is as old as that is."""
+        """Publish and return one drone's pose.
+
+        A pose identical to the last one is as old as that one.
+        """
         if flat is None:
             return None
         pose = Pose(track.mounting.drone(flat), age + self.watch.age(track.name, now))
@@ -198,7 +221,7 @@ class MocapProcess(Actor):
         return pose
 
     def end(self, reason: str) -> None:
-        """As soon as no agent of its drones is there."""
+        """End as soon as no drone has an agent or flies."""
         if not self._ending:
             self._ending, self._until = reason, self.clock.now() + PATIENT
             if flown := self.flown:
@@ -220,13 +243,13 @@ class MocapProcess(Actor):
             self._supervisor.stop()
 
     def abort(self, reason: str) -> None:
-        """Now; whoever flies sees nothing any more."""
+        """End at once; flying drones then get no more poses."""
         self.failure = self.failure or reason
         log.error("mocap: %s", reason)
         self._supervisor.stop()
 
     def refuse(self, refused: Refused) -> None:
-        """Another process sees these drones already."""
+        """End because another process sees these drones already."""
         self.abort(str(refused))
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
@@ -234,7 +257,7 @@ class MocapProcess(Actor):
             self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
 
     def report(self) -> dict[str, Any]:
-        """What was seen: frames in all, lost on the way, and by drone."""
+        """Return what was seen: frames in all, frames lost on the way, and frames of each drone."""
         sights = {
             i: self.watch.sights.get(track.name) for i, track in self.tracks.items()
         }

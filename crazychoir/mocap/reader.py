@@ -1,7 +1,8 @@
-"""The program that reads a motion capture system: `python -m crazychoir.mocap.reader FD SYSTEM KEY=VALUE ...`.
+"""The program that reads a motion capture system.
 
-It is a process of its own, because connecting may hang for ever and hold the interpreter meanwhile. What it sees goes
-as datagrams into the socket FD: frames, and words of how far it is. It dies with the process that has started it.
+It is started as `python -m crazychoir.mocap.reader FD SYSTEM KEY=VALUE ...`. It is a process of its
+own because connecting may hang for ever and hold the interpreter. It writes datagrams into the
+socket FD: frames, and texts about its progress. It ends with the process that has started it.
 """
 
 import ctypes
@@ -16,9 +17,13 @@ from crazychoir.mocap.frames import NAME, frame_of
 from crazychoir.runtime.clock import Stopwatch
 
 CONNECTING: Final = b"connecting"
+"""Text: the library is loaded, and the program connects."""
 CONNECTED: Final = b"connected"
+"""Text: the program is connected."""
 FAILED: Final = b"failed: "
+"""Start of the text with an error."""
 PR_SET_PDEATHSIG: Final = 1
+"""Option of prctl: signal to send when the parent process ends."""
 
 
 def main(words: list[str]) -> None:
@@ -26,7 +31,7 @@ def main(words: list[str]) -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     out = socket.socket(fileno=int(words[0]))
     try:
-        import motioncapture  # what it does when it is loaded is in the time that it gets to start
+        import motioncapture  # imported here: the deadline to start covers its import
 
         out.send(CONNECTING)
         system = motioncapture.connect(
@@ -34,7 +39,7 @@ def main(words: list[str]) -> None:
         )
         out.send(CONNECTED)
         _send_frames(system, out)
-    except Exception as error:  # noqa: BLE001 - whatever a foreign library raises is told
+    except Exception as error:  # noqa: BLE001 - any error of a foreign library is reported
         out.send(FAILED + f"{type(error).__name__}: {error}".encode()[:1000])
 
 
@@ -50,9 +55,8 @@ def _send_frames(system: Any, out: socket.socket) -> None:
         number += 1
         try:
             out.send(frame.packed(), socket.MSG_DONTWAIT)
-        except (
-            BlockingIOError
-        ):  # who reads is late: the next frame is worth more; the numbers tell
+        except BlockingIOError:
+            # The receiver is late. The next frame is more useful; the numbers show the loss.
             continue
 
 
@@ -62,7 +66,10 @@ def _flat(body: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _short(name: str) -> str:
-    """As much of a name as a frame takes; two long names that become the same are doubled in the frame."""
+    """Return a name cut to the size in a frame.
+
+    Two long names that become equal are doubled in the frame.
+    """
     return name.encode()[:NAME].decode(errors="ignore")
 
 

@@ -1,4 +1,4 @@
-"""Frames in a CSV file, `t,name,x,y,z,qx,qy,qz,qw`: written while they are published, and handed out again."""
+"""Frames in a CSV file, `t,name,x,y,z,qx,qy,qz,qw`: recorded while published, and replayed."""
 
 import csv
 import io
@@ -20,23 +20,38 @@ from crazychoir.runtime.clock import SECOND, Clock
 
 log = logging.getLogger(__name__)
 HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
-"""t: s from any origin, the same in all rows of a frame;  x, y, z: m;  q: body to world."""
+"""The columns.
+
+t: s from any origin, equal in all rows of a frame
+name: name of the body
+x, y, z: m
+qx, qy, qz, qw: unit quaternion, body to world
+"""
 LONGEST_GAP = 600.0  # s
-"""Between two frames: beyond, the clock of the recording was set, and a replay would wait for as long."""
+"""Longest time between two frames.
+
+A longer gap means that the clock of the recording was set; a replay would wait for as long.
+"""
 SLOWEST_PERIOD = 2.0  # s
-"""Half of the frames of a recording come faster than that, where times are in s."""
+"""Median time between two frames below which the times are in s."""
 PERIODS = (1e-4, 1.0)  # s
-"""Between two frames of cameras, for guessing the unit of times that are not in s."""
+"""Range of the time between two frames of cameras, to guess the unit of times that are not in s."""
 UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
+"""Other units of time."""
 
 
 class Recorder:
-    """Writes frames into a new file, until its `with` ends; ConfigError if it cannot be made."""
+    """Writes frames into a new file, until its `with` block ends.
+
+    Raises ConfigError if the file cannot be made.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.frames = 0
+        """Frames written."""
         self.error = ""
+        """Reason why the recording ended early; empty if it did not."""
         try:
             self._file: TextIO = open(path, "x", encoding="utf-8", newline="")  # noqa: SIM115 - closed by __exit__
         except OSError as error:
@@ -48,7 +63,7 @@ class Recorder:
         self._began = math.nan
 
     def write(self, frame: Frame, at: float) -> None:
-        """A frame that was seen at `at` s; a disk that is full ends the recording, nothing else."""
+        """Write a frame that was seen at `at` s. A full disk ends only the recording."""
         if self.error:
             return
         if math.isnan(self._began):
@@ -77,12 +92,15 @@ class Recorder:
             self._fail(failed)
 
     def report(self) -> dict[str, Any]:
-        """The file, its frames, and why it has ended early."""
+        """Return the file, the number of its frames, and why it ended early."""
         return {"file": str(self.path), "frames": self.frames, "error": self.error}
 
 
 def read_recording(path: str | Path) -> list[Frame]:
-    """The frames of a file, by increasing time; ConfigError names file, line and what was found."""
+    """Return the frames of a file, in order of time.
+
+    Raises ConfigError, with file, line and content, if the file is not valid.
+    """
     allowed = f"a CSV file with the columns {','.join(HEAD)}"
     text = read_text(path, allowed)
     try:
@@ -105,10 +123,11 @@ def read_recording(path: str | Path) -> list[Frame]:
 
 
 Row = tuple[int, float, str, list[float]]
+"""Line number, time, name and pose."""
 
 
 def _row(path: str | Path, line: int, cells: list[str]) -> Row:
-    """(line, time, name, pose)."""
+    """Return line, time, name and pose."""
     try:
         t, *numbers = (float(cell) for cell in (cells[0], *cells[2:]))
     except (ValueError, IndexError):
@@ -148,7 +167,7 @@ def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
 
 
 def _require_seconds(path: str | Path, rows: list[Row]) -> None:
-    """Raise ConfigError for times that are in another unit than s: too large, or too far from each other."""
+    """Raise ConfigError if times are not in s: too large, or too far from each other."""
     line, largest = max(
         ((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1])
     )
@@ -173,7 +192,10 @@ def _require_seconds(path: str | Path, rows: list[Row]) -> None:
 
 
 def _require_later(path: str | Path, line: int, before: float, t: float) -> None:
-    """Raise ConfigError where the clock of a recording goes back, or ahead by more than a replay can wait."""
+    """Raise ConfigError if the clock of a recording was set.
+
+    Its times then go back, or ahead by more than a replay can wait.
+    """
     where = f"{path}, line {line}"
     do = "The clock of the recording was set there: cut the file in two, or shift the times that follow."
     if t < before:
@@ -188,7 +210,7 @@ def _require_later(path: str | Path, line: int, before: float, t: float) -> None
 
 
 def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:
-    """The error of a body that has two poses in one frame."""
+    """Return the error for a body with two poses in one frame."""
     lines = [row[0] for row in seen if row[2] == name]
     found = (
         f"body {name!r} twice at t = {seen[0][1]!r}, in lines {lines[0]} and {lines[1]}"
@@ -198,9 +220,12 @@ def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:
 
 
 class ReplaySource:
-    """Hands out a recording, as fast as it was recorded, once; raises ConfigError for one that cannot be read.
+    """Replays a recording once, as fast as it was recorded.
 
-    The times of the recording count from any origin, those of the frames that are handed out from the first frame.
+    The times of the recording have any origin; the times of the replayed frames count from the
+    first frame.
+
+    Raises ConfigError if it cannot be read.
     """
 
     live = False
@@ -214,7 +239,7 @@ class ReplaySource:
         self._complain = Complaints(self.where, say)
 
     async def run(self, take: Take) -> None:
-        """Until its end."""
+        """Replay the recording to its end."""
         began_ns = self.clock.now_ns()
         origin = self.frames[0].time
         for frame in self.frames:

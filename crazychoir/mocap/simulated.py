@@ -1,4 +1,4 @@
-"""Simulated motion capture: truth in, noisy and late poses with gaps out."""
+"""Simulated motion capture: it turns true states into noisy and late poses with gaps."""
 
 import math
 from collections import deque
@@ -16,7 +16,15 @@ from crazychoir.types import Mat, Pose, Vec
 def _disturb(
     x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilt: Vec, out: Mat
 ) -> None:
-    """Poses out (N, 7) of the states x (N, 13): p + n_p, q q_tilt exp(n_angle), n from standard normals (N, 6)."""
+    """Write the measured poses: p + n_p, q q_tilt exp(n_angle).
+
+    x: (N, 13): states
+    normal: (N, 6): standard normals for the noise n
+    noise_p: m: standard deviation of n_p, an axis
+    noise_angle: rad: standard deviation of n_angle, an axis
+    tilt: (4,): q_tilt
+    out: (N, 7): poses
+    """
     for i in range(x.shape[0]):
         q = product(
             (x[i, 6], x[i, 7], x[i, 8], x[i, 9]), (tilt[0], tilt[1], tilt[2], tilt[3])
@@ -33,11 +41,17 @@ class SimulatedMocap:
 
         p_measured = p + n_p,   q_measured = q q_tilt exp(n_angle),   R(q_tilt) = Ry(pitch) Rx(roll)
 
-    ids: the drones, row by row;  noise_p: m, noise_angle: rad, standard deviations an axis;  dropout: probability that
-    one drone is not seen in one tick;  latency_steps: ticks between exposure and arrival;  dt: s, one tick;  tilt:
-    (roll, pitch) rad, by which the body that the cameras know is mounted askew.
-    What is drawn for a drone is a function of (seed, tick of exposure, id) alone: Philox with that key, row `id`.
-    So it does not depend on the calls before, nor on how drones are spread over processes.
+    The draws for a drone depend only on (seed, tick of exposure, id): Philox with this key, row
+    `id`. So they do not depend on earlier calls, nor on the distribution of drones over processes.
+
+    ids: the drones, row by row
+    seed: seed of all draws
+    noise_p: m: standard deviation of n_p, an axis
+    noise_angle: rad: standard deviation of n_angle, an axis
+    dropout: probability that a drone is not seen in a tick
+    latency_steps: ticks between exposure and arrival
+    dt: s: one tick
+    tilt: rad: (roll, pitch) by which the cameras' body is mounted askew
     """
 
     def __init__(
@@ -65,7 +79,10 @@ class SimulatedMocap:
         self._exposures: deque[tuple[int, Mat]] = deque()
 
     def sample(self, x: Mat, k: int) -> list[Pose | None]:
-        """What arrives at tick k, row by row, when the truth is x (N, 13); None where nothing does."""
+        """Return the poses that arrive at tick k, row by row; None for a drone without a pose.
+
+        x: (N, 13): true states at tick k
+        """
         self._exposures.append((k, x.copy()))
         due = None
         while self._exposures and self._exposures[0][0] <= k - self.latency_steps:
@@ -86,7 +103,7 @@ class SimulatedMocap:
         ]
 
     def _normal(self, tick: int) -> Mat:
-        """Standard normals (N, 7) of one exposure: six for the noise, one for the dropout."""
+        """Return standard normals (N, 7) of one exposure: six for noise, one for dropout."""
         stream = np.random.Generator(np.random.Philox(key=[self.seed, tick]))
         drawn: Mat = stream.standard_normal((int(self._rows.max()) + 1, 7))
         mine: Mat = drawn[self._rows]

@@ -1,4 +1,4 @@
-"""What every source of motion capture is: something that hands over frames until it is told to stop."""
+"""The interface of every motion capture source: it delivers frames until it is cancelled."""
 
 import logging
 from collections.abc import Callable
@@ -9,41 +9,46 @@ from crazychoir.runtime.throttle import Throttle
 
 log = logging.getLogger(__name__)
 SILENT = 2.0
-"""s without a frame after which it is said."""
+"""Seconds without a frame after which this is reported."""
 
 Take = Callable[[Frame, float], None]
-"""Called with each frame, and its age in s as far as that is known."""
+"""Callback: called with each frame, and its age in s as far as it is known."""
 Say = Callable[[str], None]
+"""Callback that reports a text."""
 
 
 class Source(Protocol):
-    """Cameras, or what stands in for them.
-
-    where: what the user calls it, as "vicon at 10.0.0.5";  live: whether what it sees is never exactly still, as what
-    cameras measure;  state: how it is, in a word or two;  again: how often it was started again.
-    """
+    """Cameras, or a replacement for them."""
 
     where: str
+    """Name for the user, such as "vicon at 10.0.0.5"."""
     live: bool
+    """True if its poses are never exactly still, as with measurements of cameras."""
     state: str
+    """State, in a word or two."""
     again: int
+    """Number of restarts."""
 
     async def run(self, take: Take) -> None:
-        """Hand over each frame as it comes; a source that fails says so and tries again. It ends when it has no more.
+        """Deliver each frame as it arrives, and return when there are no more.
 
-        Nothing in it keeps the event loop.
+        It must not block the event loop. A source that fails reports it and tries again.
         """
         ...
 
 
 class Complaints:
-    """Says what is wrong with a source, each thing at most once a second and ever more rarely."""
+    """Reports problems of a source: each topic at most once a second, and more and more rarely.
+
+    where: name of the source
+    say: reports a text; None: to the log
+    """
 
     def __init__(self, where: str, say: Say | None = None) -> None:
         self.where, self.say = where, say or (lambda text: log.warning("%s", text))
         self._throttle = Throttle()
 
     def __call__(self, now: float, topic: str, text: str) -> None:
-        """Say the text, unless the same topic was said too recently."""
+        """Report the text, unless its topic was reported too recently."""
         if self._throttle.due(now, topic):
             self.say(f"{self.where}: {text}")

@@ -1,4 +1,7 @@
-"""A motion capture system, read through `motioncapture` by a process of its own, which may hang as it likes."""
+"""A motion capture system, read with `motioncapture` in a process of its own.
+
+The library may hang, and must not block this process.
+"""
 
 import asyncio
 import contextlib
@@ -15,33 +18,45 @@ from crazychoir.mocap.source import SILENT, Complaints, Say, Take
 from crazychoir.runtime.clock import Clock
 
 STARTED = 15.0
-"""s that the reader gets to load its libraries."""
+"""Seconds in which the reader must load its libraries."""
 ENDED = 5.0
-"""s that a killed process gets to be gone."""
-FIRST, LONGEST = 1.0, 30.0
-"""s between two attempts: the first, and the longest, doubled each time."""
+"""Seconds in which a killed process must end."""
+FIRST = 1.0
+"""Seconds until the second attempt; doubled with each further one."""
+LONGEST = 30.0
+"""Seconds: longest time between two attempts."""
 LARGEST = 1 << 16
-"""Bytes of a datagram."""
+"""Most bytes of a datagram."""
 PROGRAMS = {
     "vicon": "Vicon Tracker or Nexus, with its DataStream,",
     "optitrack": "Motive, with its NatNet stream,",
     "qualisys": "Qualisys Track Manager, with its real-time output,",
     "vrpn": "its VRPN server",
 }
-"""What has to run there."""
-MODULE, EXTRA = "motioncapture", "mocap"
+"""The program that each system needs."""
+MODULE = "motioncapture"
+"""The library."""
+EXTRA = "mocap"
+"""The extra of this package that installs the library."""
 
 
 class _Failed(Exception):
-    """Why an attempt has ended."""
+    """The reason why an attempt ended."""
 
 
 class SystemSource:
-    """Vicon, OptiTrack, Qualisys, VRPN or the library's mock; raises ConfigError if the library is not installed.
+    """Vicon, OptiTrack, Qualisys, VRPN or the library's mock.
 
-    Each attempt is a new process with deadlines: to start, to connect, and SILENT s between two frames. One that misses
-    its deadline is named and killed, and the next is made later. Ages are exact: the process has our clock.
-    deadline: s to connect.
+    Each attempt is a new process with deadlines: to start, to connect, and SILENT s between two
+    frames. A process that misses its deadline is reported and killed, and the next attempt follows
+    later. Ages are exact, because the process uses the same clock.
+
+    system: name of the system
+    hostname: host of the system
+    options: further options of the library
+    deadline: s to connect
+    say: reports a text; None: to the log
+    Raises ConfigError if the library is not installed.
     """
 
     live = True
@@ -68,6 +83,7 @@ class SystemSource:
         self.state = "starting"
         self.again = 0
         self.malformed = 0
+        """Datagrams that were no frames."""
         self._deadline = deadline
         settings = {"hostname": hostname, **(options or {})}
         self._words = [system, *(f"{key}={value}" for key, value in settings.items())]
@@ -76,7 +92,7 @@ class SystemSource:
         self._wait = FIRST
 
     async def run(self, take: Take) -> None:
-        """One reader after the other."""
+        """Run one reader after another."""
         while True:
             try:
                 await self._attempt(take)
@@ -92,7 +108,7 @@ class SystemSource:
             self._wait = min(2.0 * self._wait, LONGEST)
 
     async def _attempt(self, take: Take) -> None:
-        """One reader, until it fails."""
+        """Run one reader until it fails. Raises _Failed then."""
         ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with ours:
@@ -134,7 +150,12 @@ class SystemSource:
             take(frame, max(0.0, self.clock.now() - frame.time))
 
     async def _next(self, ours: socket.socket, seconds: float, otherwise: str) -> bytes:
-        """The next datagram of a reader; raises _Failed if there is none, or if it says that it has failed."""
+        """Return the next datagram of a reader.
+
+        seconds: s: deadline
+        otherwise: what is wrong if none arrives
+        Raises _Failed if there is none, or if the reader reports an error.
+        """
         try:
             async with asyncio.timeout(seconds):
                 data = await asyncio.get_running_loop().sock_recv(ours, LARGEST)
@@ -152,7 +173,7 @@ class SystemSource:
 
 
 async def _end(process: Process) -> None:
-    """Kill it: it may hang."""
+    """Kill the process: it may hang."""
     with contextlib.suppress(ProcessLookupError):
         process.kill()
     with contextlib.suppress(TimeoutError):

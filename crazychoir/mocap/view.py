@@ -1,4 +1,7 @@
-"""From frames as a source hands them over to those that are published: in order, not too many, as cameras see them."""
+"""Turn the frames of a source into the published frames.
+
+These are in order, at a limited rate, and blurred if they are exact.
+"""
 
 import math
 from dataclasses import replace
@@ -11,18 +14,24 @@ from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.simulated import SimulatedMocap
 
 EARLY = 0.9
-"""Of a period that a frame may come early: less, and of 120 a second only 90 would pass a limit of 100."""
+"""Share of a period by which a frame may come early.
+
+A smaller share would let only 90 of 120 frames a second pass a limit of 100.
+"""
 BACK = 1.0
-"""s by which time goes back when a source was started again."""
+"""Seconds by which the time must go back for the source to count as started again."""
 LARGEST_TIME = 1e11  # s
-"""What is beyond is no time in seconds, from whatever origin: 1970 was 1.8e9 s ago, which are 1.8e12 ms."""
+"""Largest time: larger numbers are not in seconds. 1970 was 1.8e9 s, or 1.8e12 ms, ago."""
 
 
 class RateLimit:
-    """Lets at most `rate` frames a second through, on average, and those of that very rate although they jitter.
+    """Lets at most `rate` frames a second through, on average.
 
-    A frame at t passes if t >= due - EARLY / rate; then due becomes max(due, t) + 1 / rate. A time that is earlier than
-    the one before is of a clock that was set back: it passes, and due counts from there.
+    Frames of this very rate all pass, even if they jitter. A frame at t passes if t >= due - EARLY
+    / rate; then due becomes max(due, t) + 1 / rate. A time before the last one comes from a clock
+    that was set back: the frame passes, and due counts from there.
+
+    rate: Hz
     """
 
     def __init__(self, rate: float) -> None:
@@ -31,7 +40,10 @@ class RateLimit:
         self._last = -math.inf
 
     def passes(self, t: float) -> bool:
-        """Whether a frame of the time t s, of its source, is let through."""
+        """Return whether a frame passes.
+
+        t: s: time of the frame, on the source's clock
+        """
         is_set_back = t < self._last
         self._last = t
         if is_set_back:
@@ -43,9 +55,10 @@ class RateLimit:
 
 
 class Blur:
-    """What cameras would make of exact poses, by the keys of [mocap]: noise, tilt, dropouts, latency.
+    """Makes of exact poses what cameras would measure.
 
-    Bodies that belong to no drone are shown as they are.
+    Noise, tilt, dropouts and latency are those of [mocap]. Bodies that belong to no drone stay
+    exact.
     """
 
     def __init__(self, config: SwarmConfig) -> None:
@@ -67,7 +80,7 @@ class Blur:
         self._began = math.nan
 
     def see(self, frame: Frame) -> tuple[Frame, float]:
-        """The frame that arrives instead of this one, and how old it is, in s."""
+        """Return the frame that arrives in place of this one, and its age in s."""
         x = np.full((len(self._names), 13), np.nan)
         for row, name in enumerate(self._names):
             if name in frame.bodies:
@@ -88,7 +101,10 @@ class Blur:
         ), age
 
     def _next_tick(self, t: float) -> int:
-        """The exposure of a frame: periods since the first, one at least."""
+        """Return the exposure of a frame.
+
+        It counts the periods since the first frame, and is at least one more than the last.
+        """
         if math.isnan(self._began):
             self._began = t
         self._tick = max(self._tick + 1, round((t - self._began) * self._rate))
@@ -96,25 +112,31 @@ class Blur:
 
 
 class View:
-    """Takes frames of a source in; says which of them are published, and how.
+    """Decides which frames of a source are published, and in which form.
 
-    Times may count from any origin. A frame that comes after a later one is told from a clock that was set back by its
-    number.
-    rate: Hz, at most;  blur: of exact poses, None for cameras;  lost: frames that never came, by their numbers;
-    late: frames that came after a later one;  timeless: frames whose time is no time in seconds.
-    Poses that are no poses are left out.
+    Invalid poses are left out. Times may have any origin. The number of a frame distinguishes a
+    late frame from a clock that was set back.
+
+    rate: Hz: highest rate
+    blur: blurs exact poses; None for cameras
     """
 
     def __init__(self, rate: float, blur: Blur | None = None) -> None:
         self.blur = blur
         self.lost = 0
+        """Frames that never arrived, by their numbers."""
         self.late = 0
+        """Frames that arrived after a later one."""
         self.timeless = 0
+        """Frames with a time that is not in seconds."""
         self._pace = RateLimit(rate)
         self._last = Frame(-1, -math.inf, {})
 
     def see(self, frame: Frame) -> tuple[Frame, float] | None:
-        """The frame to publish, and by how many s it is older than the one that came; None for none."""
+        """Return the frame to publish, and how many s older it is than the given frame.
+
+        Returns None if no frame is published.
+        """
         if not self._follows(frame) or not self._pace.passes(frame.time):
             return None
         good = {name: flat for name, flat in frame.bodies.items() if readable(flat)}
@@ -122,9 +144,9 @@ class View:
         return (frame, 0.0) if self.blur is None else self.blur.see(frame)
 
     def _follows(self, frame: Frame) -> bool:
-        """Whether it comes after the last one, or from a source that was started again."""
+        """Return whether a frame is later than the last, or its source was started again."""
         last = self._last
-        if not abs(frame.time) < LARGEST_TIME:  # nan, too
+        if not abs(frame.time) < LARGEST_TIME:  # also true for NaN
             self.timeless += 1
             return False
         if last.time - BACK < frame.time <= last.time and frame.number <= last.number:

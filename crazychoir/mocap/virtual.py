@@ -1,4 +1,4 @@
-"""The poses of virtual Crazyflies, as the server that has them tells over UDP."""
+"""The poses of virtual Crazyflies, which their server sends over UDP."""
 
 import asyncio
 
@@ -8,13 +8,13 @@ from crazychoir.mocap.source import SILENT, Complaints, Say, Take
 from crazychoir.runtime.clock import Clock
 
 ASKS = 1.0
-"""Hz: the server forgets within 3 s who does not ask again."""
+"""Hz of requests: the server forgets a client without a request for 3 s."""
 RESOLVED = 5.0
-"""s within which the address of a host must be found."""
+"""Seconds within which the address of the host must be found."""
 
 
 class _Client(asyncio.DatagramProtocol):
-    """One UDP socket, connected: the system lets in only what its server sends."""
+    """A connected UDP socket: the system passes only datagrams of its server."""
 
     def __init__(self, source: "VirtualSource", take: Take) -> None:
         self.source = source
@@ -30,14 +30,13 @@ class _Client(asyncio.DatagramProtocol):
         self.take(frame, 0.0)
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens there: the silence says so."""
+        """Ignore the error that no server listens: the silence is reported."""
 
 
 class VirtualSource:
-    """Asks a server of virtual Crazyflies for frames, each second anew, for as long as it takes.
+    """Asks a server of virtual Crazyflies for frames, once a second, without an end.
 
-    Ages are 0: the clock of who sends is another one.
-    malformed: datagrams that were no frames.
+    Ages are 0: the sender has another clock.
     """
 
     live = False
@@ -51,11 +50,12 @@ class VirtualSource:
         self.where = f"virtual at {hostname}:{port}"
         self.state = "asking"
         self.malformed = 0
+        """Datagrams that were no frames."""
         self._complain = Complaints(self.where, say)
         self._heard = clock.now()
 
     async def run(self, take: Take) -> None:
-        """Ask and listen."""
+        """Ask for frames and receive them."""
         self._heard = self.clock.now()
         while True:
             transport = await self._opened(take)
@@ -70,7 +70,7 @@ class VirtualSource:
                     transport.close()
 
     async def _opened(self, take: Take) -> asyncio.DatagramTransport | None:
-        """A socket; None if its host is not known, or not within RESOLVED s."""
+        """Return a socket; None if the host is unknown, or not found within RESOLVED s."""
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(RESOLVED):
@@ -87,7 +87,7 @@ class VirtualSource:
         return found[0]
 
     def heard(self, frame: Frame) -> None:
-        """A frame has come."""
+        """Note that a frame has arrived."""
         self._heard = self.clock.now()
         self.state = "connected"
 

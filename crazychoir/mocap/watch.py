@@ -1,4 +1,7 @@
-"""How well the cameras see: rates, gaps, bodies that are missing, nobody's, or stand exactly still; and what to say."""
+"""Watch the quality of the tracking, and report problems.
+
+Problems are low rates, gaps, missing bodies, unknown bodies, doubled names and frozen poses.
+"""
 
 import difflib
 import math
@@ -12,55 +15,70 @@ from crazychoir.runtime.throttle import Throttle
 from crazychoir.types import Vec
 
 WINDOW = 2.0
-"""s over which rates are averaged."""
+"""Seconds over which rates are averaged."""
 SLOW = 0.8
-"""Of [mocap] rate, which the filters of the drones count on: below it is said."""
-GAP, SHORT = 3.0, 0.05
-"""Periods without a frame, or without a body in frames, that are a gap; and s of no frame that nobody minds: drones
-brake after 0.1 s without a pose."""
+"""Share of [mocap] rate below which the rate is reported: the drones' filters expect that rate."""
+GAP = 3.0
+"""Periods without a frame, or without a body in the frames, that count as a gap."""
+SHORT = 0.05
+"""Seconds: a shorter gap between frames is harmless.
+
+Drones brake after 0.1 s without a pose.
+"""
 MISSING = 0.5
-"""s after which a body is missing."""
+"""Seconds after which a body is missing."""
 FROZEN = 0.5
-"""s for which no camera measures the same digits."""
+"""Seconds of identical numbers after which a pose is not a measurement."""
 OFTEN = 0.05
-"""Of the frames without a body, also where none of its gaps is long."""
+"""Share of frames without a body above which this is reported, even if no gap is long."""
 STRANGE = 1.0
-"""s for which a body was seen at least that belongs to nobody."""
+"""Seconds for which an unknown body must be seen until it is reported."""
 
 
 @dataclass
 class Sight:
-    """What was seen of one body.
+    """The record of one body.
 
-    first, last: s, when it was measured: in a frame, with other digits than before where the source is live;  shown: s,
-    when it was in a frame;  frames: in which it was measured;  dropped: frames without it since the first;  gap: s, the
-    longest between two measurements that has not been said;  rate: Hz, nan before there is one;  share: of the frames
-    that are without it.
+    A body is measured when it is in a frame; if the source is live, also with other numbers than
+    before.
     """
 
     first: float
+    """s: time of the first measurement."""
     last: float
+    """s: time of the last measurement."""
     shown: float
+    """s: last time that it was in a frame."""
     flat: Vec
+    """(7,): last measured pose."""
     frames: int = 0
+    """Frames in which it was measured."""
     dropped: int = 0
+    """Frames without it since the first."""
     gap: float = 0.0
+    """s: longest time between two measurements since the last check."""
     rate: float = math.nan
+    """Hz of measurements; NaN while unknown."""
     share: float = 0.0
+    """Share of the frames without it."""
     _counted: tuple[int, int] = (0, 0)
+    """`frames` and `dropped` at the last call of `average`."""
 
     def see(self, flat: Vec, now: float, live: bool) -> None:
-        """It is in this frame."""
+        """Take the pose of a frame that contains the body."""
         self.shown = now
         if live and self.frames and np.array_equal(flat, self.flat):
-            return  # shown again: some systems hand out what they had, as often as they are asked
+            return  # an old pose: some systems repeat it as often as they are asked
         self.gap = max(self.gap, now - self.last)
         self.flat = flat
         self.last = now
         self.frames += 1
 
     def average(self, seconds: float) -> None:
-        """Its rate and share, over what was counted since this was called last."""
+        """Compute rate and share since the last call.
+
+        seconds: s since the last call
+        """
         seen = self.frames - self._counted[0]
         gone = self.dropped - self._counted[1]
         self.rate = seen / seconds
@@ -69,10 +87,11 @@ class Sight:
 
 
 class Watch:
-    """Takes in each frame that is published; `look` at it some times a second.
+    """Takes each published frame; call `look` some times a second.
 
-    names: of the drones' bodies, by drone;  rate: Hz that the swarm file promises;  live: whether what does not change
-    at all is not measured.
+    names: name of each drone's body
+    rate: Hz that the swarm file promises
+    live: True if identical poses are not measurements
     """
 
     def __init__(self, names: Mapping[int, str], rate: float, live: bool) -> None:
@@ -80,22 +99,25 @@ class Watch:
         self.rate = rate
         self.live = live
         self.sights: dict[str, Sight] = {}
+        """Record of each body, by name."""
         self.frames = 0
+        """Frames so far."""
         self.mean_rate = math.nan
+        """Hz of frames; NaN while unknown."""
         self._began = math.nan
         self._last = math.nan
         self._gap = 0.0
         self._window = math.nan
         self._counted = 0
         self._frames_gap = 0.0
-        # since gaps were said last
+        # Longest gap and number of gaps since the last report.
         self._longest = 0.0
         self._gaps = 0
         self._throttle = Throttle()
-        self._doubled: dict[str, float] = {}  # when a name was last there twice, s
+        self._doubled: dict[str, float] = {}  # s: when a name was last doubled
 
     def note(self, frame: Frame, now: float) -> None:
-        """A frame has come."""
+        """Take a frame."""
         if math.isnan(self._began):
             self._began = self._window = self._last = now
         gap = now - self._last
@@ -115,15 +137,18 @@ class Watch:
             sight.dropped += name not in frame.bodies
 
     def age(self, name: str, now: float) -> float:
-        """s for which a body has shown the very same pose, where nothing that is measured does; else 0."""
+        """Return for how many s a live body has shown the same pose.
+
+        Returns 0 if the source is not live.
+        """
         return now - self.sights[name].last if self.live else 0.0
 
     def look(self, now: float) -> list[str]:
-        """What is wrong, each thing at most once a second and ever more rarely."""
+        """Return what is wrong: each problem at most once a second, and more and more rarely."""
         if now - self._window >= WINDOW:
             self._average(now)
         if math.isnan(self._began) or now - self._last > WINDOW:
-            return []  # the source says that nothing comes
+            return []  # the source itself reports the silence
         found = [*self._of_frames(), *self._of_strangers(now), *self._of_doubled(now)]
         for i, name in self.names.items():
             found += self._of_body(i, name, now)
@@ -137,7 +162,7 @@ class Watch:
 
     @property
     def _limit(self) -> float:
-        """s without a frame that are said."""
+        """Seconds without a frame from which a gap is reported."""
         return max(GAP / self.rate, SHORT)
 
     def _average(self, now: float) -> None:
@@ -170,7 +195,7 @@ class Watch:
         return found
 
     def _of_strangers(self, now: float) -> list[tuple[str, str]]:
-        """Bodies that are seen and belong to nobody."""
+        """Return a problem if bodies are seen that belong to no drone."""
         own = self.names.values()
         strange = [
             name
@@ -189,7 +214,7 @@ class Watch:
         ]
 
     def _of_doubled(self, now: float) -> list[tuple[str, str]]:
-        """Names that were lately given to two bodies of a frame."""
+        """Return the names that were recently given to two bodies of a frame."""
         said = "is there twice in a frame: which is meant is not known, so it counts as not seen. Rename one of them."
         names = sorted(name for name, at in self._doubled.items() if now - at <= WINDOW)
         return [(f"{name} doubled", f"body {name!r} {said}") for name in names]
@@ -216,12 +241,11 @@ class Watch:
         return self._of_rate(i, who, sight)
 
     def _of_rate(self, i: int, who: str, sight: Sight) -> list[tuple[str, str]]:
-        """Gaps, dropouts, and measurements that come less often than frames."""
+        """Return gaps, dropouts, and measurements that come less often than frames."""
         gap = sight.gap
         sight.gap = 0.0
-        if (
-            gap > max(GAP, 1.0 + self._frames_gap * self.rate) / self.rate
-        ):  # else there were no frames at all
+        # A shorter gap of the body is explained by a gap between frames.
+        if gap > max(GAP, 1.0 + self._frames_gap * self.rate) / self.rate:
             return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
         if self.live and sight.share > OFTEN:
             return [
@@ -240,7 +264,7 @@ class Watch:
         return []
 
     def _meant(self, name: str) -> str:
-        """What there is, and which of it may be meant."""
+        """Return which bodies are seen, and which of them may be meant."""
         own = self.names.values()
         free = [other for other in self.sights if other not in own]
         near = difflib.get_close_matches(
@@ -260,6 +284,6 @@ class Watch:
 
 
 def _list(names: list[str]) -> str:
-    """The first of them."""
+    """Return the first names as text."""
     shown = ", ".join(map(repr, sorted(names)[:8]))
     return shown + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -1,1 +1,1 @@
-"""Small mathematics, compiled kernels and their cache."""
+"""Vector mathematics, compiled kernels and their cache."""

@@ -1,6 +1,8 @@
-"""When laws are compiled: as their modules are imported, or after a program has checked what its user wrote.
+"""The time at which laws are compiled.
 
-A first run compiles for a minute or two. What is wrong with a swarm file, a graph or an option is said before that.
+It is the import of their modules, or later, after a program has checked the user's files. A first
+run compiles for a minute or two. Errors in a swarm file, a graph or an option are reported before
+that.
 """
 
 import contextlib
@@ -9,14 +11,14 @@ from typing import Any
 
 
 class Later:
-    """The laws that wait to be compiled, in the order in which they were imported."""
+    """The laws that wait to be compiled, in the order of their import."""
 
     def __init__(self) -> None:
         self._is_waiting = False
         self._laws: list[_Law] = []
 
     def compile_or_wait(self, dispatcher: Any, types: tuple[Any, ...]) -> None:
-        """Compile a law for these types now; inside `checks_first` later, or when it is first called."""
+        """Compile a law for these types now; inside `checks_first`, later or at its first call."""
         law = _Law(dispatcher, types)
         if self._is_waiting:
             law.wait()
@@ -25,7 +27,7 @@ class Later:
             law.compile()
 
     def compile(self) -> None:
-        """Compile all laws that wait; from now on those that are imported do not."""
+        """Compile all waiting laws. Laws imported from now on are compiled at once."""
         self._is_waiting = False
         laws = self._laws
         self._laws = []
@@ -34,7 +36,10 @@ class Later:
 
     @contextlib.contextmanager
     def checks_first(self) -> Iterator[None]:
-        """Let laws wait that are imported in here, until `compile`, or for good where the checks raise an error."""
+        """Let the laws that are imported inside this context wait until `compile`.
+
+        If the checks raise an error, these laws stay uncompiled until their first call.
+        """
         self._is_waiting = True
         try:
             yield
@@ -52,7 +57,10 @@ class _Law:
         self._is_compiled = False
 
     def compile(self) -> Any:
-        """Compile it, if it is not, and let no other types be compiled."""
+        """Compile the law if it is not compiled, and refuse to compile it for other types.
+
+        Return its entry point.
+        """
         dispatcher = self._dispatcher
         if not self._is_compiled:
             self._is_compiled = True
@@ -62,9 +70,12 @@ class _Law:
         return dispatcher.overloads[dispatcher.nopython_signatures[0].args].entry_point
 
     def wait(self) -> None:
-        """Compile it when it is first called, or when a law that names it is compiled, for its own types alone."""
+        """Compile the law at its first call, or when another compiled law needs it.
+
+        It is compiled for its own types only.
+        """
         self._dispatcher.compile = lambda types: self.compile()
 
 
 LATER = Later()
-"""Those of this process."""
+"""The waiting laws of this process."""

@@ -1,10 +1,13 @@
-"""What is kept on disk of a compiled law, and when it is compiled anew.
+"""The disk cache of compiled laws, and the decision when a law must be compiled again.
 
-numba's own cache looks at the one file in which a law is written, and would go on with old machine code when a piece or
-a constant in another file has changed. This one goes by a digest of all that the machine code is made of: the law's
-byte code and, recursively, every piece and every constant that it names. Comments, docstrings and times do not count.
-Processes that start together take turns: the first one compiles a law, the others wait and then find it on the disk.
-Where nothing can be kept, or what was kept is damaged, laws are compiled, and one line says so.
+numba's own cache checks only the file that contains the law. It would use old machine code after a
+change of a part or a constant in another file. This cache uses a digest of everything that the
+machine code is made of: the law's byte code and, recursively, every part and every constant that it
+names. Comments, docstrings and file times do not count.
+
+Processes that start together take turns: the first compiles a law; the others wait and then load it
+from disk. If nothing can be kept, or a kept file is damaged, the laws are compiled again and one
+line says so.
 """
 
 import builtins
@@ -43,47 +46,67 @@ from crazychoir.files.user_folders import (
 locks: Any
 try:
     import fcntl as locks
-except ImportError:  # elsewhere than on Unix each process compiles for itself
+except ImportError:  # without Unix locks each process compiles for itself
     locks = None
 
-FORMAT = "checked"  # of the files
+FORMAT = "checked"  # name of the file format
 VERSIONS = (FORMAT, numba.__version__, np.__version__)
+"""Versions that the machine code depends on; part of the digest."""
 NAME = "compiled laws"
-"""What this cache holds, in warnings."""
-CHECK_SIZE = 16  # bytes at the begin of a file: the digest of the rest
+"""Name of this cache in warnings."""
+CHECK_SIZE = 16  # bytes at the start of a file: the digest of the rest
 LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
-"""Packages whose functions and constants are told by their names: the versions say the rest."""
+"""Packages that enter the digest only by the names of their functions and constants.
+
+VERSIONS covers their content.
+"""
 COMPILES = (
     "crazychoir compiles its laws, once on this machine; that takes a minute or two"
 )
-PATIENCE, LOOK = 2400, 0.05
-"""Looks, and s between them, at whether another process has compiled a law; then we do it, too."""
+"""The line that explains the wait."""
+PATIENCE = 2400
+"""Checks of whether another process has compiled a law; after them this process compiles it too."""
+LOOK = 0.05
+"""Seconds between two checks."""
 EXACT = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
-"""Types of values of which `repr` says all; with those of NUMBERS."""
+"""Types with a `repr` that tells the whole value; NUMBERS holds more."""
 NUMBERS = (np.number, np.bool_, np.dtype, numba.types.Type)
+"""More types with a `repr` that tells the whole value."""
 
-# numba's, without types.
+# Parts of numba that have no type annotations.
 _SETTINGS: Any = numba.config
+"""Settings of numba."""
 _REBUILD: Any = CompileResult._rebuild
+"""Function of numba that builds a compiled law from kept data."""
 
-# Of the byte code: by how many bits the number of a name is shifted, and what may stand between a name's attributes.
-GLOBAL, EXTENDED = opmap["LOAD_GLOBAL"], opmap["EXTENDED_ARG"]
+GLOBAL = opmap["LOAD_GLOBAL"]
+"""Byte code operation that loads a global name."""
+EXTENDED = opmap["EXTENDED_ARG"]
+"""Byte code operation that extends the number of the next operation."""
 ATTRIBUTES = {
     opmap["LOAD_ATTR"]: int(sys.version_info >= (3, 12)),
     opmap.get("LOAD_METHOD", GLOBAL): 0,
 }
+"""Byte code operations that load an attribute.
+
+The value is the number of bits by which the number of the name is shifted.
+"""
 SILENT = (opmap["CACHE"], EXTENDED)
+"""Byte code operations that may stand between the attributes of a name."""
 
 
 class Untold(Exception):
-    """A law names something of which no digest can be made."""
+    """A law names something that has no digest."""
 
 
 class Kept(NullCache):
-    """The cache of one law; options: how it is compiled.
+    """The cache of one law.
 
-    It looks at nothing before something is to be compiled, as a piece may name another that is written below it.
-    Where no digest can be made nothing is kept, and the law is compiled in each process.
+    It reads nothing before the law is to be compiled, because a law may use a part that is defined
+    below it. If there is no digest, nothing is kept, and each process compiles the law.
+
+    law: the function
+    options: how it is compiled
     """
 
     def __init__(self, law: Callable[..., Any], *options: Any) -> None:
@@ -94,12 +117,16 @@ class Kept(NullCache):
 
     @cached_property
     def digest(self) -> str:
-        """Of all that the law is compiled of; raises Untold, for one that names itself too."""
+        """Digest of everything that the law is compiled from.
+
+        Raises Untold if there is none, also for a law that calls itself.
+        """
         if self._busy:
             raise Untold(self._law.__qualname__)
         self._busy = True
         try:
-            # Machine code names the modules of its pieces: it cannot be loaded where a module has moved.
+            # Machine code contains the module names of its parts: after a module has moved it
+            # cannot be loaded.
             content = repr(
                 (VERSIONS, self._options, self._law.__module__, _function(self._law))
             )
@@ -109,7 +136,10 @@ class Kept(NullCache):
 
     @cached_property
     def _stores(self) -> "list[_Store]":
-        """The files of this law in each folder, in the order of the folders; none where no digest can be made."""
+        """The files of this law in each folder, in the order of the folders.
+
+        The list is empty if there is no digest.
+        """
         try:
             digest = self.digest
         except (Untold, RecursionError):
@@ -121,11 +151,14 @@ class Kept(NullCache):
 
     @property
     def cache_path(self) -> Any:
-        """The first folder for its files, None if there is none."""
+        """The first folder for its files, or None."""
         return str(self._stores[0].folder) if self._stores else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The machine code for these types, None if there is none: then it is our turn to compile it."""
+        """Return the machine code for these types.
+
+        Returns None if there is none; then this process has the turn to compile it.
+        """
         target_context.refresh()
         key = (sig, target_context.codegen().magic_tuple())
         found = self._read(key)
@@ -143,7 +176,7 @@ class Kept(NullCache):
         return None if found is None else _REBUILD(target_context, *found)
 
     def _read(self, key: Any) -> Any:
-        """Return what the first folder has that has it, None if no folder has it."""
+        """Return the content from the first folder that has it, or None."""
         for store in self._stores:
             found = store.load(key)
             if found is not None:
@@ -151,7 +184,7 @@ class Kept(NullCache):
         return None
 
     def _tell(self) -> None:
-        """Say in one line why the user waits: the law is compiled."""
+        """Log in one line why the user waits: the law is compiled."""
         stores = self._stores
         named = _SETTINGS.CACHE_DIR
         free = [store for store in stores if not _fault(store.folder)]
@@ -169,7 +202,7 @@ class Kept(NullCache):
             say_once()
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the machine code for these types in the first folder that takes it."""
+        """Keep the machine code for these types in the first folder that can be written."""
         if (
             all(part.can_cache for part in data.lifted)
             and not data.library.has_dynamic_globals
@@ -191,12 +224,12 @@ class Kept(NullCache):
             _warn_of_no_folder(self._stores)
 
     def give_up(self) -> None:
-        """Let others compile it, whether we have or not."""
+        """End the turn of this process, so that others may compile the law."""
         if self._turn is not None:
             self._turn.end()
 
     def flush(self) -> None:
-        """Forget all of it."""
+        """Remove the kept files from the index."""
         for store in self._stores:
             store.forget()
 
@@ -204,7 +237,8 @@ class Kept(NullCache):
 def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
     """Give a law its cache.
 
-    What breaks compiling off, as a signal does, ends our turn: we would wait for ourselves, and the others, too.
+    An error or a signal that interrupts compiling ends the turn; else this process and the others
+    would wait for it.
     """
     kept = Kept(law, *options)
     compile_law = dispatcher.compile
@@ -221,25 +255,28 @@ def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
 
 
 def say(text: str) -> None:
-    """A line for who waits; a program whose standard error nobody reads puts another function in this one's place."""
+    """Print a line for the waiting user.
+
+    A program replaces this function if its standard error is not read.
+    """
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
 
 @cache
 def say_once() -> None:
-    """People who wait, for this process or one that it has started, are told what for, if they have not been warned."""
+    """Print once that laws are compiled and take a while, unless a warning was printed before."""
     if NAME not in os.environ.get(TOLD_VARIABLE, "").split(","):
         say(COMPILES)
 
 
 def warn(text: str) -> None:
-    """Say once, of this process and those that it starts, what is wrong with the cache."""
+    """Print what is wrong with the cache, once for this process and its child processes."""
     tell(f"{WARNING}{NAME}: {text}")
 
 
 def tell(warning: str) -> None:
-    """Say a warning of this process, or of one that it has started, if it is the first."""
+    """Print a warning of this process or of a child process if it is the first."""
     if first_warning(NAME):
         say(warning)
 
@@ -251,9 +288,12 @@ def is_kept() -> bool:
 
 @contextmanager
 def shared_by_children(folder: Path) -> Iterator[None]:
-    """Let processes that are started meanwhile share what they compile, in a temporary folder if no other takes it.
+    """Let the processes that are started inside this context share their compiled laws.
 
-    Else each of them would compile all laws by itself.
+    If no other folder can be written they use a temporary one; without it each would compile all
+    laws by itself.
+
+    folder: the temporary folder
     """
     if is_kept():
         yield
@@ -269,10 +309,11 @@ def shared_by_children(folder: Path) -> Iterator[None]:
 
 
 def _folders(file: str) -> list[Path]:
-    """Return where laws of a source file may be kept: NUMBA_CACHE_DIR, beside the file, the user's cache.
+    """Return the folders for the laws of a source file.
 
-    They are read from each, and written to the first that can be written. A package that root has installed and
-    compiled once is read by all users.
+    They are NUMBA_CACHE_DIR, `__pycache__` beside the file, and the user's cache. Laws are read
+    from each, and written to the first that can be written. So all users can read a package that
+    root has installed and compiled once.
     """
     found = []
     below = InTreeCacheLocator.get_suitable_cache_subpath(file)  # type: ignore[no-untyped-call]
@@ -287,7 +328,10 @@ def _folders(file: str) -> list[Path]:
 
 
 _FAULTS: dict[Path, str] = {}
-"""Why nothing can be written to a folder, empty if it can, of the folders that this process has tried."""
+"""Reason why nothing can be written to a folder; empty if it can.
+
+It has each folder that this process has tried.
+"""
 
 
 def _fault(folder: Path) -> str:
@@ -307,14 +351,17 @@ def _warn_of_no_folder(stores: "list[_Store]") -> None:
 
 
 class _Turn:
-    """The only process that compiles a law, until `end`, or its own end; place: of a file that says so, "" for none."""
+    """The right to compile a law, for one process at a time, until `end` or the end of the process.
+
+    place: path of the lock file; "": no lock
+    """
 
     def __init__(self, place: str) -> None:
         self._place = place
         self._file = -1
         if locks is None or not place:
             return
-        with suppress(OSError):  # where nothing can be written nothing is kept
+        with suppress(OSError):  # without a lock file nothing is kept either
             os.makedirs(os.path.dirname(place), exist_ok=True)
             self._file = os.open(place, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
             self._wait()
@@ -330,7 +377,10 @@ class _Turn:
                 return
 
     def end(self) -> None:
-        """Who waits looks whether the machine code is there now."""
+        """Release the lock and remove its file.
+
+        Waiting processes then check for the machine code.
+        """
         if self._file >= 0:
             _remove(self._place)
             os.close(self._file)
@@ -338,22 +388,24 @@ class _Turn:
 
 
 class _Store:
-    """The files of a law with one digest in one folder: machine code of each signature, and an index of them.
+    """The files of one law, with one digest, in one folder.
 
-    Each file begins with the digest of the rest: what was cut off, emptied or spoilt is found before it is read, and
-    counts as not there. damaged: whether such a file was found.
+    They are the machine code for each signature, and an index. Each file begins with the digest of
+    the rest. So a file that is cut off, empty or changed is detected before it is loaded, and
+    counts as missing.
     """
 
     def __init__(self, folder: Path, name: str, digest: str) -> None:
         self.folder = folder
         self.damaged = False
+        """True once a damaged file was found."""
         self._name = name
         self._digest = digest
         self._base = f"{name}-{digest}.{sys.implementation.cache_tag}{getattr(sys, 'abiflags', '')}"
 
     @property
     def place(self) -> str:
-        """Of the file that says who compiles it."""
+        """Path of the lock file."""
         return str(self.folder / f"{self._base}.turn")
 
     @property
@@ -361,18 +413,20 @@ class _Store:
         return f"{self._base}.nbi"
 
     def load(self, key: Any) -> Any:
-        """Return what was saved with this key, None if nothing was, or if it cannot be read."""
+        """Return the data saved with this key, or None if there are none or they cannot be read."""
         name = self._index().get(key)
         content = None if name is None else self._read(name)
         if content is None:
             return None
         saved_key, data = pickle.loads(content)  # noqa: S301 - from folders of this user, of root, or of the package
-        return (
-            data if saved_key == key else None
-        )  # else another process has taken the same number for its file
+        # Another process may have used the same number for its file.
+        return data if saved_key == key else None
 
     def save(self, key: Any, data: Any) -> None:
-        """Write it, and remove the files of other digests of the law; raises OSError if it cannot be written."""
+        """Write the data, and remove the files of other digests of the law.
+
+        Raises OSError if they cannot be written.
+        """
         index = self._index()
         numbers = itertools.count(1)
         taken = list(index.values())
@@ -398,7 +452,10 @@ class _Store:
         return index if isinstance(index, dict) else {}
 
     def _read(self, name: str) -> bytes | None:
-        """Return the content of a file, None if it is not there, not ours to read, or damaged."""
+        """Return the content of a file.
+
+        Returns None if it is missing, not readable for this user, or damaged.
+        """
         try:
             with open(self.folder / name, "rb") as file:
                 if not self._is_trusted(os.fstat(file.fileno())):
@@ -426,7 +483,7 @@ class _Store:
         )
 
     def _write(self, name: str, value: Any) -> None:
-        """Write a file whole or not at all."""
+        """Write a file as a whole or not at all."""
         content = dumps(value)  # type: ignore[no-untyped-call]
         partial = self.folder / f"{name}.tmp.{uuid.uuid4().hex[:16]}"
         try:
@@ -442,12 +499,15 @@ class _Store:
 def _remove(path: str) -> None:
     try:
         os.remove(path)
-    except OSError:  # another process was first, or it is another user's
+    except OSError:  # another process has removed it, or it belongs to another user
         return
 
 
 def _function(law: Callable[..., Any]) -> Any:
-    """All that a function is made of, as nested tuples."""
+    """Return everything that a function is made of, as nested tuples.
+
+    Raises Untold if that is not possible.
+    """
     if not isinstance(law, FunctionType):
         raise Untold(repr(law))
     try:
@@ -463,7 +523,7 @@ def _function(law: Callable[..., Any]) -> Any:
 
 
 def _code(code: CodeType, names: Mapping[str, Any], doc: str | None = None) -> Any:
-    """Byte code with its constants and what its global names mean."""
+    """Return the byte code with its constants and the meaning of its global names."""
     constants = [
         None if k == 0 and c == doc else c for k, c in enumerate(code.co_consts)
     ]
@@ -482,9 +542,10 @@ def _code(code: CodeType, names: Mapping[str, Any], doc: str | None = None) -> A
 
 
 def _paths(code: CodeType) -> list[list[str]]:
-    """The global names of a byte code, with the attributes that it takes of them: ["math", "sqrt"].
+    """Return the global names of a byte code, with the attributes that it reads from them.
 
-    As `dis` would say, in a twentieth of its time.
+    An example of an element is ["math", "sqrt"]. The result is that of `dis`, in a twentieth of its
+    time.
     """
     paths: list[list[str]] = []
     inside = False
@@ -503,7 +564,11 @@ def _paths(code: CodeType) -> list[list[str]]:
 
 
 def _meaning(path: list[str], names: Mapping[str, Any]) -> Any:
-    """What a path leads to: through modules only, as a value says all of its attributes."""
+    """Return the value that a path of names leads to.
+
+    Attributes are followed through modules only: the digest of any other value covers its
+    attributes. Raises Untold if the first name is unknown.
+    """
     first, *rest = path
     if first not in names and not hasattr(builtins, first):
         raise Untold(first)
@@ -518,7 +583,10 @@ def _meaning(path: list[str], names: Mapping[str, Any]) -> Any:
 
 
 def _value(value: Any) -> Any:
-    """A constant, a compiled piece, or a library's function, as something that `repr` tells from any other."""
+    """Return an object with a unique `repr` for a constant, a compiled part or a library function.
+
+    Raises Untold for anything else.
+    """
     kind = type(value)
     if kind in EXACT or isinstance(value, NUMBERS):
         return f"{kind.__module__}.{kind.__qualname__}", repr(value)
@@ -549,7 +617,10 @@ def _value(value: Any) -> Any:
 
 
 def _piece(piece: Any) -> Any:
-    """A compiled piece: one of ours has its digest; of another, whose types may be fixed, all that it is made of."""
+    """Return the digest of a compiled part.
+
+    A part without this cache may have fixed types; for it, return everything that it is made of.
+    """
     if isinstance(piece._cache, Kept):
         return "piece", piece._cache.digest
     types = [] if piece._can_compile else [repr(types) for types in piece.signatures]

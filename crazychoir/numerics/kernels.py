@@ -1,4 +1,4 @@
-"""How a law is compiled: the decorator `kernel` and the types of its arguments."""
+"""Compilation of laws: the decorator `kernel` and the types of its arguments."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
@@ -9,26 +9,38 @@ from crazychoir.numerics.compiling import LATER
 from crazychoir.numerics.kernel_cache import keep
 
 Law = TypeVar("Law", bound=Callable[..., Any])
+"""A function of Python that is compiled."""
 
-# What a kernel reads (frozen arrays fit, writable ones too) and what it writes.
+# Arguments that a kernel reads: frozen arrays and writable arrays fit.
 real = numba.float64
+"""A number that a kernel reads."""
 vector = numba.types.Array(numba.float64, 1, "C", readonly=True)
+"""An array (n,) that a kernel reads."""
 matrix = numba.types.Array(numba.float64, 2, "C", readonly=True)
+"""An array (m, n) that a kernel reads."""
 memory = numba.float64[::1]
+"""An array (n,) that a kernel writes."""
 table = numba.float64[:, ::1]
+"""An array (m, n) that a kernel writes."""
 
 
 def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
-    """Compile a law for these argument types when its module is imported; after the first time, from the disk.
+    """Compile a law for these argument types when its module is imported.
 
-    A program that has something to check first lets them wait, see crazychoir.numerics.compiling.
+    Later runs load it from disk. A program that must check something first lets the laws wait: see
+    crazychoir.numerics.compiling.
 
-    Fixed types on purpose: another kind of array raises TypeError at once instead of compiling for a second in flight.
-    Without arguments: a piece of other kernels, compiled with them. options: of numba, as nogil and forceinline.
+    The types are fixed on purpose: another kind of array raises TypeError at once, instead of
+    compiling for a second in flight. Without argument types, the law is a part of other kernels and
+    is compiled with them.
+
+    arguments: types of the law's arguments
+    options: options of numba, such as nogil and forceinline
     """
 
     def compiled(law: Law) -> Law:
-        # Nobody calls a law by its address: a tenth of the time to compile goes into what would allow it.
+        # No code calls a law by its C address: leaving out the C wrapper saves a tenth of the
+        # compilation.
         njit: Any = numba.njit
         dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(law)
         if dispatcher is law:  # with NUMBA_DISABLE_JIT

@@ -1,7 +1,8 @@
 """Projector, rotations and saturation that several rooms share.
 
-World ENU, z up; quaternions [x, y, z, w], body to world. Quaternions and vectors of the compiled functions are tuples
-or arrays of floats; they return tuples, so that a kernel makes no small arrays.
+The world is ENU, z up. Quaternions are [x, y, z, w], body to world. Compiled functions take
+quaternions and vectors as tuples or arrays of floats; they return tuples, so that a kernel
+allocates no small arrays.
 """
 
 import math
@@ -12,43 +13,47 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.types import Mat, Vec
 
 Triple = tuple[float, float, float]
+"""A vector (x, y, z)."""
 Quaternion = tuple[float, float, float, float]
+"""A quaternion (x, y, z, w)."""
 
 GRAVITY = 9.80665  # m/s2, standard gravity
 E3 = np.array([0.0, 0.0, 1.0])
+"""The unit vector upwards, world."""
 
 
 def projector(d: Vec) -> Mat:
-    """Orthogonal projector onto the plane normal to d.
+    """Return the orthogonal projector onto the plane normal to d.
 
         P = I - d d^T / |d|^2
 
-    d: (3,) m, not zero.  Returns (3, 3), symmetric: P d = 0, P P = P.
+    d: (3,) m, not zero
+    Returns (3, 3), symmetric: P d = 0, P P = P.
     Source: Zhao & Zelazo 2017, IEEE TCNS 4(3).
     """
     return np.eye(3) - np.outer(d, d) / (d @ d)
 
 
 def skew(w: Vec) -> Mat:
-    """The matrix (3, 3) of the vector product with w (3,) from the left."""
+    """Return the matrix S (3, 3) with S v = w x v."""
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
 def saturate(v: Vec, limit: float) -> Vec:
-    """v shortened to the length `limit`, its direction kept."""
+    """Return v shortened to the length `limit` if it is longer, with the same direction."""
     length = float(np.linalg.norm(v))
     return v if length <= limit else v * (limit / length)
 
 
 @kernel()
 def clip(value: float, low: float, high: float) -> float:
-    """value, held between low and high."""
+    """Return the value limited to the range from low to high."""
     return min(max(value, low), high)
 
 
 @kernel()
 def finite(x: Vec) -> bool:
-    """Whether all of x (n,) are numbers."""
+    """Return whether all elements of x (n,) are finite numbers."""
     nothing = 0.0
     for c in range(x.shape[0]):
         nothing += 0.0 * x[c]
@@ -57,13 +62,13 @@ def finite(x: Vec) -> bool:
 
 @kernel()
 def wrap(angle: float) -> float:
-    """The same angle in [-pi, pi), rad."""
+    """Return the equal angle in [-pi, pi), rad."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
 @kernel()
 def product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Quaternion product a b: first the rotation b, then a."""
+    """Return the quaternion product a b: first the rotation b, then the rotation a."""
     return (
         a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
         a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0],
@@ -74,20 +79,23 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 @kernel()
 def conjugate(q: Quaternion) -> Quaternion:
-    """The inverse rotation of a unit quaternion."""
+    """Return the inverse rotation of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
 @kernel()
 def unit(q: Quaternion) -> Quaternion:
-    """q of length 1."""
+    """Return q scaled to length 1."""
     n = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
 
 
 @kernel()
 def exponential(x: float, y: float, z: float) -> Quaternion:
-    """Unit quaternion of the rotation vector (x, y, z) rad: (sin(a/2) r/a, cos(a/2)), a = |r|."""
+    """Return the unit quaternion of the rotation vector (x, y, z), rad.
+
+    q = (sin(a/2) r/a, cos(a/2)),  a = |r|
+    """
     a = math.sqrt(x * x + y * y + z * z)
     s = 0.5 - a * a / 48.0 if a < 1e-4 else math.sin(0.5 * a) / a
     return (s * x, s * y, s * z, math.cos(0.5 * a))
@@ -95,7 +103,7 @@ def exponential(x: float, y: float, z: float) -> Quaternion:
 
 @kernel()
 def logarithm(q: Quaternion) -> Triple:
-    """Rotation vector of a unit quaternion, rad, the short way: |r| <= pi."""
+    """Return the rotation vector of a unit quaternion, rad, for the shorter rotation: |r| <= pi."""
     sign = 1.0 if q[3] >= 0.0 else -1.0
     s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     f = 2.0 * sign if s < 1e-9 else sign * 2.0 * math.atan2(s, abs(q[3])) / s
@@ -104,7 +112,7 @@ def logarithm(q: Quaternion) -> Triple:
 
 @kernel()
 def columns(q: Quaternion) -> tuple[Triple, Triple, Triple]:
-    """Body axes x_b, y_b, z_b in the world: the columns of R(q), q of length 1."""
+    """Return the body axes x_b, y_b, z_b in the world: the columns of R(q) for q of length 1."""
     x = q[0]
     y = q[1]
     z = q[2]
@@ -118,17 +126,21 @@ def columns(q: Quaternion) -> tuple[Triple, Triple, Triple]:
 
 @kernel()
 def dot(a: Triple, b: Triple) -> float:
-    """a . b."""
+    """Return the scalar product a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel()
 def flat_attitude(f: Triple, yaw: float) -> tuple[Triple, Triple, Triple]:
-    """Body axes that push along f and look towards yaw.
+    """Return the body axes (x_b, y_b, z_b) that push along f and point the nose towards yaw.
 
-        z_b = f / |f|,  y_b = (z_b x x_c) / |z_b x x_c|,  x_b = y_b x z_b,  x_c = (cos yaw, sin yaw, 0)
+        z_b = f / |f|,  y_b = (z_b x x_c) / |z_b x x_c|,  x_b = y_b x z_b
+        x_c = (cos yaw, sin yaw, 0)
 
-    f: m/s2 or N, world.  f = 0 gives the level attitude; z_b along x_c takes y_b = (-sin yaw, cos yaw, 0).
+    f = 0 gives the level attitude. For z_b along x_c, y_b = (-sin yaw, cos yaw, 0).
+
+    f: (3,) m/s2 or N, world
+    yaw: rad
     Source: Mellinger & Kumar 2011, ICRA.
     """
     c = math.cos(yaw)
@@ -154,11 +166,18 @@ def flat_rates(
     yaw: float,
     yaw_rate: float,
 ) -> Triple:
-    """Body rates of `flat_attitude` while f changes by j a second and yaw by yaw_rate.
+    """Return the body rates (p, q, r) of `flat_attitude` in rad/s while f and yaw change.
 
-        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b,  r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
+        h = (j - (z_b . j) z_b) / |f|,  p = - h . y_b,  q = h . x_b
+        r = (p z_b . x_c + yaw' y_b . y_c) / (x_b . x_c)
 
-    The last from y_b . x_c = 0, differentiated.
+    The equation for r is the time derivative of y_b . x_c = 0.
+
+    f: (3,) m/s2 or N, world
+    j: (3,) change of f in a second
+    axes: x_b, y_b, z_b from `flat_attitude`
+    yaw: rad
+    yaw_rate: rad/s, change of yaw
     """
     x, y, z = axes
     length = math.sqrt(dot(f, f))
@@ -175,19 +194,19 @@ def flat_rates(
 
 
 def rotation(q: Vec) -> Mat:
-    """R (3, 3), body to world, of the unit quaternion q (4,)."""
+    """Return R (3, 3), body to world, of the unit quaternion q (4,)."""
     return np.array(columns(tuple(q))).T
 
 
 def rotation_from_flat(f: Vec, yaw: float) -> Mat:
-    """R (3, 3) of `flat_attitude`: thrust along f (3,), heading yaw rad."""
+    """Return R (3, 3) of `flat_attitude`: thrust along f (3,), heading yaw in rad."""
     return np.array(flat_attitude(tuple(f), yaw)).T
 
 
 def quaternion(r: Mat) -> Vec:
-    """Unit quaternion (4,), w >= 0, of the rotation matrix r (3, 3), body to world.
+    """Return the unit quaternion (4,), w >= 0, of the rotation matrix r (3, 3), body to world.
 
-    Source: Shepperd 1978: the largest of the four squares is the one that is divided by.
+    Source: Shepperd 1978: divide by the largest of the four squares.
     """
     trace = float(np.trace(r))
     squares = np.array([r[0, 0], r[1, 1], r[2, 2], trace])
@@ -209,11 +228,11 @@ def quaternion(r: Mat) -> Vec:
 
 
 def quaternion_of_yaw(yaw: float) -> Vec:
-    """Unit quaternion (4,) of the level attitude with heading yaw rad."""
+    """Return the unit quaternion (4,) of the level attitude with heading yaw in rad."""
     return np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)])
 
 
 def yaw_of(q: Vec) -> float:
-    """Heading of the body's x axis in the world, rad in (-pi, pi]."""
+    """Return the heading of the body's x axis in the world, rad, in (-pi, pi]."""
     x, y, z, w = (float(c) for c in q)
     return math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))

@@ -1,1 +1,4 @@
-"""Radio: real drones through cflib, and virtual Crazyflies that speak CRTP. Units are the firmware's in here alone."""
+"""Radio: real drones through cflib, and virtual Crazyflies that speak CRTP.
+
+Only code in this room uses the firmware's units.
+"""

@@ -1,4 +1,4 @@
-"""Whether the dongles carry what a swarm would send, and how many set-points a second they leave."""
+"""Check that dongles can carry a swarm's packets, and compute the rate of set-points."""
 
 from crazychoir.config.radio_checks import carried
 from crazychoir.config.swarm_config import SwarmConfig
@@ -6,6 +6,9 @@ from crazychoir.control.robots import sender_of
 
 
 def rates(config: SwarmConfig) -> dict[int, float]:
-    """Hz of set-points, by dongle; ConfigError where one does not carry them."""
+    """Return the set-point rate in Hz for each dongle.
+
+    Raises ConfigError if a dongle cannot carry its drones.
+    """
     senders = {i: sender_of(config, i) for i in config.reached}
     return {dongle: carried(config, dongle, senders) for dongle in config.dongles}

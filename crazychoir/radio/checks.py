@@ -1,4 +1,7 @@
-"""What is looked at before a drone that a radio reaches may take off; arguments in, words out."""
+"""Checks before the take-off of a drone on a radio.
+
+The functions take values and return the problems as text.
+"""
 
 import math
 
@@ -6,13 +9,18 @@ from crazychoir.safety.rules.radio_watch import CRASHED as CRASHED
 from crazychoir.safety.rules.radio_watch import LOCKED as LOCKED
 from crazychoir.safety.rules.radio_watch import TUMBLED as TUMBLED
 
+# Bits of the firmware's supervisor; radio_watch.py has those of a drone that can no longer fly.
 CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING = (1 << k for k in range(5))
+"""Bits 0 to 4: the drone may be armed, is armed, arms itself, may fly, flies."""
 DECK_FAULT = 1 << 11
-"""Bits of the firmware's supervisor, beside those of one that flies no more."""
+"""Bit: a deck is faulty."""
 
 
 def harm(supervisor: int) -> str:
-    """What has broken a drone, by its supervisor's bits; empty if nothing has."""
+    """Return what has damaged or locked a drone; empty if nothing has.
+
+    supervisor: bits of its supervisor
+    """
     words = {
         CRASHED: "crashed",
         TUMBLED: "tumbled",
@@ -22,7 +30,7 @@ def harm(supervisor: int) -> str:
 
 
 def supervisor_problems(supervisor: int) -> list[str]:
-    """Why its firmware does not let it fly."""
+    """Return why the firmware does not let the drone fly."""
     if text := harm(supervisor):
         return [text]
     if supervisor & DECK_FAULT:
@@ -34,7 +42,11 @@ def supervisor_problems(supervisor: int) -> list[str]:
 
 
 def battery_problems(volts: float, begin: float) -> list[str]:
-    """Less than its platform needs to begin, in V."""
+    """Return the problem of a battery below the voltage `begin`, or of an unknown voltage.
+
+    volts: V; NaN if unknown
+    begin: V: least voltage at which the platform may take off
+    """
     if math.isnan(volts):
         return ["says nothing of its battery"]
     return (
@@ -44,12 +56,18 @@ def battery_problems(volts: float, begin: float) -> list[str]:
     )
 
 
-LATE, ANSWERED = 0.3, 0.5
-"""s, there and back, and share of echoes: a link that is worse flies nobody, though it is never silent."""
+LATE = 0.3
+"""Seconds: longest round trip of a link for a drone that is to fly."""
+ANSWERED = 0.5
+"""Least share of echoes that a link for a drone that is to fly must answer."""
 
 
 def link_problems(latency: float, answered: float) -> list[str]:
-    """Whether its link is too slow; NaN for what is not known yet."""
+    """Return why the link is too slow or too lossy to fly, even if it is never silent.
+
+    latency: s: round trip; NaN if unknown
+    answered: share of echoes that were answered; NaN if unknown
+    """
     found = (
         [f"its link takes {latency:.2f} s there and back, at most {LATE:g} s may be"]
         if latency > LATE
@@ -63,11 +81,17 @@ def link_problems(latency: float, answered: float) -> list[str]:
 
 
 UNSURE = 0.01
-"""m2, variance of its own place on each axis, with which a drone takes off that nobody else sees: 0.1 m."""
+"""m2: largest variance of the position, on each axis, for a take-off without cameras.
+
+It is a standard deviation of 0.1 m.
+"""
 
 
 def spread_problems(variances: list[float]) -> list[str]:
-    """Whether a drone that nobody else sees knows where it is."""
+    """Return why a drone that only locates itself does not know its position well enough.
+
+    variances: m2, one an axis; NaN if unknown
+    """
     worst = max(variances, key=lambda v: math.inf if math.isnan(v) else v)
     if math.isnan(worst):
         return ["does not say how well it knows where it is"]

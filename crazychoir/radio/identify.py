@@ -1,4 +1,4 @@
-"""Lights the LEDs of a drone that nobody flies, so that one finds it among others."""
+"""Light the LEDs of a drone that does not fly, so that a user finds it among others."""
 
 import contextlib
 from collections.abc import Callable
@@ -12,18 +12,23 @@ from crazychoir.radio.protocol.crtp import SUPERVISOR, Packet
 from crazychoir.runtime.clock import Clock
 
 BOARD: dict[str, float] = {"led.bitmask": 0xFF}
-"""All of the board: the upper bit takes them from the firmware."""
+"""Parameters that light all LEDs of the board; the upper bit takes the LEDs from the firmware."""
 RING: dict[str, float] = {
     "ring.solidRed": 255,
     "ring.solidGreen": 255,
     "ring.solidBlue": 255,
     "ring.effect": 7,
 }
-"""The deck below it: one colour."""
+"""Parameters that light the LED ring deck, in one colour."""
 RING_DECK = "deck.bcLedRing"
+"""Parameter that is there if the drone has the LED ring deck."""
 ASKED = Packet(SUPERVISOR, 0, b"\x0c")
+"""Packet that asks the supervisor for its state."""
 SAYS = 0.5
-"""s that its supervisor gets to say whether it flies; older firmware has none that could."""
+"""Seconds for the supervisor to answer whether the drone flies.
+
+Older firmware has no such answer.
+"""
 
 
 async def identify(
@@ -34,11 +39,15 @@ async def identify(
     deadline: float,
     lit_now: Callable[[], None] = lambda: None,
 ) -> dict[str, float]:
-    """Light them for so long; returns the parameters that it was done by. They are put back, whatever happens.
+    """Light the LEDs of a drone for a while.
 
-    deadline: s until it is connected;  lit_now: called once they are lit.
+    Return the parameters that did it; their old values are restored in every case.
 
-    Raises LinkFailed, and Refused while it flies.
+    seconds: s: how long the LEDs are lit
+    deadline: s: longest time until the drone is connected
+    lit_now: called when the LEDs are lit
+    Raises LinkFailed if the link fails.
+    Raises Refused while the drone flies.
     """
     connection = Connection(clock, uri, contents)
     try:
@@ -59,7 +68,7 @@ async def identify(
 
 
 async def _require_rest(connection: Connection) -> None:
-    """Refused if it says that it flies."""
+    """Raise Refused if the drone answers that it flies."""
 
     def answers(packet: Packet) -> bool:
         return packet[:2] == ASKED[:2] and packet.data[:1] == b"\x8c"

@@ -1,4 +1,7 @@
-"""The owner of a dongle, in a process of its own: its drones' agents are elsewhere."""
+"""The owner of one dongle, in a process of its own.
+
+The agents of its drones run in other processes.
+"""
 
 import logging
 import math
@@ -25,17 +28,23 @@ from crazychoir.simulation.remote import RemoteBody
 
 log = logging.getLogger(__name__)
 LEFT_ALONE = 1.0
-"""s without a command after which nobody flies a drone any more."""
+"""Seconds without a command after which a drone counts as left by its agent."""
 PACED = 0.9
-"""Of what a dongle carries: so fast packets leave for it."""
+"""Share of a dongle's capacity at which packets are sent to it."""
 LANDS_WITHIN = 15.0
-"""s that drones get to land that fly when the owner is told to end."""
+"""Seconds in which flying drones may land after the owner was asked to end."""
 
 
 class RadioProcess(Actor):
-    """The owner of one dongle of a swarm: links to its drones, whose pilots are in other processes.
+    """The owner of one dongle of a swarm: links to its drones, which pilots in other processes fly.
 
-    Who is left by its agent is told to land by its firmware. It ends when it is told to and nobody flies any more.
+    A drone that its agent has left is landed by its firmware. The owner ends after it was asked to,
+    once no drone flies.
+
+    dongle: number of the dongle
+    process: name of this process
+    host: name of this host
+    incarnation: number of this life of the process
     """
 
     name = "radios"
@@ -79,22 +88,27 @@ class RadioProcess(Actor):
             for i, drone in self.drones.items()
         }
         self.rate = rate
+        """Hz of set-points for each drone."""
         self.failure = ""
+        """Reason why the process failed; empty if it did not."""
         self._missing = ""
         self._ending = 0.0
         self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
     def _turns(self) -> Turns:
-        """Of what a dongle carries, and a little less: what waits in it grows old."""
+        """Return the pace of packets: a little less than the dongle carries.
+
+        Packets that wait in the dongle become old.
+        """
         return Turns(self.clock, PACED * capacity_of(self.config, self.dongle))
 
     async def serve(self, *services: Actor) -> None:
-        """Until its end."""
+        """Run the drones and services until the owner ends."""
         await self._supervisor.run([*services, *self.drones.values(), self])
 
     async def run(self) -> None:
-        """Say how the links are, and look after drones that nobody commands."""
+        """Publish the state of the links, and look after drones that receive no commands."""
         tick = 0
         every = round(LOOKS / LINK.rate)
         began = self.clock.now()
@@ -113,9 +127,12 @@ class RadioProcess(Actor):
                 self._leave()
 
     def _look_at_dongle(self, age: float) -> None:
-        """One that was pulled out ends this process: nothing in it finds a dongle again as surely as a new one.
+        """End this process if the dongle was unplugged.
 
-        One that is not there is waited for as long as its drones are.
+        A new process is the surest way to find a dongle again. A dongle that was missing from the
+        start is waited for as long as its drones are.
+
+        age: s since the start
         """
         before = self._missing
         self._missing = DONGLES.failure(self.config.drone(self.ids[0]).uri)
@@ -128,9 +145,10 @@ class RadioProcess(Actor):
             log.error("dongle %d: %s", self.dongle, self._missing)
 
     def _keep_inside(self, i: int, body: RemoteBody) -> None:
-        """Whose agent says nothing is looked after here: beyond the limit area its motors are cut, if it can hear that.
+        """Cut the motors of a drone beyond the limit area while its agent is silent.
 
-        One that was heard long ago may be carried about.
+        This is done only if the drone can receive the command. A drone that has been silent for
+        long is left alone: it may be carried about.
         """
         drone = self.drones[i]
         now = self.clock.now()
@@ -144,13 +162,13 @@ class RadioProcess(Actor):
             body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
 
     def _alone(self) -> bool:
-        """Whether nobody commands, and nobody flies, or has had the time to land."""
+        """Return whether no drone is commanded and none flies, or the time to land has passed."""
         commanded = any(body.silence < LEFT_ALONE for body in self.bodies.values())
         flying = any(drone.flying for drone in self.drones.values())
         return self.clock.now() > self._ending or not (commanded or flying)
 
     def _leave(self) -> None:
-        """All has landed, or has had the time to."""
+        """End: all drones have landed, or had the time to land."""
         if flying := [str(i) for i, drone in self.drones.items() if drone.flying]:
             self.abort(
                 f"ends {LANDS_WITHIN:g} s after it was told to; not known to have landed: {', '.join(flying)}"
@@ -158,17 +176,17 @@ class RadioProcess(Actor):
         self._supervisor.stop()
 
     def end(self, reason: str) -> None:
-        """As soon as nobody flies."""
+        """End as soon as no drone flies."""
         self._ending = self._ending or self.clock.now() + LANDS_WITHIN
 
     def abort(self, reason: str) -> None:
-        """Now."""
+        """End at once."""
         self.failure = self.failure or reason
         log.error("dongle %d: %s", self.dongle, reason)
         self._supervisor.stop()
 
     def refuse(self, refused: Refused) -> None:
-        """Another process owns these drones already."""
+        """End because another process owns these drones already."""
         self.abort(str(refused))
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
@@ -179,7 +197,7 @@ class RadioProcess(Actor):
             self.abort(text)
 
     def report(self) -> dict[str, Any]:
-        """How its links were."""
+        """Return a summary of the links for the final report."""
         return {
             "success": not self.failure,
             "reason": self.failure,

@@ -1,30 +1,40 @@
-"""When a drone has found what it says: by its own clock, which runs since it was started."""
+"""The time at which a drone took its logs, from its own clock, which counts since its start."""
 
 import math
 
 RUNS = 1e-3
-"""How wrong its clock may run."""
-WRAPS, MILLI = 1 << 24, 1e-3
-"""Where its time begins anew; s, a unit of it."""
-SLACK, WAITS = 0.5, 10.0
-"""s by which what is known of its age may be wrong; and which no log waits in a link."""
+"""Largest relative error of the drone's clock."""
+WRAPS = 1 << 24
+"""Milliseconds after which the drone's time starts again at 0."""
+MILLI = 1e-3
+"""Seconds in a millisecond, the unit of the drone's time."""
+SLACK = 0.5
+"""Seconds by which the known age of the last log may be wrong."""
+WAITS = 10.0
+"""Seconds that no log waits in a link: a longer wait means that the drone was restarted."""
 
 
 class Uptime:
-    """Of one drone, from the times `at`, ms, that its logs bear, and from when they have come.
+    """The clock of one drone, from the time stamps `at` (ms) of its logs and their arrivals.
 
-    What waits in a link, or in our loop, comes all at once: when it has come says nothing of when it was so.
+    Logs that wait in a link or in the event loop arrive together, so the time of arrival alone does
+    not tell when a log was taken.
     """
 
     def __init__(self) -> None:
-        self._at: int | None = None  # none has come
+        self._at: int | None = None  # ms, newest log; None: no log yet
         self._own = 0.0
         self._least = math.inf
         self._taken = math.inf
 
     def restarted(self, now: float, at: int) -> bool:
-        """Whether it has been started again since its last log: its time is less, and no longer than that is ago; or
-        it has gained on ours, which no clock does, or lost what no link holds back.
+        """Return whether the drone was restarted since its last log.
+
+        Its time has then gone back, and is not longer than the time since that log. Or its time has
+        gained on our clock, which no clock does, or has lost more than any link delays a log.
+
+        now: s, our clock: arrival of the log
+        at: ms, drone's clock: time stamp of the log
         """
         if self._at is None:
             return False
@@ -35,11 +45,17 @@ class Uptime:
         return since > ago + SLACK + RUNS * ago or since < ago - WAITS - RUNS * ago
 
     def overtaken(self, at: int) -> bool:
-        """Whether something newer has been heard."""
+        """Return whether a newer log has already arrived."""
         return self._since(at) < 0.0
 
     def taken(self, now: float, at: int) -> float:
-        """s, by our clock, when it was as this log says; too late by the least time that one has been on its way."""
+        """Return when the log was taken, in s of our clock.
+
+        The result is late by the shortest time that a log has travelled so far.
+
+        now: s, our clock: arrival of the log
+        at: ms, drone's clock: time stamp of the log
+        """
         since = self._since(at)
         self._at = at
         self._own = self._own + since
@@ -48,7 +64,11 @@ class Uptime:
         return self._taken
 
     def _since(self, at: int) -> float:
-        """s since the newest, by its clock; negative of one that was overtaken; of the first, since its start."""
+        """Return the seconds from the newest log to this one, on the drone's clock.
+
+        The value is negative if a newer log has overtaken this one. For the first log it counts
+        from the drone's start.
+        """
         if self._at is None:
             return MILLI * at
         return MILLI * ((at - self._at + WRAPS // 2) % WRAPS - WRAPS // 2)

@@ -1,4 +1,7 @@
-"""What the owner of a dongle sees of all bodies, and when it lets a drone take its attitude from the cameras."""
+"""The bodies that a dongle's owner sees, and the check that a drone moves like its body.
+
+Until this check has passed, the drone takes only its position from the cameras, not its attitude.
+"""
 
 import math
 from functools import partial
@@ -11,20 +14,21 @@ from crazychoir.safety.identity.takeoff_check import LONGEST, Ascent, Track, til
 from crazychoir.types import Body, Pose, Vec
 
 RATE = 50.0
-"""Hz, at which bodies are looked at, and not their drones told of it."""
+"""Hz at which the poses of bodies are read here; drones are told their poses at another rate."""
 OLD = 0.2
-"""s, there and back, from which on what a drone says of itself is too old to be compared."""
+"""Seconds of round trip beyond which a drone's logs are too old to be compared."""
 
 
 class Sights:
-    """The bodies of a swarm, as the cameras have seen them lately; once a process.
+    """The recent poses of the swarm's bodies from the cameras; one object a process.
 
-    reader: the port that they come to.
+    reader: the port that receives the poses
     """
 
     def __init__(self, bus: Bus, config: SwarmConfig, reader: int) -> None:
         self._clock = bus.clock
         self.tracks = {i: Track() for i in config.seen}
+        """Recent motion of each body."""
         for i in config.seen:
             bus.subscribe(
                 POSE,
@@ -50,15 +54,17 @@ class Sights:
 
 
 class TakeOff:
-    """Watches one drone from when it is told to fly until it is known that its body moves as it does.
+    """Watches one drone from its take-off until its body is known to move as the drone does.
 
-    found: why it must come down, empty if nothing is wrong.
+    i: id of the drone
+    sights: the bodies that the cameras see
     """
 
     def __init__(self, i: int, sights: Sights) -> None:
         self.drone = i
         self.sights = sights
         self.found = ""
+        """Reason why the drone must land; empty if nothing is wrong."""
         self._own = Track()
         self._began = math.nan
         self._flies = False
@@ -66,25 +72,27 @@ class TakeOff:
 
     @property
     def watched(self) -> bool:
-        """Whether its attitude is its own to find meanwhile."""
+        """Whether the drone must find its attitude by itself, because the check still runs."""
         return self._ascent is not None
 
     def begin(self, now: float) -> None:
-        """It stands, and is told to fly; once a flight."""
+        """Start the check of a standing drone that gets its first command to fly; once a flight."""
         if math.isnan(self._began):
             self._began = now
             self._ascent = Ascent(self.drone, now, self._own, self.sights.tracks)
 
     def give_up(self) -> None:
-        """Its pose jumps: that is another row of the safety table."""
+        """End the check because the pose jumps, which another row of the safety table handles."""
         if not self.found:
             self._ascent = None
 
     def note(self, taken: float, q: Vec, flies: bool, latency: float) -> bool:
-        """It has said how it is turned, q (4,) body to world, and whether it flies; whether something was found now.
+        """Take a log of the drone; return whether a fault is known now.
 
-        taken: s, when it was so: links say late, and all at once, what they could not;  latency: s, there and back, nan
-        if it is not known.
+        taken: s: when the log was taken; a link may deliver logs late and several together
+        q: (4,), body to world: attitude that the drone estimates
+        flies: whether the drone says that it flies
+        latency: s: round trip of the link; NaN if unknown
         """
         u = tilt(q)
         self._own.add(taken, u)

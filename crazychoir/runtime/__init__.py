@@ -1,1 +1,1 @@
-"""What an actor is: tasks with mailboxes, supervised, on a wall or a virtual clock."""
+"""Actors: supervised tasks with mailboxes, on a wall clock or a virtual clock."""

@@ -1,39 +1,44 @@
-"""An actor: one task, one `run`, mailboxes for its inputs."""
+"""An actor: one task, one `run` method, and mailboxes for its inputs."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Restart:
-    """What its supervisor does when an actor fails: at most `limit` restarts in `window` s.
-
-    backoff: s, before the first of them; doubles with each; 0: all of them at once.
-    """
+    """The restarts that a supervisor allows an actor that fails."""
 
     limit: int = 0
+    """Most restarts within `window`; a further failure ends the actor."""
     window: float = 10.0
+    """Seconds in which restarts are counted."""
     backoff: float = 0.1
+    """Seconds before the first restart; doubles with each restart. 0: restart at once, always."""
 
 
 NEVER = Restart()
+"""Do not restart the actor."""
 ON_FAILURE = Restart(limit=5)
+"""Restart the actor at most 5 times in 10 s."""
 
 
 class Actor:
-    """Subclass it, write `run`; set `restart` if it may be started again after a failure.
+    """A task of a drone.
 
-    `run` ends when its work is done. Only cancellation stops it from outside; `on_stop` runs in every case.
+    A subclass writes `run`, and sets `restart` if it may run again after a failure. `run` ends when
+    its work is done. From outside only a cancellation stops it. `on_stop` runs in every case.
     """
 
     name: str = "actor"
+    """Name in log lines and reports."""
     restart: Restart = NEVER
+    """Restarts that the supervisor allows this actor."""
 
     async def run(self) -> None:
-        """The actor's whole life."""
+        """Do the work of the actor, from its start to its end."""
         raise NotImplementedError
 
     async def on_stop(self) -> None:
-        """Leave things in order: called once, after `run` has ended for good."""
+        """Release what the actor holds. Called once, after `run` has ended for good."""
 
     def on_restart(self) -> None:
-        """Called before `run` starts again: drop what a failed run left behind."""
+        """Drop what a failed run left behind. Called before `run` starts again."""

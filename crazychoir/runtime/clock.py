@@ -1,7 +1,7 @@
-"""Time: a wall clock that ticks from timerfd, and a virtual clock that jumps to the next event.
+"""Time: a wall clock that ticks from a timerfd, and a virtual clock that jumps to the next event.
 
-Both keep integer nanoseconds and one heap of alarms, ordered by (time, priority, drone, sequence).
-This is the only file that reads the machine's clock.
+Both count integer nanoseconds, and keep one heap of alarms, ordered by (time, priority, drone,
+sequence). This is the only file that reads the machine's clock.
 """
 
 import asyncio
@@ -26,29 +26,45 @@ from crazychoir.runtime.worker_thread import Worker, is_inside_loop
 
 T = TypeVar("T")
 SECOND = 1_000_000_000
+"""Nanoseconds in a second."""
 LIVELOCK_PASSES = 100_000
-"""Loop passes at one instant of virtual time before it is called a livelock."""
+"""Loop passes at one instant of virtual time that count as a livelock."""
 
 SWITCH_INTERVAL = 0.0005
-"""s that a computing thread keeps the interpreter: the event loop waits no longer for it."""
+"""Seconds after which a computing thread gives up the interpreter.
 
-# Priorities of alarms at the same instant: the world moves first, timeouts come last.
-WORLD, TICK, MESSAGE, TIMEOUT = 0, 1, 2, 3
+The event loop does not wait longer.
+"""
+
+# Priorities of alarms at the same instant.
+WORLD = 0
+"""Priority of the simulated world: it moves first."""
+TICK = 1
+"""Priority of ticks."""
+MESSAGE = 2
+"""Priority of messages."""
+TIMEOUT = 3
+"""Priority of timeouts: they come last."""
 
 Alarm = asyncio.Handle
+"""A callback on the heap; `cancel` removes it."""
 
 
 def thread_seconds(thread: int) -> float:
-    """s of processor time that a thread, of this identifier, has used."""
+    """Return the processor time in s that the thread with this identifier has used."""
     return time.clock_gettime(time.pthread_getcpuclockid(thread))
 
 
 class Clock:
-    """What both clocks share: the heap of alarms, sleeping, ticking."""
+    """A clock of either kind: the heap of alarms, sleeping and ticking."""
 
     virtual = False
+    """True in virtual time."""
     epoch_ns = 0
-    """ns since 1970 at which `now_ns` was 0; 0 in virtual time."""
+    """Nanoseconds from the start of 1970 to the instant at which `now_ns` was 0.
+
+    It is 0 in virtual time.
+    """
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, int, int, Alarm]] = []
@@ -56,11 +72,11 @@ class Clock:
         self._loop: asyncio.AbstractEventLoop
 
     def now_ns(self) -> int:
-        """Nanoseconds since some fixed instant; never goes back."""
+        """Return the nanoseconds since a fixed instant. The value never decreases."""
         raise NotImplementedError
 
     def now(self) -> float:
-        """Seconds since the same instant."""
+        """Return the seconds since the same fixed instant."""
         return self.now_ns() / SECOND
 
     def call_at(
@@ -77,11 +93,11 @@ class Clock:
         return alarm
 
     def future(self) -> "asyncio.Future[None]":
-        """Something to wait for, in the loop of this clock."""
+        """Return a future of this clock's loop."""
         return asyncio.Future(loop=self._loop)
 
     def soon(self, callback: Callable[[], object]) -> None:
-        """Call it in the next pass of the loop."""
+        """Call the callback in the next pass of the loop."""
         self._loop.call_soon(callback)
 
     def push(self, when_ns: int, alarm: Alarm, priority: int, drone: int) -> None:
@@ -102,22 +118,25 @@ class Clock:
             alarm.cancel()
 
     async def sleep(self, seconds: float, drone: int = -1) -> None:
-        """Wait for some seconds."""
+        """Wait for so many seconds."""
         await self.sleep_until(self.now_ns() + round(seconds * SECOND), drone=drone)
 
     def ticks(self, hz: float, priority: int = TICK, drone: int = -1) -> "Ticks":
-        """An absolute schedule of `hz` ticks a second; use it with `async for`."""
+        """Return an absolute schedule of `hz` ticks a second, for `async for`."""
         return Ticks(self, hz, priority, drone)
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
-        """Run a function that takes long away from the event loop."""
+        """Run a slow function outside the event loop, and return its result."""
         raise NotImplementedError
 
     def _arm(self) -> None:
-        """Make sure that the earliest alarm is noticed."""
+        """Make sure that the loop notices the earliest alarm."""
 
     def _next(self) -> tuple[int, Alarm] | None:
-        """Take the earliest alarm that is not cancelled, with its time."""
+        """Remove and return the earliest alarm that is not cancelled, with its time in ns.
+
+        Returns None if there is none.
+        """
         while self._heap:
             when_ns, _, _, _, alarm = heapq.heappop(self._heap)
             if not alarm.cancelled():
@@ -126,20 +145,21 @@ class Clock:
 
 
 Main = Callable[[Clock], Coroutine[Any, Any, T]]
-"""What a clock's loop runs."""
+"""The coroutine function that a clock's loop runs."""
 
 
 def wake(waiter: "asyncio.Future[None]") -> None:
-    """Resolve a waiter that nobody cancelled."""
+    """Resolve a waiter, unless it is resolved or cancelled already."""
     if not waiter.done():
         waiter.set_result(None)
 
 
 class Ticks:
-    """Ticks at k / hz from the start; late ones are counted in `missed` and skipped, never caught up.
+    """Ticks at k / hz s from the start.
 
-    It is itself what a task waits for, by the protocol of asyncio's futures: the alarm runs the waiting task at once,
-    without a future and a pass of the loop for each tick. One task at a time may use it.
+    Late ticks are counted in `missed` and skipped, never caught up. A task awaits this object
+    itself, by the protocol of asyncio's futures: the alarm runs the waiting task at once, without a
+    future and a loop pass for each tick. One task at a time may use it.
     """
 
     _asyncio_future_blocking = False
@@ -150,7 +170,9 @@ class Ticks:
         self.drone = drone
         self.period_ns = round(SECOND / hz)
         self.due_ns = clock.now_ns()
+        """ns: due time of the newest tick."""
         self.missed = 0
+        """Ticks that were skipped."""
         self._cancelled = False
 
     def __aiter__(self) -> "Ticks":
@@ -163,7 +185,7 @@ class Ticks:
         return self
 
     def skip(self) -> None:
-        """Go on to the newest tick that is due: those before it are missed."""
+        """Go on to the newest tick that is due, and count the ticks before it as missed."""
         behind = (self.clock.now_ns() - self.due_ns) // self.period_ns
         if behind > 0:
             self.missed += behind
@@ -175,23 +197,23 @@ class Ticks:
         yield self
         return self.due_ns
 
-    # What a task calls --------------------------------------------------------------------------------------------
+    # The protocol of a future: asyncio's Task calls these.
 
     def get_loop(self) -> asyncio.AbstractEventLoop:
-        """The loop of the clock."""
+        """Return the loop of the clock."""
         return self.clock._loop
 
     def add_done_callback(
         self, wakeup: Callable[["Ticks"], object], *, context: Context | None = None
     ) -> None:
-        """The task is waiting: its wake-up is the alarm."""
+        """Set an alarm that wakes the waiting task."""
         self._wakeup = wakeup
         self._context = context
         self._alarm = Alarm(wakeup, (self,), self.clock._loop, context)
         self.clock.push(self.due_ns, self._alarm, self.priority, self.drone)
 
     def cancel(self, msg: Any = None) -> bool:
-        """The task is cancelled: wake it in the next pass."""
+        """Wake the cancelled task in the next pass of the loop."""
         if self._cancelled:
             return False
         self._cancelled = True
@@ -200,24 +222,27 @@ class Ticks:
         return True
 
     def result(self) -> None:
-        """What the wake-up asks for; raises CancelledError."""
+        """Return None to the waking task. Raises CancelledError if it is cancelled."""
         if self._cancelled:
             raise asyncio.CancelledError
 
 
 class Stopwatch(Clock):
-    """Real time for who only reads it, with or without a loop."""
+    """Real time for code that only reads the time, with or without a loop."""
 
     now_ns = staticmethod(time.monotonic_ns)
 
 
 def today() -> datetime.datetime:
-    """Date and time of day, UTC, of this host: for what is good until a date, never for what flies."""
+    """Return the date and time of day of this host, in UTC.
+
+    Use it for things that expire on a date, never for anything in flight.
+    """
     return datetime.datetime.now(datetime.UTC)
 
 
 class WallClock(Clock):
-    """CLOCK_MONOTONIC, with one timerfd a process in the event loop (Linux)."""
+    """Real time from CLOCK_MONOTONIC, with one timerfd per process in the event loop (Linux)."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
@@ -225,22 +250,20 @@ class WallClock(Clock):
         self._fd = Timerfd()
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self._armed_ns = 0
-        spare = max(
-            1, min(4, (os.cpu_count() or 1) - 1)
-        )  # a processor for the event loop
+        # One processor stays free for the event loop.
+        spare = max(1, min(4, (os.cpu_count() or 1) - 1))
         self._pool = ThreadPoolExecutor(max_workers=spare, thread_name_prefix="compute")
         loop.add_reader(self._fd.fileno, self._fire)
 
-    now_ns = staticmethod(
-        time.monotonic_ns
-    )  # without a frame of ours: it is asked a lot
+    # Without a Python frame of its own: it is called very often.
+    now_ns = staticmethod(time.monotonic_ns)
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
-        """Run it in a thread: HiGHS and compiled kernels release the interpreter."""
+        """Run the function in a thread: HiGHS and compiled kernels release the interpreter."""
         return await self._loop.run_in_executor(self._pool, function, *args)
 
     def close(self) -> None:
-        """Give the timer and the threads back."""
+        """Release the timer and the threads."""
         self._loop.remove_reader(self._fd.fileno)
         self._fd.close()
         self._pool.shutdown(wait=False, cancel_futures=True)
@@ -253,11 +276,13 @@ class WallClock(Clock):
 
     def _fire(self) -> None:
         now = time.monotonic_ns()
-        self._armed_ns = 1  # new alarms need not arm it: that comes at the end
+        self._armed_ns = 1  # new alarms do not arm the timer: the last lines do
         due = []
         while self._heap and self._heap[0][0] <= now:
             due.append(heapq.heappop(self._heap)[-1])
-        for alarm in due:  # what they add for now or earlier comes next time: others must run in between
+        # Alarms that these add for now or earlier run next time, so that other tasks run in
+        # between.
+        for alarm in due:
             if not alarm.cancelled():
                 alarm._run()
         self._armed_ns = self._heap[0][0] if self._heap else 0
@@ -265,7 +290,7 @@ class WallClock(Clock):
 
 
 class Timerfd:
-    """The kernel's timer as a file descriptor; `os` has it only from Python 3.13."""
+    """The kernel's timer as a file descriptor. The `os` module has it only from Python 3.13."""
 
     _CLOCK_MONOTONIC = 1
     _NONBLOCK = 0o4000
@@ -292,7 +317,10 @@ class Timerfd:
         self._arguments = (self.fileno, self._ABSTIME, ctypes.byref(self._spec), None)
 
     def set(self, when_ns: int) -> None:
-        """Fire at this instant of CLOCK_MONOTONIC, at once if it has passed; 0: never. It is quiet until then."""
+        """Fire at this instant of CLOCK_MONOTONIC, or at once if it has passed; 0: never.
+
+        The descriptor is not readable until then.
+        """
         self._spec.value_s, self._spec.value_ns = divmod(when_ns, SECOND)
         self._libc.timerfd_settime(*self._arguments)
 
@@ -302,7 +330,7 @@ class Timerfd:
 
 
 class VirtualClock(Clock):
-    """Time that stands still while anything can run, then jumps to the next alarm."""
+    """Virtual time: it stands still while any task can run, then jumps to the next alarm."""
 
     virtual = True
 
@@ -314,19 +342,22 @@ class VirtualClock(Clock):
 
     @property
     def loop(self) -> "VirtualLoop":
-        """The event loop that lives in this time."""
+        """The event loop that runs in this time."""
         return self._loop
 
     def now_ns(self) -> int:
-        """Virtual nanoseconds since the loop was made."""
+        """Return the virtual nanoseconds since the loop was created."""
         return self._now_ns
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
-        """Run it here and now: it takes no virtual time."""
+        """Run the function at once: it takes no virtual time."""
         return function(*args)
 
     def passed(self) -> None:
-        """One loop pass, or one alarm, without any time."""
+        """Count one loop pass, or one alarm, without progress of time.
+
+        Raises Livelock after LIVELOCK_PASSES of them at one instant.
+        """
         self._passes += 1
         if self._passes > LIVELOCK_PASSES:
             raise Livelock(
@@ -335,7 +366,7 @@ class VirtualClock(Clock):
             )
 
     def advance(self) -> Alarm:
-        """Jump to the next alarm."""
+        """Jump to the next alarm and return it. Raises Deadlock if there is none."""
         found = self._next()
         if found is None:
             raise Deadlock(
@@ -351,7 +382,7 @@ class VirtualClock(Clock):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """asyncio's loop, but it advances the clock where that one would wait for a selector."""
+    """asyncio's loop, but where asyncio would wait for a selector it advances the virtual clock."""
 
     _ready: deque[asyncio.Handle]
     _stopping: bool
@@ -361,7 +392,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         super().__init__(_Selector())
 
     def time(self) -> float:
-        """Virtual seconds."""
+        """Return the virtual time in s."""
         return self._clock.now_ns() / SECOND
 
     def call_soon(  # type: ignore[override]
@@ -370,13 +401,16 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: Any,
         context: Context | None = None,
     ) -> asyncio.Handle:
-        """As asyncio's, without its checks."""
+        """Do the same as asyncio's `call_soon`, without its checks."""
         handle = asyncio.Handle(callback, args, self, context)
         self._ready.append(handle)
         return handle
 
     def _run_once(self) -> None:
-        """One pass: what is ready runs; when nothing is, time goes on."""
+        """Run all callbacks that are ready.
+
+        If none is, advance the clock and run the next alarm.
+        """
         ready = self._ready
         if not ready and not self._stopping:
             self._clock.advance()._run()
@@ -394,7 +428,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: Any,
         context: Any = None,
     ) -> asyncio.TimerHandle:
-        """Timers of asyncio itself (timeouts) join the clock's heap."""
+        """Put a timer of asyncio itself (a timeout) on the clock's heap."""
         alarm = asyncio.TimerHandle(when, callback, args, self, context)
         self._clock.push(
             max(round(when * SECOND), self._clock.now_ns()), alarm, TIMEOUT, -1
@@ -408,23 +442,23 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: Any,
         context: Any = None,
     ) -> asyncio.TimerHandle:
-        """As `call_at`, from now."""
+        """Call `call_at`, counted from now."""
         return self.call_at(self.time() + delay, callback, *args, context=context)
 
     def run_in_executor(  # type: ignore[override]
         self, executor: Any, func: Callable[..., T], *args: Any
     ) -> "asyncio.Future[T]":
-        """Executors run inline."""
+        """Run the function at once, in this thread."""
         future: asyncio.Future[T] = self.create_future()
         try:
             future.set_result(func(*args))
-        except Exception as error:  # noqa: BLE001 - the future hands it to whoever awaits
+        except Exception as error:  # noqa: BLE001 - the awaiting task raises it
             future.set_exception(error)
         return future
 
 
 class _Selector(selectors.BaseSelector):
-    """Registers the loop's own pipe and is never asked."""
+    """A selector that only registers the loop's own pipe; `select` never finds an event."""
 
     def __init__(self) -> None:
         self._keys: dict[Any, selectors.SelectorKey] = {}
@@ -454,7 +488,7 @@ class _Selector(selectors.BaseSelector):
 
 
 def waiting(loop: asyncio.AbstractEventLoop) -> str:
-    """Who waits for what: every task with the place where it stands."""
+    """Return a text that names every task and the line at which it waits."""
     tasks = sorted(asyncio.all_tasks(loop), key=lambda task: task.get_name())
     return "; ".join(f"{task.get_name()} waits in {_place(task)}" for task in tasks)
 
@@ -475,7 +509,10 @@ def _place(task: "asyncio.Task[Any]") -> str:
 
 
 def run_virtual(main: Main[T]) -> T:
-    """Run `main(clock)` to its end in virtual time; in a worker thread where a loop runs already, as in a notebook."""
+    """Run `main(clock)` to its end in virtual time.
+
+    If a loop runs already, as in a notebook, it runs in a worker thread.
+    """
     return (
         Worker[Clock, T](_run_virtual).result(main)
         if is_inside_loop()
@@ -484,9 +521,9 @@ def run_virtual(main: Main[T]) -> T:
 
 
 def run_wall(main: Main[T]) -> T:
-    """Run `main(clock)` to its end in real time, on uvloop, in a process that is prompt meanwhile.
+    """Run `main(clock)` to its end in real time, on uvloop, without long pauses of the interpreter.
 
-    It runs in a worker thread where a loop runs already, as in a notebook.
+    If a loop runs already, as in a notebook, it runs in a worker thread.
     """
     return (
         Worker[Clock, T](_run_wall).result(main)
@@ -517,9 +554,11 @@ def _run_wall(main: Main[T]) -> T:
 
 @contextlib.contextmanager
 def prompt() -> Iterator[None]:
-    """No long pause of the interpreter: threads hand it over soon, and what is loaded now is not searched for garbage.
+    """Avoid long pauses of the interpreter inside this context.
 
-    A full collection over the imported packages takes 45 ms, in which no tick runs.
+    Threads give up the interpreter after SWITCH_INTERVAL, and the garbage collector ignores what is
+    loaded now: a full collection over the imported packages takes 45 ms, and no tick runs
+    meanwhile.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL)

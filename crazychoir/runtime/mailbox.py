@@ -1,7 +1,8 @@
-"""Mailboxes: where a message waits for its actor. The policy says what happens when it is not read in time.
+"""Mailboxes: a message waits here for its actor.
 
-A mailbox belongs to the drone, not to the actor: it survives a restart of its reader. Ages are kept instead
-of time stamps: a message arrives with its age, and grows older by the receiver's own clock.
+The policy decides what happens if it is not read in time. A mailbox belongs to the drone, not to
+the actor: it survives a restart of its reader. A message carries its age and not a time stamp; the
+receiver's own clock then adds to this age.
 """
 
 import asyncio
@@ -15,26 +16,29 @@ from crazychoir.runtime.clock import SECOND, Clock, wake
 
 T = TypeVar("T")
 SAME_TIME = 1_000
-"""ns by which two ages may be wrong: they are rounded."""
+"""Nanoseconds by which two ages may differ although they are equal: ages are rounded."""
 
 
 class Mailbox(Generic[T]):
-    """What the policies share: counters, and one reader that waits."""
+    """A mailbox of any policy: its counters, and the one reader that waits."""
 
     def __init__(self, clock: Clock, name: str = "") -> None:
         self.clock = clock
         self.name = name
         self.received = 0
+        """Messages put into the mailbox."""
         self.dropped = 0
+        """Messages lost without being read."""
         self.stale = 0
+        """Reads that found only a message older than `max_age`."""
         self._waiter: asyncio.Future[None] | None = None
 
     def put(self, value: T, age: float = 0.0) -> None:
-        """Leave a message that is `age` s old; never waits."""
+        """Put a message that is `age` seconds old; never wait."""
         raise NotImplementedError
 
     def clear(self) -> None:
-        """Forget the content, as when the reader restarts."""
+        """Forget the content, for example when the reader restarts."""
         raise NotImplementedError
 
     def _wake(self) -> None:
@@ -49,7 +53,13 @@ class Mailbox(Generic[T]):
 
 
 class Latest(Mailbox[T]):
-    """One slot: a message replaces an older one; `dropped` counts those that nobody read, and those that came late."""
+    """A mailbox of one slot: a message replaces an older one.
+
+    `dropped` counts the messages that were replaced before they were read or came after a newer
+    message.
+
+    max_age: s: beyond it `fresh` returns no message; None: messages do not become stale
+    """
 
     def __init__(
         self, clock: Clock, name: str = "", max_age: float | None = None
@@ -63,7 +73,7 @@ class Latest(Mailbox[T]):
         self._born_ns = -sys.maxsize
 
     def put(self, value: T, age: float = 0.0) -> None:
-        """Replace the content, unless that is newer: on the way one message may overtake another."""
+        """Replace the content, unless it is newer: one message may overtake another on the way."""
         self.received += 1
         born_ns = self._now_ns() - round(age * SECOND) if age else self._now_ns()
         if born_ns < self._born_ns - SAME_TIME:
@@ -78,23 +88,26 @@ class Latest(Mailbox[T]):
             self._wake()
 
     async def get(self) -> T:
-        """Wait for a message that was not read yet."""
+        """Wait for a message that was not read yet, and return it."""
         while self.version == self._seen:
             await self._wait()
         self._seen = self.version
         return self._value  # type: ignore[return-value]
 
     def peek(self) -> T | None:
-        """The content, however old; None before the first message."""
+        """Return the content, however old; None before the first message."""
         self._seen = self.version
         return self._value
 
     def fresh(self) -> T | None:
-        """The content if it is not beyond `max_age`, else None and counted as stale."""
+        """Return the content if it is not older than `max_age`.
+
+        Otherwise count it as stale and return None.
+        """
         return self.fresh_with_age()[0]
 
     def fresh_with_age(self) -> tuple[T | None, float]:
-        """`fresh()`, and the age of what is there."""
+        """Return `fresh()` and the age of the content in s."""
         age = (self._now_ns() - self._born_ns) / SECOND if self.version else inf
         if self.max_age is not None and age > self.max_age:
             self.stale += self.version > 0
@@ -103,25 +116,25 @@ class Latest(Mailbox[T]):
         return self._value, age
 
     def age(self) -> float:
-        """Seconds since the content was born; infinite before the first message."""
+        """Return the age of the content in s; infinite before the first message."""
         return (self._now_ns() - self._born_ns) / SECOND if self.version else inf
 
     def clear(self) -> None:
-        """Back to before the first message."""
+        """Return to the state before the first message."""
         self.version = self._seen = 0
         self._value = None
         self._born_ns = -sys.maxsize
 
 
 class DropOldest(Mailbox[T]):
-    """A queue of at most `size`: when full, the oldest message goes."""
+    """A queue of at most `size` messages: when it is full, the oldest message is dropped."""
 
     def __init__(self, clock: Clock, name: str = "", size: int = 64) -> None:
         super().__init__(clock, name)
         self._queue: deque[T] = deque(maxlen=size)
 
     def put(self, value: T, age: float = 0.0) -> None:
-        """Append, dropping the oldest if need be."""
+        """Append a message; drop the oldest if the queue is full."""
         self.received += 1
         if len(self._queue) == self._queue.maxlen:
             self.dropped += 1
@@ -129,13 +142,13 @@ class DropOldest(Mailbox[T]):
         self._wake()
 
     async def get(self) -> T:
-        """Wait for the oldest message."""
+        """Wait for the oldest message, and return it."""
         while not self._queue:
             await self._wait()
         return self._queue.popleft()
 
     def take(self) -> list[T]:
-        """All that is there, oldest first."""
+        """Empty the queue and return its messages, oldest first."""
         content = list(self._queue)
         self._queue.clear()
         return content
@@ -146,24 +159,27 @@ class DropOldest(Mailbox[T]):
 
 
 class Block(Mailbox[T]):
-    """A queue of at most `size` whose sender waits for room; inside a process only."""
+    """A queue of at most `size` messages; the sender waits for room.
+
+    Use it inside one process only.
+    """
 
     def __init__(self, clock: Clock, name: str = "", size: int = 64) -> None:
         super().__init__(clock, name)
         self._queue: asyncio.Queue[T] = asyncio.Queue(size)
 
     def put(self, value: T, age: float = 0.0) -> None:
-        """Append; raises asyncio.QueueFull when there is no room."""
+        """Append a message. Raises asyncio.QueueFull if there is no room."""
         self._queue.put_nowait(value)
         self.received += 1
 
     async def put_wait(self, value: T) -> None:
-        """Append as soon as there is room."""
+        """Append a message as soon as there is room."""
         await self._queue.put(value)
         self.received += 1
 
     async def get(self) -> T:
-        """Wait for the oldest message."""
+        """Wait for the oldest message, and return it."""
         return await self._queue.get()
 
     def clear(self) -> None:
@@ -173,7 +189,7 @@ class Block(Mailbox[T]):
 
 
 class Call(Mailbox[T]):
-    """No slot: a function takes each message at once, with its age."""
+    """A mailbox without a slot: a function takes each message at once, with its age."""
 
     def __init__(
         self, clock: Clock, function: Callable[[T, float], None], name: str = ""
@@ -182,12 +198,13 @@ class Call(Mailbox[T]):
         self.function = function
 
     def put(self, value: T, age: float = 0.0) -> None:
-        """Call it."""
+        """Call the function with the message and its age."""
         self.received += 1
         self.function(value, age)
 
     def clear(self) -> None:
-        """Nothing is kept."""
+        """Do nothing: this mailbox keeps no messages."""
 
 
 AnyMailbox = Mailbox[Any]
+"""A mailbox of messages of any type."""

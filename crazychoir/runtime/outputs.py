@@ -1,17 +1,18 @@
-"""Standard output and standard error take any text: not every encoding has every character."""
+"""Let standard output and standard error take any text: not every encoding has every character."""
 
 import codecs
 import sys
 from io import TextIOWrapper
 
 OUTPUT_ERRORS = "crazychoir.output"
-"""The error handler of standard output and standard error."""
+"""Name of the error handler of standard output and standard error."""
 
 
 def let_outputs_take_any_text() -> None:
-    r"""Print what has no character in the encoding of standard output or standard error as \xfc or \u2192.
+    r"""Print characters that the encoding of the output lacks as escapes: \xfc or \u2192.
 
-    Bytes of file names that have no character are printed as they are.
+    This holds for standard output and standard error. Bytes of file names that are no characters
+    are printed unchanged.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
@@ -26,7 +27,7 @@ def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 def _output_bytes(character: str) -> bytes:
-    """Return the byte that a lone surrogate stands for; else an escape."""
+    """Return the byte that a lone surrogate stands for; for another character return an escape."""
     try:
         return character.encode("ascii", "surrogateescape")
     except UnicodeEncodeError:

@@ -1,4 +1,7 @@
-"""Supervision: each actor runs inside a wrapper, so that its failure is an event and not the end of the drone."""
+"""Supervision: each actor runs in a wrapper.
+
+So its failure is an event, and does not end the drone.
+"""
 
 import asyncio
 import logging
@@ -11,24 +14,35 @@ from crazychoir.runtime.clock import Clock
 
 log = logging.getLogger(__name__)
 STOP_DEADLINE = 2.0
-"""s: for an actor to end when it is cancelled, and again for its `on_stop`; then it is named and left behind."""
+"""Seconds for a cancelled actor to end, and the same again for its `on_stop`.
+
+An actor that takes longer is logged and left behind.
+"""
 
 OnFailure = Callable[[Actor, Exception, bool], None]
-"""Called with the actor, its error, and whether it is started again."""
+"""Callback: called with the actor, its error, and whether the actor is started again."""
 
 
 @dataclass(eq=False)
 class _Child:
-    """An actor, its task, the times of its failures within the window, and whether its `on_stop` has begun."""
+    """An actor under supervision."""
 
     actor: Actor
+    """The actor."""
     task: "asyncio.Task[None]" = field(init=False)
+    """The task that runs it."""
     failures: deque[float] = field(default_factory=deque)
+    """Times in s of its failures within the window of its `restart`."""
     stopping: bool = False
+    """True once its `on_stop` has begun."""
 
 
 class Supervisor:
-    """Runs the actors of one drone; children stop in reverse order of creation."""
+    """Runs the actors of one drone, and stops them in reverse order of creation.
+
+    name: name of the drone in log lines
+    on_failure: called when an actor fails
+    """
 
     def __init__(
         self, clock: Clock, name: str, on_failure: OnFailure | None = None
@@ -40,7 +54,10 @@ class Supervisor:
         self._stop = asyncio.Event()
 
     async def run(self, actors: list[Actor]) -> None:
-        """Run all actors until they end, `stop` is called, or this task is cancelled; all have stopped on return."""
+        """Run all actors until they end, `stop` is called, or this task is cancelled.
+
+        On return all have stopped.
+        """
         self._children = [_Child(actor) for actor in actors]
         for child in self._children:
             child.task = asyncio.create_task(
@@ -54,7 +71,7 @@ class Supervisor:
             await self._stop_children()
 
     def stop(self) -> None:
-        """Ask for an orderly end."""
+        """Ask the actors to stop in order."""
         self._stop.set()
 
     def _ended(self, task: "asyncio.Task[None]") -> None:
@@ -65,7 +82,7 @@ class Supervisor:
         try:
             for child in reversed(self._children):
                 await self._stop_child(child)
-        except asyncio.CancelledError:  # again, while they stop: no more waiting
+        except asyncio.CancelledError:  # cancelled a second time: wait no longer
             for child in self._children:
                 child.task.cancel()
             raise
@@ -88,7 +105,7 @@ class Supervisor:
             await self._finish(child)
 
     async def _fails(self, child: _Child) -> bool:
-        """Run the actor; True when it has failed and shall run again."""
+        """Run the actor. Return True if it failed and is to run again."""
         try:
             if child.failures:
                 child.actor.on_restart()
@@ -127,14 +144,14 @@ class Supervisor:
         return True
 
     async def _finish(self, child: _Child) -> None:
-        """`on_stop`, once: after `run`, or without it if that never began or does not end."""
+        """Call `on_stop` once: after `run`, or if `run` never began or does not end."""
         if child.stopping:
             return
         child.stopping = True
         try:
             async with asyncio.timeout(STOP_DEADLINE):
                 await child.actor.on_stop()
-        except Exception:  # stopping goes on with the next actor
+        except Exception:  # the next actor must still be stopped
             log.exception(
                 "%s %s: on_stop failed, or took more than %g s",
                 self.name,

@@ -1,25 +1,27 @@
-"""How often the same thing is said."""
+"""Limit how often the same text is logged."""
 
 import math
 
 
 class Throttle:
-    """Lets each topic through at most once in `period` s; one that comes back or goes on, ever more rarely.
+    """Lets each topic through at most once in `period` s, and a repeated topic more rarely.
 
-    The silence after a topic doubles each time that it is said, up to `longest` s; one of which nothing was to be said
-    for `longest` s begins anew.
+    Each time a topic is let through, the silence after it doubles, up to `longest` s. A topic that
+    was not asked for during `longest` s starts again with `period`.
+
+    period: s: silence after the first time
+    longest: s: longest silence
     """
 
     def __init__(self, period: float = 1.0, longest: float = 30.0) -> None:
         self.period = period
         self.longest = longest
         self._asked: dict[str, float] = {}
-        self._next: dict[
-            str, tuple[float, float]
-        ] = {}  # when it may be said again, and the silence after that
+        # By topic: the time from which it is let through again, and the silence after that.
+        self._next: dict[str, tuple[float, float]] = {}
 
     def due(self, now: float, topic: str) -> bool:
-        """May this topic be said again at `now`? Saying so counts as having said it."""
+        """Return whether the topic may be logged at `now` (s); True counts as logged."""
         if now - self._asked.get(topic, -math.inf) >= self.longest:
             self._next.pop(topic, None)
         self._asked[topic] = now

@@ -1,9 +1,11 @@
-"""The stages of a tick: all drones of a process do the first thing, then all the second, and so on.
+"""The stages of a tick: all drones of a process do one stage, then all do the next.
 
-Poses come in frames, of all drones at once. Were each drone to go through its whole chain as soon as its pose is
-there, the first one's law would hear of this tick from nobody and the last one's from everybody. So all see, then all
-say where they are, all decide, all act. It is also faster: a hundred turns of the same few lines stay in the
-processor's caches, a hundred turns of the whole chain do not.
+The poses of all drones arrive together, in one frame. If each drone did all its stages as soon as
+its pose arrived, the law of the first drone would have no state of this tick from its neighbours,
+and the law of the last drone would have all of them. With stages, all drones first take their
+poses, then all publish their states, then all decide, then all act. This is also faster: the
+processor's caches hold the few lines of one stage for a hundred drones, but not the lines of a
+whole chain.
 """
 
 from collections.abc import Callable
@@ -11,31 +13,34 @@ from collections.abc import Callable
 from crazychoir.runtime.clock import Clock
 
 Work = Callable[[], None]
+"""One piece of work of one drone."""
 
 
 class Stages:
-    """What the drones of a process still have to do in this pass of the loop: append to stages, then call `due`.
+    """The work that the drones of a process still have to do in this pass of the loop.
 
-    say: publish the own state;  decide: let a law find a reference, appended when it hears of that state;  act: send
-    a command. Poses are seen before, as they come. Each piece of work handles its own errors; the first that escapes
-    is raised when all is done.
+    Append work to a stage, then call `due`. The poses are taken before, as they arrive. Each piece
+    of work handles its own errors; the first error that escapes is raised when all work is done.
     """
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.say: list[Work] = []
+        """Work: publish the own state."""
         self.decide: list[Work] = []
+        """Work: let a law compute a reference; appended when the law receives the state."""
         self.act: list[Work] = []
+        """Work: send a command."""
         self._due = False
 
     def due(self) -> None:
-        """There is something to do, in the next pass of the loop."""
+        """Run the stages in the next pass of the loop."""
         if not self._due:
             self._due = True
             self.clock.soon(self.run)
 
     def run(self) -> None:
-        """All that is to do, stage by stage; what a stage adds to a later one is done too."""
+        """Do all work, stage by stage, including work that one stage adds to a later stage."""
         self._due = False
         failed: list[Exception] = []
         say = self.say
@@ -52,7 +57,10 @@ class Stages:
 
 
 def _do(stage: list[Work], failed: list[Exception]) -> None:
-    """All of a stage, whatever fails: no drone goes without its command for another one's error."""
+    """Do all work of a stage.
+
+    An error of one drone must not keep another drone from its command.
+    """
     for work in stage:
         try:
             work()

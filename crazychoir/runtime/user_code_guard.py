@@ -1,4 +1,7 @@
-"""User code that does not return, where no watchdog of real time runs: in virtual time, and in the hooks of a file."""
+"""Interrupt user code that does not return: in virtual time, and in the hooks of a mission file.
+
+The watchdog of real time (runtime/watchdog.py) does not run there.
+"""
 
 import contextlib
 import logging
@@ -12,24 +15,39 @@ from crazychoir.runtime.clock import Stopwatch
 from crazychoir.runtime.watchdog import Guard, standing
 
 T = TypeVar("T")
-STEP, MISSION, HOOK = 60.0, 600.0, 300.0
-"""s of real time that a step of a law, a turn of a mission, and a hook of a mission file may take."""
+STEP = 60.0
+"""Seconds of real time for one step of a law."""
+MISSION = 600.0
+"""Seconds of real time for one turn of a mission: its code between two awaits."""
+HOOK = 300.0
+"""Seconds of real time for a hook of a mission file."""
 LOOK = 0.25
+"""Seconds of real time between two checks."""
 SAID = 5.0
-"""s of real time after which it is said that something computes; again when they have doubled."""
+"""Seconds of real time after which a computation is logged.
+
+It is logged again each time they have doubled.
+"""
 log = logging.getLogger(__name__)
 
 
 class Guards(Protocol):
-    """What frees the loop from user code that hangs: see `Watchdog.guard`."""
+    """Frees the loop from user code that hangs: see `Watchdog.guard`."""
 
     def guard(self, actor: str, patient: bool = False) -> Guard:
-        """Code in `with guards.guard(actor):` is interrupted by Hung when it does not return."""
+        """Return a context in which code that does not return is interrupted by Hung.
+
+        actor: name for reports
+        patient: True for code that may take its time
+        """
         ...
 
 
 class HangWatch:
-    """The same in virtual time, where no time passes while code computes: it may take long, but not forever."""
+    """Frees the loop from user code that hangs in virtual time.
+
+    No virtual time passes while code computes, so it may take long, but not forever.
+    """
 
     def __init__(self) -> None:
         self._guard = Guard(Stopwatch())
@@ -37,11 +55,18 @@ class HangWatch:
         self._ending = threading.Event()
 
     def guard(self, actor: str, patient: bool = False) -> Guard:
-        """Code in `with watch.guard(actor):` gets Hung after STEP s; if it is patient after MISSION s."""
+        """Return a context in which code is interrupted by Hung after STEP s.
+
+        If it is patient, it is interrupted after MISSION s.
+        """
         return self.within(MISSION if patient else STEP, actor)
 
     def within(self, seconds: float, actor: str) -> Guard:
-        """Code in `with watch.within(seconds, actor):` gets Hung after so many s; actor: who is named meanwhile."""
+        """Return a context in which code is interrupted by Hung after so many seconds.
+
+        seconds: s of real time
+        actor: name for reports
+        """
         self._guard.actor = actor
         self._guard.limit = seconds
         return self._guard
@@ -77,15 +102,24 @@ class HangWatch:
 
 @contextlib.contextmanager
 def limited(seconds: float, who: str) -> Iterator[None]:
-    """Code that gets Hung after so many s: of a hook, before anybody flies or after all have."""
+    """Interrupt the code in this context by Hung after so many seconds.
+
+    It is for hooks, which run before the first drone flies or after all have landed.
+
+    seconds: s of real time
+    who: name for reports
+    """
     with HangWatch() as watch, watch.within(seconds, who):
         yield
 
 
 class Guarded(Generic[T]):
-    """A coroutine each turn of which runs under a guard: between two of its awaits it may not hang.
+    """A coroutine that may not hang between two of its awaits: each turn runs under a guard.
 
-    patient: asked before each turn, whether that may take its time.
+    inner: the coroutine
+    guards: gives the guard
+    actor: name for reports
+    patient: called before each turn; True if that turn may take its time
     """
 
     def __init__(
@@ -111,5 +145,5 @@ class Guarded(Generic[T]):
                 return result
             try:
                 turn = partial(self.inner.send, (yield waits))
-            except BaseException as error:  # noqa: BLE001 - it is handed on to the coroutine
+            except BaseException as error:  # noqa: BLE001 - the coroutine receives it
                 turn = partial(self.inner.throw, error)

@@ -1,4 +1,7 @@
-"""A thread that watches the event loop: who keeps it, where, for how long; and frees it from user code."""
+"""A thread that watches the event loop: it reports what blocks the loop, where and for how long.
+
+It interrupts user code that blocks the loop, and ends the process if foreign code does.
+"""
 
 import asyncio
 import ctypes
@@ -16,36 +19,58 @@ from crazychoir.runtime.clock import SECOND, Clock, thread_seconds
 
 log = logging.getLogger(__name__)
 LATE = 0.100
-"""s: a loop that is late by this is reported."""
+"""Seconds of delay from which a late loop is reported."""
 HAND_OVER = 0.300
-"""s: the owner of a radio hands its drones to the onboard landing."""
+"""Seconds of delay after which the owner of a radio hands its drones to the on-board landing."""
 INTERRUPT = 1.000
-"""s: user code that runs under `guard` is interrupted."""
+"""Seconds after which user code under `guard` is interrupted."""
 PATIENT = 8.000
-"""s: the same of code that may take its time, as a mission that plans on the ground; before the process gives up."""
+"""Seconds after which patient code under `guard` is interrupted.
+
+An example is a mission that plans on the ground. It is less than GIVE_UP: the code is interrupted
+before the process ends itself.
+"""
 GIVE_UP = 10.000
-"""s: the process ends itself: its drones' own safety, and the other drones, must not wait for it."""
+"""Seconds of delay after which the process ends itself.
+
+The drones' own safety functions, and the other drones, must not wait for it.
+"""
 FROZEN = 0.500
-"""s between two looks of the watchdog: then the whole process stood still (SIGSTOP), and the loop is not to blame."""
+"""Seconds between two checks of the watchdog from which the whole process was stopped (SIGSTOP).
+
+Such a pause is not counted against the loop.
+"""
 QUIET = 10.000
-"""s in which short stalls, below HAND_OVER, of one actor, or of nobody, are said once."""
+"""Seconds in which short stalls of one actor are logged once. A stall is short below HAND_OVER.
+
+Stalls without an actor count together as one actor.
+"""
 STUCK = 15.000
-"""s without a turn of this thread, as foreign code keeps the interpreter's lock: the process is ended from C. So is one
-that was stopped (SIGSTOP) for that long: the others have lost it by then."""
+"""Seconds without a turn of this thread after which C code ends the process.
+
+Foreign code then holds the interpreter's lock. A process that was stopped (SIGSTOP) for that long
+ends too: the other processes have lost it by then.
+"""
 STDERR = 2
+"""File descriptor of standard error."""
 EXIT_CODE = 70
+"""Exit code of a process that ends itself."""
 BEAT = 0.020
+"""Seconds between two beats of the loop, and between two checks of the watchdog."""
 
 
 @dataclass(frozen=True)
 class Stall:
-    """One report: how late the loop is, which actor has it (empty: none), and where its code stands."""
+    """A report that the event loop is late."""
 
     seconds: float
+    """s: delay of the loop."""
     actor: str
+    """Actor that blocks the loop; empty if there is none."""
     place: str
+    """File, line and function at which its code stands."""
     more: int = 0
-    """Short ones of the same actor since the last report."""
+    """Short stalls of the same actor since the last report."""
 
     def __str__(self) -> str:
         more = f" ({self.more} more since it was said last)" if self.more else ""
@@ -55,13 +80,16 @@ class Stall:
 
 
 class Watchdog:
-    """Start it inside the running loop, in real time only; `on_stall` is called from its own thread.
+    """Watches the running loop from a thread of its own.
 
-    A stall is reported when it reaches LATE, HAND_OVER and INTERRUPT, and then whenever it has doubled; short ones of
-    one actor, or of no task and no guarded code, once in QUIET s, with their number.
-    soon: code under `guard` is interrupted when it has computed for HAND_OVER s: bodies elsewhere would fall, and other
-    drones of the process would not be flown.
-    stalls: how many there were;  worst: s, the longest.
+    Start it inside the loop, in real time only. A stall is reported when it reaches LATE, HAND_OVER
+    and INTERRUPT, and then each time it has doubled. Short stalls of one actor, or outside every
+    task and guarded code, are reported once in QUIET s, with their number.
+
+    clock: the clock of the loop
+    on_stall: called with each report, in the watchdog's thread
+    soon: interrupt guarded code after HAND_OVER s of processor time: else bodies simulated in
+      another process would fall, and the other drones of this process would get no commands
     """
 
     def __init__(
@@ -74,40 +102,42 @@ class Watchdog:
         self.on_stall = on_stall
         self.soon = soon
         self.stalls = 0
+        """Stalls so far."""
         self.worst = 0.0
+        """s: longest delay so far."""
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
         self._beat_ns = clock.now_ns()
         self._guard = Guard(clock)
         self._ending = threading.Event()
         self._report_at = LATE
-        self._said: dict[
-            str, tuple[int, int]
-        ] = {}  # by actor: when, and how many short ones were not said since
-        self._entered: tuple[int, float] = (
-            0,
-            0.0,
-        )  # when guarded code began, and s of processor time by then
+        # By actor: ns of its last report, and its short stalls since then that were not reported.
+        self._said: dict[str, tuple[int, int]] = {}
+        # ns at which guarded code began, and s of processor time of the loop's thread by then.
+        self._entered: tuple[int, float] = (0, 0.0)
         self._thread = threading.Thread(
             target=self._watch, name="watchdog", daemon=True
         )
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Start to watch."""
         self._beat()
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread, and with it what would end a process that hangs."""
+        """End the thread, so that it no longer ends a process that hangs."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join(1.0)
 
     def guard(self, actor: str, patient: bool = False) -> "Guard":
-        """Code in `with watchdog.guard(actor):` is interrupted by `Hung` once it has kept the loop for a second.
+        """Return a context in which Hung interrupts code that blocks the loop for INTERRUPT s.
 
-        It may not await and not nest. Code that swallows Hung gets it again a second later.
-        actor: who is named in a report;  patient: only after PATIENT s.
+        The code may not await, and guards may not nest. Code that swallows Hung gets it again as
+        many seconds later.
+
+        actor: name for reports
+        patient: interrupt only after PATIENT s
         """
         self._guard.actor = actor
         self._guard.limit = PATIENT if patient else INTERRUPT
@@ -152,7 +182,10 @@ class Watchdog:
         faulthandler.cancel_dump_traceback_later()
 
     def _computed(self) -> float:
-        """s of processor time that the guarded code has used since the watchdog saw it first: not those it waited."""
+        """Return the processor time in s of the guarded code since the watchdog first saw it.
+
+        Time in which the code waited does not count.
+        """
         since_ns = self._guard.since_ns
         used = thread_seconds(self._loop_thread)
         if since_ns != self._entered[0]:
@@ -160,7 +193,7 @@ class Watchdog:
         return used - self._entered[1] if since_ns else 0.0
 
     def _give_up(self, late: float) -> None:
-        """Nothing of ours can free a loop that hangs in foreign code."""
+        """End the process: Python cannot free a loop that hangs in foreign code."""
         log.critical(
             "the event loop hangs for %.0f s: this process ends itself. Where its threads are:",
             late,
@@ -193,7 +226,7 @@ class Watchdog:
             self._said[actor] = said_ns, more + 1
             return
         self._said[actor] = now_ns, 0
-        more -= bool(more) and not begins  # its own beginning
+        more -= bool(more) and not begins  # do not count this stall's own beginning
         stall = Stall(late, actor, standing(self._loop_thread), more)
         log.warning("%s", stall)
         try:
@@ -203,14 +236,17 @@ class Watchdog:
 
 
 def standing(thread: int) -> str:
-    """Where the code of a thread stands: file, line, function."""
+    """Return the file, line and function at which the code of a thread stands."""
     frame = sys._current_frames().get(thread)
     stack = traceback.extract_stack(frame)[-1] if frame else None
     return f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
 
 
 class Guard:
-    """A region of the loop's thread in which Hung may be raised, and nowhere else: see `Watchdog.guard`."""
+    """A region of the loop's thread in which Hung may be raised, and nowhere else.
+
+    See `Watchdog.guard`.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -223,20 +259,25 @@ class Guard:
         self.since_ns = self.clock.now_ns()
 
     def __exit__(self, *error: object) -> None:
-        # An interruption that came before this lock is raised before the call returns; none comes after it.
-        # One that strikes before the first line leaves `since_ns` as it is; the next beat of the loop clears it.
+        # An interruption requested before this lock is taken is raised before this call returns;
+        # none comes later.
+        # If it is raised before the first line, `since_ns` stays set; the next beat of the loop
+        # clears it.
         with self._lock:
             self.since_ns = 0
 
     def seconds(self) -> float:
-        """s for which code has been inside; 0 outside."""
+        """Return for how many s code has been inside; 0 if none is."""
         since_ns = self.since_ns
         return (self.clock.now_ns() - since_ns) / SECOND if since_ns else 0.0
 
     def interrupt(self, thread: int, sooner: float | None = None) -> None:
-        """Raise Hung in that thread, if it has been inside for its limit; from another thread.
+        """Raise Hung in a thread if its code has been inside for its limit.
 
-        sooner: s, instead of the limit of code that is not patient.
+        Called from another thread.
+
+        thread: identifier of the thread
+        sooner: s, used instead of the limit unless the code is patient
         """
         limit = self.limit if sooner is None or self.limit > INTERRUPT else sooner
         with self._lock:

@@ -1,7 +1,7 @@
-"""An event loop beside the one that runs: a notebook's cell and a mission are inside a loop already.
+"""Run an event loop in a worker thread where a loop runs already, as in a notebook.
 
-A thread has one running loop at most. A function that runs a loop of its own to its end is therefore run in a worker
-thread where the calling thread has a running loop; the caller waits for it, as for any function.
+A thread has at most one running loop. If the calling thread has one, a function that runs a loop of
+its own to the end runs in a worker thread; the caller waits for it, as for any function.
 """
 
 import asyncio
@@ -13,12 +13,18 @@ from collections.abc import Callable, Coroutine
 from typing import Any, Generic, TypeVar
 
 C = TypeVar("C")
+"""The clock that the worker passes to `main`."""
 T = TypeVar("T")
+"""The result of `main`."""
 LOOK_INTERVAL = 0.05
-"""s between two looks of the waiting thread at what may interrupt it."""
+"""Seconds between two checks of the waiting thread for an interruption."""
 GRACE_TIME = 1.0
-"""s that a step of the worker gets to give its loop back, before it is interrupted where it computes."""
+"""Seconds in which a step of the worker may return to its loop.
+
+Then it is interrupted where it computes.
+"""
 MAIN_THREAD = threading.main_thread()
+"""The thread in which Python handles signals."""
 
 
 def is_inside_loop() -> bool:
@@ -31,21 +37,26 @@ def add_signal_handler(
 ) -> None:
     """Call `handler(*args)` in the running loop when this process receives a signal.
 
-    Python lets the main thread alone handle signals. In another thread nothing is done: the thread that waits for the
-    worker receives Ctrl-C, and cancels the worker's task.
+    Python handles signals in the main thread only. In another thread this does nothing: the thread
+    that waits for the worker receives Ctrl-C, and cancels the worker's task.
     """
     if threading.current_thread() is MAIN_THREAD:
         asyncio.get_running_loop().add_signal_handler(number, handler, *args)
 
 
 class Worker(Generic[C, T]):
-    """A thread that runs `run(main)`, while the calling thread waits.
+    """A thread that runs `run(main)` while the calling thread waits.
 
-    The worker has the caller's context (contextvars), so that what it prints reaches the caller's cell.
-    What interrupts the waiting thread (Ctrl-C, the interrupt of a kernel, Hung of a watchdog, or a cancellation of a
-    task of its loop) cancels the worker's main task. A worker that does not return to its loop within GRACE_TIME, and
-    any that is interrupted again, gets KeyboardInterrupt where it computes. The interruption is raised in the caller
-    when the worker has ended.
+    The worker has the caller's context (contextvars), so that what it prints appears in the
+    caller's cell.
+
+    These interruptions of the waiting thread cancel the worker's main task: Ctrl-C, the interrupt
+    of a notebook's kernel, Hung from a watchdog, or the cancellation of a task of its loop. A
+    worker that does not return to its loop within GRACE_TIME, or is interrupted again, gets
+    KeyboardInterrupt where it computes. When the worker has ended, the interruption is raised in
+    the caller.
+
+    run: runs a loop until the coroutine of `main` ends
     """
 
     def __init__(
@@ -61,7 +72,7 @@ class Worker(Generic[C, T]):
         self._error: BaseException | None = None
 
     def result(self, main: Callable[[C], Coroutine[Any, Any, T]]) -> T:
-        """Run `main` to its end; return its result, or raise its error."""
+        """Run `main` to its end. Return its result, or raise its error."""
         context = contextvars.copy_context()
         thread = threading.Thread(
             target=context.run, args=(self._work, main), name="event loop", daemon=True
@@ -69,9 +80,8 @@ class Worker(Generic[C, T]):
         try:
             thread.start()
             self._wait()
-        except (
-            BaseException
-        ):  # a KeyboardInterrupt too: the worker ends before its caller goes on
+        except BaseException:
+            # KeyboardInterrupt too: the worker must end before its caller goes on.
             self._stop(thread)
             raise
         if self._error is not None:
@@ -98,9 +108,12 @@ class Worker(Generic[C, T]):
         return await inner
 
     def _wait(self) -> None:
-        """Wait for the end of the worker; raise KeyboardInterrupt if a task of the blocked loop is cancelled meanwhile.
+        """Wait for the end of the worker.
 
-        The blocked loop runs no task, so that a handler of Ctrl-C alone can cancel one: that of asyncio.run.
+        The blocked loop runs no task, so only a handler of Ctrl-C can cancel one: the handler of
+        asyncio.run.
+
+        Raises KeyboardInterrupt if a task of the blocked loop is cancelled meanwhile.
         """
         loop = asyncio.get_running_loop()
         cancellations = _cancellations(loop)
@@ -126,9 +139,8 @@ class Worker(Generic[C, T]):
     def _cancel(self) -> None:
         loop = self._loop
         task = self._task
-        if (
-            loop is None or task is None
-        ):  # it is about to begin, and looks at `_is_stopped` first
+        if loop is None or task is None:
+            # The worker has not begun; it checks `_is_stopped` first.
             return
 
         def cancel_task() -> None:
@@ -149,5 +161,5 @@ class Worker(Generic[C, T]):
 
 
 def _cancellations(loop: asyncio.AbstractEventLoop) -> int:
-    """Return how often the tasks of a loop have been cancelled."""
+    """Return how many times the tasks of a loop have been cancelled."""
     return sum(task.cancelling() for task in asyncio.all_tasks(loop))

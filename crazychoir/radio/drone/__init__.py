@@ -1,1 +1,1 @@
-"""A Crazyflie behind a radio link, as the flight sees it."""
+"""A Crazyflie behind a radio link, as the agent sees it."""

@@ -1,6 +1,7 @@
-"""One drone that a dongle reaches: connected, told where it is, flown, and connected again when its link fails.
+"""One drone behind a dongle: connect it, tell it its pose, fly it, and reconnect it.
 
-For the body that obeys its agent (simulation/remote.py) it is both the link to the drone and the place where it is.
+For the body that obeys its agent (simulation/remote.py) this is both the link to the drone and the
+source of its state.
 """
 
 import asyncio
@@ -49,51 +50,76 @@ from crazychoir.simulation.telemetry import check_period
 from crazychoir.types import XYZ, Body, Command, LinkStatus, Pose, State, Vec
 
 log = logging.getLogger(__name__)
-DEGRADED, LOST = 0.3, 2.5
-"""s of silence after which a link is called so; after the second it is opened anew. Before, set-points go on leaving:
-the firmware takes the first one that gets through, if it comes within 2 s."""
+DEGRADED = 0.3
+"""Seconds of silence after which a link is degraded.
+
+Set-points are still sent: the firmware takes the first that arrives, if it arrives within 2 s.
+"""
+LOST = 2.5
+"""Seconds of silence after which a link is lost and is opened again."""
 UNREACHED = 1.0
-"""s of silence after which a drone that flies on by itself may not have obeyed what it was told last."""
+"""Seconds of silence after which a drone may not have obeyed its last command."""
 ON_THE_FLOOR = 0.2
-"""m above the ground, below which a drone that is seen stands, or may fall."""
+"""Metres above the ground below which a drone in view of the cameras stands, or may fall."""
 LOOKS = 20.0
-"""Hz, at which links are looked after."""
-FIRST, AGAIN = 0.2, 1.0
-"""s between two attempts to connect: until the deadline, and after it."""
+"""Hz at which links are checked."""
+FIRST = 0.2
+"""Seconds between two attempts to connect, before the deadline."""
+AGAIN = 1.0
+"""Seconds between two attempts to connect, after the deadline."""
 REOPENS = 1.5
-"""s that an attempt gets in flight: tables are known by then."""
+"""Seconds for an attempt to connect in flight; the tables of contents are known by then."""
 TABLES = 30.0
-"""s more that one gets that answers and is being told of, before its first flight: over a dongle that four share about
-10 s of tables of contents, once a firmware."""
+"""More seconds for a first connection, on the ground, that still loads its tables of contents.
+
+Over a dongle that four drones share, the tables take about 10 s, once for each firmware.
+"""
 FORGOTTEN = 1.0
-"""s without a log of one that answers otherwise: its firmware has dropped its blocks, as after 1 s of silence."""
-UNHEARD, REFUSED, ORPHANED = 0.25, 1.0, 3.0
-"""s between two words to land: until its planner answers, and where it refuses; and after which one that flies, and
-that nobody commands, is landed."""
+"""Seconds without a log from a drone that still answers: its firmware has dropped its log blocks.
+
+The firmware drops them after 1 s of silence.
+"""
+UNHEARD = 0.25
+"""Seconds between two commands to land until the planner on board answers."""
+REFUSED = 1.0
+"""Seconds until the next command to land after the planner has refused one."""
+ORPHANED = 3.0
+"""Seconds without commands after which a flying drone is landed."""
 LANDING = (0, 1)
-"""Results in the answers of one that lands now, or does so already."""
+"""Results in the answer of a planner that starts to land, or lands already."""
 LANDED = 1.0
-"""s later than a landing takes: its planner has ended it, and is not told to land any more, as it would begin anew."""
+"""Seconds after the planned end of a landing until the drone is told to stop.
+
+The planner has then ended the landing. Another command to land would start a new one. From then on
+the command to land is not repeated: the planner would start a new landing.
+"""
 IN_VAIN = 3.0
-"""s of words to land that are not answered, by one that is heard, after which its motors may be stopped instead."""
+"""Seconds of unanswered commands to land after which the motors may be stopped instead.
+
+The link works meanwhile: otherwise the drone may still land when it receives the command.
+"""
 STOPS = 0.5
-"""s between two plans to stop, of a drone that stands."""
+"""Seconds between two commands to stop, for a drone that stands."""
 WATCHDOG = 0.25
-"""s between two words for the emergency-stop watchdog, which wants one a second."""
+"""Seconds between two packets for the emergency-stop watchdog, which needs one a second."""
 NEWEST = 0.1
-"""s: an older pose is not told to a drone."""
+"""Seconds: a drone is not told a pose that is older."""
 LATELY = 1.0
-"""s for which it counts where the cameras have seen it."""
+"""Seconds for which the last pose from the cameras is used as the drone's position."""
 JUMPS = 0.1
-"""s for which poses jump until nothing can be told from how the body tilts."""
+"""Seconds of jumping poses after which the check of the take-off is given up."""
 UNSEEN = 0.5
-"""s without a pose after which it counts as not seen, however seldom poses are asked for."""
+"""Seconds without a pose after which the drone counts as not seen, at any rate of poses."""
 REMEDY = ": put its body right, out of the cameras' sight, or switch it off and on"
+"""Advice for a drone with the wrong body."""
 WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its dongle (crazychoir-radio) again"
-TRAILS, CATCHES_UP = 0.5, 1.8
-"""m by which a drone may be behind the line that it flies; and of speed_limit, at which it comes to one that it is
-further from: it has not heard those before."""
+"""Problem of a drone with motors that were cut."""
+TRAILS = 0.5
+"""Metres by which a drone may be behind the line that it flies."""
+CATCHES_UP = 1.8
+"""Multiple of speed_limit for a drone further away: it has missed earlier lines."""
 MILLI = 1e-3
+"""SI units in a unit of the logs (mm, mm/s)."""
 OWN = (
     "stateEstimateZ.x",
     "stateEstimateZ.y",
@@ -103,24 +129,34 @@ OWN = (
     "stateEstimateZ.vz",
     "stateEstimateZ.quat",
 )
+"""Log variables of the drone's own estimate."""
 WELL = ("pm.vbat", "supervisor.info")
+"""Log variables of its battery and its supervisor."""
 POSITIONING = ("bcLighthouse4", "bcDWM1000", "bcLoco", "bcFlow2", "bcFlow")
+"""Names of the parameters for decks that locate a drone."""
 COMMON = POSITIONING[:3]
-"""Decks by which a drone knows where it is, by their parameters' names; and those in whose frame all drones are."""
+"""Positioning decks that give all drones one common frame."""
 SPREAD = ("kalman.varX", "kalman.varY", "kalman.varZ")
+"""Log variables with the variances of the drone's own position."""
 
 
 class RadioDrone(Actor):
-    """Drone i of a swarm, whose agent's commands come to its body's port.
+    """Drone i of a swarm; its agent's commands come to the port of its body.
 
-    kind: of commands;  rate: Hz of set-points;  contents: shared by all links of the process;  turn: waits
-    until a packet may be sent;  sights: shared, too, None: its own.
+    kind: kind of its commands
+    rate: Hz of set-points
+    contents: tables of contents, shared by all links of the process
+    turn: waits until a packet may be sent
+    sights: bodies that the cameras see, shared by all drones of the process; None: the drone makes
+      its own
     """
 
     name = "radio"
     restart = ON_FAILURE
     flies: tuple[str, ...] = ("xyz",)
+    """Kinds of commands that the drone obeys."""
     command_timeout: float | None = None
+    """s without a command after which a flying drone gets no thrust; None: its firmware decides."""
 
     def __init__(
         self,
@@ -145,9 +181,8 @@ class RadioDrone(Actor):
         self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
         self.seen_by_cameras = self.row.pose == "mocap"
         self.connection: Connection | None = None
-        self._opening: Connection | None = (
-            None  # its link is being opened, or it is being asked who it is
-        )
+        # The connection while it is opened and the drone answers the first questions.
+        self._opening: Connection | None = None
         self._work: asyncio.Task[None] | None = None
         self.handler: RadioHandler = HANDLERS[kind](self._platform)
         self.release = ""
@@ -160,9 +195,8 @@ class RadioDrone(Actor):
         ) = False
         self._cut_heard = False
         self._landing: XYZ | None = None
-        self._told_ns: int | None = (
-            None  # when it was told to land, and may have heard it
-        )
+        # ns: when the drone was told to land over a link that may have carried it.
+        self._told_ns: int | None = None
         self._landed_at = math.inf
         self._only_lands = ""
         self._due_ns = self._stop_due_ns = self._watchdog_ns = 0
@@ -189,10 +223,10 @@ class RadioDrone(Actor):
                 POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE
             )
 
-    # Its life -----------------------------------------------------------------------------------------------------
+    # Connecting and looking after the link --------------------------------------------------------
 
     async def run(self) -> None:
-        """Connect, look after the link, connect again."""
+        """Connect, look after the link, and connect again when it fails."""
         began = self.clock.now()
         while True:
             self.why = ""
@@ -254,7 +288,7 @@ class RadioDrone(Actor):
         )
 
     def _too_old(self, connection: Connection) -> ConfigError | None:
-        """Why its firmware does not know what it would be sent."""
+        """Return why the firmware does not know the packets that it would receive, or None."""
         try:
             check_protocol(
                 connection.version, self.kind, self._platform, f"drone {self.drone}"
@@ -264,7 +298,10 @@ class RadioDrone(Actor):
         return None
 
     async def _check(self, firmware: Firmware, refused: ConfigError | None) -> None:
-        """ConfigError if it cannot be flown; one that flies, as somebody has left it, is landed first."""
+        """Raise ConfigError if the drone cannot be flown with its firmware.
+
+        A drone that another program left in flight is accepted, but may only land.
+        """
         if refused is None and not self.release:
             release = await firmware.release()
             try:
@@ -277,13 +314,19 @@ class RadioDrone(Actor):
         self._only_lands = str(refused or "")
 
     async def _insist(self, connection: Connection) -> None:
-        """One whose motors were cut is told so until it says that it has heard it, from its link's opening on."""
+        """Repeat the emergency stop until a drone with cut motors confirms it.
+
+        The packets are sent from the opening of the link on.
+        """
         async for _ in self.clock.ticks(LOOKS):
             if self._cut and not self._cut_heard:
                 connection.urgent(emergency())
 
     async def _until_told(self, connection: Connection) -> None:
-        """It has said whether it flies: somebody may have flown it there."""
+        """Wait until the drone has told whether it flies: another program may have started it.
+
+        Raises LinkFailed if it does not tell in time.
+        """
         for _ in range(round(REOPENS * LOOKS)):
             if self._own_ns > self._logs_ns:
                 return
@@ -291,7 +334,10 @@ class RadioDrone(Actor):
         raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
 
     def _learn_thrust(self, release: str) -> None:
-        """What a newton is on board; ConfigError if that is not known."""
+        """Set the thrust command a newton.
+
+        Raises ConfigError if it is not known for this release.
+        """
         if self.handler.needs_thrust:
             given = self.config.radio.thrust_map
             where = f"drone {self.drone}"
@@ -300,7 +346,10 @@ class RadioDrone(Actor):
             )
 
     async def _prepare(self, firmware: Firmware) -> None:
-        """What is done once, on the ground."""
+        """Set the parameters and, for a drone without cameras, start its estimator.
+
+        This is done once, on the ground.
+        """
         await firmware.set_all({"stabilizer.estimator": 2} | self.handler.parameters)
         await firmware.set_all(self.config.radio.parameters | self.row.parameters)
         if not self.seen_by_cameras:
@@ -309,7 +358,10 @@ class RadioDrone(Actor):
         self._prepared = True
 
     async def _require_frame(self, firmware: Firmware) -> None:
-        """Several drones need one frame: that of a flow deck is its own, and drifts; ConfigError unless it may."""
+        """Raise ConfigError if several drones have no common frame, unless [radio] allows drift.
+
+        The frame of a flow deck is the drone's own, and drifts.
+        """
         if self.config.radio.drift or len(self.config.ids) == 1:
             return
         decks = [deck for deck in POSITIONING if await firmware.has(f"deck.{deck}")]
@@ -323,7 +375,11 @@ class RadioDrone(Actor):
             )
 
     async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
-        """Let its estimator begin here."""
+        """Start the drone's estimator at this pose.
+
+        p: (3,) m
+        yaw: rad
+        """
         initial = dict(
             zip(("initialX", "initialY", "initialZ"), p.tolist(), strict=True)
         ) | {"initialYaw": yaw}
@@ -348,7 +404,7 @@ class RadioDrone(Actor):
             )
 
     async def _begin_logs_again(self, connection: Connection) -> None:
-        """It says nothing of itself any more, whatever blocks it has."""
+        """Start the logs again, because the drone sends none any more."""
         self._logs_ns = self.clock.now_ns()
         try:
             await connection.reset_logs(REOPENS)
@@ -356,11 +412,11 @@ class RadioDrone(Actor):
         except LinkFailed as error:
             if not self.flying:
                 raise
-            self._say("log", str(error))  # its set-points may get through nevertheless
+            self._say("log", str(error))  # set-points may still reach the drone
         await self._begin_all_asked(connection)
 
     async def _look_after(self, connection: Connection) -> None:
-        """Until it is silent for too long."""
+        """Look after the link until it fails. Raises LinkFailed then."""
         async for _ in self.clock.ticks(LOOKS, drone=self.drone):
             if self.why:
                 raise LinkFailed(self.row.uri, self.why)
@@ -388,7 +444,10 @@ class RadioDrone(Actor):
             self._work_on(connection, silence)
 
     def _work_on(self, connection: Connection, silence: float) -> None:
-        """What waits for answers is done beside, one thing at a time; raises what the last one has."""
+        """Do work that waits for answers in a task of its own, one piece at a time.
+
+        Raises the error of the last piece.
+        """
         work = self._work
         if work is not None and not work.done():
             return
@@ -401,6 +460,10 @@ class RadioDrone(Actor):
     def _due_work(
         self, connection: Connection, silence: float
     ) -> Coroutine[Any, Any, None] | None:
+        """Return the next piece of work; None if none is due.
+
+        The work is to start the logs again, to prepare the drone, or to start its estimator.
+        """
         if (
             silence < DEGRADED
             and self.clock.now_ns() - max(self._own_ns, self._logs_ns)
@@ -417,18 +480,21 @@ class RadioDrone(Actor):
         return None
 
     async def _end_work(self) -> None:
-        """Its link is gone, and with it the answers."""
+        """End the work that waits for answers, because the link is gone."""
         work = self._work
         self._work = None
         if work is not None:
             work.cancel()
             await asyncio.wait([work])
-            _ = (
-                work.cancelled() or work.exception()
-            )  # whatever it was: the link has failed
+            # Read the error, so that asyncio does not log it: the link has failed anyway.
+            _ = work.cancelled() or work.exception()
 
     def _forgive(self) -> None:
-        """Whoever has put its body right has had it out of the cameras' sight: it is judged anew when it takes off."""
+        """Forget the fault of the last take-off once the cameras no longer see the landed drone.
+
+        To put a body right, the user takes it out of the cameras' sight. The next take-off checks
+        it again.
+        """
         if (
             self._take_off is not None
             and not self.flying
@@ -437,21 +503,24 @@ class RadioDrone(Actor):
             self._take_off.found = ""
 
     def _feed_watchdog(self) -> None:
-        """The choice of [radio] watchdog: without us it is to cut its motors."""
+        """Feed the emergency-stop watchdog if [radio] watchdog is set.
+
+        Without this process the drone then cuts its motors.
+        """
         now_ns = self.clock.now_ns()
         self._fed = self._fed or (
             self.config.radio.watchdog and self.kind == "xyz" and self.flying
         )
-        if (
-            self._fed and now_ns >= self._watchdog_ns
-        ):  # once begun it must go on, on the ground too
+        # Once started it must be fed, on the ground too.
+        if self._fed and now_ns >= self._watchdog_ns:
             self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
             self._send_now([FORMS["emergency_stop_watchdog"].packet()])
 
     def _go_on_landing(self) -> None:
-        """Who has been told to land is told again until its planner does: a packet may be lost, and a link.
+        """Repeat the command to land until the planner on board confirms it.
 
-        From then on it is told that set-points have ended, until its landing has, and then to stop.
+        Packets get lost, and links too. Then repeat that set-points have ended, until the landing
+        should be over, and then the command to stop.
         """
         now_ns = self.clock.now_ns()
         if not self.flying or self._landing is None:
@@ -472,7 +541,7 @@ class RadioDrone(Actor):
 
     @property
     def orphan(self) -> bool:
-        """Whether it flies, this owner could tell it what to do, and nobody does."""
+        """Whether the drone flies, this owner can reach it, and no agent commands it."""
         up = (
             self.connection is not None
             and self.clock.now_ns() - self._up_ns > ORPHANED * SECOND
@@ -506,18 +575,18 @@ class RadioDrone(Actor):
         self.problem = why
 
     problem = ""
-    """Why its link is not up."""
+    """Reason why the link is not up."""
     place: tuple[float, Pose] | None = None
-    """When, s, and where the cameras have seen it last, and were believed."""
+    """Time in s and pose at which the cameras last saw the drone, among accepted poses."""
 
     def _lost(self, reason: str) -> None:
-        """From its connection: the driver has given up."""
+        """Note that the driver has given up; called by the connection."""
         self.why = reason
 
-    # What it is told ------------------------------------------------------------------------------------------------
+    # What the drone is sent -----------------------------------------------------------------------
 
     def send(self, command: Command) -> None:
-        """Let the drone obey this: a set-point if it is time for one, a plan at once."""
+        """Send a command to the drone: a set-point when the next one is due, a plan at once."""
         if self._cut:
             return
         if isinstance(command, XYZ) and command.verb == "land":
@@ -530,7 +599,7 @@ class RadioDrone(Actor):
         if self.connection is None or (
             idles(command) and (self._flies_unheard() or self._comes_down())
         ):
-            return  # it flies, and who sends may not know
+            return  # the drone flies, and the sender may not know it
         now_ns = self.clock.now_ns()
         stops = idles(command)
         if isinstance(command, XYZ):
@@ -554,7 +623,10 @@ class RadioDrone(Actor):
         self._transmit(self._within_reach(command))
 
     def _flies_unheard(self) -> bool:
-        """Whether it flies on, as it says, though nobody here has reached it with a command; on the floor it stands."""
+        """Return whether the drone says that it flies, but no command of this process reached it.
+
+        A drone on the floor does not count.
+        """
         low = self.config.flight.ground + ON_THE_FLOOR
         stands = (
             self.place is not None
@@ -564,7 +636,10 @@ class RadioDrone(Actor):
         return self.flying and not self._flown_here and not stands
 
     def _comes_down(self) -> bool:
-        """Whether it lands, or will as soon as it hears: it needs nobody who stops its motors before."""
+        """Return whether the drone lands, or will land when the command arrives.
+
+        Its motors must not be stopped before that.
+        """
         if self._landing is None or not self.flying:
             return False
         if self._landed_at < math.inf:
@@ -579,7 +654,7 @@ class RadioDrone(Actor):
         return self.connection is None or self.connection.silence > DEGRADED
 
     def _within_reach(self, command: Command) -> Command:
-        """A line that ends far from where the drone is gets the time for it."""
+        """Return the command; a line that ends far from the drone gets more time."""
         here = (
             self.place[1].p
             if self.place is not None and self.clock.now() - self.place[0] < LATELY
@@ -608,22 +683,23 @@ class RadioDrone(Actor):
         ):
             connection.newest("command", packets[0])
         else:
-            connection.forget(
-                "command"
-            )  # a set-point after it would take the drone from its planner
+            # A set-point after the plan would take control from the planner.
+            connection.forget("command")
             self._send_now(packets)
 
     def _arm(self) -> None:
-        """Once for a flight: its motors wait for it."""
+        """Arm the drone, once a flight: its motors wait for this."""
         if self.supervisor & checks.ARMED or self._arming or self.connection is None:
             return
         self._arming = True
         self._do(self._armed(self.connection))
 
     async def arm(self) -> str:
-        """Let its motors turn before its first command does; raises Refused with why not.
+        """Arm the drone before its first command does; return a text about the result.
 
-        Its firmware takes that back after a while without a flight; the first command arms it again.
+        The firmware disarms again after a while without a flight; then the first command arms the
+        drone.
+        Raises Refused if the drone cannot be armed.
         """
         if not self._platform.firmware.needs_arming:
             return "ready: its firmware waits for no arming"
@@ -646,7 +722,10 @@ class RadioDrone(Actor):
             self._arming = False
 
     def cut(self) -> None:
-        """Stop the motors for good: said until it is locked, or has been switched off and on."""
+        """Stop the motors for good.
+
+        The packet is repeated until the drone is locked or was switched off and on.
+        """
         self._cut = True
         if self._cut_heard:
             return
@@ -658,7 +737,10 @@ class RadioDrone(Actor):
             self.connection.send(packet)  # type: ignore[union-attr]
 
     def _seen(self, pose: Pose, age: float) -> None:
-        """The cameras have seen it: its own estimator, by which it lands if we fail, is told."""
+        """Take a pose from the cameras, and send it to the drone's estimator.
+
+        With this estimate the drone lands if this process fails.
+        """
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say(
                 "jump",
@@ -674,7 +756,7 @@ class RadioDrone(Actor):
         self.place = (self.clock.now() - age, pose)
         self._jumped_at = math.inf
         if self._astray():
-            return  # it lands by its own sensors
+            return  # the drone lands with its own sensors
         if (
             age <= NEWEST
             and self.connection is not None
@@ -689,7 +771,12 @@ class RadioDrone(Actor):
                 self.malformed += 1
 
     def ask(self, names: Iterable[str], period: float) -> None:
-        """From now on it says these log variables too; what it does not have is said in the log."""
+        """Let the drone log these variables too, from now on.
+
+        Unknown variables are reported in the log.
+
+        period: s
+        """
         check_period(period, f"drone {self.drone}: log")
         self._asked[tuple(names)] = period
         if self.connection is not None:
@@ -708,16 +795,16 @@ class RadioDrone(Actor):
             await self._begin_asked(connection, names, every)
 
     def _do(self, work: Any) -> None:
-        """In the background, until it is done."""
+        """Run a coroutine in the background."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks = [other for other in self._tasks if not other.done()] + [task]
 
     async def on_stop(self) -> None:
-        """Nothing is left behind."""
+        """Cancel the work in the background."""
         for task in self._tasks:
             task.cancel()
 
-    # What it says -----------------------------------------------------------------------------------------------------
+    # What the drone answers -----------------------------------------------------------------------
 
     def _heard(self, packet: Packet) -> None:
         if packet.port != HIGH_LEVEL or len(packet.data) < 4:
@@ -725,7 +812,7 @@ class RadioDrone(Actor):
         result = packet.data[3]
         if packet.data[:1] == FORMS["land"].head and self._landing is not None:
             if self._told_ns is None:
-                return  # of a landing before this one, that has been ended since
+                return  # the answer to an earlier landing, which has been ended since
             if result in LANDING:
                 self._landed_at = min(
                     self._landed_at,
@@ -773,7 +860,11 @@ class RadioDrone(Actor):
             self.port.publish(TRUTH, self._own)
 
     def _in_the_world(self, p: Vec, v: Vec, q: Vec) -> tuple[Vec, Vec, Vec]:
-        """From the frame of the drone's own estimate: that of the cameras if it is told their poses, else [radio]'s."""
+        """Return p, v and q in the world, from the frame of the drone's own estimate.
+
+        That frame is the world if the drone is told the cameras' poses; otherwise [radio] gives its
+        origin and yaw.
+        """
         radio = self.config.radio
         if self.seen_by_cameras or (radio.origin_yaw == 0.0 and not any(radio.origin)):
             return p, v, q
@@ -795,17 +886,17 @@ class RadioDrone(Actor):
 
     @property
     def supervisor(self) -> int:
-        """Bits of its firmware's supervisor; 0 before it has said them."""
+        """Bits of the firmware's supervisor; 0 before the first log."""
         return int(self._well.get("supervisor.info", 0))
 
     @property
     def battery(self) -> float:
-        """V; NaN before it has said it."""
+        """V; NaN before the first log."""
         return self._well.get("pm.vbat", math.nan)
 
     @property
     def silence(self) -> float:
-        """s since its last packet, by whatever connection; infinite before the first."""
+        """Seconds since its last packet over any connection; infinite before the first."""
         way = self.connection
         return min(
             math.inf if way is None else way.silence, self.clock.now() - self._heard_at
@@ -813,11 +904,11 @@ class RadioDrone(Actor):
 
     @property
     def flying(self) -> bool:
-        """Whether its motors turn, or have within 2 s."""
+        """Whether the motors turn, or have turned within 2 s."""
         return bool(self.supervisor & checks.FLYING)
 
     def problems(self) -> list[str]:
-        """Why it may not take off."""
+        """Return why the drone may not take off."""
         if self.connection is None:
             return [self.problem or self._comes()]
         if not (self._prepared and self._placed) and not self.flying:
@@ -834,7 +925,7 @@ class RadioDrone(Actor):
         return found + (self._unseen() if self.seen_by_cameras else self._unsure())
 
     def _comes(self) -> str:
-        """How far its link has come, which has not failed."""
+        """Return how far the link has come that is being opened."""
         if self._opening is None:
             return "is being connected"
         stage = self._opening.stage
@@ -842,13 +933,16 @@ class RadioDrone(Actor):
         return "is being prepared" if spoken else f"is being connected, {stage} so far"
 
     def _harm(self) -> str:
-        """What has broken it, empty if nothing has; of a virtual one, how it is switched off and on."""
+        """Return what has damaged or locked the drone; empty if nothing has.
+
+        For a virtual drone the text also tells how to restart it.
+        """
         switch = self.row.uri.startswith("udp") and self.supervisor & checks.LOCKED
         hint = f" (`crazychoir virtual fault {self.drone} reboot=1`)" if switch else ""
         return checks.harm(self.supervisor) + hint
 
     def _astray(self) -> list[str]:
-        """What its last take-off has shown of the body that is taken for its own."""
+        """Return the fault of the last take-off: the body does not move as the drone does."""
         return (
             [self._take_off.found]
             if self._take_off is not None and self._take_off.found
@@ -871,13 +965,13 @@ class RadioDrone(Actor):
         return before_arming(self.drone, drones)
 
     def _unsure(self) -> list[str]:
-        """Of one that is to know itself where it is."""
+        """Return why a drone without cameras does not know its position well enough."""
         return checks.spread_problems(
             [self._spread.get(name, math.nan) for name in SPREAD]
         )
 
     def status(self) -> LinkStatus:
-        """For its agent, and who looks on."""
+        """Return the state of the link for its agent and for observers."""
         way = self.connection
         known = (
             {}
@@ -899,20 +993,27 @@ class RadioDrone(Actor):
         )
 
     def report(self) -> None:
-        """Publish how it is."""
+        """Publish the state of the link and of the body."""
         self._has_flown = self._has_flown or self.flying
         self.port.publish(LINK, self.status())
-        if self._own_ns:  # before, nobody knows whether it flies
+        if self._own_ns:  # before the first log it is unknown whether the drone flies
             self.port.publish(BODY, Body(self._harm(), self.flying and not self._cut))
 
-    # What its body's port asks -----------------------------------------------------------------------------------
+    # What the body asks ---------------------------------------------------------------------------
 
     def resting(self, i: int) -> bool:
-        """Does it stand? Its firmware says so 2 s later than who has stopped its motors."""
+        """Return whether the drone stands.
+
+        The firmware says so 2 s after the motors have stopped; here it counts from the command to
+        stop.
+        """
         return not self.flying or self._stopped
 
     def state(self, i: int) -> State:
-        """Where the cameras have seen it lately, and were believed, or else it takes itself to be."""
+        """Return the last recent pose from the cameras, at rest.
+
+        Without such a pose it is the drone's own estimate, or its home before the first log.
+        """
         if self.place is not None and self.clock.now() - self.place[0] < LATELY:
             pose = self.place[1]
             return State(np.array([*pose.p, 0.0, 0.0, 0.0, *pose.q, 0.0, 0.0, 0.0]))

@@ -1,1 +1,1 @@
-"""Connections to Crazyflies through cflib: links, dongles, and tables of contents."""
+"""Connections to Crazyflies through cflib: links, dongles, tables of contents."""

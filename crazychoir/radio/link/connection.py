@@ -1,4 +1,7 @@
-"""The way to one drone through cflib: opened and closed within deadlines, asked and answered; its threads end here."""
+"""The connection to one drone through cflib: opening, closing, sending and asking.
+
+Each ends by a deadline. The threads of cflib end here: all other code runs in the event loop.
+"""
 
 import asyncio
 import contextlib
@@ -27,29 +30,37 @@ from crazychoir.radio.protocol.crtp import LINK, LOG, MEMORY, PARAM, Packet
 from crazychoir.runtime.clock import SECOND, Clock
 
 log = logging.getLogger(__name__)
-SOURCE, VERSION_KNOWN = Packet(LINK, 1, b"\x00"), 0
+SOURCE = Packet(LINK, 1, b"\x00")
+"""Packet that makes the drone tell its protocol version to cflib."""
+VERSION_KNOWN = 0
+"""Least protocol version; cflib gives a negative number before the drone has told its version."""
 AGAIN = 0.25
-"""s after which what was not answered is asked again."""
+"""Seconds after which an unanswered request is sent again."""
 ENDS = 0.5
-"""s that a thread gets to end."""
+"""Seconds in which a thread may end."""
 CLOSES = 3.0
-"""s that closing a link takes at most; threads of cflib that hang in a driver are left behind."""
+"""Longest time in s to close a link; threads of cflib that hang in a driver are left behind."""
 NOBODY = "Connection refused"
-"""Words of an operating system for a port at which nobody listens."""
+"""Text of the operating system for a port without a listener."""
 WORDLESS = "no word of itself"
-"""The stage of a connection that is open: what has not come then is a log."""
+"""Stage of an open connection that has not yet delivered a log."""
 LOG_DATA = 2
+"""Channel of log data."""
 RESET_LOGS = Packet(LOG, 1, b"\x05")
+"""Packet that makes the drone drop its log blocks."""
 
 Data = Callable[[dict[str, float], int], None]
-"""Called with log variables and the ms, of the drone's time since it was started, at which they were so."""
+"""Callback: called with log variables, and ms since the drone's start at which they were taken."""
 
 
 class Connection:
-    """One link to a drone. Its methods are of the event loop; nothing in them waits for cflib.
+    """One link to a drone. Call its methods from the event loop; none of them blocks it.
 
-    uri: as cflib takes it;  contents: shared by all links of the process;  lost: called with a reason when an open link
-    has failed;  heard: called with each packet but logs and echoes;  turn: waits until a packet may be sent.
+    uri: address as cflib takes it
+    contents: tables of contents, shared by all links of the process
+    lost: called with a reason when an open link has failed
+    heard: called with each packet except logs and echoes
+    turn: waits until a packet may be sent
     """
 
     def __init__(
@@ -77,16 +88,18 @@ class Connection:
         self._echoing: asyncio.Task[None] | None = None
         self._trips = RoundTrips()
         self.rssi = math.nan
-        """dBm, of a radio."""
+        """dBm: signal strength of a radio; NaN if unknown."""
         self.cf = self._crazyflie(contents)
 
     def _crazyflie(self, contents: TableOfContents) -> Crazyflie:
-        """cflib's object, listened to; it gets its tables from the cache, and reads parameters when they are asked."""
+        """Return cflib's object with our callbacks.
+
+        It takes its tables from the cache, and reads a parameter only on request.
+        """
         cf = Crazyflie()
         cf._toc_cache = contents
-        cf.mem.refresh = (
-            _unread  # it would read those of decks, too, and never end where one fails
-        )
+        # cflib's own refresh also reads the memories of decks, and never ends if one fails.
+        cf.mem.refresh = _unread
         cf.remove_port_callback(MEMORY, cf.mem._new_packet_cb)
         cf.param.request_update_of_all_params = _nothing
         cf.param.refresh_toc = MethodType(_only_contents, cf.param)
@@ -102,12 +115,14 @@ class Connection:
         cf.link_statistics.uplink_rssi_updated.add_callback(self._set_rssi)
         return cf
 
-    # Open and close ---------------------------------------------------------------------------------------------
+    # Open and close -------------------------------------------------------------------------------
 
     async def open(self, seconds: float, tables: float = 0.0) -> None:
-        """Until tables of contents are known; raises LinkFailed, which says how far it came.
+        """Open the link, and return when its tables of contents are known.
 
-        seconds: that it gets to answer;  tables: s more for its tables, once it has.
+        seconds: s in which the drone must answer
+        tables: s more for its tables once it has answered
+        Raises LinkFailed, with the stage that was reached, if a deadline passes.
         """
         threading.Thread(
             target=self._open, name=f"{self.uri} opening", daemon=True
@@ -141,44 +156,47 @@ class Connection:
                     if gone := self.dongle_failure:
                         raise DongleFailed(self.uri, gone)
                     if self.version < VERSION_KNOWN:
-                        self._to_thread(SOURCE)  # cflib asks once
+                        self._to_thread(SOURCE)  # cflib itself asks only once
             self._opened.result()
 
     async def _echo(self) -> None:
-        """As packets like others: cflib's own thread would compete with them, and hang when the air is full."""
+        """Send echoes as ordinary packets.
+
+        cflib's own thread for echoes competes with other packets, and hangs when the air is full.
+        """
         async for _ in self.clock.ticks(PINGS):
             self.newest("echo", self._trips.echo())
 
     def _open(self) -> None:
-        """cflib's opening, which may never come back."""
+        """Open the link with cflib, which may never return."""
         try:
             self.cf.open_link(self.uri)
-        except Exception as error:  # noqa: BLE001 - whatever it is, whoever waits is told
+        except Exception as error:  # noqa: BLE001 - any error goes to the waiting task
             self._from_thread(self._failed, f"{type(error).__name__}: {error}")
         if self._over:
-            self._close_link()  # it was closed before it was open
+            self._close_link()  # `close` was called before the link was open
 
     @property
     def version(self) -> int:
-        """Of the protocol that the drone speaks; negative before it has said it."""
+        """Protocol version of the drone; negative while unknown."""
         version: int = self.cf.platform.get_protocol_version()
         return version
 
     @property
     def stage(self) -> str:
-        """What has not come."""
+        """The data still missing until the connection is usable."""
         if self._opened.done():
             return WORDLESS
         if self._heard_ns is None:
             return "no answer"
         if self.version < VERSION_KNOWN:
             return "it does not say its protocol's version"
-        table = self.cf.log.toc  # cflib has none before its answer to the reset of logs
+        table = self.cf.log.toc  # None until the drone has confirmed the reset of logs
         missing = "parameters" if table is not None and table.toc else "log variables"
         return f"its table of {missing} is not complete"
 
     async def close(self) -> None:
-        """End it without any set-point, so that a drone in flight notices no more than silence."""
+        """Close the link without a set-point, so that a flying drone notices only silence."""
         self._over = True
         if self.cf.incoming.ident is not None:
             self._contents.forget(self.cf.incoming.ident)
@@ -218,15 +236,18 @@ class Connection:
         if link is not None:
             link.close()
 
-    # Packets ----------------------------------------------------------------------------------------------------
+    # Packets --------------------------------------------------------------------------------------
 
     def send(self, packet: Packet) -> None:
-        """Send this, after all that were sent before."""
+        """Send a packet after all earlier ones."""
         if self._writer is not None:
             self._writer.put(packet)
 
     def urgent(self, packets: Iterable[Packet]) -> None:
-        """Send these before all that waits, also while it is being opened; earlier ones need not be sent any more."""
+        """Send packets before all waiting ones, also while the link is being opened.
+
+        Earlier urgent packets are dropped.
+        """
         if self._writer is not None:
             self._writer.urgent(packets)
         elif self.cf.link is not None:
@@ -234,12 +255,12 @@ class Connection:
                 self._to_thread(packet)
 
     def newest(self, kind: str, packet: Packet) -> None:
-        """Send this instead of the one of its kind that has not gone yet."""
+        """Send a packet in place of the waiting one of the same kind."""
         if self._writer is not None:
             self._writer.newest(kind, packet)
 
     def forget(self, kind: str) -> None:
-        """What has not gone of this kind does not go any more."""
+        """Drop the waiting packet of this kind."""
         if self._writer is not None:
             self._writer.forget(kind)
 
@@ -250,9 +271,12 @@ class Connection:
         seconds: float,
         again: float = AGAIN,
     ) -> Packet:
-        """Send it until an answer comes; raises TimeoutError.
+        """Send a packet until the answer arrives; return the answer.
 
-        answers: whether a packet is it;  again: s between two, infinite for what must not be said twice.
+        answers: returns whether a packet is the answer
+        seconds: s: deadline
+        again: s between two sends; infinite for a packet that must not be sent twice
+        Raises TimeoutError at the deadline.
         """
         waiting: asyncio.Future[Packet] = self._loop.create_future()
         entry = (answers, waiting)
@@ -270,7 +294,7 @@ class Connection:
 
     @property
     def silence(self) -> float:
-        """s since the last packet from the drone; infinite before the first."""
+        """Seconds since the last packet from the drone; infinite before the first."""
         return (
             math.inf
             if self._heard_ns is None
@@ -279,17 +303,17 @@ class Connection:
 
     @property
     def latency(self) -> float:
-        """s, there and back, 95 of 100 echoes; NaN before the first."""
+        """Round trip in s that 95 of 100 echoes do not exceed; NaN before the first."""
         return self._trips.latency
 
     @property
     def answered(self) -> float:
-        """Share of the last echoes that came back."""
+        """Share of the last echoes that came back; NaN if unknown."""
         return self._trips.answered
 
     @property
     def dongle_failure(self) -> str:
-        """Why its dongle cannot be used; empty if it can."""
+        """Reason why the dongle cannot be used; empty if it can."""
         return DONGLES.failure(self.uri)
 
     async def log(
@@ -300,7 +324,14 @@ class Connection:
         data: Data,
         seconds: float,
     ) -> None:
-        """Let the drone say variables every `period` s, a multiple of 0.01; LinkFailed if it does not in time."""
+        """Let the drone send log variables.
+
+        name: name of the log block
+        period: s, a multiple of 0.01
+        data: called with each set of values
+        seconds: s: deadline for the drone to start
+        Raises LinkFailed if the drone does not start in time.
+        """
         if self._writer is None:
             raise LinkFailed(self.uri, f"log {name}: its link is not open")
         config = LogConfig(name, round(1000.0 * period))
@@ -331,18 +362,27 @@ class Connection:
 
     @property
     def failure(self) -> str:
-        """What a packet that could not be sent has raised since this was asked; empty if all could."""
+        """Error of a packet that could not be sent; empty if there was none.
+
+        Reading this property clears it.
+        """
         return "" if self._writer is None else self._writer.failed()
 
     def _begun(self, started: "asyncio.Future[None]", block: Any, on: bool) -> None:
-        """From a thread of cflib, which says it too of one that the drone refuses to begin, with its whole log."""
+        """Note that a log block has started; called from a thread of cflib.
+
+        cflib also calls it for a block that the drone refuses to start; `on` is then false.
+        """
         if on:
             self._from_thread(_resolve, started)
         else:
             self._from_thread(_fail, started, "the drone does not begin it")
 
     async def reset_logs(self, seconds: float) -> None:
-        """Let the drone drop all its blocks; LinkFailed if it does not say so in time."""
+        """Let the drone drop all its log blocks.
+
+        Raises LinkFailed if it does not confirm in time.
+        """
         try:
             await self.ask(
                 RESET_LOGS,
@@ -363,7 +403,11 @@ class Connection:
             self._put(packet)
 
     def _put(self, packet: Packet) -> bool:
-        """From another thread: whether there was room for it. Past cflib's lock, which one that waits would keep."""
+        """Put a packet on the link; return False if there is no room.
+
+        Called from the writer's thread. It bypasses cflib's send lock, which a blocked sender would
+        hold.
+        """
         out = CRTPPacket()
         out.set_header(packet.port, packet.channel)
         out.data = packet.data
@@ -371,13 +415,13 @@ class Connection:
             raise LinkFailed(self.uri, "its link is closed")
         echoes = packet[:2] == (LINK, ECHO)
         if echoes:
-            self._trips.left(packet, self.clock.now())  # before it can come back
+            self._trips.left(packet, self.clock.now())  # note it before it can return
         went = link.send_packet(out) is not False
         if echoes and not went:
             self._trips.stayed(packet)
         return went
 
-    # From cflib's threads -----------------------------------------------------------------------------------------
+    # From cflib's threads -------------------------------------------------------------------------
 
     def _from_thread(self, function: Callable[..., None], *arguments: Any) -> None:
         if not self._over:
@@ -399,7 +443,7 @@ class Connection:
     def _set_rssi(self, rssi: float) -> None:
         self.rssi = -float(rssi)
 
-    # In the loop ----------------------------------------------------------------------------------------------------
+    # In the loop ----------------------------------------------------------------------------------
 
     def _is_open(self) -> None:
         if not self._opened.done():
@@ -439,16 +483,16 @@ def _fail(waiting: "asyncio.Future[None]", message: str) -> None:
 
 
 def _unread(done: Callable[[], None]) -> None:
-    """In place of reading memories at each connection."""
+    """Replace cflib's reading of all memories at each connection."""
     done()
 
 
 def _nothing() -> None:
-    """In place of reading every parameter at each connection."""
+    """Replace cflib's reading of all parameters at each connection, and its thread of echoes."""
 
 
 def _without_echoes(cf: Crazyflie) -> None:
-    """Its thread of echoes never begins, and nobody waits for its end; of a radio, signal strength is told as ever."""
+    """Keep cflib's thread of echoes from starting. Signal strength of a radio is still reported."""
     latency = cf.link_statistics.latency
     latency.start = latency.stop = _nothing
     cf.remove_header_callback(latency._ping_response, LINK, ECHO)
@@ -457,5 +501,8 @@ def _without_echoes(cf: Crazyflie) -> None:
 def _only_contents(
     param: Any, done: Callable[[], None], contents: TableOfContents
 ) -> None:
-    """In place of cflib's, which asks of each parameter whether it is persistent, one after the other."""
+    """Replace cflib's loading of the parameter table.
+
+    cflib's own asks for each parameter, one after the other, whether it is persistent.
+    """
     TocFetcher(param.cf, ParamTocElement, PARAM, param.toc, done, contents).start()

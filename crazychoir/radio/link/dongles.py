@@ -1,7 +1,8 @@
-"""Crazyradio dongles, each shared by the links of this process, which take turns in the threads of their drivers.
+"""Crazyradio dongles, each shared by the links of this process.
 
-cflib's own sharing has a thread a dongle that dies of an error of USB, or does not notice that nobody answers any more;
-its links then wait for it for ever. Here such an error is kept, and named.
+The links take turns, in the threads of their drivers. cflib's own sharing has a thread for each
+dongle, which dies of a USB error, or does not notice that no link reads its answers any more; the
+links then wait for ever. Here such an error is kept, and reported with the dongle.
 """
 
 import contextlib
@@ -15,43 +16,55 @@ from cflib.crtp import radiodriver
 from crazychoir.errors import LinkFailed
 
 PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
+"""Advice for a missing dongle."""
 PAUSE = 0.05
-"""s until a dongle is asked again that has answered nothing."""
+"""Seconds until a dongle that has not answered is asked again."""
 ANSWERS = 0.002
-"""s that what a drone has said is given to be answered, before it is asked whether it has more to say."""
-SOON, LATER = 0.005, 0.01
-"""s until a link that has nothing to say asks whether its drone has: after the first time in vain, then twice as long
-each time, up to the second, times the links of its dongle. cflib's asks at once, and takes the others' time for it."""
+"""Seconds for this process to answer a drone's packet, before the drone is asked for more."""
+SOON = 0.005
+"""Seconds until an idle link asks its drone again after the first request without data.
+
+The time doubles with each further one, up to LATER times the links of the dongle. cflib asks again
+at once, and takes time from the other links.
+"""
+LATER = 0.01
+"""Seconds for each link of the dongle: limit of that time."""
 PATIENT = 5
-"""Packets in a row without acknowledgement, from which on it is sent again as seldom."""
+"""Packets in a row without an acknowledgement, after which the link sends more rarely too."""
 SAFELINK = (0xFF, 0x05, 0x01)
-"""The first packets of a link: count packets both ways, so that none is lost or taken twice."""
+"""First packet of a link.
+
+It switches on a count of packets both ways, so that none is lost or taken twice.
+"""
 NULL = 0xF3
-"""Header of what says nothing, but for the two bits of safelink."""
+"""Header of an empty packet, apart from the two bits of safelink."""
 
 
 class DongleFailed(LinkFailed):
-    """The dongle of a link is not there, or not any more: no other link of it will do better."""
+    """The dongle of a link is missing or was removed: every other link of it fails too."""
 
 
 class Dongle:
-    """One Crazyradio. It is opened here; raises what cflib raises.
+    """One Crazyradio, opened by the constructor. Raises the errors of cflib.
 
-    failed: called with what USB says when it does not answer any more.
+    number: number of the dongle
+    failed: called with the USB error when the dongle stops answering
     """
 
     def __init__(self, number: int, failed: Callable[[str], None]) -> None:
         self._radio = radiodriver.Crazyradio(devid=number)
         self.version: float = self._radio.version
         self.links = 0
+        """Links that use this dongle."""
         self.over = False
+        """True once the dongle has failed or is closed."""
         self._failed = failed
         self._guard, self._waiting = threading.Lock(), deque[threading.Lock]()
         self._never = threading.Event()
 
     @contextlib.contextmanager
     def _turn(self) -> Iterator[None]:
-        """First come, first served."""
+        """Wait for the dongle, first come, first served."""
         mine = threading.Lock()
         mine.acquire()
         with self._guard:
@@ -70,21 +83,23 @@ class Dongle:
     def exchange(
         self, channel: int, address: bytes, rate: int, data: Sequence[int]
     ) -> Any:
-        """A packet to a drone, and cflib's acknowledgement; None if the dongle answers nothing."""
+        """Send a packet to a drone and return cflib's acknowledgement.
+
+        Returns None if the dongle does not answer.
+        """
         with self._turn():
             answer = self._use(
                 lambda radio: _exchanged(radio, channel, address, rate, data)
             )
             if answer is None:
-                self._use(
-                    lambda radio: radio.set_arc(radio.arc)
-                )  # cflib keeps errors of packets for itself
+                # cflib hides the errors of packets; this request shows them.
+                self._use(lambda radio: radio.set_arc(radio.arc))
         if answer is None:
             self._never.wait(PAUSE)
         return answer
 
     def set_arc(self, retries: int) -> None:
-        """How often it sends again by itself what is not acknowledged."""
+        """Set how often the dongle itself sends an unacknowledged packet again."""
         with self._turn():
             self._use(lambda radio: radio.set_arc(retries))
 
@@ -93,15 +108,15 @@ class Dongle:
             return None
         try:
             return does(self._radio)
-        except Exception as error:  # noqa: BLE001 - whatever USB raises, whoever waits for a turn gets it
+        except Exception as error:  # noqa: BLE001 - any USB error must free the waiting links
             self.over = True
             self._failed(f"{type(error).__name__}: {error}")
 
     def close(self) -> None:
-        """After its last link."""
+        """Close the dongle after its last link."""
         with self._turn():
             self.over = True
-            with contextlib.suppress(Exception):  # pulled out
+            with contextlib.suppress(Exception):  # the dongle was unplugged
                 self._radio.close()
 
 
@@ -115,7 +130,10 @@ def _exchanged(
 
 
 class Turns:
-    """One link's turns at a dongle: what cflib's driver takes for its radio."""
+    """One link's share of a dongle, in the form of the radio that cflib's driver expects.
+
+    closed: called when the link is closed
+    """
 
     def __init__(self, dongle: Dongle, closed: Callable[[], None]) -> None:
         self.version = dongle.version
@@ -131,30 +149,31 @@ class Turns:
         self._vain = 0
         self._missed = 0
         self.ends = False
-        """Whether the link is about to be closed."""
+        """True once the link is about to be closed."""
         self._never = threading.Event()
 
     def set_channel(self, channel: int) -> None:
-        """Of the next packets."""
+        """Set the channel of the next packets."""
         self._channel = channel
 
     def set_address(self, address: Sequence[int]) -> None:
-        """Of the next packets."""
+        """Set the address of the next packets."""
         self._address = bytes(address)
 
     def set_data_rate(self, rate: int) -> None:
-        """Of the next packets."""
+        """Set the data rate of the next packets."""
         self._rate = rate
 
     def set_arc(self, retries: int) -> None:
-        """Of all links."""
+        """Set the retransmissions of the dongle, for all links."""
         self._dongle.set_arc(retries)
 
     def send_packet(self, data: Sequence[int]) -> Any:
-        """One exchange, in turn; None if there is none.
+        """Do one exchange in turn; return None if there is none.
 
-        cflib asks for safelink ten times. A drone that still counts for an earlier link, and comes within reach only
-        after that, would take each packet for one sent again: it is asked until it acknowledges.
+        cflib asks for safelink ten times. A drone may still count packets of an earlier link, and
+        come within reach only after that; it would take each new packet for a repeated one. So
+        safelink is asked for until the drone acknowledges it.
         """
         answer = self._exchanged(data)
         while (
@@ -180,7 +199,7 @@ class Turns:
 
     @property
     def idle(self) -> float:
-        """s that its drone need not be asked, unless there is something to say."""
+        """Seconds for which the drone need not be asked, unless there is a packet to send."""
         if self._vain == 0:
             return ANSWERS if self._heard else 0.0
         return min(SOON * 2.0 ** min(self._vain - 1, PATIENT), self._longest)
@@ -190,7 +209,7 @@ class Turns:
         return LATER * self._dongle.links
 
     def close(self) -> None:
-        """No more of them."""
+        """End this link's share."""
         if self._open:
             self._open = False
             self._closed()
@@ -201,7 +220,7 @@ def _says_nothing(data: Sequence[int]) -> bool:
 
 
 class Dongles:
-    """Those of this process by number, and why one cannot be used."""
+    """The dongles of this process by number, and why one cannot be used."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -209,7 +228,10 @@ class Dongles:
         self._why: dict[int, str] = {}
 
     def open(self, number: int) -> Turns:
-        """A link's turns at a dongle, which is opened for the first of them; raises what cflib raises."""
+        """Return a link's share of a dongle, which is opened for its first link.
+
+        Raises the errors of cflib.
+        """
         with self._lock:
             dongle = self._open.get(number)
             if dongle is None or dongle.over:
@@ -243,7 +265,10 @@ class Dongles:
                     del self._open[number]
 
     def failure(self, uri: str) -> str:
-        """Why the dongle of this uri cannot be used; empty if it can, or has not been asked for."""
+        """Return why the dongle of this uri cannot be used.
+
+        The text is empty if the dongle can be used, or was not opened yet.
+        """
         number = uri.removeprefix("radio://").partition("/")[0]
         return (
             self._why.get(int(number), "")
@@ -253,3 +278,4 @@ class Dongles:
 
 
 DONGLES = Dongles()
+"""The dongles of this process."""

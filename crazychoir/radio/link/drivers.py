@@ -1,5 +1,7 @@
-"""cflib's drivers, made ready once a process: links that may lose packets, that close at once, and whose errors stay
-with whoever asks for them.
+"""cflib's link drivers, adapted once a process.
+
+These links expect lost packets, close at once, and report errors only to the code that asks for
+them.
 """
 
 import contextlib
@@ -18,16 +20,19 @@ from cflib.crtp.udpdriver import UdpDriver
 from crazychoir.radio.link.dongles import DONGLES, Turns
 
 ROOM = 0.05
-"""s that a packet waits for room at most: a driver's queue holds one, which leaves with the next exchange."""
+"""Longest time in s that a packet waits for room.
+
+A driver's queue holds one packet, which leaves with the next exchange.
+"""
 ENDS = 0.5
-"""s that the thread of a link gets to end its last exchange."""
+"""Seconds in which the thread of a link may end its last exchange."""
 
 
 class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
-    """cflib's UDP link, asked to behave as one that loses packets.
+    """cflib's UDP link, marked as a link that loses packets.
 
-    cflib's own counts on every datagram: it never asks again for an answer that does not come, and its thread looks
-    once a second whether it is to end.
+    cflib's own driver relies on every datagram: it never repeats an unanswered request. Its thread
+    checks only once a second whether it must end.
     """
 
     def __init__(self) -> None:
@@ -37,13 +42,13 @@ class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
     def connect(
         self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any
     ) -> None:
-        """As cflib's."""
+        """Open the link as cflib does; errors without a callback are ignored."""
         super().connect(
             uri, radio_link_statistics_callback, link_error_callback or _ignored
         )
 
     def close(self) -> None:
-        """Without waiting for either thread."""
+        """Close the link without waiting for either thread."""
         thread = self._thread
         waiting = self.in_queue
         if thread is not None:
@@ -58,29 +63,36 @@ class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
 
 
 class Outbox(queue.Queue[Any]):
-    """Room for the packet that leaves with the next exchange; a link with nothing to say waits here to listen."""
+    """Room for the one packet that leaves with the next exchange.
+
+    An idle link waits here until it listens again.
+    """
 
     def __init__(self, turns: Turns) -> None:
         super().__init__(1)
         self._turns = turns
 
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        """The packet; queue.Empty if there is none for as long as its drone need not be asked."""
+        """Return the packet.
+
+        Raises queue.Empty if none comes before the drone must be asked again.
+        """
         return super().get(True, self._turns.idle)
 
 
 class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
-    """cflib's radio link, whose sender waits a short time for room, and is never called back with an error.
+    """cflib's radio link, with a short wait for room, and without callbacks for errors.
 
-    cflib's own keeps who sends for 2 s when its air is full, then ends the link in that thread. Here who sends is told
-    that there is no room; a drone that does not acknowledge is noticed by its silence, and its link goes on trying.
+    cflib's own driver blocks the sender for 2 s when its air is full, then ends the link in that
+    thread. Here the sender learns that there is no room. A drone that does not acknowledge is
+    noticed by its silence, and the link keeps trying.
     """
 
     _radio: Any
 
     @property
     def needs_resending(self) -> bool:
-        """Always: a packet for which there is no room is lost, acknowledgements or not."""
+        """True: a packet without room is lost, even with acknowledgements."""
         return True
 
     @needs_resending.setter
@@ -90,12 +102,12 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
     def connect(
         self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any
     ) -> None:
-        """As cflib's, by a dongle that is shared in our way."""
+        """Open the link as cflib does, on a shared dongle of this package."""
         super().connect(uri, radio_link_statistics_callback, _ignored)
         self.out_queue = self._thread._out_queue = Outbox(self._radio)
 
     def send_packet(self, pk: Any) -> bool:
-        """Whether there was room for it in time."""
+        """Queue a packet; return whether there was room in time."""
         try:
             self.out_queue.put(pk, timeout=ROOM)
         except queue.Full:
@@ -103,13 +115,16 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         return True
 
     def room(self) -> bool:
-        """Whether there is, or is in time."""
+        """Return whether there is room, now or within ROOM s."""
         waiting: Outbox = self.out_queue
         with waiting.not_full:
             return waiting.not_full.wait_for(lambda: not waiting.queue, ROOM)
 
     def close(self) -> None:
-        """Once its thread has ended, or has had the time to; nobody waits for packets any more."""
+        """Close the link once its thread has ended, or has had the time to.
+
+        Readers of packets stop waiting.
+        """
         thread = self._thread
         turns = self._radio
         if turns is not None:
@@ -126,24 +141,30 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
 
 
 def room(cf: Any) -> bool:
-    """Whether a packet would leave soon; one that is closed has room, and whoever sends is told."""
+    """Return whether a packet would leave soon.
+
+    A closed link has room: the sender gets its error when it sends.
+    """
     link = cf.link
     return link.room() if isinstance(link, PatientRadioDriver) else True
 
 
 def _ignored(message: str) -> None:
-    """An error of a link that nobody listens to."""
+    """Ignore an error of a link."""
 
 
 OURS = {UdpDriver: LossyUdpDriver, RadioDriver: PatientRadioDriver}
+"""Our driver in place of each of cflib's."""
 
 
 @cache
 def ready() -> None:
-    """Let cflib know its drivers, ours in place of its own; once a process, as cflib adds them at each call."""
-    logging.getLogger("cflib").setLevel(
-        logging.CRITICAL
-    )  # what fails is said once, by who has asked for it
+    """Register cflib's drivers, with ours in place of its own.
+
+    This is done once a process, because cflib adds its drivers again at each call.
+    """
+    # The caller reports each failure, once.
+    logging.getLogger("cflib").setLevel(logging.CRITICAL)
     cflib.crtp.init_drivers()
     radiodriver.RadioManager = DONGLES
     cflib.crtp.CLASSES[:] = [OURS.get(driver, driver) for driver in cflib.crtp.CLASSES]

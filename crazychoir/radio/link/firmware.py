@@ -1,4 +1,7 @@
-"""What a connected drone is asked and told: parameters, release, arming; each ends by its deadline."""
+"""Requests to a connected drone: parameters, release, arming, trajectories.
+
+Each ends by its deadline.
+"""
 
 import difflib
 import math
@@ -13,25 +16,37 @@ from crazychoir.radio.link.connection import AGAIN, Connection
 from crazychoir.radio.protocol.crtp import FORMS, MEMORY, PARAM, PLATFORM, Packet
 from crazychoir.radio.protocol.handlers import ALL
 
-LISTED, READ, WRITE = 0, 1, 2
+LISTED = 0
+"""Channel of the list of memories."""
+READ = 1
+"""Channel that reads parameters."""
+WRITE = 2
+"""Channel that writes parameters and memories."""
 COUNT = Packet(MEMORY, LISTED, b"\x01")
-"""Asks for the number of memories."""
+"""Packet that asks for the number of memories."""
 DEADLINE = 2.0
-"""s of one request: eight times asked."""
+"""Seconds for one request, which is sent eight times by then."""
 CHUNK = 24
 """Bytes of a memory in one packet."""
-TRAJECTORIES, SIZE, SLOTS = MemoryElement.TYPE_TRAJ, 4096, 31
-"""Memory of trajectories: its kind, its bytes, and how many trajectories have a number."""
+TRAJECTORIES = MemoryElement.TYPE_TRAJ
+"""Kind of the memory of trajectories."""
+SIZE = 4096
+"""Bytes of the memory of trajectories."""
+SLOTS = 31
+"""Trajectories that have a number."""
 
 
 class Firmware:
-    """The firmware at the other end of a connection; raises LinkFailed for what it does not answer or do."""
+    """The firmware at the other end of a connection.
+
+    Its methods raise LinkFailed if the firmware does not answer, or does not do what they ask.
+    """
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
 
     async def release(self) -> str:
-        """Its tag, as "2025.12"."""
+        """Return the firmware's release tag, such as "2025.12"."""
         asked = Packet(PLATFORM, 1, b"\x01")
         answer = await self._ask(
             asked, lambda p: p[:2] == asked[:2] and p.data[:1] == b"\x01", "its release"
@@ -39,7 +54,7 @@ class Firmware:
         return answer.data[1:].split(b"\0")[0].decode(errors="replace")
 
     async def get(self, name: str) -> float:
-        """A parameter now."""
+        """Return the value of a parameter."""
         element = self._parameter(name)
         ident = struct.pack("<H", element.ident)
         answer = await self._ask(
@@ -55,14 +70,14 @@ class Firmware:
         return value
 
     async def has(self, name: str) -> bool:
-        """Whether it has a parameter of this name, and it is not 0."""
+        """Return whether the drone has a parameter of this name and its value is not 0."""
         there = (
             self.connection.cf.param.toc.get_element_by_complete_name(name) is not None
         )
         return there and await self.get(name) != 0
 
     async def set(self, name: str, value: float) -> float:
-        """A parameter, to this value; what the firmware has taken."""
+        """Set a parameter, and return the value that the firmware has taken."""
         element = self._parameter(name)
         uri = self.connection.uri
         if element.access == element.RO_ACCESS:
@@ -85,12 +100,12 @@ class Firmware:
         return value
 
     async def set_all(self, values: Mapping[str, float]) -> None:
-        """Several, one after the other."""
+        """Set several parameters, one after the other."""
         for name, value in values.items():
             await self.set(name, value)
 
     async def arm(self, on: bool = True) -> None:
-        """Let its motors turn, or not."""
+        """Arm the drone, or disarm it."""
         asked = FORMS["arm"].packet(on)
         head = bytes([0x80 | asked.data[0]])
         answer = await self._ask(
@@ -104,9 +119,13 @@ class Firmware:
     async def upload(
         self, memory: bytes, slot: int, pieces: int, offset: int = 0
     ) -> None:
-        """A trajectory of so many pieces, as planning/upload.py makes them, to be started by its slot.
+        """Upload a trajectory, which is then started by its slot.
 
-        offset: byte of the memory at which it begins. What does not fit is refused before anything is sent.
+        Too large a trajectory is refused before anything is sent.
+
+        memory: bytes from planning/upload.py
+        pieces: number of pieces
+        offset: first byte in the memory of trajectories
         """
         uri = self.connection.uri
         if not 0 <= slot < SLOTS:
@@ -135,9 +154,13 @@ class Firmware:
     async def start(
         self, slot: int, timescale: float = 1.0, relative: bool = False
     ) -> None:
-        """Fly an uploaded trajectory, so many times as slow; relative: from where it is.
+        """Start an uploaded trajectory.
 
-        It is said once: said again, after an answer that was lost, it would begin anew.
+        The packet is sent once: a second packet, after a lost answer, would start the trajectory
+        again.
+
+        timescale: factor by which the trajectory is slower
+        relative: start from where the drone is
         """
         await self.plan(
             FORMS["start_trajectory"].packet(
@@ -147,7 +170,10 @@ class Firmware:
         )
 
     async def _memory(self) -> int:
-        """The number of the memory of trajectories among those that it has; cflib would read those of decks, too."""
+        """Return the number of the memory of trajectories.
+
+        cflib would read the memories of decks too.
+        """
         count = await self._ask(
             COUNT,
             lambda p: p[:2] == COUNT[:2] and p.data[:1] == COUNT.data,
@@ -165,7 +191,10 @@ class Firmware:
         )
 
     async def plan(self, packet: Packet, again: float = AGAIN) -> None:
-        """Something for the planner on board; again: s after which it is said again, infinite for what may not be."""
+        """Send a packet to the planner on board.
+
+        again: s after which it is sent again; infinite for a packet that must not be sent twice
+        """
         answer = await self._ask(
             packet,
             lambda p: p[:2] == packet[:2] and p.data[:3] == packet.data[:3],
@@ -210,11 +239,14 @@ class Firmware:
 
 
 FLOATS = {"e": 65504.0, "f": 3.4028235e38, "d": 1.7976931348623157e308}
-"""The largest number of each kind, as struct calls them."""
+"""Largest number of each floating-point kind, by struct's letter."""
 
 
 def _packed(kind: str, value: float) -> bytes:
-    """A value as its firmware keeps it; raises what int, float and struct do, and ValueError if it is not finite."""
+    """Return a value in the firmware's format.
+
+    Raises the errors of int, float and struct; ValueError if it is not finite.
+    """
     if kind[-1] not in FLOATS:
         return struct.pack(kind, int(value))
     if not math.isfinite(value):
@@ -223,7 +255,7 @@ def _packed(kind: str, value: float) -> bytes:
 
 
 def _allowed(kind: str) -> str:
-    """The range of a kind, in words."""
+    """Return the range of a kind as text."""
     if kind[-1] in FLOATS:
         return f"finite numbers, {-FLOATS[kind[-1]]:.5g} to {FLOATS[kind[-1]]:.5g}"
     bits = 8 * struct.calcsize(kind)
@@ -236,10 +268,11 @@ def _allowed(kind: str) -> str:
 
 
 def _taken_or_not(asked: Packet, packet: Packet) -> bool:
-    """Whether it answers this write of a parameter: with what was asked, or, three bytes long, with an error.
+    """Return whether a packet answers this write of a parameter.
 
-    A request that was repeated is answered twice, and late the answer to an earlier value is none to this one; of one
-    byte a value is as long as an error, and only the value counts.
+    The answer has the value written, or an error of three bytes. A repeated request gets two
+    answers, and a late answer to an earlier value must not count. A value of one byte is as long as
+    an error; then only the written value counts.
     """
     if packet[:2] != (PARAM, WRITE) or packet.data[:2] != asked.data[:2]:
         return False
@@ -247,17 +280,17 @@ def _taken_or_not(asked: Packet, packet: Packet) -> bool:
 
 
 def _details(asked: Packet, packet: Packet) -> bool:
-    """Whether it says what this memory is."""
+    """Return whether a packet describes this memory."""
     return packet[:2] == asked[:2] and packet.data[:2] == asked.data
 
 
 def _written(head: bytes, packet: Packet) -> bool:
-    """Whether it answers a write of a memory that begins so."""
+    """Return whether a packet answers a write of a memory with this head."""
     return packet[:2] == (MEMORY, WRITE) and packet.data[:5] == head
 
 
 class Element:
-    """What of cflib's entry of a table is read here."""
+    """The fields of cflib's table entries that are read here."""
 
     ident: int
     pytype: str

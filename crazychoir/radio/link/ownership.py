@@ -1,9 +1,11 @@
-"""Who has a dongle: one process of this machine at a time, found by a lock that dies with it.
+"""The right to use a dongle, for one process of this machine at a time.
 
-The lock is the name of a Unix socket in the abstract namespace of Linux. It is the same for all users and in every
-environment (a login shell, cron, `sudo`, a service with folders of its own), and there is no file that could be taken,
-removed, or left behind. The kernel says which process holds it. Like the addresses of virtual drones it is one name a
-network namespace; where a Crazyradio is given to two of them, the kernel lets one process claim it.
+The process holds a lock, which is released when it ends. The lock is the name of a Unix socket in
+the abstract namespace of Linux. The name is the same for all users and in every environment (a
+login shell, cron, `sudo`, a service with folders of its own), and there is no file that could be
+taken, removed or left behind. The kernel tells which process holds it. Like the addresses of
+virtual drones it belongs to a network namespace; if two namespaces have the same Crazyradio, the
+kernel lets one process claim the device.
 """
 
 import contextlib
@@ -20,20 +22,24 @@ from crazychoir.errors import Refused
 from crazychoir.files.user_folders import user_name
 
 LAND_FIRST = "and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
+"""Advice about drones of a process of the same user."""
 LAND_AS_OWNER = "and may fly drones: that user, or root, must land them first (Ctrl-C there, or `crazychoir land`)"
+"""Advice about drones of a process of another user."""
 PREFIX = "crazychoir-"
-"""How the name of each lock begins."""
+"""Start of the name of each lock."""
 LONGEST_NAME = 107  # bytes of a name, after the zero byte that makes it abstract
-ANSWER_TIMEOUT = (
-    0.5  # s for the owner to say its swarm; a process that is stopped does not
-)
-CREDENTIALS = struct.Struct("3i")  # process, user and group, as the kernel knows them
+ANSWER_TIMEOUT = 0.5  # s
+"""Time for the owner to tell its swarm; a stopped process does not answer."""
+CREDENTIALS = struct.Struct("3i")  # process, user and group, from the kernel
 ANSWER_SIZE = 256  # bytes
 
 
 @contextlib.contextmanager
 def owned(config: SwarmConfig, dongle: int) -> Iterator[None]:
-    """This process owns a dongle, or, of virtual drones, their addresses; Refused while another one does."""
+    """Own a dongle inside this context; for virtual drones, own their addresses.
+
+    Raises Refused while another process owns them.
+    """
     with contextlib.ExitStack() as kept:
         for name in _names(config, dongle):
             kept.enter_context(_locked(name, dongle, config.name))
@@ -41,7 +47,10 @@ def owned(config: SwarmConfig, dongle: int) -> Iterator[None]:
 
 
 def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
-    """Refused while another process owns one of these dongles, before anything is started that needs it."""
+    """Raise Refused while another process owns one of these dongles.
+
+    Call it before anything is started that needs them.
+    """
     for dongle in dongles:
         for name in _names(config, dongle):
             owner = _owner(name)
@@ -50,7 +59,7 @@ def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
 
 
 def _names(config: SwarmConfig, dongle: int) -> list[str]:
-    """Of its locks, in an order that all keep to."""
+    """Return the names of a dongle's locks, in an order that all processes use."""
     uris = [config.drone(i).uri for i in config.dongles[dongle]]
     names = {
         f"dongle-{uri.split('/')[2]}" if uri.startswith("radio") else uri
@@ -69,7 +78,10 @@ def _address(name: str) -> bytes:
 
 @contextlib.contextmanager
 def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
-    """This process alone holds the lock; swarm: what others are told."""
+    """Hold the lock inside this context.
+
+    swarm: name that other processes receive
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
         try:
             lock.bind(_address(name))
@@ -88,14 +100,13 @@ def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
             yield
         finally:
             with contextlib.suppress(OSError):
-                lock.shutdown(
-                    socket.SHUT_RDWR
-                )  # ends the wait of the thread, which holds the name
+                # Ends the wait of the thread, which keeps the name.
+                lock.shutdown(socket.SHUT_RDWR)
             answering.join()
 
 
 def _answer(lock: socket.socket, swarm: bytes) -> None:
-    """Tell each process that asks which swarm holds the lock, until it is given up."""
+    """Send the name of the swarm to each asking process, until the lock is released."""
     with contextlib.suppress(OSError):
         while True:
             asking, _ = lock.accept()
@@ -104,14 +115,14 @@ def _answer(lock: socket.socket, swarm: bytes) -> None:
 
 
 def _owner(name: str) -> str | None:
-    """Return which process holds a lock and what to do, None if no process does."""
+    """Return which process holds a lock and what to do; None if no process does."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.settimeout(ANSWER_TIMEOUT)
         try:
             asking.connect(_address(name))
         except ConnectionRefusedError:
             return None
-        except OSError:  # so many ask at once that no more can
+        except OSError:  # too many processes ask at once
             return f"another process has it, {LAND_FIRST}"
         process, user, _ = CREDENTIALS.unpack(
             asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)

@@ -1,4 +1,4 @@
-"""How long the way to a drone and back takes, and how many echoes come back: counted here, of any link."""
+"""Round-trip times of a link, and the share of its echoes that come back, for any kind of link."""
 
 import math
 import struct
@@ -9,17 +9,22 @@ from collections import OrderedDict, deque
 from crazychoir.radio.protocol.crtp import LINK, Packet
 
 ECHO = 0
-"""Channel of the link's port that gives back what it gets."""
+"""Channel of the link port that returns each packet."""
 FORM = struct.Struct("<Bd")
-"""Of cflib's own echoes: who listens beside us takes each for one of them."""
-SHARED, TIMED = 20, 100
-"""Echoes of which the answered share is told, and the latency."""
+"""Format of cflib's own echoes: other listeners take ours for cflib's."""
+SHARED = 20
+"""Echoes in the answered share."""
+TIMED = 100
+"""Echoes in the latency."""
 WORST = 0.95
-"""Of the round trips, that are not longer than the latency."""
+"""Share of the round trips that are not longer than the latency."""
 
 
 class RoundTrips:
-    """Echoes of one link; from any thread, times in s of one clock."""
+    """The echoes of one link; its methods may be called from any thread.
+
+    Times are s of one clock.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -29,24 +34,24 @@ class RoundTrips:
         self._sorted: list[float] = []
 
     def echo(self) -> Packet:
-        """The next one to send."""
+        """Return the next echo to send."""
         self._number += 1
         return Packet(LINK, ECHO, FORM.pack(0, self._number))
 
     def left(self, echo: Packet, now: float) -> None:
-        """It is being sent."""
+        """Note that an echo is being sent."""
         with self._lock:
             self._answered[echo.data] = now
             if len(self._answered) > SHARED + 1:
                 self._answered.popitem(last=False)
 
     def stayed(self, echo: Packet) -> None:
-        """There was no room for it."""
+        """Forget an echo that found no room."""
         with self._lock:
             self._answered.pop(echo.data, None)
 
     def came(self, data: bytes, now: float) -> None:
-        """One has come back; a second time it counts no more, and neither does one that nobody knows."""
+        """Note an echo that came back. A repeated or unknown echo does not count."""
         with self._lock:
             if (sent := self._answered.get(data)) is not None:
                 self._answered[data] = None
@@ -57,7 +62,7 @@ class RoundTrips:
 
     @property
     def latency(self) -> float:
-        """s, there and back, 95 of 100 echoes; NaN before the first."""
+        """Round trip in s that 95 of 100 echoes do not exceed; NaN before the first."""
         with self._lock:
             took = self._sorted
             return took[math.ceil(WORST * len(took)) - 1] if took else math.nan
@@ -66,7 +71,6 @@ class RoundTrips:
     def answered(self) -> float:
         """Share of the last echoes that came back; NaN before there are two."""
         with self._lock:
-            back = [sent is None for sent in self._answered.values()][
-                :-1
-            ]  # the last may be on its way
+            # Without the last echo, which may be on its way.
+            back = [sent is None for sent in self._answered.values()][:-1]
         return sum(back) / len(back) if back else math.nan

@@ -1,4 +1,7 @@
-"""What drones have told of their log variables and parameters, by checksum: kept on disk, shared by all links."""
+"""The cache of tables of contents (log variables, parameters): on disk, by checksum.
+
+All links share it.
+"""
 
 import contextlib
 import hashlib
@@ -16,25 +19,33 @@ from cflib.crazyflie.param import ParamTocElement
 from crazychoir.files.user_folders import WARNING, cache_home
 
 log = logging.getLogger(__name__)
-PATIENCE, LOOKS = 60.0, 0.25
-"""s that a link waits for what another one is being told, longer than each is given to open; and after which it looks
-whether that one, or itself, has been closed meanwhile."""
+PATIENCE = 60.0
+"""Seconds for which a link waits while another link loads the table.
+
+This is longer than a link may take to open.
+"""
+LOOKS = 0.25
+"""Seconds between two checks whether that link, or this one, was closed meanwhile."""
 FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
+"""Fields of a table entry that are kept."""
 KINDS = {"log": LogTocElement, "param": ParamTocElement}
+"""cflib's class of the entries of each kind of table."""
 
 NAME = "tables of contents"
-"""What this cache holds, in warnings."""
+"""Name of this cache in warnings."""
 
 Contents = dict[str, dict[str, Any]]
+"""Entries of a table by group and name."""
 
 
 class TableOfContents:
-    """A cache of tables of contents, in the shape that cflib wants one: `fetch` and `insert`, from any thread.
+    """A cache of tables of contents with cflib's interface: `fetch` and `insert`, from any thread.
 
-    Drones with the same firmware have the same tables, so the first link asks and the others wait for its answer. A
-    file is there whole or not at all, whoever writes at the same time.
+    Drones with the same firmware have the same tables, so the first link loads them and the others
+    wait. A file is written as a whole or not at all, even if several processes write at the same
+    time.
 
-    folder: where they are kept, None where there is no place: then they are known to this process alone.
+    folder: folder of the files; None: tables are kept in this process only
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -47,7 +58,10 @@ class TableOfContents:
         self._told = threading.Condition()
 
     def fetch(self, crc: int) -> Contents | None:
-        """The table with this checksum; None: whoever asks is to get it from its drone."""
+        """Return the table with this checksum.
+
+        Returns None if the calling link must load it from its drone.
+        """
         me = threading.get_ident()
         with self._told:
             self._closed.pop(me, None)
@@ -62,7 +76,7 @@ class TableOfContents:
         return None
 
     def insert(self, crc: int, contents: Contents) -> None:
-        """A drone has told its table."""
+        """Keep a table that a drone has sent."""
         with self._told:
             self._known[crc] = contents
             self._asked.pop(crc, None)
@@ -76,7 +90,7 @@ class TableOfContents:
             self._warn(f"{self.folder}: {error.strerror or error}")
 
     def _warn(self, fault: str) -> None:
-        """Say once why nothing is kept."""
+        """Log once why nothing is kept on disk."""
         if not self._warned:
             self._warned = True
             do = "Set XDG_CACHE_HOME to a folder that can be written and has room."
@@ -89,7 +103,10 @@ class TableOfContents:
             )
 
     def forget(self, thread: int) -> None:
-        """The link of this thread is closed: who waits for what it was being told asks itself."""
+        """Note that the link of this thread is closed.
+
+        Links that wait for its tables then load them themselves.
+        """
         with self._told:
             self._asked = {
                 crc: who for crc, who in self._asked.items() if who != thread
@@ -113,7 +130,7 @@ class TableOfContents:
             AttributeError,
             RecursionError,
         ) as error:
-            self._damaged.append(crc)  # waiting links look again and again
+            self._damaged.append(crc)  # so that waiting links do not read it again
             log.warning("%s: %s: asked of the drone again", file, error)
             return None
 
@@ -135,14 +152,14 @@ def _file(folder: Path, crc: int) -> Path:
 
 
 def _check(kind: str, elements: list[Any]) -> str:
-    """Return the digest of a table: a file that is damaged and still JSON is found by it."""
+    """Return the digest of a table, which reveals a damaged file that is still valid JSON."""
     return hashlib.blake2b(
         json.dumps([kind, elements]).encode(), digest_size=8
     ).hexdigest()
 
 
 def encoded(contents: Contents) -> str:
-    """As text."""
+    """Return a table as text."""
     elements = [element for group in contents.values() for element in group.values()]
     kind = (
         "param"
@@ -154,9 +171,10 @@ def encoded(contents: Contents) -> str:
 
 
 def decoded(text: str) -> Contents:
-    """From text; ValueError, KeyError, TypeError or AttributeError for another one.
+    """Return the table of a text.
 
-    Whether a parameter is persistent is not kept: cflib would ask for each at every connection.
+    cflib would ask at every connection whether a parameter is persistent; this is not kept.
+    Raises ValueError, KeyError, TypeError or AttributeError if the text is not valid.
     """
     raw = json.loads(text)
     kind = KINDS[raw["kind"]]
@@ -172,6 +190,6 @@ def decoded(text: str) -> Contents:
 
 
 def folder() -> Path | None:
-    """Where this user keeps them, None without a place for caches."""
+    """Return this user's folder for tables; None if there is no place for caches."""
     own = cache_home()
     return None if own is None else own / "crazychoir" / "contents"

@@ -1,4 +1,7 @@
-"""The only thread that sends to a drone: a driver may keep who sends for seconds when its air is full."""
+"""The only thread that sends to a drone.
+
+A driver may block the sender for seconds when the air is full.
+"""
 
 import threading
 from collections import deque
@@ -9,10 +12,13 @@ from crazychoir.runtime.clock import SECOND, Clock
 
 
 class Turns:
-    """Turns of the drones that share a dongle, as many a second as it carries.
+    """Turns of the drones that share a dongle: as many a second as the dongle carries.
 
-    A radio's driver keeps who sends until the air is free; one that sends into a network does not, and what waits there
-    for a slower dongle grows old. Whoever waits here sends the newest.
+    The driver of a radio blocks the sender until the air is free. A network does not, and packets
+    that wait there for a slower dongle become old. A sender that waits here sends its newest
+    packet.
+
+    capacity: packets a second
     """
 
     def __init__(self, clock: Clock, capacity: float) -> None:
@@ -21,7 +27,7 @@ class Turns:
         self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
 
     def turn(self) -> None:
-        """Wait for one, from any thread."""
+        """Wait for a turn; callable from any thread."""
         with self._lock:
             now_ns = self._clock.now_ns()
             start_ns = max(now_ns, self._free_ns)
@@ -31,15 +37,19 @@ class Turns:
 
 
 MOST = 1000
-"""Packets that wait in order; beyond that the link is as good as gone."""
+"""Most packets that wait in order; beyond that the link counts as lost."""
 
 
 class Writer:
-    """Sends packets in order, and between them the newest of each kind, in turn; urgent ones before all others.
+    """Sends packets in order, and between them the newest of each kind, in turn.
 
-    send: puts a packet on the link; False: it has no room for it, which is tried again, unless something more urgent or
-    newer has come meanwhile;  turn: waits until one may be sent;  room: waits a short time for room on the link, so
-    that what is sent is the newest by then; False: there is none yet.
+    Urgent packets go before all others.
+
+    send: puts a packet on the link; False: no room. Then it is tried again, unless a more urgent or
+      newer packet has come.
+    turn: waits until a packet may be sent
+    room: waits a short time for room on the link, so that the newest packet is sent; False: no room
+      yet
     """
 
     def __init__(
@@ -60,16 +70,16 @@ class Writer:
         self._newest: dict[str, Packet] = {}
         self._ends = False
         self.sent = self.refused = 0
-        """Packets that have gone; those for which too many were waiting."""
+        """Packets that were sent, and packets refused because too many waited."""
         self.failure = ""
-        """What the last send that failed has raised."""
+        """Error of the last send that failed."""
         self._thread = threading.Thread(
             target=self._run, name=f"{name} writer", daemon=True
         )
         self._thread.start()
 
     def put(self, packet: Packet) -> bool:
-        """Send this after all that were put before; False if too many wait."""
+        """Queue a packet after all earlier ones; return False if too many wait."""
         with self._work:
             if len(self._ordered) >= MOST:
                 self.refused += 1
@@ -79,37 +89,37 @@ class Writer:
         return True
 
     def urgent(self, packets: Iterable[Packet]) -> None:
-        """Send these before all that waits; those that waited as urgent need not be sent any more."""
+        """Send packets before all waiting ones; earlier urgent packets are dropped."""
         with self._work:
             self._urgent = deque(packets)
             self._work.notify()
 
     def newest(self, kind: str, packet: Packet) -> None:
-        """Send this instead of the one of its kind that still waits."""
+        """Send a packet in place of the waiting one of the same kind."""
         with self._work:
             self._newest[kind] = packet
             self._work.notify()
 
     def forget(self, kind: str) -> None:
-        """What waits of this kind is not sent any more."""
+        """Drop the waiting packet of this kind."""
         with self._work:
             self._newest.pop(kind, None)
 
     def failed(self) -> str:
-        """What has been raised since this was asked."""
+        """Return the error of a failed send since the last call; empty if there was none."""
         failure = self.failure
         self.failure = ""
         return failure
 
     def end(self) -> None:
-        """Send what waits in order, then end."""
+        """Send the packets that wait in order, then end."""
         with self._work:
             self._ends = True
             self._newest.clear()
             self._work.notify()
 
     def join(self, seconds: float) -> bool:
-        """Wait for its end; False if it still sends."""
+        """Wait for the thread to end; return False if it still sends."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
@@ -117,17 +127,17 @@ class Writer:
         while self._waits():
             self._turn()
             while not (self._room() and self._has_sent()):
-                pass  # its turn has come: whatever is next by then
+                pass  # the turn remains: send whatever packet is next by then
 
     def _waits(self) -> bool:
-        """Until there is something to send; False at its end."""
+        """Wait until there is a packet to send; return False at the end."""
         with self._work:
             while not (self._urgent or self._ordered or self._newest or self._ends):
                 self._work.wait()
             return bool(self._urgent or self._ordered or self._newest)
 
     def _has_sent(self) -> bool:
-        """Whether what is next has gone, has failed for good, or does not wait any more."""
+        """Return whether the next packet was sent, has failed for good, or no longer waits."""
         with self._work:
             packet = self._next()
         if packet is None:
@@ -136,7 +146,7 @@ class Writer:
             if not self._send(packet):
                 return False
             self.sent += 1
-        except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
+        except Exception as error:  # noqa: BLE001 - after any driver error the next packet may be sent
             self.failure = f"{type(error).__name__}: {error}"
         with self._work:
             self._remove(packet)
@@ -149,7 +159,7 @@ class Writer:
         return None
 
     def _remove(self, packet: Packet) -> None:
-        """It does not wait any more, if it has not been replaced meanwhile."""
+        """Remove a packet from its queue, unless it was replaced meanwhile."""
         for waiting in (self._urgent, self._ordered):
             if waiting and waiting[0] is packet:
                 waiting.popleft()

@@ -1,4 +1,4 @@
-"""The radio:// addresses of a swarm file: which dongles it names, and the same file with other channels."""
+"""The radio:// addresses of a swarm file: find their dongles, and change their channels."""
 
 import os
 import re
@@ -13,7 +13,10 @@ from crazychoir.files import text_files
 from crazychoir.radio.protocol.channels import LAST
 
 RADIO = re.compile(r"(radio://([^/]+)/)(\d{1,3})((?:[/?].*)?)")
-"""Up to the channel, the dongle in it, the channel, and the rest."""
+"""Pattern of a radio uri.
+
+Groups: all before the channel, the dongle within it, the channel, the rest.
+"""
 _TOKENS = re.compile(
     r'"""(?:\\.|[^\\])*?"""'
     r"|'''.*?'''"
@@ -22,17 +25,21 @@ _TOKENS = re.compile(
     r"|#[^\n]*",
     re.DOTALL,
 )
-"""Texts and comments of TOML, and texts of JSON."""
+"""Pattern of texts and comments in TOML, and of texts in JSON."""
 _KEY = re.compile(r"""(?:^|[\s,{.])(?:uri|"uri"|'uri')\s*[=:]\s*$""")
-"""What stands before the text that is the value of a key uri."""
+"""Pattern of the characters before a text that is the value of a key `uri`."""
 SERIAL = 10
 """Digits of a dongle's serial number."""
 SHOWN = 60
-"""Characters before a text that are looked at."""
+"""Characters before a text that are searched for its key."""
 
 
 def dongles(text: str, where: str) -> dict[str, list[str]]:
-    """{dongle: the radio:// uris of its drones}, in the order of the file; ConfigError for a file without any."""
+    """Return the radio:// uris of each dongle, {dongle: uris}, in the order of the file.
+
+    where: name of the file for errors
+    Raises ConfigError if the file has no radio uri, or one without a channel.
+    """
     found: dict[str, list[str]] = {}
     for uri in (drone["uri"] for drone in _on_radio(_values(text, where))):
         match = RADIO.fullmatch(uri)
@@ -59,9 +66,11 @@ def dongles(text: str, where: str) -> dict[str, list[str]]:
 
 
 def with_channels(text: str, channels: Mapping[str, int], where: str) -> str:
-    """The text with the channel of its dongle, {dongle: channel}, in each drone's uri; nothing else is changed.
+    """Return the text with new channels in the drones' uris; nothing else changes.
 
-    Raises ConfigError where a uri is written in a way that is not found in the text.
+    channels: channel of each dongle
+    where: name of the file for errors
+    Raises ConfigError if a uri is written in a way that is not found in the text.
     """
     expected = _values(text, where)
     for drone in _on_radio(expected):
@@ -82,7 +91,10 @@ def with_channels(text: str, channels: Mapping[str, int], where: str) -> str:
 
 
 def require_writable(path: Path) -> None:
-    """Raise ConfigError for a file whose channels could not be written, before anybody measures which."""
+    """Raise ConfigError if the channels in the file could not be changed.
+
+    Call it before anything is measured.
+    """
     path = path.resolve()
     text = read_text(path)
     with_channels(text, dict.fromkeys(dongles(text, str(path)), LAST), str(path))
@@ -95,7 +107,7 @@ def require_writable(path: Path) -> None:
 
 
 def write_channels(path: Path, channels: Mapping[str, int]) -> None:
-    """Change the channels in a swarm file, all or, if that fails, none."""
+    """Change the channels in a swarm file: all of them or, if that fails, none."""
     path = path.resolve()
     text = read_text(path)
     beside = path.with_name(f"{path.name}.new")
@@ -113,7 +125,7 @@ def write_channels(path: Path, channels: Mapping[str, int]) -> None:
 
 
 def read_text(path: Path) -> str:
-    """A swarm file as it is, to the byte; ConfigError for one that cannot be read."""
+    """Return the exact text of a swarm file. Raises ConfigError if it cannot be read."""
     return text_files.read_text(path, "a swarm file, TOML or JSON", exact=True)
 
 
@@ -122,7 +134,7 @@ def _values(text: str, where: str) -> dict[str, Any]:
 
 
 def _on_radio(raw: dict[str, Any]) -> list[dict[str, Any]]:
-    """The [[drones]] whose uri is one of a radio."""
+    """Return the [[drones]] tables with a radio uri."""
     drones = raw.get("drones")
     tables = (
         [one for one in drones if isinstance(one, dict)]
@@ -140,13 +152,13 @@ def _on_channel(uri: str, channels: Mapping[str, int]) -> str:
 
 
 def _dongle(match: re.Match[str]) -> str:
-    """The dongle of a uri: its number, however it is written, or its serial number."""
+    """Return the dongle of a uri: its number in plain digits, or its serial number."""
     name = match[2]
     return str(int(name)) if name.isdecimal() and len(name) < SERIAL else name.upper()
 
 
 def _token(token: re.Match[str], channels: Mapping[str, int]) -> str:
-    """A text or a comment, with another channel if it is the value of a key uri."""
+    """Return a text or comment, with another channel if it is the value of a key `uri`."""
     written = token[0]
     before = token.string[max(token.start() - SHOWN, 0) : token.start()]
     return (

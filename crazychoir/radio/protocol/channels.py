@@ -1,4 +1,7 @@
-"""Channels of the Crazyradio, and which k of them to take: channel c lies at 2400 + c MHz, 0 to 125."""
+"""The Crazyradio's channels 0 to 125, and the choice of the k best.
+
+Channel c is at 2400 + c MHz.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,23 +9,27 @@ from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 
 LAST = 125
+"""Highest channel."""
 LICENSED = 83
-"""Above it lies outside the licence-free 2.4 GHz band of many countries, which ends at 2483.5 MHz."""
+"""Highest channel in the licence-free 2.4 GHz band of many countries, which ends at 2483.5 MHz."""
 LEAST_SPACING = 2
-"""MHz that two links of 2 Mbit/s need: each is so wide."""
+"""MHz between two links of 2 Mbit/s: each is so wide."""
 WIFI = {1: 12, 6: 37, 11: 62}
-"""The Crazyradio's channel in the middle of each WiFi channel that does not overlap another."""
+"""Crazyradio channel at the centre of each of the WiFi channels that do not overlap."""
 WIFI_HALF = 11
-"""MHz to each side that a WiFi channel is wide."""
+"""MHz by which a WiFi channel extends to each side of its centre."""
 
 
 def frequency(channel: int) -> int:
-    """MHz."""
+    """Return the frequency of a channel in MHz."""
     return 2400 + channel
 
 
 def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
-    """The channels of a text such as "2-82:2", each second from 2 to 82, or "4,20-30,76"; increasing, each once."""
+    """Return the channels of a text, sorted, each once.
+
+    "2-82:2" is every second channel from 2 to 82; another example is "4,20-30,76".
+    """
     allowed = f"channels 0 to {LAST}, as 2-82:2 (each second) or 4,20-30,76"
     return tuple(sorted(parse_spans(text, where, allowed, LAST, steps=True)))
 
@@ -30,13 +37,16 @@ def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
 def pick(
     scores: Mapping[int, Sequence[float]], k: int, spacing: int
 ) -> tuple[int, ...]:
-    """The k channels, increasing, no two closer than `spacing` MHz, that maximise the least score among them.
+    """Return the k channels with the largest minimal score; no two are closer than `spacing` MHz.
 
         max_C  min_{c in C} s_c[0]     over  |C| = k,  |c - d| >= spacing  for c, d in C, c /= d
 
-    Of several such C the one whose further scores s_c[1], added up, are most; of those the one with the lowest
-    channels. scores: {channel: (what counts, what decides between equals)}.
-    Raises ConfigError where there are no such k.
+    Among equal sets C it takes the one with the largest sum of second scores s_c[1], then the one
+    with the lowest channels. The channels are returned in increasing order.
+
+    scores: {channel: (score that counts, score that decides between equals)}
+    spacing: MHz
+    Raises ConfigError if there is no such set.
     """
     channels = sorted(scores)
     least = _bottleneck({c: scores[c][0] for c in channels}, k, spacing)
@@ -46,7 +56,7 @@ def pick(
 
 
 def _bottleneck(scores: Mapping[int, float], k: int, spacing: int) -> float:
-    """The largest score such that k channels of at least that have the spacing."""
+    """Return the largest score such that k channels with at least this score have the spacing."""
     for least in sorted(set(scores.values()), reverse=True):
         if len(_leftmost([c for c in scores if scores[c] >= least], spacing)) >= k:
             return least
@@ -61,7 +71,10 @@ def _bottleneck(scores: Mapping[int, float], k: int, spacing: int) -> float:
 
 
 def _leftmost(channels: Sequence[int], spacing: int) -> list[int]:
-    """As many of the increasing channels as the spacing allows: each time the lowest that is far enough."""
+    """Return as many of the increasing channels as the spacing allows.
+
+    It always takes the lowest that is far enough.
+    """
     taken: list[int] = []
     for c in channels:
         if not taken or c - taken[-1] >= spacing:
@@ -70,10 +83,11 @@ def _leftmost(channels: Sequence[int], spacing: int) -> list[int]:
 
 
 def _best_sum(values: Mapping[int, float], k: int, spacing: int) -> tuple[int, ...]:
-    """The k channels with the spacing of the largest sum, of those the lowest; k of them there must be.
+    """Return the k channels with the spacing and the largest sum; among equals the lowest.
 
-    best[n][m]: sum and channels of the best m of the last n;  with the channel before: it and the best m - 1 of those
-    that are far enough.
+    There must be k such channels. best[n][m] holds the sum and channels of the best m among the
+    last n channels. A solution that contains the next channel is that channel with the best m - 1
+    of the channels that are far enough.
     """
     channels = list(values)
     best: list[dict[int, tuple[float, tuple[int, ...]]]] = [{0: (0.0, ())}]

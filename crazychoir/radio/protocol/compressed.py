@@ -1,17 +1,24 @@
-"""Quaternions in 32 bits, as the firmware packs them."""
+"""Unit quaternions in 32 bits, in the firmware's format."""
 
 import numpy as np
 
 from crazychoir.types import Vec
 
-_BITS, _HALF = 9, 0.5**0.5
+_BITS = 9
+"""Bits of the magnitude of a component."""
+_HALF = 0.5**0.5
+"""Largest magnitude of the components that are sent: 1 / sqrt 2."""
 _MOST = (1 << _BITS) - 1
+"""Largest magnitude as an integer."""
 
 
 def compressed(q: Vec) -> int:
-    """q (4,) [x, y, z, w], a unit quaternion: 2 bits for the largest, then sign and 9 bits of each of the others.
+    """Return the 32 bits of a unit quaternion: 2 bits name the largest component.
 
-    The largest is made positive; the others are at most 1 / sqrt 2 then.
+    Each other has a sign and 9 bits. The sign of q is chosen such that the largest component is
+    positive; the others are then at most 1 / sqrt 2.
+
+    q: (4,) [x, y, z, w]
     """
     k = int(np.argmax(np.abs(q)))
     word = k
@@ -24,7 +31,7 @@ def compressed(q: Vec) -> int:
 
 
 def quaternion(word: int) -> Vec:
-    """(4,) [x, y, z, w] of 32 bits."""
+    """Return the unit quaternion (4,) [x, y, z, w] of 32 bits."""
     q = np.zeros(4)
     k = word >> 30
     for i in (i for i in (3, 2, 1, 0) if i != k):

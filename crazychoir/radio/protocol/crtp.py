@@ -1,7 +1,9 @@
-"""CRTP packets without any I/O: what a server of virtual drones, senders and tests all read and write.
+"""CRTP packets without I/O, for the server of virtual drones, the senders and the tests.
 
-One datagram is one packet: a byte of port and channel, then at most 30 bytes. Numbers are little-endian, not aligned.
-Sources: Bitcraze's CRTP documentation; protocol version 12 as the firmware of 2026 speaks it, measured.
+One datagram is one packet: a byte with port and channel, then at most 30 bytes. Numbers are
+little-endian and not aligned.
+
+Sources: Bitcraze's CRTP documentation; protocol version 12 as measured on the firmware of 2026.
 """
 
 import struct
@@ -12,29 +14,42 @@ from typing import Any, Final, NamedTuple
 from crazychoir.errors import CodecError
 
 PROTOCOL: Final = 12
-"""Version of what the ports below understand."""
+"""Version of the protocol that the forms below belong to."""
 MOST: Final = 30
-"""Bytes behind the header."""
-CONSOLE, PARAM, COMMANDER, MEMORY, LOG, LOCALIZATION, SETPOINT = 0, 2, 3, 4, 5, 6, 7
-HIGH_LEVEL, SUPERVISOR, PLATFORM, LINK = 8, 9, 13, 15
+"""Most bytes after the header."""
+# Ports.
+CONSOLE = 0
+PARAM = 2
+COMMANDER = 3
+MEMORY = 4
+LOG = 5
+LOCALIZATION = 6
+SETPOINT = 7
+HIGH_LEVEL = 8
+SUPERVISOR = 9
+PLATFORM = 13
+LINK = 15
 _RESERVED = 0b1100
-"""Bits of the header that safelink counts in; cflib sets them in each packet that it sends or gets."""
+"""Header bits that safelink counts with; cflib sets them in each packet."""
 
 
 class Packet(NamedTuple):
-    """port: 0 to 15;  channel: 0 to 3;  data: at most MOST bytes."""
+    """One CRTP packet."""
 
     port: int
+    """0 to 15."""
     channel: int
+    """0 to 3."""
     data: bytes = b""
+    """Content: at most MOST bytes."""
 
     def framed(self) -> bytes:
-        """As it travels."""
+        """Return the packet as a datagram."""
         return bytes([self.port << 4 | _RESERVED | self.channel]) + self.data
 
 
 def parse(datagram: bytes) -> Packet:
-    """The packet of a datagram; CodecError for an empty one and for one that no radio carries."""
+    """Return the packet of a datagram. Raises CodecError if it is empty or too long for a radio."""
     if not 1 <= len(datagram) <= 1 + MOST:
         raise CodecError(
             f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + MOST}."
@@ -44,31 +59,39 @@ def parse(datagram: bytes) -> Packet:
 
 @dataclass(frozen=True)
 class Form:
-    """One kind of packet: where it goes, the bytes that tell it from others, and its fields.
-
-    fields: name and struct's letter each, as in "roll:f pitch:f", after the head, nothing between them.
-    """
+    """One kind of packet: its port and channel, its first bytes, and its fields."""
 
     name: str
+    """Name of the form."""
     port: int
+    """Port of its packets."""
     channel: int
+    """Channel of its packets."""
     head: bytes
+    """First bytes, which distinguish this form from others."""
     fields: str
+    """Name and struct letter of each field, such as "roll:f pitch:f".
+
+    They follow the head without gaps.
+    """
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the fields, in their order."""
+        """Names of the fields, in order."""
         return tuple(field.split(":")[0] for field in self.fields.split())
 
     @cached_property
     def layout(self) -> struct.Struct:
-        """Of the fields."""
+        """Binary layout of the fields."""
         return struct.Struct(
             "<" + "".join(field.split(":")[1] for field in self.fields.split())
         )
 
     def packet(self, *values: Any) -> Packet:
-        """The packet with these values, in the order of the fields; CodecError for one that does not fit."""
+        """Return the packet with these values, in the order of the fields.
+
+        Raises CodecError if a value does not fit.
+        """
         try:
             return Packet(
                 self.port, self.channel, self.head + self.layout.pack(*values)
@@ -79,7 +102,10 @@ class Form:
             ) from error
 
     def values(self, packet: Packet) -> tuple[Any, ...]:
-        """The values of the fields; CodecError for a packet of another length, at which a firmware would reset."""
+        """Return the values of the fields.
+
+        Raises CodecError for a packet of another length; a firmware would reset at such a packet.
+        """
         body = packet.data[len(self.head) :]
         if len(body) != self.layout.size:
             found = len(packet.data)
@@ -95,7 +121,8 @@ def _forms(*rows: tuple[str, int, int, bytes, str]) -> dict[str, Form]:
 
 
 FORMS: Final = _forms(
-    # Set-points: deg and deg/s. Pitch is positive nose up; the yaw rate of RPYT and of legacy ones is turned around.
+    # Set-points: deg and deg/s. Pitch is positive nose up; RPYT and the legacy forms reverse the
+    # sign of the yaw rate.
     ("rpyt", COMMANDER, 0, b"", "roll:f pitch:f yaw:f thrust:H"),
     ("stop", SETPOINT, 0, b"\x00", ""),
     ("velocity_world_legacy", SETPOINT, 0, b"\x01", "vx:f vy:f vz:f yaw_rate:f"),
@@ -182,7 +209,7 @@ FORMS: Final = _forms(
         b"\x0d",
         "group:B relative:B relative_yaw:B reversed:B id:B timescale:f",
     ),
-    # What is measured outside: m, quaternions [x, y, z, w].
+    # Measurements from outside: m, quaternions [x, y, z, w].
     ("external_position", LOCALIZATION, 0, b"", "x:f y:f z:f"),
     ("emergency_stop", LOCALIZATION, 1, b"\x03", ""),
     ("emergency_stop_watchdog", LOCALIZATION, 1, b"\x04", ""),
@@ -197,7 +224,11 @@ FORMS: Final = _forms(
     ("platform_arm", PLATFORM, 0, b"\x01", "on:?"),
     ("platform_recover", PLATFORM, 0, b"\x02", ""),
 )
-"""By name. Logs, parameters and memories, whose packets have lists in them, are read where they are served."""
+"""All forms, by name.
+
+The packets of logs, parameters and memories contain lists; they are read by the code that serves
+them.
+"""
 SINCE: Final = {
     "go_to": 8,
     "spiral": 8,
@@ -211,5 +242,7 @@ SINCE: Final = {
     "supervisor_watchdog": 12,
     "supervisor_info": 12,
 }
-"""Version of the protocol from which on firmware knows a form, by cflib 0.1.34, which asks for none of
-the others."""
+"""First protocol version that knows a form, according to cflib 0.1.34.
+
+The other forms have no such version there.
+"""

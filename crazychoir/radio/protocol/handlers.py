@@ -1,7 +1,8 @@
-"""From commands to packets: one radio handler a kind of command, by the paper's names. No I/O, no clock.
+"""Translate commands into packets: one radio handler for each kind of command.
 
-A drone whose pose is its own estimate, by lighthouse, flow deck or anchors, is flown by the same handlers: who sees it
-is not what it is sent.
+The names are those of the paper. No I/O, no clock. A drone that estimates its own pose, by
+lighthouse, flow deck or anchors, uses the same handlers: the packets do not depend on the source of
+the pose.
 """
 
 import math
@@ -25,35 +26,42 @@ from crazychoir.simulation.onboard.units import (
 from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Pose, Vel
 
 ALL = 0
-"""Mask of groups: every drone that hears it."""
+"""Group mask of every drone that receives the packet."""
 LARGEST = 32_767
-"""mm, mm/s, mm/s2, mrad/s: what 16 bits hold."""
+"""Largest value in 16 bits: mm, mm/s, mm/s2, mrad/s."""
 
 
 class RadioHandler:
-    """What all have. kind: as a swarm file names it;  form: of what it sends in flight;  platform: of the drone;
-    thrust: command a newton.
+    """The common part of all handlers.
+
+    platform: platform of the drone
+    thrust: thrust command a newton
     """
 
     kind: str
+    """Kind of command, as a swarm file names it."""
     form: str
+    """Form of the packets in flight."""
     needs_thrust = False
-    """Whether it must know what a newton is on board."""
+    """True if the handler must know the thrust command a newton."""
 
     def __init__(self, platform: Platform, thrust: float = 0.0) -> None:
         self.platform = platform
         self.thrust = thrust
-        self._streamed_last = (
-            True  # somebody before us may have, and be it by cflib's close_link
-        )
+        # True at the start: another program may have sent set-points before, for example cflib's
+        # close_link.
+        self._streamed_last = True
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Of the firmware, without which the commands would mean something else."""
+        """Firmware parameters without which the commands would have another meaning."""
         return {}
 
     def packets(self, command: Any) -> list[Packet]:
-        """What says this command; CodecError for what is no number, and for what no packet holds."""
+        """Return the packets of a command.
+
+        Raises CodecError for values that are not finite or do not fit into a packet.
+        """
         if not np.all(np.isfinite(command.flat)):
             raise CodecError(
                 f"{type(command).__name__} {command.flat.tolist()}: finite numbers are allowed."
@@ -65,22 +73,27 @@ class RadioHandler:
         )
 
     def setpoint(self, command: Any) -> list[Packet]:
-        """What says a command of its kind, which the firmware holds until the next one, 0.5 s at most."""
+        """Return the packets of a set-point of this kind.
+
+        The firmware holds a set-point until the next one, 0.5 s at most.
+        """
         raise CodecError(
             f"{type(command).__name__} for a drone that is sent {self.kind}."
         )
 
     def planned(self, command: XYZ) -> list[Packet]:
-        """What says this to the planner on board; after set-points it is told then that they have ended (`relax`).
+        """Return the packets of a command for the planner on board.
 
-        In this order: a planner in control without a plan switches the motors off (crazyflie-firmware since 2023.11).
-        One that is to land flies: it is told of their end by itself, once its planner has answered.
+        After set-points they end with `relax`. The order matters: a planner that has control but no
+        plan switches the motors off (crazyflie-firmware since 2023.11). A drone that is to land
+        flies: it gets `relax` separately, once its planner has answered.
         """
         relax = self.relax
+        # After these, `relax` is sent again with each further command: the first may be lost.
         ends = command.verb in (
             "land",
             "stop",
-        )  # said again with each: the first may be lost
+        )
         self._streamed_last = self._streamed_last and ends
         x, y, z, yaw, duration = command.flat.tolist()
         match command.verb:
@@ -104,7 +117,7 @@ class RadioHandler:
 
     @property
     def relax(self) -> list[Packet]:
-        """What gives the planner control again, if it may have lost it."""
+        """Packets that give control back to the planner, if set-points may have taken it."""
         return [FORMS["notify_setpoint_stop"].packet(0)] if self._streamed_last else []
 
     def _streamed(self, packet: Packet) -> list[Packet]:
@@ -113,15 +126,16 @@ class RadioHandler:
 
 
 class _Thrust(RadioHandler):
-    """Set-points with a thrust: roll and pitch as rates or as angles."""
+    """Set-points with a thrust; roll and pitch are rates or angles."""
 
     needs_thrust = True
     angles = 0
+    """1: roll and pitch are angles; 0: they are rates."""
     form = "rpyt"
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The modes of roll, pitch and yaw."""
+        """Modes of roll, pitch and yaw."""
         return {
             "flightmode.stabModeRoll": self.angles,
             "flightmode.stabModePitch": self.angles,
@@ -129,7 +143,7 @@ class _Thrust(RadioHandler):
         }
 
     def setpoint(self, command: FPQR | FRPY) -> list[Packet]:
-        """One; its thrust is held 2 s."""
+        """Return one set-point; the firmware holds its thrust for 2 s."""
         thrust, roll, pitch, yaw_rate = command.flat.tolist()
         raw = round(min(max(self.thrust * thrust, 0.0), FULL))
         return self._streamed(
@@ -146,49 +160,52 @@ class RadioHandlerFPQR(_Thrust):
 
 
 class RadioHandlerFRPY(_Thrust):
-    """Thrust, roll, pitch and yaw rate: what a drone whose link fails can fly on with, level, for 2 s."""
+    """Thrust, roll, pitch and yaw rate.
+
+    If the link fails, the drone can fly on with this, level, for 2 s.
+    """
 
     kind = "frpy"
     angles = 1
 
 
 class _OnBoard(RadioHandler):
-    """Velocities and places are the firmware's to control."""
+    """Velocities and positions, which the firmware controls."""
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Thrust of hovering, to which its control of climbs adds."""
+        """Thrust of hovering, which the firmware's climb control starts from."""
         base = BASE_THRUST * thrust_raw(self.platform.weight, self.platform.firmware)
         return {"posCtlPid.thrustBase": round(base)}
 
 
 class RadioHandlerVel(_OnBoard):
-    """Velocity in the world and yaw rate; and the end of them."""
+    """Velocity in the world and yaw rate."""
 
     kind = "vel"
     form = "velocity_world"
 
     def setpoint(self, command: Vel) -> list[Packet]:
-        """One."""
+        """Return one set-point."""
         vx, vy, vz, rate = command.flat.tolist()
         return self._streamed(FORMS[self.form].packet(vx, vy, vz, math.degrees(rate)))
 
 
 class RadioHandlerXYZ(_OnBoard):
-    """Places, for the planner on board."""
+    """Positions for the planner on board."""
 
     kind = "xyz"
     form = "go_to"
 
 
 class RadioHandlerFullState(_OnBoard):
-    """A flat output, with the attitude and body rates that follow from it; and the end of them."""
+    """A flat output with its attitude and body rates."""
 
     kind = "fullstate"
     form = "full_state"
 
     def setpoint(self, command: FullState) -> list[Packet]:
-        """One, in thousandths."""
+        """Return one set-point, in thousandths of the SI units."""
         s = command.flat
         a = tuple(s[6:9])
         j = tuple(s[9:12])
@@ -217,26 +234,26 @@ HANDLERS: dict[str, type[RadioHandler]] = {
         RadioHandlerFullState,
     )
 }
-"""By what a drone is sent."""
+"""Handler of each kind of command."""
 
 
 def pose_packet(pose: Pose) -> Packet:
-    """What tells a drone where it is."""
+    """Return the packet that tells a drone its pose."""
     return FORMS["external_pose"].packet(*pose.flat.tolist())
 
 
 def position_packet(pose: Pose) -> Packet:
-    """What tells a drone where it is, and not how it is turned."""
+    """Return the packet that tells a drone its position, without its attitude."""
     return FORMS["external_position"].packet(*pose.p.tolist())
 
 
 def emergency() -> list[Packet]:
-    """Motors off for good, said in both ways that firmware knows."""
+    """Return the packets that stop the motors for good, in both forms that firmware knows."""
     return [FORMS["emergency_stop"].packet(), FORMS["supervisor_stop"].packet()]
 
 
 def idles(command: Command) -> bool:
-    """Whether this command asks for motors that are off."""
+    """Return whether this command asks for motors that are off."""
     if isinstance(command, XYZ):
         return command.verb == STOP.verb
     return isinstance(command, FPQR | FRPY) and not command.flat.any()

@@ -1,4 +1,4 @@
-"""From newtons to the thrust command of a set-point: by platform and by the firmware's release."""
+"""Convert newtons to the thrust command of a set-point, by platform and firmware release."""
 
 import re
 
@@ -7,21 +7,29 @@ from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard.units import thrust_raw
 
 LINEAR_SINCE = (2025, 10)
-"""Release from which on the command is linear in newtons, 65535 = thrust_max of each motor (crazyflie-firmware)."""
+"""First release with a thrust command linear in newtons.
+
+65535 is thrust_max of each motor (crazyflie-firmware).
+"""
 MEASURED_UNTIL = (2025, 2)
-"""Last release for which a platform's `old_thrust_map` is right. In 2025 thrust became linear, of one platform after
-the other: releases between may have either, and so may a development build, whose tag may be much older than it is."""
+"""Last release for which a platform's `old_thrust_map` is right.
+
+In 2025 thrust became linear on one platform after another: a release between may have either form.
+So may a development build, which can be much newer than its tag.
+"""
 OLDEST = (2017, 1)
+"""First release with a number of this form."""
 
 
 def command_a_newton(
     release: str, platform: Platform, given: float | None, where: str
 ) -> float:
-    """Thrust command a newton, all motors together.
+    """Return the thrust command a newton, all motors together.
 
-    release: as the firmware says it, "2025.12" or, of a build so many commits later, "2025.12.1 +3";  given: that of
-    the swarm file, which counts before all. Raises ConfigError for a release that is none, and for one whose thrust
-    nobody knows on this platform.
+    release: text from the firmware: "2025.12" or, for a build some commits later, "2025.12.1 +3"
+    given: value of the swarm file, which overrides all others
+    where: name of the drone for errors
+    Raises ConfigError if the release is unknown, or its thrust on this platform is unknown.
     """
     if given is not None:
         return given
@@ -54,5 +62,5 @@ def command_a_newton(
 
 
 def _text(number: tuple[int, int]) -> str:
-    """As a firmware says it."""
+    """Return a release number in the firmware's notation."""
     return f"{number[0]}.{number[1]:02d}"

@@ -1,4 +1,4 @@
-"""Whether a drone's firmware is new enough to know what it is going to be sent."""
+"""Check that a drone's firmware is new enough for the packets that it will receive."""
 
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import Platform
@@ -7,9 +7,11 @@ from crazychoir.radio.protocol.handlers import HANDLERS
 
 
 def check_protocol(version: int, kind: str, platform: Platform, where: str) -> None:
-    """ConfigError, with the numbers, if firmware that speaks this version does not know what is sent to its drone.
+    """Raise ConfigError, with the numbers, if the firmware does not know the packets for its drone.
 
-    version: of its protocol, negative if it does not say it;  kind: of commands, as a swarm file names it.
+    version: protocol version of the firmware; negative if it does not tell one
+    kind: kind of command, as a swarm file names it
+    where: name of the drone for errors
     """
     missing = _missing(version, kind, platform)
     if not missing:
@@ -27,6 +29,6 @@ def check_protocol(version: int, kind: str, platform: Platform, where: str) -> N
 
 
 def _missing(version: int, kind: str, platform: Platform) -> list[str]:
-    """The forms that are needed and not known."""
+    """Return the forms that are needed but unknown to the firmware."""
     forms = [HANDLERS[kind].form] + ["arm"] * platform.firmware.needs_arming
     return [form for form in forms if form in SINCE and version < SINCE[form]]

@@ -1,7 +1,7 @@
-"""Who else is on the air around 2.4 GHz, for a radio that is simulated: WiFi, Bluetooth, jammers.
+"""Other transmitters around 2.4 GHz, for a simulated radio: WiFi, Bluetooth, jammers.
 
-Each source says how strong it is in a receiver on a channel, and when it sends: in bursts, from a seed.
-Frequencies in MHz above 2400, as channels; powers in dBm where the drones are.
+Each source gives its power in a receiver on a channel, and the times at which it sends: in bursts,
+from a seed. Frequencies are MHz above 2400, the same as channels; powers are dBm at the drones.
 """
 
 from dataclasses import dataclass
@@ -13,43 +13,60 @@ import numpy.typing as npt
 from crazychoir.types import Vec
 
 Active = npt.NDArray[np.bool_]
+"""Flags (n,): whether a source sends."""
 WIDTH = 2.0
-"""MHz of a receiver of 2 Mbit/s."""
+"""MHz: width of a receiver of 2 Mbit/s."""
 SILENT = -200.0
-"""dBm that nobody hears."""
+"""dBm that no receiver hears."""
 MASK = ((0.0, 9.0, 11.0, 20.0, 30.0), (0.0, 0.0, -20.0, -28.0, -40.0))
-"""MHz from the middle of a WiFi channel, and dB that its density is below that in the middle.
-Source: the transmit mask of IEEE 802.11 for OFDM in 20 MHz, which a transmitter may not exceed."""
+"""MHz from the centre of a WiFi channel, and dB by which its power density is lower there.
+
+Source: the transmit mask of IEEE 802.11 for OFDM in 20 MHz, which a transmitter may not exceed.
+"""
 WIFI_FLAT = 18.0
 """MHz that hold the power of a WiFi channel."""
 SELECTIVITY = ((0.0, 2.0, 4.0, 6.0, 12.0), (0.0, -7.0, -29.0, -35.0, -50.0))
-"""MHz from the receiver's channel, and dB by which it weakens a narrow signal there: about as chips of this kind do."""
+"""MHz from the receiver's channel, and dB by which it weakens a narrow signal there.
+
+The values are typical of such chips.
+"""
 BEACONS = 0.01
-"""Share of the time that a network sends while nobody uses it."""
-HOPS, FIRST_HOP = 79, 2
-"""Bluetooth's channels, each 1 MHz, from 2402 MHz on."""
+"""Share of the time that an unused network sends."""
+HOPS = 79
+"""Bluetooth channels, each 1 MHz wide."""
+FIRST_HOP = 2
+"""The first Bluetooth channel, MHz above 2400."""
 
 
 class Source(Protocol):
-    """Somebody else's transmitter."""
+    """A transmitter of others."""
 
     def level(self, channel: int) -> float:
-        """dBm in a receiver on this channel, while it sends."""
+        """Return the power in a receiver on this channel, dBm, while the source sends."""
         ...
 
     def share(self, channel: int, in_use: bool) -> float:
-        """Probability that a receiver on this channel has it at some time; in_use: at one when somebody uses it."""
+        """Return the probability that a receiver on this channel is disturbed at some time.
+
+        in_use: at a time at which the source is in use
+        """
         ...
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
-        """Whether a receiver on this channel has it, at increasing times (n,) s, never before those asked last."""
+        """Return whether a receiver on this channel is disturbed, at increasing times (n,) in s.
+
+        The times must not be before those of an earlier call.
+        """
         ...
 
 
 class Uses:
-    """When something is in use: spans of exponential length, one after the other; asked in the order of time.
+    """The times at which a source is in use: spans of exponential length, one after another.
 
-    on, off: s, mean length;  never off: `off` is 0.
+    Ask for them in order of time.
+
+    on: s: mean length of use
+    off: s: mean pause; 0: always in use
     """
 
     def __init__(self, on: float, off: float, seed: int) -> None:
@@ -61,11 +78,11 @@ class Uses:
 
     @property
     def share(self) -> float:
-        """Of the time that it is in use."""
+        """Share of the time of use."""
         return self.on / (self.on + self.off)
 
     def at(self, times: Vec) -> Active:
-        """(n,) whether it is in use."""
+        """Return (n,) whether the source is in use."""
         if self.off == 0.0:
             return np.ones(len(times), bool)
         while len(self._switches) == 0 or self._switches[-1] <= times[-1]:
@@ -74,7 +91,7 @@ class Uses:
         return np.asarray((switched % 2 == 0) == self._starts_on)
 
     def _extend(self) -> None:
-        """64 switches more; an even number, so that each lot begins as the first."""
+        """Append 64 switches; the number is even, so that each lot begins like the first."""
         means = np.tile(
             [self.on, self.off] if self._starts_on else [self.off, self.on], 32
         )
@@ -87,9 +104,11 @@ class Uses:
 def frames(
     times: Vec, share: float, length: float, draw: np.random.Generator
 ) -> Active:
-    """(n,) whether a frame is on the air: frames and gaps of exponential length, as long as the times reach.
+    """Return (n,) whether a frame is on the air: frames and gaps have exponential lengths.
 
-    share: of the time that frames take, below 1;  length: s of a frame, on average.
+    times: (n,) s
+    share: share of the time that frames take, below 1
+    length: s: mean length of a frame
     """
     gap = length * (1.0 - share) / share
     on = bool(draw.random() < share)
@@ -107,30 +126,31 @@ def frames(
 
 @dataclass(frozen=True)
 class Network:
-    """A WiFi network.
-
-    middle: MHz above 2400;  power: dBm;  load: share of the time that its frames take while it is used;
-    frame: s, mean;  uses: when it is used; else it sends beacons alone.
-    """
+    """A WiFi network."""
 
     middle: float
+    """MHz above 2400: centre of its channel."""
     power: float
+    """dBm."""
     load: float
+    """Share of the time that its frames take while it is in use."""
     frame: float
+    """s: mean length of a frame."""
     uses: Uses
+    """Times of use; at other times it sends only beacons."""
 
     def level(self, channel: int) -> float:
-        """The part of its power that falls into the receiver."""
+        """Return the part of its power that falls into the receiver, dBm."""
         below = float(np.interp(abs(channel - self.middle), *MASK))
         return self.power + 10.0 * float(np.log10(WIDTH / WIFI_FLAT)) + below
 
     def share(self, channel: int, in_use: bool) -> float:
-        """Frames while it is used, beacons else."""
+        """Return the share of frames while it is in use, and of beacons otherwise."""
         used = 1.0 if in_use else self.uses.share
         return used * self.load + (1.0 - used) * BEACONS
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
-        """Frames and beacons."""
+        """Return the times of frames and beacons."""
         beacons = draw.random(len(times)) < BEACONS
         used = self.uses.at(times)
         return (
@@ -142,41 +162,46 @@ class Network:
 
 @dataclass(frozen=True)
 class Bluetooth:
-    """Somebody whose packets hop over 79 channels. power: dBm;  load: share of the time that it sends."""
+    """A Bluetooth device; its packets hop over 79 channels."""
 
     power: float
+    """dBm."""
     load: float
+    """Share of the time that it sends."""
 
     def level(self, channel: int) -> float:
-        """All of it: it is as narrow as the receiver."""
+        """Return its whole power, dBm: it is as narrow as the receiver."""
         return self.power
 
     def share(self, channel: int, in_use: bool) -> float:
-        """Of its hops those that the receiver hears count."""
+        """Return its share of the time, times the share of hops that the receiver hears."""
         heard = sum(abs(FIRST_HOP + hop - channel) <= WIDTH / 2 for hop in range(HOPS))
         return self.load * heard / HOPS
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
-        """Each hop is another: what was there before says nothing."""
+        """Return the times at which it disturbs; each hop is independent of the one before."""
         return draw.random(len(times)) < self.share(channel, True)
 
 
 @dataclass(frozen=True)
 class Jammer:
-    """A narrow signal without gaps, such as a camera's or an alarm's. middle: MHz above 2400;  power: dBm."""
+    """A narrow signal without gaps, such as a camera or an alarm."""
 
     middle: float
+    """MHz above 2400."""
     power: float
+    """dBm."""
     uses: Uses
+    """Times of use."""
 
     def level(self, channel: int) -> float:
-        """What the receiver's filter leaves of it."""
+        """Return the power that the receiver's filter passes, dBm."""
         return self.power + float(np.interp(abs(channel - self.middle), *SELECTIVITY))
 
     def share(self, channel: int, in_use: bool) -> float:
-        """All the time while it is used."""
+        """Return the share of the time: all of it while the jammer is in use."""
         return 1.0 if in_use else self.uses.share
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
-        """While it is used."""
+        """Return the times at which it is in use."""
         return self.uses.at(times)

@@ -1,6 +1,7 @@
-"""How long the way to a drone and back takes: echoes over cflib's links, without a connection to the drone behind.
+"""Round-trip times of echoes over cflib's links, without a connection to the drone.
 
-A link alone has no tables to fetch, no zero set-point at its end, and no thread that waits for a silent peer for ever.
+A link alone loads no tables, sends no zero set-point at its end, and has no thread that waits for a
+silent drone for ever.
 """
 
 import contextlib
@@ -18,35 +19,46 @@ from crazychoir.radio.link.round_trips import ECHO, FORM
 from crazychoir.radio.protocol.crtp import LINK
 
 PATIENCE = 0.2
-"""s after which an echo is lost."""
+"""Seconds after which an echo counts as lost."""
 FIRST = 3.0
-"""s after which nobody is there."""
+"""Seconds without any answer after which the drone counts as absent."""
 CLOSING = 3.0
-"""s that cflib may take to open or close a link, beyond the deadline."""
+"""Seconds after the deadline in which cflib may open or close a link."""
 NOBODY = "nobody answers. Is it on, in reach, and not connected to somebody else?"
+"""Text of the error for a drone that does not answer."""
 
 
 @dataclass(frozen=True)
 class Echoes:
-    """sent: how many;  round_trip: s of those that came back;  error: why it ended early, or nothing."""
+    """The result of a ping."""
 
     uri: str
+    """Address of the drone."""
     sent: int
+    """Echoes sent."""
     round_trip: tuple[float, ...]
+    """s: round trips of the echoes that came back."""
     error: str = ""
+    """Reason why the ping ended early; empty if it did not."""
 
     @property
     def lost(self) -> int:
-        """How many did not come back in time."""
+        """Echoes that did not come back in time."""
         return self.sent - len(self.round_trip)
 
     def percentile(self, share: float) -> float | None:
-        """s within which this share (%) of those that came back did; None if none has."""
+        """Return the s within which this share (%) of the returned echoes came back.
+
+        Returns None if no echo came back.
+        """
         return float(np.percentile(self.round_trip, share)) if self.round_trip else None
 
 
 def require_uri(uri: str) -> str:
-    """Return the one form of a uri; raise ConfigError for one that cflib has no link for, or that we do not ping."""
+    """Return a uri in its standard form.
+
+    Raises ConfigError if cflib has no link for it, or it cannot be pinged.
+    """
     try:
         return str(parse_uri(uri, "uri", serials=True))
     except ConfigError as error:
@@ -60,9 +72,13 @@ def ping(
     count: int = 100,
     deadline: float = 20.0,
 ) -> list[Echoes]:
-    """Send `count` echoes to each, to all at once, each after the answer to the last; s until it ends at the latest.
+    """Send `count` echoes to each uri, each after the answer to the last.
 
-    Each link has a thread, which is gone in the end; of one that cflib does not give back the error says so.
+    All uris are served at the same time. Each link has a thread, which has ended on return. If
+    cflib does not return from a call, the error says so.
+
+    now: returns the time in s
+    deadline: s until the ping ends at the latest
     """
     found: dict[str, Echoes] = {}
     end = now() + deadline
@@ -98,9 +114,8 @@ def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
         link.connect(uri, None, errors.append)
         return _exchange(link, uri, now, count, end, errors)
     finally:
-        with contextlib.suppress(
-            AttributeError
-        ):  # of cflib's radio link, if it has not come to start its thread
+        # cflib's radio link raises AttributeError if its thread has not started.
+        with contextlib.suppress(AttributeError):
             link.close()
 
 
@@ -119,7 +134,7 @@ def _exchange(
     end: float,
     errors: Sequence[str],
 ) -> Echoes:
-    """Echo after echo; `errors` grows as the link finds them."""
+    """Send echo after echo; `errors` grows while the link finds errors."""
     sent = 0
     took: list[float] = []
     first = min(now() + FIRST, end)
@@ -133,7 +148,10 @@ def _exchange(
 
 
 def _error(errors: Sequence[str], heard: bool, left: int) -> str:
-    """Why it ended before all echoes were sent, or without any answer; nothing if it did not."""
+    """Return why the ping ended early, or that there was no answer.
+
+    The text is empty if neither is the case.
+    """
     if not heard:
         return ": ".join([*map(_reason, errors[:1]), NOBODY])
     if errors:
@@ -151,11 +169,10 @@ def _echo(number: int) -> Any:
 
 
 def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) -> bool:
-    """Wait for this echo; whatever else comes is passed over, late echoes too."""
+    """Wait for this echo; return whether it came. Other packets, and late echoes, are ignored."""
     expected = (LINK, ECHO, FORM.pack(0, number))
-    while (
-        left := until - now()
-    ) > 0.0:  # cflib takes 0 for not at all, and less for ever
+    # cflib would not wait at all for 0 s, and would wait for ever for less.
+    while (left := until - now()) > 0.0:
         packet = link.receive_packet(left)
         if (
             packet is not None
@@ -166,5 +183,5 @@ def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) 
 
 
 def _reason(text: str) -> str:
-    """What cflib says before its traceback, without saying that it is an exception."""
+    """Return the text before cflib's traceback, without the word Exception."""
     return " ".join(text.split("\n\n")[0].split("Exception:")[-1].split())

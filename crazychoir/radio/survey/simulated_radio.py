@@ -1,10 +1,12 @@
-"""A radio and a drone in a noisy room, simulated in a time of its own: for trying a survey, and for its tests.
+"""A simulated radio and drone in a noisy room, with a time of its own, to try a survey.
 
-Whether a packet comes through follows from signal, noise and interference at the time of each attempt:
+A packet is received or not by the signal, the noise and the interference at the time of each
+attempt:
 
-    SINR = S / (N + sum of those who send),   P(bit wrong) = exp(-SINR / 2) / 2,   P(through) = (1 - P(bit wrong))^BITS
+    SINR = S / (N + sum of the active sources)
+    P(bit wrong) = exp(-SINR / 2) / 2,   P(through) = (1 - P(bit wrong))^BITS
 
-the law of frequency keying without a phase reference.
+This is the error rate of frequency-shift keying without a phase reference.
 """
 
 from collections.abc import Sequence
@@ -25,53 +27,66 @@ from crazychoir.radio.survey.survey import Sample
 from crazychoir.types import Mat, Vec
 
 NOISE = -93.0
-"""dBm in 2 MHz: one bit in a thousand is wrong at -82 dBm, as nRF24L01+ receivers are specified at 2 Mbit/s."""
+"""dBm in 2 MHz.
+
+One bit in a thousand is then wrong at -82 dBm, the specification of nRF24L01+ receivers at 2
+Mbit/s.
+"""
 NEGLIGIBLE = -108.0
 """dBm: 15 dB below the noise."""
 BITS = 178
-"""A packet of one byte and its answer of three: preamble, address, control field and checksum of both."""
-USB, USB_JITTER = 0.0008, 0.0001
-"""s that an exchange takes at least, and the mean of what comes on top; about what users of the dongle report."""
+"""Bits of a packet of one byte and its answer of three.
+
+They include preamble, address, control field and checksum of both.
+"""
+USB = 0.0008
+"""Seconds that an exchange takes at least; about what users of the dongle report."""
+USB_JITTER = 0.0001
+"""Seconds: mean of the additional time of an exchange."""
 ATTEMPT = 0.0005
-"""s from one attempt to the next."""
+"""Seconds from one attempt to the next."""
 HOP = 0.02
-"""s to take the drone to another channel."""
+"""Seconds to take the drone to another channel."""
 FLICKER = 1.0
-"""dB, standard deviation from packet to packet."""
-ECHOES, SPREAD, DIRECT = 6, 50e-9, 4.0
-"""Reflections of the signal; s by which the last is late; how much stronger than all of them what comes directly is."""
+"""dB: standard deviation of the signal from packet to packet."""
+ECHOES = 6
+"""Reflections of the signal."""
+SPREAD = 50e-9
+"""Seconds by which the last reflection is late."""
+DIRECT = 4.0
+"""Power of the direct signal in relation to the power of all reflections."""
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
 WEIGHTS = WEIGHTS / WEIGHTS.sum()
-"""For means over a normal distribution."""
+"""NODES and WEIGHTS compute means over a normal distribution."""
 
 
 def success(sinr: Mat) -> Mat:
-    """Probability that a packet comes through; sinr: a ratio of powers."""
+    """Return the probability that a packet is received; sinr: a ratio of powers."""
     return np.asarray((1.0 - 0.5 * np.exp(-0.5 * sinr)) ** BITS)
 
 
 @dataclass(frozen=True)
 class Room:
-    """What is on the air.
-
-    signal: {channel: dBm} of the link itself, as its reflections add up;  sources: of the others.
-    """
+    """The signal and the interference on the air."""
 
     signal: dict[int, float]
+    """{channel: dBm} of the link itself, the sum of all its paths."""
     sources: tuple[Source, ...]
+    """Other transmitters."""
 
     def heard(self, channel: int) -> list[tuple[Source, float]]:
-        """Those that a receiver on this channel hears at all, each with its power there, in mW."""
+        """Return the sources that a receiver on this channel hears, with their power in mW."""
         levels = [(source, source.level(channel)) for source in self.sources]
         return [
             (source, _power(level)) for source, level in levels if level > NEGLIGIBLE
         ]
 
     def expected(self, channel: int, in_use: bool = False) -> float:
-        """True share of acknowledged packets, without retries; in the long run, or while everything is in use.
+        """Return the true share of acknowledged packets without retries.
 
-        The sum over all sets of sources that may send at a time, each with its probability, of what comes through,
-        over all that the signal flickers.
+        In the long run, or while all sources are in use. It is the sum, over all sets of sources
+        that may send at a time, of the probability of the set times the probability that a packet
+        is received, averaged over the flicker of the signal.
         """
         heard = self.heard(channel)
         sent = np.array(list(product((False, True), repeat=len(heard))), bool).reshape(
@@ -88,17 +103,24 @@ class Room:
 
 
 class SimulatedRadio:
-    """The probe: time passes as packets are sent."""
+    """The simulated probe: its time passes as packets are sent.
+
+    seed: seed of all draws
+    """
 
     def __init__(self, room: Room, seed: int) -> None:
         self.room = room
         self.now = 0.0
+        """s."""
         self.channel = -1
         self._heard = {c: room.heard(c) for c in room.signal}
         self._draw = np.random.default_rng(seed)
 
     def measure(self, channel: int, packets: int, retries: int) -> Sample:
-        """As Probe; each packet has time for all its attempts, whether it needs them or not."""
+        """Measure a channel, see Probe.
+
+        Each packet takes the time of all its attempts, used or not.
+        """
         if channel != self.channel:
             self.channel = channel
             self.now = self.now + HOP
@@ -119,7 +141,7 @@ class SimulatedRadio:
         return Sample(acknowledged, used, took, rssi)
 
     def _noise(self, channel: int, times: Mat) -> Mat:
-        """mW at each attempt."""
+        """Return the noise in mW at each attempt."""
         noise = np.full(times.size, _power(NOISE))
         for source, power in self._heard[channel]:
             noise += source.sends(channel, times.ravel(), self._draw) * power
@@ -127,7 +149,10 @@ class SimulatedRadio:
 
 
 def random_room(seed: int, channels: Sequence[int]) -> Room:
-    """A link of some metres among one to seven networks, up to two Bluetooth devices and two jammers."""
+    """Return a room with a link of some metres.
+
+    It has one to seven networks, up to two Bluetooth devices and up to two jammers.
+    """
     draw = np.random.default_rng(seed)
     networks = [_network(draw) for _ in range(draw.integers(1, 8))]
     phones = [
@@ -144,7 +169,11 @@ def random_room(seed: int, channels: Sequence[int]) -> Room:
 
 
 def _network(draw: np.random.Generator) -> Network:
-    """On one of the three channels that do not overlap, or, two times in five, anywhere from 1 to 13."""
+    """Return a WiFi network.
+
+    It is on one of the three channels without overlap or, two times in five, on any channel from 1
+    to 13.
+    """
     number = draw.choice(list(WIFI)) if draw.random() < 0.6 else draw.integers(1, 14)
     return Network(
         middle=7.0 + 5.0 * float(number),
@@ -166,9 +195,11 @@ def _uses(draw: np.random.Generator) -> Uses:
 
 
 def _gains(channels: Vec, draw: np.random.Generator) -> Vec:
-    """dB by channel: the direct way and its reflections add up or cancel, by frequency.
+    """Return the gain of each channel in dB.
 
-    h(f) = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) sum_m a_m exp(-2 pi i f t_m)
+    The direct path and its reflections add up or cancel, by frequency.
+
+        h(f) = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) sum_m a_m exp(-2 pi i f t_m)
     """
     amplitudes = (
         draw.standard_normal(ECHOES) + 1j * draw.standard_normal(ECHOES)
@@ -183,7 +214,7 @@ def _gains(channels: Vec, draw: np.random.Generator) -> Vec:
 
 
 def _power(dbm: float) -> float:
-    """mW."""
+    """Return mW."""
     return float(10.0 ** (dbm / 10.0))
 
 

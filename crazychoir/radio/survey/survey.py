@@ -1,9 +1,10 @@
-"""Which channels are quiet: what is measured on each, in which order, and how it is judged. No I/O in here.
+"""Find quiet channels: the order of the measurements, and how they are judged. No I/O here.
 
-WiFi comes in bursts of seconds. So the survey visits all channels again and again, each pass in another order: a burst
-then hits all alike, not those that happened to have their turn. Many short passes see more than few long ones, as what
-is used seldom has to be met. And what counts is the worst pass of a channel, not the mean: a drone that hears nothing
-for two seconds has landed by then.
+WiFi sends in bursts of seconds. So the survey visits all channels again and again, in another order
+each time: a burst then disturbs all channels alike, and not only those measured at that moment.
+Many short passes find more than few long ones, because rare interference must be met. And the worst
+pass of a channel counts, not the mean: a drone that receives nothing for two seconds has landed by
+then.
 """
 
 import random
@@ -19,55 +20,63 @@ from crazychoir.radio.protocol.channels import pick
 from crazychoir.types import Vec
 
 RETRIES = 3
-"""How often the Crazyradio sends again by itself, as cflib flies it."""
-PASSES, PACKETS = 20, 50
-"""Unless somebody wants others: two and a half minutes for 41 channels, at a packet a ms or two."""
+"""Retransmissions that the Crazyradio does by itself, as cflib sets it."""
+PASSES = 20
+"""Default number of passes.
+
+With PACKETS they take two and a half minutes for 41 channels, at 1 to 2 ms a packet.
+"""
+PACKETS = 50
+"""Default number of packets in a visit, for each kind."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Packets that were sent on one channel, one after the other.
-
-    acknowledged: (n,);  retries: (n,) that each took, at most those allowed;  round_trip: (n,) s;
-    rssi: (n,) dBm, NaN where the answer did not say.
-    """
+    """Packets that were sent on one channel, one after another."""
 
     acknowledged: npt.NDArray[np.bool_]
+    """(n,): whether each was acknowledged."""
     retries: npt.NDArray[np.int64]
+    """(n,): retransmissions of each, at most those allowed."""
     round_trip: Vec
+    """(n,) s."""
     rssi: Vec
+    """(n,) dBm; NaN if the answer did not tell it."""
 
 
 class Probe(Protocol):
     """A radio that can try a channel."""
 
     def measure(self, channel: int, packets: int, retries: int) -> Sample:
-        """Send so many packets that say nothing on a channel, each at most so often again."""
+        """Send empty packets on a channel, each with at most so many retransmissions."""
         ...
 
 
 class Visit(NamedTuple):
-    """One turn of one channel."""
+    """One measurement of one channel."""
 
     number: int
-    """Of the pass."""
+    """Number of the pass."""
     channel: int
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What is known of a channel.
-
-    passes: share of acknowledged packets without retries, a pass;  retries: packets that came through at the 1st, 2nd,
-    ... attempt, and last those that did not at all;  round_trip: s, median and 95 %, of those that came through;
-    rssi: dBm and dB, mean and standard deviation. None: nothing came back.
-    """
+    """The results of a channel."""
 
     channel: int
+    """The channel."""
     passes: tuple[float, ...]
+    """Share of acknowledged packets without retries, for each pass."""
     retries: tuple[int, ...]
+    """Packets received at the 1st, 2nd, ... attempt.
+
+    The last number counts packets that were not received at all.
+    """
     round_trip: tuple[float, float] | None
+    """s: median and 95 % of the received packets; None: none was received."""
     rssi: tuple[float, float] | None
+    """dBm and dB: mean and standard deviation; None: none was received."""
 
     @property
     def worst(self) -> float:
@@ -76,14 +85,16 @@ class Measured:
 
     @property
     def mean(self) -> float:
-        """Share of acknowledged packets of all passes."""
+        """Share of acknowledged packets in all passes."""
         return sum(self.passes) / len(self.passes)
 
 
 class Survey:
-    """The order of visits, and what they have brought.
+    """The order of visits, and their results.
 
-    packets: of each kind, without and with retries, a visit;  seed: of the order.
+    passes: number of passes
+    packets: packets of each kind, without and with retries, in a visit
+    seed: seed of the order
     """
 
     def __init__(
@@ -96,23 +107,23 @@ class Survey:
         self.channels = tuple(channels)
         self.passes = passes
         self.packets = packets
-        self._order = random.Random(seed)  # noqa: S311 - of visits
+        self._order = random.Random(seed)  # noqa: S311 - the order of visits
         self._single: dict[int, list[Sample]] = defaultdict(list)
         self._retried: dict[int, list[Sample]] = defaultdict(list)
 
     def visits(self) -> Iterator[Visit]:
-        """Each pass visits all channels, in an order of its own."""
+        """Return the visits; each pass visits all channels, in an order of its own."""
         for number in range(self.passes):
             for channel in self._order.sample(self.channels, len(self.channels)):
                 yield Visit(number, channel)
 
     def take(self, channel: int, single: Sample, retried: Sample) -> None:
-        """What a visit brought, without and with retries."""
+        """Take the results of a visit, without and with retries."""
         self._single[channel].append(single)
         self._retried[channel].append(retried)
 
     def measured(self) -> list[Measured]:
-        """Of the channels that were visited, increasing."""
+        """Return the results of all visited channels, in increasing order."""
         return [
             self._of(channel) for channel in self.channels if channel in self._single
         ]
@@ -137,7 +148,10 @@ class Survey:
         )
 
     def pick(self, k: int, spacing: int) -> tuple[int, ...]:
-        """The k channels of the best worst pass that have the spacing; see channels.pick."""
+        """Return the k channels with the spacing (MHz) and the best worst pass.
+
+        See channels.pick.
+        """
         return pick(
             {row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing
         )
@@ -148,7 +162,7 @@ def survey(
     probe: Probe,
     watch: Callable[[Survey, Visit], None] = lambda found, visit: None,
 ) -> None:
-    """Measure all that it wants to know; `watch` is called after each visit."""
+    """Do all measurements of a survey; `watch` is called after each visit."""
     for visit in found.visits():
         single = probe.measure(visit.channel, found.packets, 0)
         found.take(

@@ -1,4 +1,4 @@
-"""A survey as a picture for a page or a paper."""
+"""A picture of a survey for a page or a paper."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,9 +12,12 @@ from crazychoir.radio.survey.survey import Measured
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FREE, TAKEN = COLOURS[0], COLOURS[1]
-"""Blue, and vermilion for the channels that are picked."""
+FREE = COLOURS[0]
+"""Colour of measured channels: blue."""
+TAKEN = COLOURS[1]
+"""Colour of picked channels: vermilion."""
 BAND = "#f0f0f0"
+"""Colour of WiFi bands."""
 
 
 def draw_survey(
@@ -23,10 +26,15 @@ def draw_survey(
     path: str | Path,
     expected: Mapping[int, float] | None = None,
 ) -> None:
-    """Write a PNG (or what the suffix of `path` says): above, the share of acknowledged packets by channel, from the
-    worst pass to the best, and the mean; below, how strong the drone hears the dongle.
+    """Write a picture, in the format of the suffix of `path`.
 
-    expected: {channel: true share}, of a simulated radio, which is drawn as a line.
+    Above: the share of acknowledged packets by channel, from the worst pass to the best, and the
+      mean. Below: how strongly
+    the drone receives the dongle.
+
+    rows: results by channel
+    chosen: picked channels
+    expected: {channel: true share} of a simulated radio, drawn as a line
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -56,7 +64,7 @@ def _draw_rates(
     chosen: Sequence[int],
     expected: Mapping[int, float],
 ) -> None:
-    """A bar a channel; the labels of the picked ones below it."""
+    """Draw a bar for each channel, and label the picked ones."""
     for colour, label, those in _by_choice(rows, chosen):
         at = [row.channel for row in those]
         low = [100.0 * row.worst for row in those]
@@ -117,14 +125,14 @@ def _draw_rssi(axes: "Axes", rows: Sequence[Measured], chosen: Sequence[int]) ->
 def _by_choice(
     rows: Sequence[Measured], chosen: Sequence[int]
 ) -> list[tuple[str, str, list[Measured]]]:
-    """Colour, label and rows: of the others, and of the picked ones."""
+    """Return colour, label and rows: of the other channels, and of the picked ones."""
     free = [row for row in rows if row.channel not in chosen]
     taken = [row for row in rows if row.channel in chosen]
     return [(FREE, "measured", free), (TAKEN, "picked", taken)]
 
 
 def _draw_bands(axes: "Axes") -> None:
-    """Where WiFi may be."""
+    """Draw the bands of WiFi."""
     for middle in WIFI.values():
         axes.axvspan(
             middle - WIFI_HALF, middle + WIFI_HALF, color=BAND, zorder=0, linewidth=0
@@ -132,7 +140,7 @@ def _draw_bands(axes: "Axes") -> None:
 
 
 def _name_bands(axes: "Axes", low: int, high: int) -> None:
-    """Above the picture, where nothing is drawn, if their middle is in it."""
+    """Label the WiFi bands that have their centre inside the picture, above its upper edge."""
     for number, middle in WIFI.items():
         name = f"WiFi {number}, {frequency(middle)} MHz"
         if low < middle < high:

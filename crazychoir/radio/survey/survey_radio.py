@@ -1,7 +1,9 @@
-"""The probe of a survey on a real Crazyradio, through cflib: the dongle and one drone change the channel together.
+"""The probe of a survey on a real Crazyradio, through cflib.
 
-The drone's radio takes a null packet that begins ff 03 01 as the order to go to the channel in its next byte, until it
-is switched off. It acknowledges before it goes: who has heard that knows where it is, who has not must look.
+The dongle and one drone change the channel together. A null packet that begins with ff 03 01 orders
+the drone's radio to the channel in the next byte, until it is switched off. The drone acknowledges
+before it changes. If the acknowledgement arrives, the drone's channel is known; if it does not, the
+probe must search for the drone.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,24 +17,33 @@ from crazychoir.radio.link.dongles import PLUG
 from crazychoir.radio.survey.survey import Sample
 
 NULL = (0xFF,)
-"""A packet that says nothing."""
+"""An empty packet."""
 NO_SAFELINK = (0xFF, 0x05, 0x00)
-"""A drone that counts packets, as an earlier connection has told it to, would take the first of ours and no other."""
+"""Packet that ends the counting of packets.
+
+A drone that counts packets since an earlier connection would take the first of ours and no other.
+"""
 GO = (0xFF, 0x03, 0x01)
+"""First bytes of the order to change the channel."""
 TRIES = 50
-"""Packets until one that is not answered is given up."""
+"""Packets without an answer until the probe gives up."""
 PATIENT = 15
-"""Retries of each of them: the most that the dongle allows."""
+"""Retransmissions of each of these: the most that the dongle allows."""
 ROUNDS = 5
-"""How often a drone is looked for where it may be."""
+"""Number of searches for the drone on its possible channels."""
 RESTART = "Switch it off and on: it starts on its own channel."
+"""Advice for a lost drone."""
 
 
 class CrazyradioProbe:
-    """Measures channels with a drone that is on and does not fly; a context, which takes it back home at its end.
+    """Measures channels with a drone that is on and does not fly.
 
-    radio: as cflib's Crazyradio, data rate and address set;  home: the drone's channel;  now: s.
-    Raises Refused for a dongle that is gone, and a drone that is not found again.
+    It is a context, which ends on the drone's own channel.
+
+    radio: cflib's Crazyradio, with data rate and address set
+    home: the drone's own channel
+    now: returns the time in s
+    Raises Refused if the dongle is gone, or the drone is not found again.
     """
 
     def __init__(self, radio: Any, home: int, now: Callable[[], float]) -> None:
@@ -62,7 +73,7 @@ class CrazyradioProbe:
             self.radio.close()
 
     def measure(self, channel: int, packets: int, retries: int) -> Sample:
-        """As Probe."""
+        """Measure a channel, see Probe."""
         self._go(channel)
         self._set(self.radio.set_arc, retries)
         answers = [self._timed() for _ in range(packets)]
@@ -81,7 +92,10 @@ class CrazyradioProbe:
         return ack, self.now() - began
 
     def _go(self, channel: int) -> None:
-        """Take the drone to a channel; it is there, heard or not, once it has acknowledged that it goes."""
+        """Move the drone to a channel.
+
+        After its acknowledgement it is there, even if that was lost.
+        """
         if channel == self._at:
             return
         for _ in range(ROUNDS):
@@ -91,7 +105,7 @@ class CrazyradioProbe:
                 self._at = channel
                 return
             self._tune(channel)
-            if self._says(NULL):  # it went, and only its answer was lost
+            if self._says(NULL):  # the drone moved, and only its answer was lost
                 self._at = channel
                 return
         places = (
@@ -107,7 +121,7 @@ class CrazyradioProbe:
         self._set(self.radio.set_channel, channel)
 
     def _says(self, packet: Sequence[int]) -> bool:
-        """Whether it acknowledges one of TRIES."""
+        """Return whether the drone acknowledges one of TRIES packets."""
         return any(self._send(packet).ack for _ in range(TRIES))
 
     def _send(self, packet: Sequence[int]) -> Any:
@@ -119,22 +133,26 @@ class CrazyradioProbe:
     def _set(self, setter: Callable[[int], None], value: int) -> None:
         try:
             setter(value)
-        except OSError as error:  # USB errors are
+        except OSError as error:  # USB errors are OSErrors
             raise Refused("Crazyradio", f"{error}. {PLUG}") from error
 
 
 def rssi(data: Sequence[int]) -> float:
-    """dBm at which the drone has heard a packet, from what it answers; NaN where it answers something else.
+    """Return the dBm at which the drone has received a packet, from its answer.
 
-    A drone that has nothing to say answers f3 01 and the absolute value, of which the first byte's third and fourth bit
-    count packets.
+    Returns NaN if the answer does not tell it. An idle drone answers f3 01 and the absolute value;
+    the third and fourth bit of the first byte count packets.
     """
     says = len(data) > 2 and data[0] & 0xF3 == 0xF3 and data[1] == 0x01
     return -float(data[2]) if says else float("nan")
 
 
 def open_probe(uri: str, now: Callable[[], float]) -> CrazyradioProbe:
-    """The dongle and the drone of a uri; ConfigError for what is none, Refused without a dongle."""
+    """Open the dongle and the drone of a uri.
+
+    Raises ConfigError if the uri is not one of a radio.
+    Raises Refused without a dongle.
+    """
     if not uri.startswith(RADIO):
         raise ConfigError(
             "uri",
@@ -150,6 +168,6 @@ def open_probe(uri: str, now: Callable[[], float]) -> CrazyradioProbe:
         radio = Crazyradio(devid=number)
         radio.set_data_rate(rate)
         radio.set_address(address)
-    except Exception as error:  # cflib raises nothing more special
+    except Exception as error:  # cflib raises plain Exceptions
         raise Refused(uri, f"{error}. {PLUG}") from error
     return CrazyradioProbe(radio, channel, now)

@@ -1,1 +1,1 @@
-"""Virtual Crazyflies: a server that speaks CRTP over UDP, the firmware's behaviour and a simulated body behind it."""
+"""Virtual Crazyflies: a CRTP server over UDP, the firmware's behaviour, and a simulated body."""

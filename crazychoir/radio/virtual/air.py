@@ -1,4 +1,7 @@
-"""What lies between a client and a virtual drone: a shared dongle's time, losses, delays, silence; all may change."""
+"""The air between a client and a virtual drone.
+
+It has the time of a shared dongle, losses, delays and silence; all may change.
+"""
 
 import random
 from collections import deque
@@ -8,21 +11,33 @@ from crazychoir.radio.virtual.faults import Faults
 from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
 
 CAPACITY = 250.0
-"""Exchanges a second of one dongle that several drones share through cflib: its users' figure, not measured here."""
+"""Exchanges a second of a dongle that several drones share through cflib.
+
+This is a figure of its users, not measured here.
+"""
 ALONE = 1000.0
-"""Those of a dongle with one drone, likewise."""
-UP, DOWN = 25, 120
-"""Packets of one drone that wait at most: at the client's end (chosen) and on board (the firmware's queue)."""
+"""Exchanges a second of a dongle with one drone: also a figure of users."""
+UP = 25
+"""Most packets of one drone that wait at the client's end (a chosen number)."""
+DOWN = 120
+"""Most packets of one drone that wait on board (the firmware's queue)."""
 BEHIND_NS = SECOND // 10
-"""ns by which exchanges may be late on a busy machine, and are made up for: a radio does not wait for our computing."""
+"""Nanoseconds by which exchanges may be late on a busy machine and are made up for.
+
+A radio does not wait for this program.
+"""
 Deliver = Callable[[], None]
+"""Callback that delivers a packet."""
 
 
 class Dongle:
-    """One radio, whose drones take turns: an exchange carries a packet up, and one down on its acknowledgement.
+    """One radio with drones that take turns.
 
-    At most one each. A drone that has something to say is polled; one with nothing to hear or say takes no time.
-    capacity: exchanges a second, None: by the number of its drones.
+    An exchange carries at most one packet up, and one down on its acknowledgement. A drone with a
+    packet to send is polled. A drone with no packet in either direction takes no time.
+
+    drones: ids of the drones
+    capacity: exchanges a second; None: by the number of drones
     """
 
     def __init__(
@@ -32,6 +47,7 @@ class Dongle:
         self.drones = tuple(drones)
         self.capacity = capacity or (ALONE if len(self.drones) == 1 else CAPACITY)
         self.exchanges = self.refused = 0
+        """Exchanges so far, and packets refused because too many waited."""
         self._up: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
         self._down: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
         self._turns = deque(self.drones)
@@ -39,11 +55,11 @@ class Dongle:
         self._free_ns = 0
 
     def up(self, drone: int, deliver: Deliver) -> bool:
-        """Let a packet wait for its way to this drone; False: too many wait."""
+        """Queue a packet for this drone; return False if too many wait."""
         return self._wait(self._up[drone], UP, deliver)
 
     def down(self, drone: int, deliver: Deliver) -> bool:
-        """Let a packet wait for its way from this drone; False: too many wait."""
+        """Queue a packet from this drone; return False if too many wait."""
         return self._wait(self._down[drone], DOWN, deliver)
 
     def _wait(self, queue: deque[Deliver], most: int, deliver: Deliver) -> bool:
@@ -56,7 +72,10 @@ class Dongle:
         return True
 
     def _begin(self, least_ns: int) -> None:
-        """The next exchange, which begins when the last one has ended, and not before this time."""
+        """Start the next exchange when the last one has ended, but not before this time.
+
+        least_ns: ns
+        """
         self._busy = True
         self._free_ns = max(least_ns, self._free_ns) + round(SECOND / self.capacity)
         self.clock.call_at(
@@ -64,7 +83,10 @@ class Dongle:
         )
 
     def _exchange(self) -> None:
-        """Serve the next drone that has anything: what goes down has been waiting before what goes up has come."""
+        """Serve the next drone that has a packet waiting.
+
+        The packet down was waiting before the packet up arrives, so it is delivered first.
+        """
         self._busy = False
         for _ in self.drones:
             drone = self._turns[0]
@@ -82,9 +104,12 @@ class Dongle:
 
 
 class Air:
-    """The way of one drone's packets. dongle: whose time it takes, None: that of nobody;  seed: of the losses.
+    """The air between a client and one drone.
 
-    up, down: packets that have come through;  lost: those that have not.
+    drone: id of the drone
+    faults: faults of the link
+    dongle: the shared radio; None: exchanges take no time
+    seed: seed of the losses
     """
 
     def __init__(
@@ -100,17 +125,18 @@ class Air:
         self.dongle = dongle
         self.faults = faults
         self.up = self.down = self.lost = 0
-        self._draw = random.Random(f"{seed} {drone}")  # noqa: S311 - of a simulated loss
+        """Packets delivered to the drone, packets delivered from it, and lost packets."""
+        self._draw = random.Random(f"{seed} {drone}")  # noqa: S311 - simulated losses
 
     def rise(self, deliver: Deliver) -> None:
-        """Let a packet go to the drone."""
+        """Send a packet to the drone."""
         if self.dongle is None:
             self._rises(deliver)
         elif not self.dongle.up(self.drone, lambda: self._rises(deliver)):
             self.lost += 1
 
     def sink(self, deliver: Deliver) -> None:
-        """Let a packet come from the drone."""
+        """Send a packet from the drone."""
         if self.dongle is None:
             self._sinks(deliver)
         elif not self.dongle.down(self.drone, lambda: self._sinks(deliver)):

@@ -1,4 +1,4 @@
-"""Beside the drones: motion capture that sees all of them, and a door for questions and faults."""
+"""Motion capture that sees all virtual drones, and a port for questions and faults."""
 
 import asyncio
 import contextlib
@@ -20,15 +20,26 @@ from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.types import Mat, Vec
 
 SHOWN = 4000
-"""Characters of an error."""
+"""Most characters of an error."""
 Question = dict[str, Any]
+"""A question: a JSON object."""
 Answer = Callable[[Question], Any]
+"""Callback that answers a question."""
 
 
 def seen(
     states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]
 ) -> dict[str, Any]:
-    """{name: (7,) p m, q} as the cameras take it: some bodies lost, elsewhere, turned, or taken for each other."""
+    """Return the bodies as the cameras see them.
+
+    By their faults, bodies are lost, displaced, turned or exchanged.
+
+    states: states of all drones, world
+    rows: row of each drone in `states`
+    faults: faults of each drone
+    names: name of each drone's body
+    Returns {name: (7,) p in m and q, body to world}.
+    """
     bodies: dict[str, Any] = {}
     for i, name in names.items():
         fault = faults[i]
@@ -45,13 +56,16 @@ def seen(
 
 
 def _turned(q: Vec, yaw: float) -> Any:
-    """(4,) of a body whose axes are turned by `yaw` rad about its z: q q_z(yaw)."""
+    """Return q (4,) of a body with its axes turned by `yaw` (rad) about its z axis.
+
+    q q_z(yaw)
+    """
     (a, b, c, d), (e, f, g, h) = q.tolist(), quaternion_of_yaw(yaw).tolist()
     return product((a, b, c, d), (e, f, g, h)) if yaw else q
 
 
 def _short(text: str) -> str:
-    """A text that may repeat a long question."""
+    """Return a text, with its middle left out if it is too long: it may repeat a long question."""
     return (
         text
         if len(text) <= SHOWN
@@ -60,7 +74,7 @@ def _short(text: str) -> str:
 
 
 def _packed(answer: Any) -> bytes:
-    """An answer as it travels; in place of one that no datagram holds, an error that says so."""
+    """Return an answer as a datagram; if it is too long, return an error that says so."""
     packed = json.dumps(plain(answer)).encode()
     if len(packed) <= LARGEST:
         return packed
@@ -72,23 +86,30 @@ def _packed(answer: Any) -> bytes:
 
 
 class Cameras:
-    """The port of the poses: who has sent ASK lately gets frames; who sends JSON gets an answer."""
+    """The port of the cameras.
+
+    A client that has recently sent ASK gets frames, and a client that sends JSON gets an answer.
+
+    at: host and port
+    answer: answers a question
+    """
 
     def __init__(self, clock: Clock, at: Address, answer: Answer) -> None:
         self.clock = clock
         self.at = at
         self._answer = answer
         self.frames = 0
+        """Frames sent so far."""
         self._watchers: dict[Address, int] = {}
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Serve; ConfigError where the port is taken."""
+        """Open the port. Raises ConfigError if it is taken."""
         self._socket = opened(self.at)
         asyncio.get_running_loop().add_reader(self._socket, self._readable)
 
     def close(self) -> None:
-        """No more."""
+        """Close the port."""
         if self._socket is not None:
             asyncio.get_running_loop().remove_reader(self._socket)
             self._socket.close()
@@ -96,7 +117,7 @@ class Cameras:
 
     @property
     def watched(self) -> bool:
-        """Does anybody want frames?"""
+        """Whether any client wants frames."""
         now_ns = self.clock.now_ns()
         self._watchers = {
             who: until for who, until in self._watchers.items() if until > now_ns
@@ -104,7 +125,11 @@ class Cameras:
         return bool(self._watchers)
 
     def show(self, time: float, bodies: dict[str, Any]) -> None:
-        """One frame for all who look; time: s of the clock, when it was so."""
+        """Send a frame to all clients that want frames.
+
+        time: s of the clock at which the bodies were there
+        bodies: poses by name
+        """
         self.frames += 1
         datagram = Frame(self.frames, time, bodies).packed()
         for who in self._watchers:
@@ -123,10 +148,8 @@ class Cameras:
             if not isinstance(question, dict):
                 raise CodecError(f"a question: {data[:40]!r}; allowed: a JSON object.")
             return self._answer(question)
-        except (
-            ValueError,
-            RecursionError,
-        ) as error:  # CrazyChoirErrors of wrong values are ValueErrors, too
+        except (ValueError, RecursionError) as error:
+            # A CrazyChoirError about a wrong value is a ValueError too.
             return {"error": _short(str(error))}
         except CrazyChoirError as error:
             return {"error": _short(str(error))}

@@ -1,4 +1,4 @@
-"""What set-points, plans and stops do: from the packets' units to the model's SI."""
+"""The effect of set-points, plans and stops, from the units of packets to SI units."""
 
 import math
 from collections.abc import Callable
@@ -10,13 +10,15 @@ from crazychoir.radio.protocol.compressed import quaternion
 from crazychoir.simulation.onboard.onboard import Onboard
 
 UNKNOWN = 8
-"""The answer ENOEXEC of the planner's port to a command that there is not."""
+"""Answer ENOEXEC of the planner's port to an unknown command."""
 MILLI = 1e-3
+"""SI units in a thousandth."""
 RADIANS = math.pi / 180.0
+"""Radians in a degree."""
 
 
 def _full_state(on: Onboard, *values: float) -> None:
-    """mm, mm/s, mm/s2, and milli-rad/s of the body."""
+    """Apply a full state in mm, mm/s, mm/s2, and mrad/s of the body."""
     milli = np.array([*values[:9], *values[10:]]) * MILLI
     on.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
 
@@ -71,7 +73,7 @@ def _sink(
 
 
 def _height(on: Onboard) -> float:
-    """m, of the planner's last set-point."""
+    """Return the height of the planner's last set-point, m."""
     return float(on.record["planner"]["last"][2])
 
 
@@ -125,13 +127,19 @@ def _hover(on: Onboard, vx: float, vy: float, rate: float, z: float) -> None:
 def manual(
     on: Onboard, roll: float, pitch: float, yaw: float, thrust: float, rates: int
 ) -> None:
-    """deg or deg/s, pitch nose up;  thrust: 0 to 65535."""
+    """Apply a manual set-point.
+
+    roll: deg, or deg/s if `rates` is 1
+    pitch: deg, or deg/s if `rates` is 1; positive nose up
+    yaw: deg/s
+    thrust: 0 to 65535
+    """
     newtons = thrust / 65535.0 * 4.0 * on.firmware.thrust_max
     on.manual(newtons, RADIANS * roll, -RADIANS * pitch, RADIANS * yaw, rates == 1)
 
 
 def _done(taken: bool) -> None:
-    """Nobody is told whether a set-point was taken."""
+    """Ignore whether a set-point was accepted: it gets no answer."""
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
@@ -174,4 +182,4 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "supervisor_stop": lambda on: on.emergency_stop(),
     "supervisor_watchdog": lambda on: on.emergency_stop_watchdog(),
 }
-"""By the names of forms; what one returns is the answer, where its port answers."""
+"""Function of each form; its result is the answer if the port answers."""

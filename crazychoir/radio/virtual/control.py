@@ -1,4 +1,4 @@
-"""To ask virtual Crazyflies for the truth, and to break them: for tests, and for an operator's hands."""
+"""Ask virtual Crazyflies for the truth, and set their faults: for tests and for an operator."""
 
 import json
 import socket
@@ -6,11 +6,9 @@ from typing import Any
 
 from crazychoir.errors import Refused
 
-LONGEST = 1 << 16  # bytes
-"""Of a datagram that is received."""
-LARGEST = 65_507  # bytes
-"""Of a datagram that UDP carries."""
-TRIES = 3
+LONGEST = 1 << 16  # bytes: buffer for a received datagram
+LARGEST = 65_507  # bytes: largest datagram of UDP
+TRIES = 3  # times that a question is sent
 
 
 def ask(
@@ -19,11 +17,15 @@ def ask(
     port: int = 19849,
     deadline: float = 1.0,
 ) -> dict[str, Any]:
-    """The answer of the server whose cameras are at this port.
+    """Return the answer of the server with cameras at this port.
 
-    question: {"ask": "state"}, {"ask": "faults"} or {"faults": {"3": {"loss": 0.3}, "all": {"delay": 0.02}}}.
-    Where a datagram does not hold all drones, the answer comes in parts, each asked for after the last: {"after": 7}.
-    Raises Refused where nobody answers a part within `deadline` s, and for what is not allowed.
+    If one datagram cannot hold all drones, the answer comes in parts; each is asked for after the
+    last: {"after": 7}.
+
+    question: {"ask": "state"}, {"ask": "faults"} or {"faults": {"3": {"loss": 0.3}, "all":
+      {"delay": 0.02}}}
+    deadline: s for each part
+    Raises Refused if a part has no answer in time, or the question is not allowed.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
         door.settimeout(deadline / TRIES)
@@ -43,7 +45,11 @@ def ask(
 
 
 def _part(door: socket.socket, question: dict[str, Any], who: str) -> dict[str, Any]:
-    """One part of an answer: that of this very question, as an answer may come after its question was asked again."""
+    """Return one part of an answer.
+
+    An answer may arrive after its question was sent again, so only the answer to this question
+    counts.
+    """
     asked = json.dumps(question).encode()
     if len(asked) > LARGEST:
         do = "Ask for fewer drones at once, or name them as 3,4 with one table for all."

@@ -1,4 +1,7 @@
-"""One virtual Crazyflie without any I/O: packets in, packets out, and what it says by itself as time goes by."""
+"""One virtual Crazyflie without I/O.
+
+It takes packets, returns answers, and sends logs and texts as time passes.
+"""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -31,54 +34,73 @@ from crazychoir.simulation.onboard.logs import TABLE
 from crazychoir.simulation.onboard.onboard import Onboard
 
 log = logging.getLogger(__name__)
+# Channels of the link's port: echoes, the source of a link, packets to drop.
 ECHO, SOURCE, SINK = range(3)
-"""Channels of the link's port."""
 NAME = b"Bitcraze Crazyflie".ljust(30, b"\0")
-"""What asks for the source of a link gets."""
+"""Answer to a request for the source of a link."""
 FLIES = (COMMANDER, SETPOINT, HIGH_LEVEL, LOCALIZATION, SUPERVISOR, PLATFORM)
+"""Ports of packets that concern the flight."""
 TEXT = 30
-"""Bytes of the console in one packet."""
+"""Bytes of console text in one packet."""
 BOOT = 1000
-"""ms after a restart in which it hears nothing."""
+"""Milliseconds after a restart in which the drone hears nothing."""
 HELD = 1000
-"""ms after a plan that no set-point has ended, when somebody may wonder why it does not fly."""
+"""Milliseconds after a plan until a warning that a set-point still has control.
+
+The plan then has no effect.
+"""
 SILENCE = 1000
-"""ms without a packet after which the link counts as lost: who comes back begins its log blocks anew."""
+"""Milliseconds without a packet after which the link counts as lost.
+
+A returning client starts its log blocks again.
+"""
 RELEASE = "2025.12"
-"""Of the firmware that the model is of."""
+"""Firmware release that is modelled."""
 DECKS = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
-"""That a drone carries unless it is told otherwise; with the second it knows where it is."""
-POSITIONING, FLOW = "bcLighthouse4", "bcFlow2"
+"""Decks that a drone carries by default; the lighthouse deck gives it its position."""
+POSITIONING = "bcLighthouse4"
+"""Deck that gives a drone its position."""
+FLOW = "bcFlow2"
+"""Deck that gives a drone its velocity."""
 
 
 @dataclass
 class Identity:
-    """What tells a drone from others. number: the last byte of its address;  release: of its firmware."""
+    """The properties that distinguish a drone from others."""
 
     name: str = "virtual Crazyflie"
+    """Name for log lines."""
     number: int = 0xE7
+    """Last byte of its address."""
     release: str = RELEASE
+    """Release of its firmware."""
     device: str = "CF21"
+    """Type of the device, as the firmware tells it."""
     decks: tuple[str, ...] = ()
+    """Decks that it carries."""
 
 
 @dataclass
 class Kept:
-    """What survives a restart: persistent parameters by name, memories by type."""
+    """Data that survive a restart."""
 
     parameters: dict[str, float] = field(default_factory=dict)
+    """Persistent parameters, by name."""
     memories: dict[int, bytearray] = field(default_factory=dict)
+    """Memories, by type."""
 
 
 def device_of(platform: Platform) -> str:
-    """What a drone of this platform says that it is."""
+    """Return the device type that a drone of this platform tells."""
     return "C21B" if platform.firmware.needs_arming else "CF21"
 
 
 class VirtualCrazyflie:
-    """What the firmware answers to; its model flies the body in a world that somebody steps.
+    """The answers of the firmware; its model flies the body in a world that the caller steps.
 
-    truth: where its body is, m world;  starts: how often it was switched on;  received, sent: packets.
+    onboard: model of the firmware
+    identity: properties of the drone
+    truth: returns the position of the body, m, world
     """
 
     def __init__(
@@ -92,8 +114,11 @@ class VirtualCrazyflie:
         self.truth = truth
         self.kept = Kept()
         self.starts = 0
+        """Number of times that the drone was switched on."""
         self.received = 0
+        """Packets received."""
         self.sent = 0
+        """Packets sent."""
         self.positioned = POSITIONING in self.identity.decks
         self.flows = FLOW in self.identity.decks
         self.rates = (0.0, 0.0)
@@ -104,17 +129,17 @@ class VirtualCrazyflie:
 
     @property
     def decks(self) -> tuple[str, ...]:
-        """That it carries."""
+        """Decks that the drone carries."""
         return self.identity.decks
 
     @property
     def uptime(self) -> int:
-        """ms since it was switched on."""
+        """Milliseconds since the drone was switched on."""
         return int(self.onboard.record["tick"])
 
     @property
     def booting(self) -> bool:
-        """Whether it hears nothing yet."""
+        """Whether the drone still starts and hears nothing."""
         return self.uptime < self._deaf_until
 
     def _start(self) -> None:
@@ -157,7 +182,10 @@ class VirtualCrazyflie:
         )
 
     def restart(self, why: str = "") -> None:
-        """Switch it off and on; why: what the firmware says of it."""
+        """Switch the drone off and on.
+
+        why: reason that the firmware gives on its console
+        """
         counted = self.flight.zeros, self.flight.malformed, self.flight.unknown
         refuses = self.flight.refuses
         self.onboard.restart()
@@ -184,7 +212,7 @@ class VirtualCrazyflie:
         self.restart(f"{where} has failed")
 
     def refuse_arming(self, refuses: bool) -> None:
-        """Whether checks before flight fail; a drone that flies goes on."""
+        """Set whether the checks before flight fail; a flying drone flies on."""
         self.flight.refuses = refuses
         record = self.onboard.record
         record["auto_arm"] = not (refuses or self.onboard.firmware.needs_arming)
@@ -192,7 +220,10 @@ class VirtualCrazyflie:
             self.onboard.arm(False)
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """The answers to a packet; none while it starts, and none to one at which it restarts."""
+        """Return the answers to a packet.
+
+        There are none while the drone starts, or if the packet makes it restart.
+        """
         if self.booting:
             return
         self.received = self.received + 1
@@ -204,7 +235,7 @@ class VirtualCrazyflie:
         except Assertion as error:
             self.restart(str(error))
             return
-        except Exception as error:  # noqa: BLE001 - what one drone cannot bear must not end the others
+        except Exception as error:  # noqa: BLE001 - an error of one drone must not end the others
             self._fail(
                 f"a packet of port {packet.port}, channel {packet.channel}", error
             )
@@ -230,12 +261,12 @@ class VirtualCrazyflie:
             self.flight.unknown += 1
 
     def pass_time(self) -> Iterator[Packet]:
-        """What it says by itself as far as its model has been stepped."""
+        """Return the packets that the drone sends by itself, up to the time of its model."""
         try:
             for packet in self._says():
                 self.sent += 1
                 yield packet
-        except Exception as error:  # noqa: BLE001 - what one drone cannot say must not end the others
+        except Exception as error:  # noqa: BLE001 - an error of one drone must not end the others
             self._fail("what it says by itself", error)
 
     def _says(self) -> Iterator[Packet]:
@@ -251,7 +282,7 @@ class VirtualCrazyflie:
         yield from self.logs.due(now)
 
     def _watch(self, now: int) -> None:
-        """The battery at each look, the rates of packets once a second."""
+        """Check the battery and the plans, and once a second the packet rates."""
         read = self.parameters.read
         vbat = float(self.onboard.record["vbat"])
         self.power.look(now, vbat, read("pm.lowVoltage"), read("pm.criticalLowVoltage"))
@@ -271,7 +302,7 @@ class VirtualCrazyflie:
             self._counted = (now, self.received, self.sent)
 
     def say(self, text: str) -> None:
-        """On its console; no character is split."""
+        """Print a text on the console; no character is split between packets."""
         line = b""
         for character in text:
             more = character.encode()

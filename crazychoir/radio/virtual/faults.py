@@ -1,4 +1,4 @@
-"""What can go wrong with a virtual drone, its link and the cameras: names, ranges, and what is set."""
+"""Faults of a virtual drone, its link and the cameras: names, ranges and values."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,21 +8,27 @@ from typing import Any
 from crazychoir.errors import ConfigError
 
 Value = float | tuple[float, ...]
+"""Value of a fault: one number or several."""
 
 
 @dataclass(frozen=True)
 class Knob:
-    """One fault. low, high: allowed, and 0;  size: numbers that it has;  means: what it does."""
+    """One fault that can be set."""
 
     low: float
+    """Least value; 0 is allowed too."""
     high: float
+    """Largest value."""
     means: str
+    """Effect of the fault."""
     size: int = 1
+    """Number of numbers in its value."""
     whole: bool = False
+    """True if only whole numbers are allowed."""
 
     @property
     def allowed(self) -> str:
-        """The range, in words."""
+        """The range, as text."""
         if (self.low, self.high, self.whole) == (0, 1, True):
             return "0 or 1"
         kind = "whole numbers" if self.whole else "numbers"
@@ -30,7 +36,7 @@ class Knob:
         return each if self.size == 1 else f"{self.size} {kind} of {each}"
 
     def checked(self, name: str, value: Any) -> Value:
-        """The value; ConfigError for what is not allowed."""
+        """Return the value. Raises ConfigError if it is not allowed."""
         found = [value] if not isinstance(value, list | tuple) else list(value)
         good = len(found) == self.size and all(self._fits(one) for one in found)
         if not good:
@@ -79,11 +85,12 @@ KNOBS = {
         whole=True,
     ),
 }
+"""All faults, by name."""
 
 
 @dataclass
 class Faults:
-    """What is wrong with one drone, by KNOBS."""
+    """The faults of one drone; KNOBS explains each."""
 
     loss: float = 0.0
     delay: float = 0.0
@@ -100,12 +107,16 @@ class Faults:
     swap: float = -1.0
 
     def listed(self) -> dict[str, Any]:
-        """All, by name."""
+        """Return all faults, by name."""
         return asdict(self)
 
 
 def checked(wanted: Mapping[str, Any], ids: Sequence[int]) -> dict[str, Value]:
-    """The faults, if all of them can be; ConfigError names what there is."""
+    """Return the faults if all are allowed. Raises ConfigError, with the allowed ones, otherwise.
+
+    wanted: values by name of the fault
+    ids: ids of the drones
+    """
     found: dict[str, Value] = {}
     for name, value in wanted.items():
         if name not in KNOBS:

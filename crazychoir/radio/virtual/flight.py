@@ -1,4 +1,7 @@
-"""Ports 3, 6, 7, 8, 9 and 13: what flies a virtual drone, from the firmware's units to the model's SI."""
+"""Ports 3, 6, 7, 8, 9 and 13: the packets that fly a virtual drone.
+
+The firmware's units become the SI units of the model.
+"""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -23,15 +26,20 @@ from crazychoir.radio.protocol.crtp import (
 from crazychoir.radio.virtual.commands import COMMANDS, MILLI, UNKNOWN, manual
 from crazychoir.simulation.onboard.onboard import Onboard
 
-SHORT_LPP, PACKED_POSE = 2, 9
-"""Commands of LOCALIZATION's channel 1."""
+SHORT_LPP = 2
+"""Command of LOCALIZATION's channel 1: a packet for an anchor."""
+PACKED_POSE = 9
+"""Command of LOCALIZATION's channel 1: packed poses."""
 POSITIONS = 2
 """Channel of packed positions."""
 EMULATED = 3
-"""The set-point of a receiver of another make, whose length depends on its content."""
+"""Set-point of an emulated receiver; its length depends on its content."""
 UNCHECKED = ("position", "stop")
-"""Set-points whose length the firmware does not look at."""
-_POSE, _POSITION = struct.Struct("<BhhhI"), struct.Struct("<Bhhh")
+"""Set-points with a length that the firmware does not check."""
+_POSE = struct.Struct("<BhhhI")
+"""Layout of a packed pose."""
+_POSITION = struct.Struct("<Bhhh")
+"""Layout of a packed position."""
 PLANS = (
     "take_off",
     "take_off_with_velocity",
@@ -40,23 +48,24 @@ PLANS = (
     "spiral",
     "start_trajectory",
 )
-"""By which the planner on board flies, unless a set-point holds control."""
+"""Commands by which the planner on board flies, unless a set-point has control."""
 CAN_ARM = 1
-"""Bit of the supervisor's information."""
+"""Bit of the supervisor's information: the drone may be armed."""
 
 
 class Assertion(CodecError):
-    """What a real firmware's assertion fails at: it restarts."""
+    """A failed assertion of the firmware: a real drone restarts."""
 
 
 class Flight:
-    """Takes set-points, plans, poses and requests, and counts.
+    """Takes set-points, plans, poses and requests, and counts them.
 
-    number: the last byte of its address, by which packed poses are told;  firmware: its release;  device: its type;
-    read, write: a parameter by name.  zeros: RPYT packets all zero;  last: the kind of the last set-point;
-    malformed: packets of a length that is not theirs;  unknown: those that nobody knows;  refuses: arming, by a fault;
-    planned_at: ms of the last plan, None without one that waits for the end of set-points.
-    external: the last pose (7,) or position (3,) from outside.
+    onboard: model of the firmware
+    number: last byte of the drone's address, which selects its packed pose
+    firmware: release of the firmware
+    device: type of the device
+    read: returns a parameter by name
+    write: sets a parameter by name
     """
 
     def __init__(
@@ -80,21 +89,28 @@ class Flight:
                 form
             )
         self.zeros = self.malformed = self.unknown = self.poses = 0
+        """Counts: RPYT packets of zeros, wrong lengths, unknown packets, poses from outside."""
         self.last = ""
+        """Kind of the last set-point."""
         self.refuses = False
+        """True while a fault refuses arming."""
         self.external: tuple[float, ...] = ()
+        """Last pose (7,) or position (3,) from outside."""
         self.planned_at: int | None = None
+        """ms of the last plan that waits for the end of set-points; None without one."""
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """Do what a packet asks for; the answers to it. Assertion where the firmware would restart."""
+        """Do what a packet asks for; return the answers.
+
+        Raises Assertion where the firmware would restart.
+        """
         port, channel, data = packet
         command = data[0] if data else -1
         if port == PLATFORM:
             yield from self._platform(packet)
         elif port == LOCALIZATION and (channel, command) == (1, SHORT_LPP):
-            yield Packet(
-                port, channel, data[:2].ljust(2, b"\0") + b"\0"
-            )  # nobody is there to send it on
+            # The answer says that the packet was not passed on: there is no anchor.
+            yield Packet(port, channel, data[:2].ljust(2, b"\0") + b"\0")
         elif port == LOCALIZATION and (channel, command) == (1, PACKED_POSE):
             self._packed(data[1:], _POSE)
         elif port == LOCALIZATION and channel == POSITIONS:
@@ -120,7 +136,7 @@ class Flight:
             yield Packet(port, channel, data[:1] + answer)
 
     def _obey(self, packet: Packet) -> Any:
-        """The answer of the model, None where there is none."""
+        """Return the answer of the model; None if there is none."""
         forms, (port, channel, data) = self._forms, packet
         if port == SUPERVISOR and channel == 0:
             return self._asked(data)
@@ -149,7 +165,10 @@ class Flight:
         return OWN[form.name](self, *values)
 
     def _nobody_knows(self, packet: Packet) -> None:
-        """An unknown set-point is one all the same, without thrust; an empty one is an assertion."""
+        """Count an unknown packet.
+
+        An unknown set-point acts as a set-point without thrust; an empty one fails an assertion.
+        """
         self.unknown += 1
         if packet.port == SETPOINT and packet.channel == 0:
             if not packet.data:
@@ -163,7 +182,7 @@ class Flight:
             raise Assertion(str(error)) from error
 
     def _meant(self, group: int) -> bool:
-        """Is it in a group of this mask? 0: everybody is."""
+        """Return whether the drone is in a group of this mask; 0 means every drone."""
         return group == 0 or bool(group & int(self.read("hlCommander.groupmask")))
 
     # The supervisor
@@ -174,7 +193,7 @@ class Flight:
         return self.onboard.info & ~(CAN_ARM * self.refuses)
 
     def _asked(self, data: bytes) -> bytes | None:
-        """All bits by 12, one of them by 1 to 11."""
+        """Return the supervisor's answer: all bits for request 12, one bit for requests 1 to 11."""
         if len(data) != 1 or not 1 <= data[0] <= 12:
             self.unknown += 1
             return None
@@ -185,12 +204,15 @@ class Flight:
         )
 
     def arm(self, wanted: bool) -> bytes:
-        """Whether it is done, and whether it is armed then."""
+        """Arm or disarm; return whether this was done, and whether the drone is armed now."""
         done = not (wanted and self.refuses) and self.onboard.arm(wanted)
         return bytes([done, bool(self.onboard.record["armed"] or (done and wanted))])
 
     def recover(self) -> bytes:
-        """Whether it is done, and whether it has recovered."""
+        """Recover from a crash.
+
+        Returns whether this was done, and whether the drone has recovered.
+        """
         done = self.onboard.recover()
         return bytes([done, done])
 
@@ -204,9 +226,8 @@ class Flight:
             answer = self._obey(packet) if data[0] in (1, 2) else None
             yield packet if answer is None else Packet(port, channel, data[:1] + answer)
         else:
-            self.unknown += (
-                1  # the channel of an application on board, of which there is none
-            )
+            # The channel of an application on board; this drone has none.
+            self.unknown += 1
 
     def _version(self, command: bytes) -> Iterator[Packet]:
         match command:
@@ -217,22 +238,25 @@ class Flight:
             case b"\x02":
                 yield Packet(PLATFORM, 1, command + self.device.encode()[:29])
 
-    # Where it is, by others
+    # Poses from outside
 
     def pose(self, p: Any, q: Any) -> None:
-        """From outside: m, quaternion."""
+        """Take a pose from outside: p in m, and a quaternion."""
         self.poses = self.poses + 1
         self.external = (*p, *q)
         self.onboard.external_pose(np.array(p, float), np.array(q, float))
 
     def position(self, p: Any) -> None:
-        """From outside: m."""
+        """Take a position from outside, m."""
         self.poses = self.poses + 1
         self.external = tuple(p)
         self.onboard.external_position(np.array(p, float))
 
     def _packed(self, body: bytes, layout: struct.Struct) -> None:
-        """Of several drones in one packet, each by its number; its own counts."""
+        """Take poses or positions of several drones in one packet.
+
+        Only those with the number of this drone count.
+        """
         for number, x, y, z, *q in layout.iter_unpack(
             body[: len(body) // layout.size * layout.size]
         ):
@@ -243,10 +267,13 @@ class Flight:
                 else:
                     self.position(p)
 
-    # A receiver's channels
+    # The channels of an emulated receiver
 
     def _emulated(self, body: bytes) -> None:
-        """Roll, pitch, yaw and thrust as pulses of 1000 to 2000 us; the first channel beyond says angles or rates."""
+        """Apply roll, pitch, yaw and thrust as pulses of 1000 to 2000 us.
+
+        The first further channel selects angles or rates.
+        """
         count = body[0] & 0x0F if body else 0
         if len(body) != 9 + 2 * count:
             self.malformed += 1
@@ -285,4 +312,7 @@ OWN: dict[str, Callable[..., Any]] = {
     "recover": Flight.recover,
     "platform_recover": Flight.recover,
 }
-"""What is done beyond the model; what it returns is the answer, where its port answers."""
+"""Functions of the forms that the model does not handle.
+
+The result is the answer if the port answers.
+"""

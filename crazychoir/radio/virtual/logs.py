@@ -1,4 +1,4 @@
-"""Port 5: log blocks of a virtual drone, which send what they hold by the drone's own clock."""
+"""Port 5: log blocks of a virtual drone, which send their variables by the drone's own clock."""
 
 import math
 import struct
@@ -9,33 +9,47 @@ from crazychoir.radio.protocol.crtp import LOG, Packet
 from crazychoir.radio.virtual.toc import LETTERS, LOG_TYPES, Entry, Toc
 from crazychoir.simulation.onboard.logs import whole
 
+# Channels.
 TOC, SETTINGS, DATA = range(3)
-"""Channels."""
+# Commands of SETTINGS.
 _V1_CREATE, _V1_APPEND, DELETE, START, STOP, RESET, CREATE, APPEND, START_V2 = range(9)
-OK, ENOENT, E2BIG, ENOEXEC, ENOMEM, EEXIST = 0, 2, 7, 8, 12, 17
+# Results, with the numbers of errno.
+OK = 0
+ENOENT = 2
+E2BIG = 7
+ENOEXEC = 8
+ENOMEM = 12
+EEXIST = 17
 BY_ADDRESS = 0xFFFF
-"""In place of an index: an address in the drone's memory follows."""
-BLOCKS, VARIABLES, SIZE = 16, 128, 26
-"""At most: blocks, variables in all of them, bytes of the values of one."""
+"""Index of a variable that is named by an address in the drone's memory, which follows."""
+BLOCKS = 16
+"""Most blocks."""
+VARIABLES = 128
+"""Most variables in all blocks."""
+SIZE = 26
+"""Most bytes of the values of one block."""
 LETTER = {LOG_TYPES[kind]: letter for kind, letter in LETTERS.items()} | {8: "e"}
-"""By type; the last is a float of 16 bits, as which a client may ask for a variable."""
+"""struct letter of each type; the last is a float of 16 bits, which a client may ask for."""
 HALF_FLOAT = 65504.0
-"""The largest number of a float of 16 bits."""
+"""Largest number in a float of 16 bits."""
 FLOAT = 3.4028234e38
-"""That of one of 32 bits, and a little less."""
+"""A little less than the largest number in a float of 32 bits."""
 Read = Callable[[str], float]
+"""Callback that returns a log variable by name."""
 
 
 @dataclass
 class Block:
-    """Variables that travel together. period: ms, 0: it is stopped;  due: ms of uptime, when it is sent next;
-    once: it is to be sent alone.
-    """
+    """Variables that are sent together."""
 
     variables: list[tuple[str, str]] = field(default_factory=list)
+    """Name and struct letter of each."""
     period: int = 0
+    """ms; 0: the block is stopped."""
     due: int = 0
+    """ms of uptime at which it is sent next."""
     once: bool = False
+    """True if it is to be sent once."""
 
     @property
     def size(self) -> int:
@@ -44,7 +58,11 @@ class Block:
 
 
 class Logs:
-    """The blocks that clients have asked for. read: the value of a log variable by name, now."""
+    """The log blocks that clients have asked for.
+
+    entries: log variables of the table of contents
+    read: returns the current value of a log variable by name
+    """
 
     def __init__(self, entries: tuple[Entry, ...], read: Read) -> None:
         self.toc = Toc(LOG, entries, LOG_TYPES, bytes([BLOCKS, VARIABLES]))
@@ -53,11 +71,11 @@ class Logs:
 
     @property
     def running(self) -> bool:
-        """Is any block sent from time to time?"""
+        """Whether any block is sent periodically."""
         return any(block.period for block in self.blocks.values())
 
     def take(self, packet: Packet, now: int) -> Iterator[Packet]:
-        """The answers to a packet; now: ms of uptime."""
+        """Return the answers to a packet; now: ms of uptime."""
         if packet.channel == TOC:
             yield from self.toc.take(packet.data)
         elif packet.channel == SETTINGS and packet.data:
@@ -68,7 +86,10 @@ class Logs:
             yield Packet(LOG, SETTINGS, bytes([command, number, error]))
 
     def due(self, now: int) -> Iterator[Packet]:
-        """What is to be sent at this ms of uptime; a block that is late skips what it has missed."""
+        """Return the packets that are due at this ms of uptime.
+
+        A late block skips the times that it has missed.
+        """
         for number, block in self.blocks.items():
             if block.once:
                 block.once = False
@@ -123,7 +144,10 @@ class Logs:
         return OK
 
     def _append(self, number: int, rest: bytes) -> int:
-        """Add variables up to the first that does not fit; a block that was made for them stays, as in the firmware."""
+        """Add variables up to the first that does not fit.
+
+        A new block stays in any case, as in the firmware.
+        """
         block = self.blocks.get(number)
         if block is None:
             return ENOENT
@@ -142,7 +166,10 @@ class Logs:
 
 
 def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
-    """Types and indices of variables; one by its address has four bytes more, and reads 0."""
+    """Return types and indices of variables.
+
+    A variable by address has four more bytes, and its value is 0.
+    """
     at = 0
     while at + 3 <= len(rest):
         index = int.from_bytes(rest[at + 1 : at + 3], "little")
@@ -151,7 +178,10 @@ def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
 
 
 def value_of(letter: str, value: float) -> bytes:
-    """A value as it travels: whole numbers at the ends of their range stay there; 0 where it has none for it."""
+    """Return a value in the format of its letter.
+
+    Whole numbers are limited to their range. A float that does not fit becomes 0.
+    """
     if letter == "e":
         return struct.pack("<e", min(max(value, -HALF_FLOAT), HALF_FLOAT))
     if letter == "f":

@@ -1,4 +1,4 @@
-"""Port 4: the memories of a virtual drone, read and written piece by piece."""
+"""Port 4: the memories of a virtual drone, read and written in pieces."""
 
 import struct
 from collections.abc import Iterator
@@ -7,44 +7,56 @@ from typing import Protocol
 from crazychoir.radio.protocol.crtp import MEMORY, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
+# Channels.
 INFO, READ, WRITE = range(3)
-"""Channels."""
-COUNT, ABOUT = 1, 2
-"""Commands of INFO."""
-EEPROM, LEDS, TRAJECTORY, LIGHTHOUSE, TESTER, TIMINGS, DECKS = (
-    0x00,
-    0x10,
-    0x12,
-    0x14,
-    0x15,
-    0x17,
-    0x19,
-)
-"""Types. There is none of 1-wire, which clients would read at each connect."""
+# Commands of INFO.
+COUNT = 1
+ABOUT = 2
+# Types. There is no 1-wire memory: clients would read it at each connection.
+EEPROM = 0x00
+LEDS = 0x10
+TRAJECTORY = 0x12
+LIGHTHOUSE = 0x14
+TESTER = 0x15
+TIMINGS = 0x17
+DECKS = 0x19
 DECK_VERSION = 3
-OK, EIO = 0, 5
+"""Version of the content of DECKS."""
+# Results, with the numbers of errno.
+OK = 0
+EIO = 5
 MOST = 24
-"""Bytes that one packet reads or writes."""
-_ABOUT, _WHERE = struct.Struct("<BBBI8x"), struct.Struct("<BI")
+"""Most bytes that one packet reads or writes."""
+_ABOUT = struct.Struct("<BBBI8x")
+"""Layout of the description of a memory."""
+_WHERE = struct.Struct("<BI")
+"""Layout of a memory's number and an address."""
 
 
 class Memory(Protocol):
-    """Bytes that a client may read and write; size: as it is told, B."""
+    """Bytes that a client may read and write."""
 
     kind: int
+    """Type of the memory."""
     size: int
+    """Bytes, as the client is told."""
 
     def read(self, address: int, length: int) -> bytes | None:
-        """None: it cannot."""
+        """Return bytes; None if they cannot be read."""
         ...
 
     def write(self, address: int, data: bytes) -> bool:
-        """Whether it could."""
+        """Write bytes; return whether that was possible."""
         ...
 
 
 class Bytes:
-    """One that keeps what is written. content: at the beginning, all of it, changed in place."""
+    """A memory that keeps what is written.
+
+    kind: type of the memory
+    content: all its bytes, changed in place
+    size: bytes, as the client is told; None: the size of `content`
+    """
 
     def __init__(
         self, kind: int, content: bytearray | memoryview, size: int | None = None
@@ -54,7 +66,7 @@ class Bytes:
         self.size = len(content) if size is None else size
 
     def read(self, address: int, length: int) -> bytes | None:
-        """What lies there."""
+        """Return bytes; None beyond the end."""
         return (
             bytes(self.content[address : address + length])
             if address + length <= len(self.content)
@@ -62,7 +74,7 @@ class Bytes:
         )
 
     def write(self, address: int, data: bytes) -> bool:
-        """Put it there."""
+        """Write bytes; return False beyond the end."""
         if address + len(data) > len(self.content):
             return False
         self.content[address : address + len(data)] = data
@@ -70,20 +82,21 @@ class Bytes:
 
 
 class Tester:
-    """The firmware's test of memories: each byte is the lowest byte of its address. errors: wrong bytes written."""
+    """The firmware's test of memories: each byte is the lowest byte of its address."""
 
     kind = TESTER
     size = 0x1000
 
     def __init__(self) -> None:
         self.errors = 0
+        """Wrong bytes that were written."""
 
     def read(self, address: int, length: int) -> bytes | None:
-        """By the rule."""
+        """Return bytes by the rule."""
         return bytes((address + k) & 0xFF for k in range(length))
 
     def write(self, address: int, data: bytes) -> bool:
-        """Count those against the rule."""
+        """Count the bytes against the rule."""
         self.errors += sum(byte != (address + k) & 0xFF for k, byte in enumerate(data))
         return True
 
@@ -91,7 +104,10 @@ class Tester:
 def configured(
     channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7
 ) -> bytearray:
-    """The EEPROM of a drone: its radio's channel, data rate and address, no trim, and their checksum."""
+    """Return the EEPROM of a drone.
+
+    It holds the channel, data rate and address of its radio, no trim, and their checksum.
+    """
     image = b"0xBC" + struct.pack(
         "<BBBffBI", 1, channel, speed, 0.0, 0.0, address >> 32, address & 0xFFFFFFFF
     )
@@ -99,9 +115,13 @@ def configured(
 
 
 class Memories:
-    """All of them; their number is their place. A restart keeps the EEPROM and the lighthouse's.
+    """All memories of a drone, numbered by position.
 
-    kept: what survives restarts, by type.
+    A restart keeps the EEPROM and the memory of the lighthouse.
+
+    onboard: model of the firmware
+    kept: content that survives restarts, by type
+    number: last byte of the drone's address
     """
 
     def __init__(
@@ -127,7 +147,7 @@ class Memories:
         )
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """The answers to a packet."""
+        """Return the answers to a packet."""
         data = packet.data
         if packet.channel == INFO:
             yield from self._about(data)

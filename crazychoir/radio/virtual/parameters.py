@@ -1,4 +1,7 @@
-"""Port 2: parameters of a virtual drone: those that its firmware models act at once, the others are remembered."""
+"""Port 2: parameters of a virtual drone.
+
+Those of the firmware model act at once; the others are only stored.
+"""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -10,9 +13,14 @@ from crazychoir.radio.virtual.toc import PARAM_TYPES, Entry, Toc
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.parameters import RESET_ESTIMATION, TABLE
 
+# Channels.
 TOC, READ, WRITE, MISC = range(4)
-"""Channels."""
-OK, ENOENT, EACCES, EINVAL = 0, 2, 13, 22
+# Results, with the numbers of errno.
+OK = 0
+ENOENT = 2
+EACCES = 13
+EINVAL = 22
+# Commands of MISC.
 (
     SET_BY_NAME,
     UPDATED,
@@ -24,13 +32,21 @@ OK, ENOENT, EACCES, EINVAL = 0, 2, 13, 22
     EXTENDED,
     DEFAULT,
 ) = range(9)
-"""Commands of MISC."""
 PERSISTENT = 1
-NOT_STORED, STORED = 0, 1
+"""Answer: the parameter can be stored."""
+NOT_STORED = 0
+"""Answer: the parameter is not stored."""
+STORED = 1
+"""Answer: the parameter is stored."""
 
 
 class Parameters:
-    """Values by name; `stored` survives a restart, as on the drone's own memory."""
+    """Parameters by name.
+
+    onboard: model of the firmware
+    entries: parameters of the table of contents
+    stored: values that survive a restart, as in the drone's own memory
+    """
 
     def __init__(
         self,
@@ -53,19 +69,22 @@ class Parameters:
                 self.set(entry.full, self.stored[entry.full])
 
     def take(self, packet: Packet) -> Iterator[Packet]:
-        """The answers to a packet."""
+        """Return the answers to a packet."""
         return self._channels[packet.channel](packet.data)
 
     def get(self, entry: Entry) -> float:
-        """Its value now."""
+        """Return the current value of an entry."""
         return self.read(entry.full)
 
     def read(self, name: str) -> float:
-        """The value now of one that is in the table of contents."""
+        """Return the current value of a parameter in the table of contents."""
         return self.onboard.get(name) if name in TABLE else self.values[name]
 
     def set(self, name: str, value: float) -> None:
-        """Write one, read-only or not, as the firmware itself does; what its model refuses is remembered alone."""
+        """Set a parameter, even a read-only one, as the firmware itself does.
+
+        A value that the model refuses is only stored.
+        """
         if name in TABLE or name == RESET_ESTIMATION:
             with suppress(ConfigError):
                 self.onboard.set(name, value)
@@ -89,7 +108,10 @@ class Parameters:
         yield Packet(PARAM, READ, data[:2] + body)
 
     def _write(self, data: bytes) -> Iterator[Packet]:
-        """Echoed as it came; one that is read-only is not answered, as by the firmware."""
+        """Set a parameter and echo the packet.
+
+        A read-only parameter gets no answer, as from the firmware.
+        """
         entry = self._found(data)
         if entry is None:
             yield Packet(PARAM, WRITE, data[:2] + bytes([ENOENT]))
@@ -99,14 +121,20 @@ class Parameters:
             yield from self._done()
 
     def _done(self) -> Iterator[Packet]:
-        """The firmware takes back a reset of the estimator as soon as it has begun, and says so."""
+        """Reset the parameter that starts an estimator reset, and tell the client.
+
+        The firmware does this as soon as the reset has begun.
+        """
         if self.values[RESET_ESTIMATION]:
             self.values[RESET_ESTIMATION] = 0.0
             index = self.toc.index[RESET_ESTIMATION].to_bytes(2, "little")
             yield Packet(PARAM, MISC, bytes([UPDATED]) + index + b"\0")
 
     def _take(self, entry: Entry, body: bytes) -> None:
-        """As the firmware does it: so many bytes as the type has, whatever is there."""
+        """Set a parameter from as many bytes as its type has.
+
+        Missing bytes are 0, as in the firmware.
+        """
         layout = struct.Struct("<" + entry.letter)
         (value,) = layout.unpack(body[: layout.size].ljust(layout.size, b"\0"))
         self.set(entry.full, value)
@@ -148,7 +176,11 @@ class Parameters:
                 )
 
     def _by_name(self, body: bytes) -> Iterator[Packet]:
-        """Names, type and value; the answer has the error in place of the last two, nothing answers a lack of names."""
+        """Set a parameter by name; the packet has names, type and value.
+
+        In the answer an error code takes the place of type and value. A packet without the names
+        gets no answer.
+        """
         parts = body.split(b"\0", 2)
         if len(parts) == 3:
             names = b"\0".join(parts[:2]) + b"\0"
@@ -196,7 +228,10 @@ class Parameters:
 
 
 def packed(entry: Entry, value: float) -> bytes:
-    """As it travels; whole numbers are cut to what their type holds."""
+    """Return a value in the format of its entry.
+
+    Whole numbers are cut to the size of their type.
+    """
     if entry.letter == "f":
         return struct.pack("<f", value)
     size = struct.calcsize(entry.letter)

@@ -1,4 +1,7 @@
-"""The UDP port of one virtual drone: who has sent last is its client; a closed one is as nobody there."""
+"""The UDP port of one virtual drone.
+
+The last sender is its client. A closed port looks like a missing drone.
+"""
 
 import asyncio
 import contextlib
@@ -12,18 +15,24 @@ from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 
 PROBE = b"\xff"
-"""What a scan sends: whatever comes back says that somebody is there. Who scans is no client yet."""
+"""Packet of a scan.
+
+Any reply means that the port is in use; a scan does not make the sender the client.
+"""
 BUFFER = 1 << 20
-"""Bytes that the system keeps for a socket, so that a late server loses nothing."""
+"""Bytes that the system buffers for a socket, so that a late server loses nothing."""
 NULL = 3
-"""Channel of the link's port for packets that say nothing."""
-AT_ONCE, LONGEST = 200, 65_536
-"""Datagrams that are read in one pass of the loop, and their bytes."""
+"""Channel of the link's port for empty packets."""
+AT_ONCE = 200
+"""Datagrams that are read in one pass of the loop."""
+LONGEST = 65_536
+"""Most bytes of a datagram."""
 Address = tuple[str, int]
+"""Host and port."""
 
 
 def opened(at: Address) -> socket.socket:
-    """A socket at this address; ConfigError where it is taken."""
+    """Return a socket at this address. Raises ConfigError if it is taken."""
     found = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
     found.setblocking(False)
@@ -37,7 +46,10 @@ def opened(at: Address) -> socket.socket:
 
 
 def waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
-    """The datagrams that wait at a socket, and who has sent them; so many at once, and none once it is closed."""
+    """Return the datagrams that wait at a socket, with their senders.
+
+    There are at most AT_ONCE, and none once the socket is closed.
+    """
     for _ in range(AT_ONCE):
         if at is None or at.fileno() < 0:
             return
@@ -45,30 +57,37 @@ def waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
             yield at.recvfrom(LONGEST)
         except BlockingIOError:
             return
-        except OSError:  # a client that is gone is nobody's business
+        except OSError:  # a client has gone, which does not matter here
             continue
 
 
 class Port:
-    """Where clients reach a drone. malformed: datagrams that are no packets;  client: who has sent last."""
+    """The port at which clients reach a drone.
+
+    drone: the drone
+    air: the air between client and drone
+    at: host and port
+    """
 
     def __init__(self, drone: VirtualCrazyflie, air: Air, at: Address) -> None:
         self.drone = drone
         self.air = air
         self.at = at
         self.malformed = 0
+        """Datagrams that are no packets."""
         self.client: Address | None = None
+        """Address of the last sender."""
         self._socket: socket.socket | None = None
         self._unheard: list[Packet] = []
 
     def open(self) -> None:
-        """Serve clients; ConfigError where the port is taken."""
+        """Open the port. Raises ConfigError if it is taken."""
         if self._socket is None:
             self._socket = opened(self.at)
             asyncio.get_running_loop().add_reader(self._socket, self._readable)
 
     def close(self) -> None:
-        """Nobody is served any more; a client is told by its system, if it asks."""
+        """Close the port; a client that sends then gets an error from its system."""
         if self._socket is not None:
             asyncio.get_running_loop().remove_reader(self._socket)
             self._socket.close()
@@ -76,11 +95,11 @@ class Port:
             self.client = None
 
     def look(self) -> None:
-        """Be open where the drone is on and has started, closed elsewhere."""
+        """Open the port if the drone is on and has started; close it otherwise."""
         if self.drone.booting or self.air.faults.off:
             self.close()
         elif self._socket is None:
-            with contextlib.suppress(ConfigError):  # somebody else has it for now
+            with contextlib.suppress(ConfigError):  # another program has it now
                 self.open()
 
     def _readable(self) -> None:
@@ -105,7 +124,7 @@ class Port:
             self.say(answer)
 
     def say(self, packet: Packet) -> None:
-        """Let a packet leave for the client; until there is one it waits on board."""
+        """Send a packet to the client; until there is a client, it waits on board."""
         if self.client is None:
             self._unheard = [*self._unheard[-99:], packet]
             return
@@ -116,7 +135,6 @@ class Port:
 
     def _leave(self, packet: Packet, to: Address) -> None:
         if self._socket is not None:
-            with contextlib.suppress(
-                OSError
-            ):  # the system has no room, or nobody is there: lost, as on the air
+            # The system has no room, or the client is gone: the packet is lost, as on the air.
+            with contextlib.suppress(OSError):
                 self._socket.sendto(packet.framed(), to)

@@ -1,4 +1,7 @@
-"""Log variables that no firmware model has: of the battery, the radio, decks and sensors; and those in other units."""
+"""Log variables that the firmware model lacks, or that have other units there.
+
+They concern the battery, the radio, decks and sensors.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,16 +18,17 @@ from crazychoir.radio.virtual.power import Power, level
 from crazychoir.simulation.onboard.onboard import Onboard
 
 Readings = dict[str, Callable[[], float]]
+"""Functions that return log variables, by name."""
 NOTHING_NEAR = 32767.0
-"""mm, of a range that ends nowhere."""
+"""mm: a range without an obstacle."""
 RSSI = 40.0
-"""-dBm, of a drone two metres away."""
+"""-dBm: a drone two metres away."""
 LH_OK = 2.0
-"""lighthouse.status: it knows where it is."""
+"""lighthouse.status: the position is known."""
 
 
 class Parts(Protocol):
-    """What a drone is made of, as far as it is logged; truth: where it is, m world."""
+    """The parts of a drone that are logged."""
 
     onboard: Onboard
     power: Power
@@ -37,21 +41,21 @@ class Parts(Protocol):
 
     @property
     def uptime(self) -> int:
-        """ms."""
+        """ms since the drone was switched on."""
         ...
 
     @property
     def decks(self) -> tuple[str, ...]:
-        """On board."""
+        """Decks on board."""
         ...
 
     def truth(self) -> Sequence[float]:
-        """m, world."""
+        """Return the true position, m, world."""
         ...
 
 
 def readings(me: Parts) -> Readings:
-    """By name, in the firmware's units."""
+    """Return the log variables by name, in the firmware's units."""
     return {**_electric(me), **_linked(me), **_sensed(me), **_thought(me), **_decks(me)}
 
 
@@ -137,7 +141,11 @@ def _thought(me: Parts) -> Readings:
 
 
 def _decks(me: Parts) -> Readings:
-    """Ranges in mm: downwards as far as the floor is, elsewhere nothing is near; 0 without the deck."""
+    """Return the variables of decks.
+
+    The range downwards, in mm, is the height above the floor; in other directions nothing is near.
+    Without the deck a range is 0.
+    """
 
     def far(side: str) -> float:
         return NOTHING_NEAR if "bcMultiranger" in me.decks else 0.0

@@ -1,4 +1,4 @@
-"""Virtual Crazyflies on UDP, on the wall clock: one port a drone, one world for all of them, cameras beside."""
+"""Virtual Crazyflies over UDP on the wall clock: one port a drone, one world, and cameras."""
 
 import json
 import random
@@ -22,27 +22,38 @@ from crazychoir.simulation.motor_level.battery import OPEN_CIRCUIT
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.types import Vec
 
-AT_ONCE, BEHIND = 10, 50
-"""Steps of the world that a late server makes up for in one pass, and from which on it gives up and lets them go."""
+AT_ONCE = 10
+"""Steps of the world that a late server makes up for in one pass."""
+BEHIND = 50
+"""Steps of delay beyond which the server skips them."""
 DECK_EVERY = 2
-"""Steps of the world between two poses that a deck on board finds."""
-DECK_NOISE, FLOW_NOISE = 0.001, 0.02
-"""m and m/s, standard deviations an axis of such a pose, and of a velocity by a flow deck."""
+"""Steps of the world between two poses from a deck on board."""
+DECK_NOISE = 0.001
+"""m: standard deviation, for each axis, of a position from a deck."""
+FLOW_NOISE = 0.02
+"""m/s: standard deviation, for each axis, of a velocity from a flow deck."""
 LEAST_CHARGE = 1e-3
+"""Least charge of a battery, from 0 to 1."""
 PART = 48_000  # bytes
-"""Of the rows of drones in one answer: with what stands around them they fit into a datagram."""
+"""Most bytes of the rows of drones in one answer.
+
+With the rest of the answer they fit into a datagram.
+"""
 SHOWN = 40
-"""Characters of wrong words, and drones, in an error."""
-ROLLS, ON_ITS_BACK = 15.0, -0.9
-"""rad/s of a body that tumbles, and the cosine of its tilt when it lies on its back: cameras follow it there."""
+"""Most characters of wrong words, and most drones, in an error."""
+ROLLS = 15.0
+"""rad/s: roll rate of a body that tumbles; cameras can follow it."""
+ON_ITS_BACK = -0.9
+"""Cosine of the tilt of a body that lies on its back."""
 
 
 class VirtualServer(Actor):
-    """Serves the drones of a world, which it steps.
+    """Steps a world and serves its drones.
 
-    seats: a drone each, where it is reached and what it is;  poses: where the cameras and questions are;
-    dongles: groups of drones that share a radio;  seed: of losses and of what decks see.
-    behind: steps of the world that were never made because the machine was too slow.
+    seats: address and properties of each drone
+    poses: address of the cameras and of questions
+    dongles: groups of drones that share a radio
+    seed: seed of losses and of the noise of decks
     """
 
     name = "virtual"
@@ -60,7 +71,9 @@ class VirtualServer(Actor):
         self.world = world
         self.seats = tuple(seats)
         self.behind = 0
+        """Steps of the world that were skipped because the machine was too slow."""
         self.busy_ns = 0
+        """ns spent in steps."""
         self.dongles = tuple(dongles)
         shared = {i: dongle for dongle in self.dongles for i in dongle.drones}
         self.faults = {seat.id: Faults() for seat in self.seats}
@@ -74,10 +87,10 @@ class VirtualServer(Actor):
         }
         self.cameras = Cameras(clock, poses, self.answer)
         self._names = {seat.id: seat.body for seat in self.seats if seat.body}
-        self._noise = random.Random(f"{seed} decks")  # noqa: S311 - of a simulated sensor
+        self._noise = random.Random(f"{seed} decks")  # noqa: S311 - a simulated sensor
 
     def _drone(self, seat: Seat) -> VirtualCrazyflie:
-        """Switched on where it stands, which it does not know yet."""
+        """Switch on the drone of a seat where it stands; it does not know its position yet."""
         row = self.world.row[seat.id]
         onboard = self.world.onboard[seat.id]
         onboard.place((0.0, 0.0, 0.0), 0.0)
@@ -94,11 +107,11 @@ class VirtualServer(Actor):
 
     @property
     def drones(self) -> dict[int, VirtualCrazyflie]:
-        """By id."""
+        """Drones by id."""
         return {i: port.drone for i, port in self.ports.items()}
 
     def listen(self) -> None:
-        """Open the ports; ConfigError where one is taken."""
+        """Open the ports. Raises ConfigError if one is taken."""
         try:
             for port in self.ports.values():
                 port.open()
@@ -108,7 +121,7 @@ class VirtualServer(Actor):
             raise
 
     async def run(self) -> None:
-        """Step the world by the clock, and let each drone say what it has to."""
+        """Step the world by the clock, and send what each drone has to send."""
         step_ns = round(self.world.dt * SECOND)
         due_ns = self.clock.now_ns() + step_ns
         async for _ in self.clock.ticks(1.0 / self.world.dt):
@@ -125,7 +138,10 @@ class VirtualServer(Actor):
             self.busy_ns += self.clock.now_ns() - began_ns
 
     def step(self, time: float) -> None:
-        """One step of the world, which ends at this time of the clock; then everybody says what is due."""
+        """Step the world once, then send what is due.
+
+        time: s of the clock at the end of the step
+        """
         self._hold()
         if self.world.tick % DECK_EVERY == 0:
             self._look_around()
@@ -141,7 +157,7 @@ class VirtualServer(Actor):
             )
 
     def _hold(self) -> None:
-        """What faults hold as it is: batteries, and bodies on their backs."""
+        """Hold the batteries at their voltage and the bodies on their backs, as faults demand."""
         for i, fault in self.faults.items():
             if fault.tumble:
                 overturn(self.world.states[self.world.row[i]])
@@ -154,14 +170,20 @@ class VirtualServer(Actor):
                 )
 
     def _start_anew(self) -> None:
-        """Reset drones whose model has failed, and no others; one whose body is nowhere stands at home then."""
+        """Reset the drones with a failed model.
+
+        A drone without a finite state is put back at home first.
+        """
         for i, why in self.world.failed.items():
             if not np.all(np.isfinite(self.world.states[self.world.row[i]])):
                 self._carry_home(i)
             self.ports[i].drone.restart(why)
 
     def _look_around(self) -> None:
-        """What decks see is told to the estimator: where it is by the lighthouses, how fast it is by the flow below."""
+        """Give the estimators the measurements of decks.
+
+        A lighthouse deck measures the position, a flow deck the velocity.
+        """
         for i, port in self.ports.items():
             if self.faults[i].deck_lost:
                 continue
@@ -182,9 +204,15 @@ class VirtualServer(Actor):
     # Questions
 
     def answer(self, question: Mapping[str, Any]) -> Any:
-        """To a question at the cameras' port: {"ask": "state"}, {"ask": "faults"}, {"faults": {"3,4": {"loss": 0.3}}}.
+        """Answer a question at the cameras' port.
 
-        The first two are answered in parts, see `_part`.
+        The questions are:
+
+            {"ask": "state"}
+            {"ask": "faults"}
+            {"faults": {"3,4": {"loss": 0.3}}}
+
+        The first two are answered in parts: see `_part`.
         """
         if "faults" in question:
             self._set(question["faults"])
@@ -200,9 +228,12 @@ class VirtualServer(Actor):
     def _part(
         self, question: Mapping[str, Any], row_of: Callable[[int], Any]
     ) -> dict[str, Any]:
-        """As many drones as a datagram holds, of those that follow the one named by "after", and whether more follow.
+        """Return as many drones as a datagram holds, and whether more follow.
 
-        The answer repeats "after", so that it is told from the answer to another question.
+        The first is the drone after "after". The answer repeats "after", which distinguishes it
+        from the answer to another question.
+
+        row_of: returns the row of a drone
         """
         ids = list(self.ports)
         after = question.get("after")
@@ -223,7 +254,7 @@ class VirtualServer(Actor):
         }
 
     def _set(self, wanted: Any) -> None:
-        """All of them, or none."""
+        """Set all faults, or none if one is not allowed."""
         if not isinstance(wanted, dict) or not all(
             isinstance(row, dict) for row in wanted.values()
         ):
@@ -238,7 +269,7 @@ class VirtualServer(Actor):
                 self._put(i, name, value)
 
     def _who(self, who: str) -> list[int]:
-        """The drones of "all", "3" or "3,4"."""
+        """Return the drones of "all", "3" or "3,4"."""
         if who == "all":
             return list(self.ports)
         names = {str(i): i for i in self.ports}
@@ -284,7 +315,10 @@ class VirtualServer(Actor):
         self._put(i, "motor", self.faults[i].motor)
 
     def _swap(self, i: int, j: int) -> None:
-        """i is taken for j and j for i; whoever was taken for one of them is himself again."""
+        """Exchange the poses of i and j, and undo any earlier exchange of either.
+
+        j: the other drone; -1: only undo
+        """
         for k in (i, j):
             if k in self.faults and (old := int(self.faults[k].swap)) >= 0:
                 self.faults[k].swap = self.faults[old].swap = -1.0
@@ -293,7 +327,7 @@ class VirtualServer(Actor):
             self.faults[j].swap = float(i)
 
     def state(self, i: int) -> dict[str, Any]:
-        """The truth about a drone, and what it has been told."""
+        """Return the true state of a drone, and what it has received."""
         port = self.ports[i]
         row = self.world.row[i]
         world = self.world
@@ -333,7 +367,7 @@ class VirtualServer(Actor):
         }
 
     def report(self) -> dict[str, Any]:
-        """What became of each drone, and of the machine."""
+        """Return the final state of each drone, and the load of the machine."""
         seconds = self.world.time
         return {
             "success": True,
@@ -355,7 +389,11 @@ class VirtualServer(Actor):
 
 
 def charge_of(volts: float, battery: Any) -> float:
-    """The charge, 0 to 1, at which a cell at rest has so many V; not empty."""
+    """Return the charge, 0 to 1 but not empty, at which a cell at rest has this voltage.
+
+    volts: V
+    battery: battery of the platform
+    """
     x = (volts - battery.empty) / (battery.full - battery.empty)
     return max(
         float(np.interp(x, OPEN_CIRCUIT, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT)))),
@@ -364,6 +402,9 @@ def charge_of(volts: float, battery: Any) -> float:
 
 
 def overturn(x: Vec) -> None:
-    """Let a body roll until it lies on its back, and stay so; x: (13,) changed in place."""
+    """Roll a body until it lies on its back, and hold it there.
+
+    x: (13,) state, changed in place
+    """
     upright = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > ON_ITS_BACK
     x[10:13] = (ROLLS if upright else 0.0, 0.0, 0.0)

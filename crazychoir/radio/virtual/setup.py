@@ -1,4 +1,4 @@
-"""Which virtual drones there are: of a swarm file, or on a grid; and what they are."""
+"""Choose the virtual drones, from a swarm file or on a grid, and their properties."""
 
 import re
 import socket
@@ -22,45 +22,56 @@ from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 
 ADDRESS = 0xE7
-"""Last byte of the address of drone 0; each next one has the next."""
+"""Last byte of the address of drone 0; the address of drone k is k higher."""
 HOST = "127.0.0.1"
+"""Host of drones on a grid."""
 OF_FILE = (
     "The swarm file names it, and another `crazychoir virtual`, or another program, has it: end that, or change the "
     "uri of the drone, or mocap.port, in the file."
 )
-"""What to do where a port of a swarm is taken."""
+"""Advice if a port of a swarm is taken."""
 
 
 @dataclass(frozen=True)
 class Seat:
-    """Where a drone is reached and what it is. at: host and port;  body: its name for the cameras, empty for one that
-    they do not show.
-    """
+    """The address and the properties of one drone."""
 
     id: int
+    """Id of the drone."""
     at: tuple[str, int]
+    """Host and port."""
     body: str
+    """Name of its body for the cameras; empty if they do not show it."""
     number: int
+    """Last byte of its address."""
     decks: tuple[str, ...]
+    """Decks that it carries."""
     release: str = RELEASE
+    """Release of its firmware."""
     device: str = "CF21"
+    """Type of the device."""
 
 
 @dataclass(frozen=True)
 class Hall:
-    """All that stands ready: drones with their seats, in one world; poses: where the cameras are.
-
-    taken: what to do where somebody has one of its ports.
-    """
+    """All virtual drones in one world."""
 
     config: SwarmConfig
+    """The swarm."""
     drones: tuple[Drone, ...]
+    """Rows of the swarm file for the virtual drones."""
     seats: tuple[Seat, ...]
+    """Address and properties of each drone."""
     poses: tuple[str, int]
+    """Address of the cameras."""
     taken: str = "Choose another --port."
+    """Advice if one of its ports is taken."""
 
     def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
-        """The drones at home, of their platforms, with the swarm's [motors] and the thrust map of a release."""
+        """Return the world with the drones at home.
+
+        It has the drones' platforms, the swarm's [motors] and the thrust map of a release.
+        """
         config = self.config
         drones = self.drones
         return CrazyflieWorld.of(
@@ -85,7 +96,7 @@ class Hall:
 def on_a_grid(
     n: int, port: int, decks: Sequence[str] | None, release: str = RELEASE
 ) -> Hall:
-    """n drones on a square grid on the floor, at one port after the other."""
+    """Return n drones on a square grid on the floor, at consecutive ports."""
     config = default_swarm(n)
     drones = tuple(
         msgspec.structs.replace(drone, platform="cf21") for drone in config.drones
@@ -102,7 +113,10 @@ def on_a_grid(
 def of_swarm(
     config: SwarmConfig, decks: Sequence[str] | None, release: str = RELEASE
 ) -> Hall:
-    """The drones of a swarm whose uri is udp:// on this machine, at the ports that their uris name."""
+    """Return the drones of a swarm with a udp:// uri on this machine, at the ports of their uris.
+
+    Raises ConfigError if there are none, or more than the cameras can see.
+    """
     places = []
     for drone in config.drones:
         found = udp_uri(drone.uri)
@@ -127,7 +141,7 @@ def of_swarm(
 
 
 def _ours(host: str) -> bool:
-    """Is it an address of this machine?"""
+    """Return whether a host is an address of this machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
         try:
             door.bind((host, 0))
@@ -146,9 +160,8 @@ def _seats(
 
     def body(drone: Drone) -> str:
         name = config.body_name(drone.id)
-        return (
-            "" if name in seen and drone.id not in config.seen else name
-        )  # it is the name of another drone's body
+        # Empty if the name belongs to the body of another drone.
+        return "" if name in seen and drone.id not in config.seen else name
 
     return tuple(
         Seat(
@@ -165,12 +178,15 @@ def _seats(
 
 
 def _decks(drone: Drone) -> tuple[str, ...]:
-    """A drone that says itself where it is has the deck for it."""
+    """Return the decks of a drone: DECKS if it locates itself, otherwise none."""
     return DECKS if drone.pose == "onboard" else ()
 
 
 def known_decks(text: str) -> tuple[str, ...]:
-    """Of a text as "bcFlow2,bcLighthouse4" or "none"; ConfigError names what there is."""
+    """Return the decks of a text such as "bcFlow2,bcLighthouse4" or "none".
+
+    Raises ConfigError, with the known decks, if one is unknown.
+    """
     there = sorted(entry.name for entry in names()[1] if entry.group == "deck")
     found = () if text == "none" else tuple(text.split(","))
     for name in found:
@@ -184,7 +200,10 @@ def known_decks(text: str) -> tuple[str, ...]:
 
 
 def released(base: Platform, release: str) -> Platform:
-    """With the thrust map of a release, of a year and a month, if it is known; another text: the newest."""
+    """Return the platform with the thrust map of a release (year and month).
+
+    If the release is unknown, the platform has its newest thrust map.
+    """
     found = re.match(r"(\d{4})\.(\d{1,2})", release)
     old = base.firmware.old_thrust_map
     if not found or (int(found[1]), int(found[2])) > MEASURED_UNTIL or old is None:
@@ -197,9 +216,11 @@ def released(base: Platform, release: str) -> Platform:
 def groups(
     hall: Hall, text: str | None, each: int | None
 ) -> list[tuple[tuple[int, ...], float | None]]:
-    """The drones of each dongle and its capacity if the swarm file states one.
+    """Return the drones of each dongle, and its capacity if the swarm file states one.
 
-    text: as "0,1|2,3";  each: so many a dongle;  without both: those of the swarm file, of a grid none.
+    text: groups such as "0,1|2,3"
+    each: drones for each dongle
+    Without both, the groups are those of the swarm file; a grid has none.
     """
     ids = tuple(seat.id for seat in hall.seats)
     if text is not None:

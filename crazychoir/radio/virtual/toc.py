@@ -1,4 +1,4 @@
-"""Tables of contents: what a drone calls its log variables and parameters, and how it tells a client."""
+"""Tables of contents: the names of a drone's log variables and parameters, and their packets."""
 
 import struct
 import zlib
@@ -9,8 +9,10 @@ from importlib.resources import files
 
 from crazychoir.radio.protocol.crtp import Packet
 
-ITEM, INFO = 2, 3
-"""Commands of channel 0, with indices of two bytes."""
+ITEM = 2
+"""Command of channel 0, with indices of two bytes: describe an entry."""
+INFO = 3
+"""Command of channel 0, with indices of two bytes: describe the table."""
 LETTERS = {
     "uint8_t": "B",
     "uint16_t": "H",
@@ -20,7 +22,7 @@ LETTERS = {
     "int32_t": "i",
     "float": "f",
 }
-"""Of struct, by type."""
+"""struct letter of each type."""
 LOG_TYPES = {
     "uint8_t": 1,
     "uint16_t": 2,
@@ -30,6 +32,7 @@ LOG_TYPES = {
     "int32_t": 6,
     "float": 7,
 }
+"""Number of each type in the table of log variables."""
 PARAM_TYPES = {
     "uint8_t": 0x08,
     "uint16_t": 0x09,
@@ -39,35 +42,44 @@ PARAM_TYPES = {
     "int32_t": 0x02,
     "float": 0x06,
 }
-EXTENDED, READ_ONLY = 0x10, 0x40
-"""Bits of a parameter's type: more is to be asked for, which is whether it is persistent; it cannot be written."""
+"""Number of each type in the table of parameters."""
+EXTENDED = 0x10
+"""Bit of a parameter's type: a further request tells whether it is persistent."""
+READ_ONLY = 0x40
+"""Bit of a parameter's type: it cannot be written."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One name. kind: C type;  boot: value after a start, of parameters."""
+    """One entry of a table."""
 
     group: str
+    """Group of the variable or parameter."""
     name: str
+    """Name within the group."""
     kind: str
+    """C type."""
     persistent: bool = False
+    """True if the drone can store the parameter."""
     read_only: bool = False
+    """True if clients cannot write the parameter."""
     boot: float = 0.0
+    """Value of a parameter after a start."""
 
     @property
     def full(self) -> str:
-        """As clients write it."""
+        """Name in the form that clients use."""
         return f"{self.group}.{self.name}"
 
     @property
     def letter(self) -> str:
-        """Of struct."""
+        """Letter of its type in struct."""
         return LETTERS[self.kind]
 
 
 @cache
 def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
-    """Log variables and parameters of the firmware, in the order of their indices."""
+    """Return log variables and parameters of the firmware, in the order of their indices."""
     logs: list[Entry] = []
     parameters: list[Entry] = []
     for line in (
@@ -84,12 +96,12 @@ def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
 
 
 def _grouped(entries: list[Entry]) -> tuple[Entry, ...]:
-    """Those of a group one after the other, as the firmware has them, by name."""
+    """Return the entries sorted by group and name, as the firmware has them."""
     return tuple(sorted(entries, key=lambda entry: (entry.group, entry.name)))
 
 
 def _entry(group: str, item: str) -> Entry:
-    """Of "name:type*!=boot", the last three as far as they are there."""
+    """Return the entry of a text "name:type*!=boot"; the last three parts are optional."""
     name, _, rest = item.partition(":")
     kind, _, boot = rest.partition("=")
     return Entry(
@@ -98,9 +110,12 @@ def _entry(group: str, item: str) -> Entry:
 
 
 class Toc:
-    """The table of one port: entries by index, and their checksum, by which clients find what they have stored.
+    """The table of one port: entries by index, and a checksum by which clients find a stored table.
 
-    kinds: the number that a type has on this port;  info: what the answer to INFO ends with.
+    port: port of the table
+    entries: entries in the order of their indices
+    kinds: number of each type on this port
+    info: end of the answer to INFO
     """
 
     def __init__(
@@ -122,12 +137,12 @@ class Toc:
             )
 
     def kind(self, entry: Entry) -> int:
-        """The type byte of an entry."""
+        """Return the type byte of an entry."""
         flags = EXTENDED * entry.persistent | READ_ONLY * entry.read_only
         return self._kinds[entry.kind] | flags
 
     def take(self, data: bytes) -> Iterator[Packet]:
-        """The answer to a packet of channel 0."""
+        """Return the answer to a packet of channel 0."""
         match list(data):
             case [3]:
                 body = (
@@ -140,7 +155,7 @@ class Toc:
                 yield Packet(self.port, 0, self._item(low | high << 8))
 
     def _item(self, k: int) -> bytes:
-        """The answer for entry k; the command alone where there is none."""
+        """Return the answer for entry k; only the command if there is no such entry."""
         if k >= len(self.entries):
             return bytes([ITEM])
         entry = self.entries[k]
