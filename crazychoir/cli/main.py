@@ -98,8 +98,9 @@ def crazychoir(
 )
 def bench(context: typer.Context) -> None:
     """Measure speed and accuracy, beside other programs in the same run."""
+    # The import takes 1 s, for which other commands need not wait.
     from crazychoir.cli.compute.bench import (
-        app as benches,  # its commands, options and help; 1 s that others need not wait
+        app as benches,
     )
 
     benches(context.args, prog_name=context.command_path)

@@ -50,7 +50,10 @@ def scale(
     ] = False,
     repeats: Annotated[int, options.whole("Medians of so many.")] = 3,
 ) -> None:
-    """Measure the cost of 10 to 1000 agents in 1 to 8 processes, and estimate 10 000 agents on 100 hosts."""
+    """Measure the cost of 10 to 1000 agents in 1 to 8 processes.
+
+    A model of the cost then says what 10 000 agents on 100 hosts need.
+    """
     from crazychoir.bench import scale as bench_scale
 
     _show(
@@ -62,9 +65,9 @@ def scale(
 
 @app.command()
 def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Measure how much faster than real time one core flies 10 to 1000 drones, and what takes the time.
+    """Measure how much faster than real time one core flies 10 to 1000 drones.
 
-    The simulated worlds are also measured alone.
+    Shows where the time goes, and the speed of the simulated worlds alone.
     """
     from crazychoir.bench import flight as bench_flight
 
@@ -73,7 +76,10 @@ def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def radio(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Measure the delay of an agent's event loop while dongle owners serve twenty links and open another."""
+    """Measure the delay of an agent's event loop while dongle owners serve twenty links.
+
+    They also open one more link meanwhile.
+    """
     from crazychoir.bench import radio as bench_radio
 
     _show(lambda say: bench_radio.run(quick, say), bench_radio.table, as_json)
@@ -94,9 +100,9 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Measure how exactly a drone flies a circle and an eight: controllers alone, then the whole stack.
+    """Measure how exactly a drone flies a circle and an eight.
 
-    The whole stack includes the errors of cameras and radio.
+    First with the controllers alone, then with the whole stack and its errors.
     """
     from crazychoir.bench import tracking as bench_tracking
 
@@ -110,7 +116,10 @@ def formation(
     seeds: Annotated[int, options.whole("Of the starts.")] = 50,
     drones: Annotated[int | None, options.size("4 or 30 alone.")] = None,
 ) -> None:
-    """Measure how fast four and thirty drones with motors form up by bearings: the worst of many starts."""
+    """Measure how fast four and thirty drones with motors form up by bearings.
+
+    The result is the worst of many starts.
+    """
     from crazychoir.bench import formation as bench_formation
 
     cases = tuple(
@@ -145,7 +154,10 @@ def routing(
         typer.Option(help="A further run of the team that tries to prove an optimum."),
     ] = False,
 ) -> None:
-    """Compare pickup-and-delivery plans: the team, VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
+    """Compare plans of pickups and deliveries: the team beside other solvers.
+
+    They are VROOM, OR-tools, MILP, auctions and DISROPT's rule.
+    """
     from crazychoir.bench import routing as bench_routing
 
     measure = partial(
@@ -156,7 +168,10 @@ def routing(
 
 @app.command()
 def optimization(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Measure rounds a second of consensus and dual decomposition, beside DISROPT's pattern of MPI ranks."""
+    """Measure rounds a second of consensus and dual decomposition.
+
+    The peer is DISROPT's pattern of MPI ranks.
+    """
     from crazychoir.bench import optimization as bench_optimization
 
     _show(
@@ -177,7 +192,10 @@ def paper(
     as_json: JsonOption = False,
     quick: QuickOption = False,
 ) -> None:
-    """Write tables (CSV) and pictures (PNG) that compare loss, graph, size and method, and other solvers."""
+    """Write tables (CSV) and pictures (PNG) for a paper.
+
+    They show what loss, graph, size and method cost a team, and what other solvers find.
+    """
     from crazychoir.bench.paper import paper as bench_paper
 
     _show(
@@ -187,9 +205,9 @@ def paper(
 
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
-    """Run all benches one after the other, except the slow ones and those for special computers.
+    """Run the short benches one after the other.
 
-    Runs exchange, flight, tracking, filters, optimization and latency.
+    They are exchange, flight, tracking, filters, optimization and latency.
     """
     exchange(quick=quick)
     flight(quick=quick)

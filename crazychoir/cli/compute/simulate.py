@@ -1,4 +1,4 @@
-"""crazychoir simulate: a distributed algorithm on simulated agents, over a lossy network, without flight."""
+"""crazychoir simulate: a distributed algorithm on simulated agents, over a network that loses messages."""
 
 import time
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ INTERRUPTED = "Ctrl-C: the run ends here, with what there is"
 WIDEST = 60
 """Largest number of characters shown of a value that is not an array."""
 SMALL = 1e-6
-"""Smallest constraint violation that is reported; below it are only the tolerances of the solvers."""
+"""Constraint violations up to this are tolerances of a solver, and are not reported."""
 
 
 def simulate(
