@@ -88,7 +88,7 @@ class Score(Actor):
         self._law_began: float | None = None
         self._law_ended = False
         self.go_at: float | None = None
-        """s of its clock, when a drone was first heard to have begun."""
+        """s on the observer's clock at which a drone was first known to have begun."""
         if self.address not in self.bus.ports:
             self.bus.port(self.address)
         for i in self.ids:
