@@ -153,9 +153,8 @@ def table(result: dict[str, Any]) -> Table:
     notes[
         "Of several processes, each is bound to a core of its own where there are enough."
     ] = None
-    made.caption = Text(
-        "\n".join(notes)
-    )  # not markup, because a note may hold brackets
+    # Text and not markup, because a note may hold brackets.
+    made.caption = Text("\n".join(notes))
     return made
 
 

@@ -189,9 +189,8 @@ class Flight:
         """
         counted = self.times >= SETTLE
         period = float(self.times[1])
-        told = np.array([self._flown(new(period), seed) for seed in seeds])[
-            :, counted
-        ]  # (seeds, n, v or w, 3)
+        # Shape (seeds, n, v or w, 3).
+        told = np.array([self._flown(new(period), seed) for seed in seeds])[:, counted]
         off = told - self.states[counted][:, [3, 4, 5, 10, 11, 12]].reshape(-1, 2, 3)
         v, w = np.sqrt((off**2).sum(axis=3).mean(axis=(0, 1))).tolist()
         return v, w
@@ -222,10 +221,11 @@ class Flight:
 def truth(t: float) -> tuple[Vec, Vec]:
     """Return the state (13,) and the command (4,) at t s.
 
-        u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w',  w = log(q(t)^-1 q(t + h)) / h by central differences
+        u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w'
+        w = log(q(t)^-1 q(t + h)) / h by central differences
 
-    The commanded thrust is wrong by the factor OFF. The commanded rates are reached with the lag
-    RATE_LAG.
+    The commanded thrust is wrong by the factor OFF. The commanded rates lead the flown rates by
+    RATE_LAG, because the drone reaches them later.
     """
     h = 1e-3
     (p, v, q, thrust), before, after = _flat(t), _flat(t - h)[2], _flat(t + h)[2]
@@ -258,9 +258,8 @@ def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
     v = w * np.array([c, c2, 0.0])
     pull = np.array([-w * w * s, -2.0 * w * w * s2, GRAVITY])
     r = rotation_from_flat(pull, yaw)
-    for _ in range(
-        3
-    ):  # a fixed-point iteration: the drag depends a little on the attitude
+    # A fixed-point iteration: the drag depends a little on the attitude.
+    for _ in range(3):
         f = pull + r @ (np.array(PAPER.drag) * (r.T @ v)) / PAPER.mass
         r = rotation_from_flat(f, yaw)
     return (

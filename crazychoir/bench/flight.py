@@ -274,7 +274,7 @@ HOUSE = Path(crazychoir.__file__).parent
 
 
 def room_of(frame: FrameType | None) -> str:
-    """Return the room of the innermost frame that belongs to a room; missions count for guidance."""
+    """Return the room of the innermost frame that lies in a room; missions count for guidance."""
     while frame is not None:
         path = Path(frame.f_code.co_filename)
         if (

@@ -108,7 +108,10 @@ def tick_alone(seconds: float) -> Lateness:
 
 
 def tick_while_solving(instance: Instance, seconds: float) -> Lateness:
-    """Measure the control tick while all robots solve an instance in the same process, repeatedly."""
+    """Measure the control tick while all robots solve an instance in the same process.
+
+    They solve it again and again until the time is over.
+    """
     late_ns: list[int] = []
     ends = time.perf_counter() + seconds
     while time.perf_counter() < ends:
@@ -155,7 +158,10 @@ class StopwatchLink:
 
 
 class Hold(CFDistributedFeedback):
-    """A law that holds its place, u = kp (p_0 - p) - kv v, with the cost of hearing two neighbours."""
+    """A law that holds its place, with the cost of hearing two neighbours.
+
+    u = kp (p_0 - p) - kv v
+    """
 
     def __init__(self, seconds: float) -> None:
         self.duration = seconds

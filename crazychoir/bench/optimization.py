@@ -1,8 +1,8 @@
-"""`crazychoir bench optimization`: rounds a second of distributed algorithms, beside DISROPT's pattern.
+"""`crazychoir bench optimization`: rounds a second of distributed algorithms, and a peer.
 
-Both run the same algorithm on the same graph with the same solver of the local problem, in one
-run. They differ in how agents are divided among processes, how messages travel, and how many
-exchanges a round needs.
+The peer is DISROPT's pattern. Both run the same algorithm on the same graph with the same solver
+of the local problem, in one run. They differ in how agents are divided among processes, how
+messages travel, and how many exchanges a round needs.
 """
 
 import importlib.util
@@ -83,7 +83,10 @@ def _rows(agents: tuple[int, ...]) -> list[Row]:
 
 
 def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return for each algorithm and size the ratio of our better row to the pattern, and the promise."""
+    """Return for each algorithm and size the ratio of our better row to the pattern.
+
+    Each ratio comes with the smallest one that is promised.
+    """
     found = []
     for n, algorithm in dict.fromkeys(
         (row["agents"], row["algorithm"]) for row in rows

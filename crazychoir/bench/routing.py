@@ -1,7 +1,8 @@
-"""`crazychoir bench routing`: the team beside VROOM, OR-tools, the arc-flow MILP, auctions, DISROPT.
+"""`crazychoir bench routing`: the team beside VROOM, OR-tools, the arc-flow MILP and others.
 
-All solve the same random instances, one after the other on an idle machine. The cost is that
-of the routes as they are flown, checked by the package's own checker.
+The others are auctions and DISROPT's rule. All solve the same random instances, one after the
+other on an idle machine. The cost is that of the routes as they are flown, checked by the
+package's own checker.
 """
 
 import importlib.util
@@ -39,7 +40,9 @@ SIZES = {"tiny": (3, 5), "small": (10, 20), "middle": (20, 40), "large": (50, 10
 INSTANCES = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
 """Number of instances of each size, if the command line does not give it."""
 MOST_INSTANCES = 1000
+"""Largest number of instances of a size."""
 DEFAULT = "small:20,middle:5,large:5"
+"""Sizes and numbers of instances, if the command line does not give them."""
 PROVABLE = ("tiny", "small", "middle")
 """Sizes for which a proof may end in reasonable time."""
 LIMIT = 25.0
@@ -515,7 +518,7 @@ def _median(figures: dict[str, float] | None) -> str:
 
 
 def _short(figure: float) -> str:
-    """Return a figure with three digits, of which at most two are decimals."""
+    """Return a figure with three digits and at most two decimals."""
     return (
         f"{figure:.2f}"
         if figure < 9.995

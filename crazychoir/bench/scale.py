@@ -309,7 +309,7 @@ def off(name: str, coefficients: np.ndarray, cells: list[Cell]) -> list[float]:
 
 
 def fit(name: str, cells: list[Cell]) -> Fit:
-    """Return the model of a figure, with its errors in cells that it was fitted to and in others."""
+    """Return the model of a figure, with its errors in cells of the fit and in other cells."""
     cells = [cell for cell in cells if figure(name, cell) > 0.0]
     coefficients = solved(name, cells)
     inside = off(name, coefficients, cells)

@@ -57,7 +57,7 @@ def lightweight(n: int) -> Step:
 
 
 def motors(n: int) -> Step:
-    """Return the step of the whole motor level, with wind and gusts, and constant motor commands."""
+    """Return the step of the whole motor level, with wind, gusts and constant motor commands."""
     return MotorWorld(range(n), places(n), wind=WIND).step
 
 

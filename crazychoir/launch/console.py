@@ -107,9 +107,10 @@ def set_up_logging(level: int = logging.WARNING) -> None:
 
 @contextlib.contextmanager
 def prints_aside() -> Iterator[None]:
-    """Redirect standard output to standard error, because standard output is for the answer of the command.
+    """Redirect standard output to standard error.
 
-    This concerns what missions print, and the programs that they start.
+    Standard output is for the answer of the command. This concerns what missions print, and the
+    programs that they start.
     """
     with (
         contextlib.redirect_stdout(sys.stderr),
@@ -144,7 +145,7 @@ def write_json(value: Any) -> None:
 
 
 def _give_up_on_output(error: OSError) -> None:
-    """Report that standard output cannot be written, for example on a full disk, and drop its buffer."""
+    """Report that standard output cannot be written, as on a full disk, and drop its buffer."""
     text = f"standard output: {error.strerror}: the answer is printed here. Name another file, or make room."
     STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
     with contextlib.suppress(OSError, ValueError):
@@ -154,7 +155,10 @@ def _give_up_on_output(error: OSError) -> None:
 
 
 def require_drawable(path: Path | None) -> None:
-    """Raise ConfigError, before anything is computed, for a picture of unknown kind or without a folder."""
+    """Raise ConfigError, before anything is computed, if the picture cannot be drawn.
+
+    The reason is an unknown suffix, or a folder that does not exist.
+    """
     if path is not None:
         require_writable_file(path, "--picture", PICTURES)
 
@@ -442,7 +446,7 @@ def summary_table(run: dict[str, Any]) -> Table:
     ]
     if len(run["here"]) < run["drones"]:
         table.add_row("started here", ", ".join(map(str, run["here"])))
-    # In real time these two figures are always the same.
+    # In real time the simulated time is the wall time, so these two figures say nothing.
     same = () if run.get("digest") else ("simulated_s", "real_time_factor")
     for key, form in shown:
         if run.get(key) is not None and key not in same:
@@ -467,7 +471,7 @@ def summary_table(run: dict[str, Any]) -> Table:
 
 
 def _flown(run: dict[str, Any]) -> str:
-    """Return the mission without its folder; and the name of the swarm, if it has a file of its own."""
+    """Return the mission without its folder, and the name of the swarm if it has its own file."""
     mission = Path(run["mission"]).name
     return f"swarm {run['swarm']}, {mission}" if "swarm" in run else mission
 

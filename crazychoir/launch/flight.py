@@ -176,14 +176,15 @@ def summary(
     wall: float,
     started: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
-    """Return the object that `run --json` prints: the figures of the run and of the mission's report.
+    """Return the object that `run --json` prints: the figures of the run and the mission's report.
 
     config: the swarm
     mission: its mission
     results: result of each drone that has one
     score: what the observer measured, which covers the whole swarm
     simulated: s of flight
-    wall: s on the wall clock since GO; the time before is `startup_s`: making drones, compiling laws
+    wall: s on the wall clock, in real time since GO; `startup_s` is the time before, in which
+        drones are made and laws may be compiled
     started: drones that were started here, None for all; the success depends on these
     The mission's own report needs the results of all drones. It is left out if some are missing.
     """
@@ -310,7 +311,10 @@ def hindrances(results: Results) -> dict[int, list[str]]:
 
 
 def unended(results: Results) -> Results:
-    """Return the results for the mission's report: a drone ended by its operator counts as failed."""
+    """Return the results for the mission's report.
+
+    A drone that its operator has ended counts as failed.
+    """
     return {i: {**r, "success": False} if ENDED in r else r for i, r in results.items()}
 
 

@@ -130,7 +130,7 @@ class Score(Actor):
     def flown(self) -> dict[int, float]:
         """Length flown by each drone, in truth, m.
 
-        It is 0 for a drone that has never taken off and that no cameras see, because its estimate drifts.
+        It is 0 for a drone that has never taken off and that no cameras see: its estimate drifts.
         """
         return {
             i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()

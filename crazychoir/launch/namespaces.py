@@ -44,7 +44,7 @@ class Switched:
 
 @contextlib.contextmanager
 def switched(addresses: Mapping[str, str]) -> Iterator[Switched]:
-    """Make one namespace a host with its IPv4 address (network of 24 bits), and delete all at the end.
+    """Make one namespace a host with its IPv4 address (network of 24 bits); delete all at the end.
 
     The names are random, so that two runs at the same time do not meet.
     Raises ConfigError if namespaces cannot be made.

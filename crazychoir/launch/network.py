@@ -1,4 +1,4 @@
-"""The network of a swarm as an observer sees it, and names, ports and files for runs side by side."""
+"""The network of a swarm as an observer sees it; names, ports and files for runs side by side."""
 
 import asyncio
 import contextlib
@@ -116,7 +116,7 @@ async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
 
 @contextlib.contextmanager
 def swarm_file(config: SwarmConfig) -> Iterator[Path]:
-    """Write the swarm into a temporary file, for its processes and for observers, and yield its path."""
+    """Write the swarm into a temporary file for its processes and observers, and yield the path."""
     with scratch_folder(f"crazychoir-{config.name}-") as folder:
         path = folder / "swarm.json"
         path.write_text(config.dumps(), encoding="utf-8")
@@ -165,7 +165,7 @@ def set_apart(
 def held_ports(
     places: Mapping[int, str], given: int | None = None, highest: int = 0
 ) -> Iterator[int]:
-    """Choose a base port such that base + offset is free for each offset, and hold these ports meanwhile.
+    """Choose a base port such that base + offset is free for each offset, and hold these ports.
 
     places: address for each offset
     given: base port to use, None to choose one
@@ -228,9 +228,9 @@ def _no_block(count: int) -> ConfigError:
 def _bases(offsets: list[int]) -> Iterator[int]:
     """Yield base ports to try.
 
-    First come some ports below those that the system gives to connections, then all ports. A held
-    port below costs no port for connections. If the system gives ports to connections from 1024
-    on, only root could listen below these, so every port may be chosen.
+    First come some ports below the range that the system gives to connections, then all ports. A
+    held port below costs no port for connections. If this range begins at 1024, only root could
+    listen below it, so every port may be chosen.
     """
     draw = random.SystemRandom()
     lowest = LOWEST_PORT - min(0, *offsets)

@@ -166,7 +166,7 @@ def whole(text: str, *names: str, least: int = 1, most: int = LARGEST_COUNT) -> 
 
 
 def size(text: str, *names: str) -> Any:
-    """Return an option for a number of drones, or of things of which each drone has at most one."""
+    """Return an option for a number of drones, or of things with at most one for each drone."""
     return whole(text, *names, most=LARGEST_SWARM)
 
 
@@ -230,7 +230,7 @@ def _is_number(text: str) -> bool:
 
 
 def _whole(text: str) -> str:
-    """Return how to write a whole number that was written in another form; empty for other texts."""
+    """Return how to write a whole number that has another form; empty for other texts."""
     if _is_number(text) and float(text).is_integer() and abs(float(text)) < 1e15:
         return f"Write {float(text):.0f}."
     return ""

@@ -25,7 +25,10 @@ from crazychoir.runtime.worker_thread import add_signal_handler
 from crazychoir.types import FullState
 
 GRACE = 20.0
-"""Seconds that processes get to end after SIGTERM, beside the time for landing, before they are killed."""
+"""Seconds beside the time for landing that processes get to end after SIGTERM.
+
+Then they are killed.
+"""
 ORPHANED = 8.0
 """Seconds that agents get after the end of their owner process.
 
@@ -153,7 +156,7 @@ async def _run_agents(
 async def _owner(
     owner: Owner, path: Path, agents: Children, say: Say
 ) -> AsyncIterator[None]:
-    """Run an owner process while the block runs: it starts before the agents and ends after them."""
+    """Run an owner process during the block: it starts before the agents and ends after them."""
     command = (owner.module, "--swarm", str(path), *owner.options, "--child")
     child = await _start(*command)
     over = asyncio.Event()
@@ -230,6 +233,7 @@ def patience(config: SwarmConfig) -> float:
     """Return the seconds that processes get to land their drones and end.
 
     The landing may begin at the top of the fence, and may be delayed by up to LANDING_DEADLINE.
+    GRACE is added for the end of the processes.
     """
     flight = config.flight
     height = config.fence.max[2] - flight.ground
@@ -295,7 +299,7 @@ def _once(say: Say) -> Say:
     """Return a function that passes on lines but drops repetitions.
 
     All processes may report the same missing compiled code. Of these lines only the first of each
-    cache is passed on.
+    cache is passed on, and the line about compiling appears once.
     """
     told: list[str] = []
 

@@ -183,7 +183,7 @@ def _read(path: Path, uid: int) -> Run | None:
 
 
 def _open_file(path: str, flags: int) -> int:
-    """Open a file that may belong to another user: follow no symbolic link, do not wait for a pipe."""
+    """Open a file of any user: follow no symbolic link, and do not wait for a pipe."""
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 

@@ -81,7 +81,10 @@ class Case:
 
 
 def cases(quick: bool = False, seeds: int = 3) -> list[Case]:
-    """Return the cases of three studies: loss by graph and pattern, size by graph, method by size."""
+    """Return the cases of three studies.
+
+    They are loss by graph and pattern, size by graph, and method by size.
+    """
     if quick:
         return [
             *_loss(6, ("ring", "complete"), (0.0, 0.3), 1),

@@ -57,7 +57,7 @@ def draw_ablation(rows: Rows, folder: Path) -> list[Path]:
 
 
 def _draw_loss(figure: "Figure", rows: Rows) -> None:
-    """Draw communication time and kB a robot over the loss, for independent losses and for bursts."""
+    """Draw communication time and kB a robot over the loss, for independent losses and bursts."""
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
     patterns = [
         ("independent", None),
@@ -139,7 +139,7 @@ def _draw_method(figure: "Figure", rows: Rows) -> None:
 
 
 def draw_routing(rows: Rows, folder: Path) -> list[Path]:
-    """Draw anytime curves of a largest instance, and gaps by size, from the rows of `bench.routing`."""
+    """Draw anytime curves of a largest instance, and gaps by size, from rows of `bench.routing`."""
     largest = max((row["tasks"] for row in rows), default=0)
     at = min(row["seed"] for row in rows)
     one = [

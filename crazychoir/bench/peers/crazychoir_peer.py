@@ -30,7 +30,7 @@ async def start(
     spec: dict[str, Any],
     rounds: dict[int, int],
 ) -> None:
-    """Find the other processes, report ready, and wait for go; from then on `rounds` are counted."""
+    """Find the other processes, report ready, and wait for go; then start to count `rounds`."""
     if spec["connect"]:
         endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
         link = ZenohLink(

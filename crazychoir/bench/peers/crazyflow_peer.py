@@ -12,6 +12,7 @@ import sys
 import time
 
 TICK = 0.01
+"""Length of a step, s."""
 
 
 def main(n: int, calls: int, repeats: int) -> None:

@@ -1,6 +1,6 @@
 """DISROPT's rule for pickup and delivery: primal decomposition, then each robot serves its shares.
 
-A robot serves every task of which it has a share. Prices, columns and weights are ours, which
+A robot serves every task in which it has a share. Prices, columns and weights are ours, which
 favours the rule: DISROPT's own local problem is the arc-flow MILP, and its step, without
 weights, diverges on dense graphs.
 """
@@ -25,7 +25,7 @@ class ShareRule(Program[tuple[int, ...]]):
         min c_i'z  s.t.  visits(z) >= y_i - rho_i,  rho_i the least for which some route does
 
     Visits are 0 or 1. So the robot serves every task j with y_ij > rho_i. rho_i > 0 if no route
-    serves all tasks of which the robot has a share. The result is the tasks that it serves.
+    serves all tasks in which the robot has a share. The result is the tasks that it serves.
     Source: the recovery of Camisa, Notarnicola & Notarstefano 2021, arXiv 2010.14446, without
     restriction.
     """

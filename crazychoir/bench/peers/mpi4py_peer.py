@@ -1,4 +1,4 @@
-"""MPI: one rank an agent, pickled isend and recv with each neighbour, like DISROPT's communicator."""
+"""MPI: one rank an agent, pickled isend and recv with each neighbour, as in DISROPT."""
 
 import importlib
 

@@ -47,7 +47,10 @@ def wait_for_go() -> None:
 
 
 def report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
-    """Start a thread that waits `warm` s, counts rounds and CPU for `seconds` s, and prints them."""
+    """Start a thread that waits `warm` s, then counts rounds and CPU for `seconds` s.
+
+    It prints the result.
+    """
     thread = threading.Thread(target=_report, args=(rounds, spec), daemon=True)
     thread.start()
 

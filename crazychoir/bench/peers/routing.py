@@ -65,7 +65,10 @@ class Problem:
         return len(self.load)
 
     def whole(self, scale: float) -> Ints:
-        """Return the distances in 1 / scale m, rounded up, so that a feasible route stays feasible."""
+        """Return the distances in 1 / scale m, rounded up.
+
+        So a route that keeps the limit in these units keeps the true limit.
+        """
         return np.ceil(self.distance * scale - 1e-9).astype(np.int64)
 
     def longest(self, scale: float) -> int:

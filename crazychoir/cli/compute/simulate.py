@@ -1,4 +1,4 @@
-"""crazychoir simulate: a distributed algorithm on simulated agents, over a network that loses messages."""
+"""crazychoir simulate: run a distributed algorithm over a network that loses messages."""
 
 import time
 from collections.abc import Mapping
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     Seen = tuple[str, Mapping[int, Any]]
 
 SHOWN_AGENTS = 20
+"""Largest number of agents that a table shows."""
 ENTRIES = 6
 """Number of entries of an array that a table shows."""
 QUIET = 10.0
@@ -211,7 +212,10 @@ class _Watch:
             self.progress.say(self._now(team))
 
     def _now(self, team: "Mapping[int, Any]") -> str:
-        """Return the present round as text; for asynchronous agents this is the mean number of steps."""
+        """Return the present round as text.
+
+        Asynchronous agents make different numbers of steps: of these it is the mean.
+        """
         return f"round {self.steps // len(team)}, {self.end}"
 
 
@@ -329,9 +333,9 @@ def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table 
 
 
 def _violation(history: "History") -> str | Text:
-    """Return the largest constraint violation; if it is not small, also the agents that it concerns.
+    """Return the largest constraint violation, and which agents it concerns if it is not small.
 
-    The x of these agents is not feasible, so it is no solution. Returns "" if no violation is known.
+    The x of these agents is not feasible, so it is no solution. Returns "" if none is known.
     """
     if history.violation is None:
         return ""

@@ -229,7 +229,10 @@ def _unit(result: dict[str, Any]) -> str:
 
 
 def _trip_table(result: dict[str, Any]) -> Table:
-    """Return one row a trip; trips are numbered if a robot makes several, times shown if they matter."""
+    """Return a table with one row a trip.
+
+    Trips are numbered if a robot makes several, and times are shown if they matter.
+    """
     several = any(trip["trip"] > 1 for trip in result["trips"])
     timed = result["timed"]
     made = Table()

@@ -39,7 +39,7 @@ def radios(
         typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
     ] = False,
 ) -> None:
-    """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone has an agent."""
+    """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone flies."""
     if child:
         ending.with_parent()
     set_up_logging()

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from crazychoir.radio.virtual.setup import Hall
 
 FIRST_PORT = 19850
+"""Default UDP port of the first drone."""
 app = typer.Typer(
     help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them."
 )

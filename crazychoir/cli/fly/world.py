@@ -30,7 +30,7 @@ def world(
         typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
     ] = False,
 ) -> None:
-    """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone has an agent."""
+    """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""
     if child:
         ending.with_parent()
     set_up_logging()

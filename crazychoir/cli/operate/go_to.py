@@ -79,9 +79,9 @@ def fly(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly drones along a drawing, side by side: drones that wait for their start or are held, or leaders.
+    """Fly drones along a drawing, side by side.
 
-    Leaders fly it with their formation.
+    The drones wait for their start or are held. Leaders may also fly it with their formation.
     """
     from crazychoir.agent.sketch import HAND, loaded_file, messages, planned
     from crazychoir.planning.drawing.drawing import Pen

@@ -41,7 +41,10 @@ SecondsOption = Annotated[
 
 
 def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
-    """Join the swarm as an observer, do the work and leave; end with an error if there is no swarm."""
+    """Join the swarm as an observer, do the work and leave.
+
+    Ends the command with an error if there is no swarm.
+    """
     set_up_logging()
     from crazychoir.cli.shared import (
         observer as window,
@@ -241,9 +244,8 @@ def _in_words(network: Any) -> str:
     """Return the simulated network of a drone as text, one line a rule."""
     from crazychoir.config.network import in_words
 
-    return (
-        "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
-    )  # else the reason for failure
+    # A drone that has refused gives its reason instead.
+    return "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
 
 
 def _edge(text: str | None) -> list[int] | None:

@@ -51,7 +51,10 @@ def change(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Change a parameter in flight, within its stable range. Exits with 0 only if every drone obeys."""
+    """Change a parameter in flight, within its stable range.
+
+    Exits with 0 only if every drone has changed it.
+    """
     _conclude(
         _asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
         as_json,
@@ -116,7 +119,7 @@ def _table(answers: "Answers") -> Table:
 
 
 def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return all parameter names, beginning with those of the drone that has the most parameters."""
+    """Return all parameter names, first those of the drone that has the most parameters."""
     most_first = sorted(answers, key=len, reverse=True)
     return list(dict.fromkeys(name for said in most_first for name in said))
 

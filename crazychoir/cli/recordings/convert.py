@@ -26,7 +26,7 @@ def convert(
 ) -> None:
     """Make a bag of ROS 2 from a recording, with standard messages that need no package of ours.
 
-    If the recording was cut off or is damaged, the bag has what lies before, and the exit code is 1.
+    A recording that was cut off or is damaged gives a bag of what lies before, and exit code 1.
     """
     set_up_logging()
     from crazychoir.recording.mcap.reading import header

@@ -35,6 +35,7 @@ HEADS = {
     "tracking_max_m": "worst m",
     "estimation_rmse_m": "state RMSE m",
 }
+"""Heading of each figure in the table."""
 COMPARED = (
     "RMSE, worst: its place against the reference position, for so many seconds as there was one (a law that commands "
     "accelerations has none). State RMSE: truth against what the drone took for its position."

@@ -57,7 +57,7 @@ def replay(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Publish a recorded flight again. status, echo, hz and record see it like a swarm that flies."""
+    """Publish a recorded flight again: status, echo, hz and record see it like a flying swarm."""
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.network import (

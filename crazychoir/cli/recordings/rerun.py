@@ -41,7 +41,10 @@ def rerun(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Fly a recorded flight in virtual time again, and say whether it is the same or where it first differs."""
+    """Fly a recorded flight in virtual time again, and compare the two.
+
+    Says whether they are the same, or where they first differ.
+    """
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.guidance.mission import (
@@ -118,7 +121,7 @@ def _check(recording: "Recording") -> None:
 
 @contextlib.contextmanager
 def _into(record: Path | None) -> Iterator[Path]:
-    """Yield the file for the repetition: the given one, or a temporary file that is deleted afterwards."""
+    """Yield the file for the repetition: the given one, or a temporary file."""
     from crazychoir.files.private_folder import scratch_folder
 
     with scratch_folder("crazychoir-rerun-") as folder:

@@ -19,13 +19,15 @@ if TYPE_CHECKING:
     from crazychoir.types import State, Vec
 
 ROUTER = "tcp/127.0.0.1:7447"
+"""Endpoint of `rmw_zenohd`."""
 NODE = "crazychoir"
+"""Name of the ROS node."""
 PATH_POINTS = 600
 """Largest number of places in a path."""
 PATH_EVERY = 10
 """Publish a path with every tenth pose."""
 READ = 2.0
-"""Smallest number of places to read within STATE.max_age, after which a place is too old to publish."""
+"""Smallest number of places to read within STATE.max_age, the age limit of a published place."""
 
 
 def ros(

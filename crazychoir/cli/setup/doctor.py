@@ -128,7 +128,7 @@ def files(config: "SwarmConfig") -> list[Row]:
 def network(config: "SwarmConfig", host: str | None) -> list[Row]:
     """Return the checks of the network and the devices of this host.
 
-    They are: addresses, ports, other hosts, keys, radios, and memory for the processes of this host.
+    They concern addresses, ports, other hosts, keys, radios, and memory for its processes.
     """
     from crazychoir.cli.setup import host_checks, host_facts
 

@@ -1,4 +1,4 @@
-"""The checks of `crazychoir doctor`: each gets values and returns what is wrong and how to repair it."""
+"""The checks of `crazychoir doctor`: each gets facts and returns what is wrong and the repair."""
 
 import re
 from collections.abc import Iterable, Mapping

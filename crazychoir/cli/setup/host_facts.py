@@ -66,9 +66,9 @@ def is_own(address: str) -> bool:
 
 
 def loopback(name: str) -> str:
-    """Return the loopback address that a host name resolves to here, such as 127.0.1.1 in /etc/hosts.
+    """Return the loopback address that a host name has here, such as 127.0.1.1 in /etc/hosts.
 
-    Empty for an address, for localhost, and for a name that resolves to another address.
+    Empty for an address, for localhost, and for a name with another address.
     """
     with contextlib.suppress(ValueError):
         ipaddress.ip_address(name)
@@ -94,7 +94,10 @@ def is_free(address: str, port: int) -> bool:
 
 
 def holder(port: int, proc: Path = PROC) -> str:
-    """Return the process id and command line that hold a port; empty for a process of another user."""
+    """Return the process id and command line that hold a port.
+
+    Empty for a process of another user.
+    """
     inodes: dict[str, None] = {}
     for table in ("tcp", "tcp6"):
         with contextlib.suppress(OSError):

@@ -73,7 +73,10 @@ def revoke(
     days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
 ) -> None:
-    """Exclude a host. All others get a new authority and new certificates, valid from their next start."""
+    """Exclude a host.
+
+    All others get a new authority and new certificates, which count from their next start.
+    """
     from crazychoir.bus.network import authority
 
     try:

@@ -1,4 +1,7 @@
-"""crazychoir push: copy a swarm to its hosts by ssh: program, swarm file, its files, keys, units."""
+"""crazychoir push: copy a swarm to its hosts by ssh.
+
+It copies the program, the swarm file and the files that it names, the keys and systemd units.
+"""
 
 import shlex
 import subprocess

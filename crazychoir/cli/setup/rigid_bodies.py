@@ -42,6 +42,7 @@ WriteOption = Annotated[
 ]
 Changes = dict[int, dict[str, object]]
 DIGITS = 5
+"""Decimals of the numbers in the swarm file."""
 
 
 @app.command()
@@ -52,7 +53,10 @@ def names(
     write: WriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List the bodies that the cameras see, and propose the drone of each: drones stand at their homes."""
+    """List the bodies that the cameras see, and propose the drone of each.
+
+    The drones must stand at their homes.
+    """
     set_up_logging()
     from crazychoir.mocap.naming import (
         bodies,
@@ -124,7 +128,7 @@ def calibrate(
 ) -> None:
     """Find how a body is mounted on its drone.
 
-    From a drone at rest at home, level: the rotation and height of the body. With --turn: its offset.
+    A drone at rest at home, level, gives the rotation and height of its body; --turn its offset.
     """
     set_up_logging()
     outputs = Outputs()

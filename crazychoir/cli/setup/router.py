@@ -9,6 +9,7 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch.console import STDERR, fail, set_up_logging
 
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end the router."""
 
 
 def router(

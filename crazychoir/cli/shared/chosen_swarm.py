@@ -20,7 +20,7 @@ SWARM_FILES = (".toml", ".json")
 def configured(
     swarm: str | None, mission: str | None, loss: float | None, seed: int | None
 ) -> tuple[SwarmConfig, str]:
-    """Return the swarm with the values of the command line, and a text that says where it comes from.
+    """Return the swarm with the values of the command line, and a text that says its source.
 
     swarm: path of the swarm file, None for the mission's own swarm
     mission, loss, seed: values that replace those of the swarm file, None to keep them

@@ -16,7 +16,7 @@ ABSENT = "absent"
 OBEYS = 10.0
 """Seconds that an agent gets to obey after it was found, unless its body has obeyed."""
 TELL = 0.5
-"""Seconds before the first progress line, and between two of them, while others still have to obey."""
+"""Seconds between two progress lines while others still have to obey."""
 log = logging.getLogger(__name__)
 
 
@@ -31,7 +31,7 @@ class Place(Protocol):
 
     @property
     def drones(self) -> list[int]:
-        """Drones whose agents were found."""
+        """Drones with an agent that was found."""
         ...
 
 
@@ -110,7 +110,7 @@ class EmergencyStop:
         )
 
     def _bodies(self) -> list[int]:
-        """Return the drones whose bodies have obeyed."""
+        """Return the drones with a body that has obeyed."""
         return [i for i in self.owned if BODIES + i in self.obeyed]
 
     def _tell(self, now: float, began: float) -> None:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 Work = Callable[["Window"], Awaitable[Any]]
 Answers = dict[int, tuple[bool, Any]]
-"""For each drone: whether it has done what was requested, and its answer or the reason for failure."""
+"""For each drone: whether the request is done, and its answer or the reason for failure."""
 
 
 class Window:
@@ -169,7 +169,7 @@ class Window:
     async def request(
         self, verb: str, drones: Iterable[int] | None = None, **arguments: Any
     ) -> Answers:
-        """Send a request to these drones and return their answers; None means every drone of the swarm."""
+        """Send a request to these drones and return their answers; None means all drones."""
         return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
     async def order(
@@ -177,9 +177,10 @@ class Window:
     ) -> Answers:
         """Send a flight command to these drones; None means all.
 
-        A drone that is not ready yet is asked again, for at most READY s. A command that takes longer
-        than `seconds` is left as ACCEPTED. Returns for each drone whether it is done, and the kind of
-        its answer with a text, such as "refused" and the reason.
+        A drone that is not ready yet is asked again, for at most READY s. A command that takes more
+        than `seconds` is left as ACCEPTED.
+        Returns for each drone whether it is done, and the kind of its answer with a text, such as
+        "refused" and the reason.
         """
         return await self._ask(lambda i: self._order(i, verb, seconds, {}), drones)
 
@@ -219,9 +220,10 @@ class Window:
         """Stop these drones, or clear their stop; None means the whole swarm.
 
         The bodies that the owner of a world or of radios holds are stopped too. So a drone falls
-        even if its agent is gone or hangs. The answer then says that the agent has not obeyed but the body has.
-        A stop of some drones concerns only those. A stop of the swarm keeps all drones on the ground
-        until it is cleared.
+        even if its agent is gone or hangs. The answer then says that the agent has not obeyed but
+        the body has.
+        A stop of some drones concerns only those. A stop of the swarm keeps all drones on the
+        ground until it is cleared.
         Raises Refused if there is no agent and no body, or if the keys here are not an operator's.
         """
         self._require_operator()
@@ -231,7 +233,10 @@ class Window:
         ).run()
 
     def _require_operator(self) -> None:
-        """Raise Refused unless the keys here are an operator's: drones and bodies obey operators only."""
+        """Raise Refused unless the keys here are an operator's.
+
+        Drones and bodies obey operators only.
+        """
         host = self.link.bus.host
         operators = self.config.security.operators
         if self.config.secured and host not in operators:
@@ -257,7 +262,10 @@ class Window:
         ask: Callable[[int], Awaitable[tuple[bool, Any]]],
         drones: Iterable[int] | None = None,
     ) -> Answers:
-        """Ask all drones at once, each as soon as it is found, so that an absent drone delays no other."""
+        """Ask all drones at once, each as soon as it is found.
+
+        So an absent drone delays no other.
+        """
         self._require_operator()
         await self.somebody()
         asked = {

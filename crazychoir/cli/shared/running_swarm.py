@@ -9,7 +9,7 @@ from crazychoir.launch.run_registry import Run, every_run, of_file, runs
 
 LOCAL_FILE = "swarm.toml"
 DISCOVERY = 4.0
-"""Seconds to find the next process of a swarm, counted from the last one that was found."""
+"""Seconds to find the next process of a swarm, counted from the last discovery."""
 STARTS = 180.0
 """Seconds to find the first process if a run on this machine starts it.
 
@@ -66,8 +66,9 @@ def runs_here(config: SwarmConfig) -> bool:
 def patience(config: SwarmConfig) -> float:
     """Return the seconds within which the first process of this swarm must be found.
 
-    The time is longer while a run on this machine starts the swarm. It is 0 if all endpoints are on this
-    machine and none is open. A swarm with processes on other machines may be there all the same.
+    The time is longer while a run on this machine starts the swarm. It is 0 if all endpoints are
+    on this machine and none is open. If some are on other machines, the swarm may be there all the
+    same.
     """
     if runs_here(config):
         return STARTS

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from crazychoir.runtime.outputs import let_outputs_take_any_text
 
 _PR_SET_PDEATHSIG = 1
+"""Option of prctl(2): the signal that this process gets when its parent ends."""
 
 
 def with_parent() -> None:
@@ -24,7 +25,7 @@ def with_parent() -> None:
 def run(app: Callable[[], None]) -> None:
     """Run a command and end at once with its exit code.
 
-    A process that has had a Zenoh session has threads of Zenoh, maybe one that does not close.
+    A process that has had a Zenoh session has threads of Zenoh, and one of them may not close.
     While the interpreter shuts down they may hang the process. They may also abort it with
     another exit code after its result is written.
     """

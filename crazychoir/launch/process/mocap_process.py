@@ -94,7 +94,7 @@ def run_mocap(
 
 
 def mocap_table(process: MocapProcess) -> Table:
-    """Return a table of the bodies: drone, rate, age, place, and number of frames without the body."""
+    """Return a table of the bodies: drone, rate, age, place, number of frames without the body."""
     watch = process.watch
     now = process.clock.now()
     title = (

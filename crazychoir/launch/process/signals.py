@@ -7,7 +7,7 @@ from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.worker_thread import add_signal_handler
 
 AGAIN = 2.0
-"""Seconds within which two signals count as one after the other."""
+"""Seconds within which a signal counts as a repetition of the one before."""
 NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
 """Names of the signals, for the log."""
 
@@ -25,9 +25,9 @@ class Owner(Protocol):
 
 
 def end_on_signals(clock: Clock, owner: Owner) -> None:
-    """End the owner after the landing of its drones at the first signal, at once at a second within 2 s.
+    """End the owner as soon as no drone needs it; end it at once at a second signal within 2 s.
 
-    SIGHUP never counts as a second signal.
+    SIGHUP never counts as the second signal.
     """
     times: list[int] = []
 
