@@ -114,7 +114,8 @@ def row(
 def shape(name: Path) -> dict[str, Any]:
     """Return the options of the mission `figure` for a path.
 
-    The circle has 0.4 m and takes 40 s. The eight has 2 m by 1 m, with a peak of 1 or 2 m/s.
+    The circle has a radius of 0.4 m and takes 40 s. The eight measures 2 m by 1 m, with a peak
+    speed of 1 or 2 m/s.
     """
     period = (
         40.0 if name == "circle" else 2.0 * math.pi * math.sqrt(2.0) / float(name[-1])

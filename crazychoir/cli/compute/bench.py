@@ -76,7 +76,8 @@ def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def radio(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Measure the delay of an agent's event loop while dongle owners serve twenty links.
+    """Measure the delay of an agent's event loop while dongle owners serve twenty
+    links.
 
     They also open one more link meanwhile.
     """
@@ -194,7 +195,8 @@ def paper(
 ) -> None:
     """Write tables (CSV) and pictures (PNG) for a paper.
 
-    They show what loss, graph, size and method cost a team, and what other solvers find.
+    They show what loss, graph, size and method cost a team, and what other
+    solvers find.
     """
     from crazychoir.bench.paper import paper as bench_paper
 

@@ -98,11 +98,13 @@ def simulate(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Run a distributed algorithm on simulated agents, over a network that loses messages.
+    """Run a distributed algorithm on simulated agents, over a network that loses
+    messages.
 
-    The file defines agent(i, graph), which returns agent i: an object with `message()`,
-    `step(heard)` and `done`, like the agents of crazychoir.optimization. Its attribute x, if there
-    is one, is recorded, unless --record names others. Its `result` is shown at the end.
+    The file defines agent(i, graph), which returns agent i: an object with
+    `message()`, `step(heard)` and `done`, like the agents of
+    crazychoir.optimization. Its attribute x, if there is one, is recorded, unless
+    --record names others. Its `result` is shown at the end.
     """
     set_up_logging()
     with LATER.checks_first():

@@ -72,19 +72,21 @@ def solve(
 ) -> None:
     """Solve an instance: each robot solves its own part of it.
 
-    The file is one JSON object of N robots and M tasks, in metres: home (N points of 2 or 3
-    numbers), pickup and delivery (M points), load (M numbers), capacity (N numbers, in the unit of
-    load); agents/data/lab6.json is an example.
-    Optional keys: route_length_limit (m), capability (N rows of M booleans), initial_load (N
-    numbers), end (N points), open_tours (boolean), distance (N + 2M rows of m: homes, pickups,
-    deliveries), recharge (trips), speed (m/s), service_time (s), time_windows and release (s),
-    penalty (for refusing a task), priority, fixed_cost, objective (total, makespan, or both in
-    order, or vehicles and total); the README describes each. Files of Li and Lim can be read too:
-    they minimise vehicles first, then the total.
+    The file is one JSON object of N robots and M tasks, in metres: home (N points
+    of 2 or 3 numbers), pickup and delivery (M points), load (M numbers), capacity
+    (N numbers, in the unit of load); agents/data/lab6.json is an example.
+    Optional keys: route_length_limit (m), capability (N rows of M booleans),
+    initial_load (N numbers), end (N points), open_tours (boolean), distance (N +
+    2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
+    service_time (s), time_windows and release (s), penalty (for refusing a task),
+    priority, fixed_cost, objective (total, makespan, or both in order, or
+    vehicles and total); the README describes each. Files of Li and Lim can be
+    read too: they minimise vehicles first, then the total.
 
-    lower_bound: m; no plan costs less. If vehicles come first, this holds among plans with as few
-    vehicles.
-    bound_exact: whether this bound is proven. A plan that costs its lower_bound is optimal.
+    lower_bound: m; no plan costs less. If vehicles come first, this holds among
+    plans with as few vehicles.
+    bound_exact: whether this bound is proven. A plan that costs its lower_bound
+    is optimal.
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()

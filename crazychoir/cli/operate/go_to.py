@@ -81,7 +81,8 @@ def fly(
 ) -> None:
     """Fly drones along a drawing, side by side.
 
-    The drones wait for their start or are held. Leaders may also fly it with their formation.
+    The drones wait for their start or are held. Leaders may also fly it with
+    their formation.
     """
     from crazychoir.agent.sketch import HAND, loaded_file, messages, planned
     from crazychoir.planning.drawing.drawing import Pen

@@ -194,8 +194,9 @@ def impair(
 ) -> None:
     """Change the simulated network of a running swarm.
 
-    The change acts at once on messages between drones. Values without an option stay as they are;
-    --loss 0 removes loss. Set partitions in the swarm file, under `network`.
+    The change acts at once on messages between drones. Values without an option
+    stay as they are; --loss 0 removes loss. Set partitions in the swarm file,
+    under `network`.
     """
     effects: dict[str, Any] = {
         "loss": loss,

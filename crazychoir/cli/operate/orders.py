@@ -72,7 +72,8 @@ def stop(
     clear: Annotated[bool, typer.Option(help="Clear an emergency stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Stop the motors at once (emergency stop). A stop of all drones stays in force until cleared.
+    """Stop the motors at once (emergency stop). A stop of all drones stays in force
+    until cleared.
 
     Exits with 0 if all have obeyed.
     """

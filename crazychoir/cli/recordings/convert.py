@@ -24,9 +24,11 @@ def convert(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Make a bag of ROS 2 from a recording, with standard messages that need no package of ours.
+    """Make a bag of ROS 2 from a recording, with standard messages that need no
+    package of ours.
 
-    A recording that was cut off or is damaged gives a bag of what lies before, and exit code 1.
+    A recording that was cut off or is damaged gives a bag of what lies before,
+    and exit code 1.
     """
     set_up_logging()
     from crazychoir.recording.mcap.reading import header

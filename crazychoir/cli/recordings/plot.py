@@ -54,7 +54,8 @@ def plot(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages, convergence.
+    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages,
+    convergence.
 
     Writes tables (CSV) beside the pictures.
     """

@@ -33,7 +33,8 @@ def doctor(
 ) -> None:
     """Check whether this host is ready to fly.
 
-    Prints each fault with the command that repairs it. Exits with 1 if there is a fault.
+    Prints each fault with the command that repairs it. Exits with 1 if there is a
+    fault.
     """
     rows = machine() + of_swarm(swarm, host)
     if as_json:

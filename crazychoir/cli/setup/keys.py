@@ -75,7 +75,8 @@ def revoke(
 ) -> None:
     """Exclude a host.
 
-    All others get a new authority and new certificates, which count from their next start.
+    All others get a new authority and new certificates, which count from their
+    next start.
     """
     from crazychoir.bus.network import authority
 

@@ -105,17 +105,19 @@ def survey(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find quiet channels: one drone, on the ground where it will fly, answers on each.
+    """Find quiet channels: one drone, on the ground where it will fly, answers on
+    each.
 
-    Passes are interleaved, so that a burst of WiFi hits all channels alike. A channel is as good
-    as its worst pass.
-    The survey takes some minutes. By default it covers channels 2 to 82: what lies below 2400 MHz
-    or above channel 83 is outside the licence-free band of many countries.
+    Passes are interleaved, so that a burst of WiFi hits all channels alike. A
+    channel is as good as its worst pass.
+    The survey takes some minutes. By default it covers channels 2 to 82: what
+    lies below 2400 MHz or above channel 83 is outside the licence-free band of
+    many countries.
 
-    It then picks the k channels with the best worst pass, with the given spacing. With --write
-    each radio:// drone of the swarm file gets the channel of its dongle, and nothing else in the
-    file changes. The drones keep their old channels until you change them there too, for example
-    with Bitcraze's client.
+    It then picks the k channels with the best worst pass, with the given spacing.
+    With --write each radio:// drone of the swarm file gets the channel of its
+    dongle, and nothing else in the file changes. The drones keep their old
+    channels until you change them there too, for example with Bitcraze's client.
     """
     set_up_logging()
     outputs = Outputs()
@@ -287,7 +289,8 @@ def ping(
     ] = 20.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the round trip to drones by echoes, all at once. Exits with 0 only if none is lost.
+    """Measure the round trip to drones by echoes, all at once. Exits with 0 only if
+    none is lost.
 
     It opens links of its own, so do not use it on a drone in flight.
     """

@@ -128,7 +128,8 @@ def calibrate(
 ) -> None:
     """Find how a body is mounted on its drone.
 
-    A drone at rest at home, level, gives the rotation and height of its body; --turn its offset.
+    A drone at rest at home, level, gives the rotation and height of its body;
+    --turn its offset.
     """
     set_up_logging()
     outputs = Outputs()

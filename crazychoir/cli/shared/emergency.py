@@ -16,7 +16,7 @@ ABSENT = "absent"
 OBEYS = 10.0
 """Seconds that an agent gets to obey after it was found, unless its body has obeyed."""
 TELL = 0.5
-"""Seconds between two progress lines while others still have to obey."""
+"""Seconds before the first progress line, and between two of them."""
 log = logging.getLogger(__name__)
 
 
