@@ -31,7 +31,7 @@ def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> 
 
 
 def _require(where: str, module: str, extra: str) -> None:
-    """Raise ConfigError if a module is not installed; extra: extra of this package that brings it."""
+    """Raise ConfigError if a module of this extra is not installed."""
     if importlib.util.find_spec(module) is None:
         do = f"pip install 'crazychoir[{extra}]'."
         raise ConfigError(
