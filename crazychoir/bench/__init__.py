@@ -1,1 +1,1 @@
-"""Benchmarks: one file a benchmark; each compares crazychoir with a peer in the same run."""
+"""Benchmarks: one file a benchmark; most compare crazychoir with other programs in the same run."""

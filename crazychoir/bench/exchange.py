@@ -1,6 +1,7 @@
-"""`crazychoir bench exchange`: rounds of neighbours' exchange a second, beside CycloneDDS and MPI, in one run.
+"""`crazychoir bench exchange`: rounds a second of the exchange between neighbours.
 
-Rows are measured in turns and repeated, so that what else the machine does falls on all of them; medians are shown.
+CycloneDDS and MPI are measured in the same run. Rows are measured in turns and repeated, so
+that other load of the machine affects all of them alike. The table shows medians.
 """
 
 import importlib.util
@@ -28,35 +29,48 @@ GRAPHS: dict[str, Callable[[int], Graph]] = {
     "4-regular": lambda n: k_regular(n, 4),
 }
 START_DEADLINE = 90.0
-"""s until all processes of a row have found each other."""
+"""Seconds until all processes of a row must have found each other."""
 WARM = 0.3
-"""s of exchange before the measured window."""
+"""Seconds of exchange before the measured window."""
 BARE = (
     "import runpy, sys, types; package = types.ModuleType('crazychoir'); package.__path__ = [sys.argv.pop(1)]; "
     "sys.modules['crazychoir'] = package; runpy.run_module(sys.argv.pop(1), run_name='__main__')"
 )
-"""Runs a module of the package without the package's public names: missions and solvers cost 1 s of CPU a process."""
+"""Program that runs a module of the package without importing the package's public names.
+
+Importing missions and solvers would cost each process 1 s of CPU.
+"""
 PACKAGE = Path(__file__).parents[1]
 INSTALL = "not measured: pip install crazychoir[bench]"
 
 
 @dataclass
 class Row:
-    """One program on one graph, spread over so many processes; options: what it is told beside."""
+    """One program on one graph."""
 
     name: str
+    """Name of the program."""
     module: str
+    """Its module in crazychoir.bench.peers."""
     graph: str
+    """Name of the graph."""
     agents: int
+    """Number of agents."""
     processes: int
+    """Number of processes among which the agents are divided."""
     extra: str = ""
+    """Package that must be installed; empty for none."""
     note: str = ""
+    """Why the row could not be measured; else empty."""
     options: dict[str, Any] = field(default_factory=dict)
+    """Further options of the program."""
     rounds: list[float] = field(default_factory=list)
+    """Rounds a second, one value a window."""
     cpu: list[float] = field(default_factory=list)
+    """CPU time of a message, us, one value a window."""
 
     def shown(self) -> dict[str, Any]:
-        """The row of the result: medians."""
+        """Return the row of the result, with medians."""
         shown: dict[str, Any] = {"name": self.name, "graph": self.graph, **self.options}
         shown |= {"agents": self.agents, "processes": self.processes}
         shown["rounds_per_s"] = (
@@ -74,9 +88,12 @@ def run(
     quick: bool = False,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Measure all rows; seconds: of one window.
+    """Measure all rows.
 
-    quick: rings only, one turn of short windows. `say` is told what is measured.
+    seconds: s: length of one window
+    repeats: number of windows of each row
+    quick: rings only, one turn of short windows
+    say: called with a text that says what is being measured
     """
     if quick:
         seconds = min(seconds, 0.5)
@@ -102,7 +119,7 @@ def run(
 
 
 def table(result: dict[str, Any]) -> Table:
-    """The rows, for people."""
+    """Return the rows as a table."""
     made = Table(title="Neighbours' exchange: medians of one run")
     for name in (
         "graph",
@@ -136,7 +153,8 @@ def table(result: dict[str, Any]) -> Table:
     notes[
         "Of several processes, each is bound to a core of its own where there are enough."
     ] = None
-    made.caption = Text("\n".join(notes))  # not markup: a note may hold brackets
+    # Text and not markup, because a note may hold brackets.
+    made.caption = Text("\n".join(notes))
     return made
 
 
@@ -166,7 +184,7 @@ def _rows(graphs: tuple[str, ...]) -> list[Row]:
 
 
 def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
-    """What is promised, from the medians of this run."""
+    """Return the ratios that the project promises, from the medians of this run."""
     rate = {
         (r["name"], r["graph"], r["agents"], r["processes"]): r["rounds_per_s"]
         for r in rows
@@ -198,7 +216,7 @@ def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 
 def measure(row: Row, seconds: float) -> None:
-    """One window of one row; what goes wrong becomes its note."""
+    """Measure one window of one row; an error becomes the note of the row."""
     neighbors = {
         i: GRAPHS[row.graph](row.agents).in_neighbors(i) for i in range(row.agents)
     }
@@ -236,12 +254,13 @@ def measure(row: Row, seconds: float) -> None:
 
 
 def _commands(row: Row, common: dict[str, Any], base: int) -> list[list[str]]:
-    """One command a process, each with a contiguous part of the agents, and a core of its own if there are enough.
+    """Return one command a process, each with a contiguous part of the agents.
 
-    base: the port of the first process.
+    Each process gets a core of its own if there are enough.
+    base: port of the first process
     """
     endpoints = [f"tcp/{LOCAL}:{base + p}" for p in range(row.processes)]
-    domain = 1 + secrets.randbelow(100)  # ports of higher ones may be anybody's
+    domain = 1 + secrets.randbelow(100)  # the ports of higher domains may be in use
     cores = sorted(os.sched_getaffinity(0))
     commands = []
     for p in range(row.processes):

@@ -1,8 +1,9 @@
-"""How far the velocities of the filters are off, on a flight whose truth is known.
+"""Velocity errors of the filters on a flight with known truth.
 
-A quadrotor flies an eight with 1 m/s at most while its heading turns, as differential flatness has it. Cameras see it
-with noise, with independent dropouts and one gap. The root mean square is that of the length of the error vector, of
-all ticks after the first SETTLE s, those without a pose too.
+A quadrotor flies an eight at 1 m/s at most while its heading turns, by differential flatness.
+Cameras see it with noise, with independent dropouts and with one gap. The error is the root
+mean square of the length of the error vector over all ticks after the first SETTLE s,
+including ticks without a pose.
 """
 
 import math
@@ -32,30 +33,40 @@ from crazychoir.types import Pose, Vec
 
 RATES = (50, 100, 240)  # Hz
 SEEDS = (1, 2, 3)
-NOISE_P, NOISE_ANGLE = 0.0005, math.radians(0.25)  # m, rad, standard deviations an axis
-DROPOUT = 0.02
-GAP_AT, GAP = 6.0, 0.05  # s
-SETTLE, END = 2.0, 12.0  # s
-TURNING = 1.0  # rad/s of the heading: it passes pi
-OFF = 0.95  # thrust told / thrust flown: a battery that is fuller than assumed
+NOISE_P = 0.0005  # m, standard deviation an axis
+NOISE_ANGLE = math.radians(0.25)  # rad, standard deviation an axis
+DROPOUT = 0.02  # share of poses that are lost
+GAP_AT = 6.0  # s, start of the gap
+GAP = 0.05  # s, length of the gap
+SETTLE = 2.0  # s that do not count
+END = 12.0  # s, length of the flight
+TURNING = 1.0  # rad/s of the heading, so that it passes pi
+OFF = 0.95  # commanded thrust / flown thrust: the battery is fuller than assumed
 
 Say = Callable[[str], None]
 
 
 class Estimate(Protocol):
-    """What a row is about."""
+    """The estimator of a row."""
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
-        """Velocity (3,) m/s and body rates (3,) rad/s at now; `command` (4,) is what is commanded from now on."""
+        """Return the velocity (3,) m/s and the body rates (3,) rad/s at `now`.
+
+        pose: newest pose, None if it was lost
+        now: s
+        command: (4,) N and rad/s: thrust and body rates commanded from now on
+        """
         ...
 
 
 class Original:
-    """The difference equation of the original CrazyChoir: its gain is that of 100 Hz, whatever the rate.
+    """The difference equation of the original CrazyChoir; its gain fits 100 Hz, whatever the rate.
 
-        v_k = 0.6 v_k-1 + 40 (p_k - p_k-1),  and the same from roll, pitch and yaw to their rates
+        v_k = 0.6 v_k-1 + 40 (p_k - p_k-1)
 
-    Angles are not unwrapped, their rates taken for body rates, and a pose that is missing for the last one.
+    The rates of roll, pitch and yaw follow from these angles by the same equation.
+    Angles are not unwrapped, and their rates are taken for body rates. A missing pose is replaced
+    by the last one.
     """
 
     def __init__(self) -> None:
@@ -63,7 +74,7 @@ class Original:
         self._rates = np.zeros(6)
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
-        """Velocity and rates of the angles, (3,) each."""
+        """Return the velocity and the rates of the angles, (3,) each."""
         here = self._last if pose is None else np.array([*pose.p, *_euler(pose.q)])
         self._rates = 0.6 * self._rates + 40.0 * (here - self._last)
         self._last = here
@@ -71,14 +82,18 @@ class Original:
 
 
 class Ours:
-    """A filter as the pilot runs it; one that is not `commanded` is told no commands."""
+    """A filter as the pilot runs it.
+
+    filtering: the filter
+    commanded: whether it gets the commands
+    """
 
     def __init__(self, filtering: StateFilter, commanded: bool) -> None:
         self.filter = filtering
         self.commanded = commanded
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
-        """Velocity and body rates, (3,) each; at rest before the first pose."""
+        """Return the velocity and the body rates, (3,) each; zero before the first pose."""
         state = (
             self.filter.predict(now) if pose is None else self.filter.update(pose, now)
         )
@@ -99,7 +114,7 @@ FILTERS: dict[str, Callable[[float], Estimate]] = {
         KalmanFilter(period=period), commanded=False
     ),
 }
-"""By name: a new one for cameras with this period, s."""
+"""Makes a new estimator, by name, for cameras with the given period in s."""
 
 
 def run(
@@ -107,7 +122,12 @@ def run(
     seeds: tuple[int, ...] = SEEDS,
     say: Say = lambda line: None,
 ) -> dict[str, Any]:
-    """{"rows": [one a filter and rate]}."""
+    """Return {"rows": [one a filter and rate]}.
+
+    rates: Hz: poses a second
+    seeds: seeds of the noise
+    say: called with the rate being measured
+    """
     rows = []
     for rate in rates:
         say(f"{rate} Hz")
@@ -130,7 +150,7 @@ def run(
 
 
 def table(result: dict[str, Any]) -> Table:
-    """The rows, for people."""
+    """Return the rows as a table."""
     shown = Table(title="Root mean square of the error of the velocities")
     for name in ("filter", "poses, Hz", "velocity, mm/s", "body rates, rad/s"):
         shown.add_column(name, justify="left" if name == "filter" else "right")
@@ -143,15 +163,18 @@ def table(result: dict[str, Any]) -> Table:
 
 @dataclass(frozen=True)
 class Flight:
-    """The truth: instants (n,) s, states (n, 13), and the commands (n, 4) from each of these instants on."""
+    """The true flight."""
 
     times: Vec
+    """(n,) s."""
     states: Vec
+    """(n, 13): true state at each time."""
     commands: Vec
+    """(n, 4): command from each time on."""
 
     @classmethod
     def at(cls, rate: int) -> "Flight":
-        """Sampled at `rate` Hz."""
+        """Return the flight sampled at `rate` Hz."""
         times = np.arange(round(END * rate)) / rate
         states, commands = zip(*(truth(t) for t in times), strict=True)
         return cls(times, np.array(states), np.array(commands))
@@ -159,12 +182,15 @@ class Flight:
     def errors(
         self, new: Callable[[float], Estimate], seeds: tuple[int, ...]
     ) -> tuple[float, float]:
-        """Root mean squares of the errors of velocity, m/s, and body rates, rad/s."""
+        """Return the root mean square errors of velocity, m/s, and body rates, rad/s.
+
+        new: makes an estimator for a period in s
+        seeds: seeds of the noise
+        """
         counted = self.times >= SETTLE
         period = float(self.times[1])
-        told = np.array([self._flown(new(period), seed) for seed in seeds])[
-            :, counted
-        ]  # (seeds, n, v or w, 3)
+        # Shape (seeds, n, v or w, 3).
+        told = np.array([self._flown(new(period), seed) for seed in seeds])[:, counted]
         off = told - self.states[counted][:, [3, 4, 5, 10, 11, 12]].reshape(-1, 2, 3)
         v, w = np.sqrt((off**2).sum(axis=3).mean(axis=(0, 1))).tolist()
         return v, w
@@ -193,9 +219,13 @@ class Flight:
 
 
 def truth(t: float) -> tuple[Vec, Vec]:
-    """State (13,) and command (4,) at t s: the thrust told is off, the rates told are those that are reached later.
+    """Return the state (13,) and the command (4,) at t s.
 
-    u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w',  w = log(q(t)^-1 q(t + h)) / h by central differences
+        u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w'
+        w = log(q(t)^-1 q(t + h)) / h by central differences
+
+    The commanded thrust is wrong by the factor OFF. The commanded rates lead the flown rates by
+    RATE_LAG, because the drone reaches them later.
     """
     h = 1e-3
     (p, v, q, thrust), before, after = _flat(t), _flat(t - h)[2], _flat(t + h)[2]
@@ -209,13 +239,14 @@ def truth(t: float) -> tuple[Vec, Vec]:
 
 
 def _turn(before: Vec, after: Vec) -> Vec:
-    """Rotation vector (3,) rad, body, from one attitude to the other."""
+    """Return the rotation vector (3,) rad, body, from one attitude to the other."""
     return np.array(logarithm(product(conjugate(tuple(before)), tuple(after))))
 
 
 def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
-    """p (3,), v (3,), q (4,), thrust N of the eight at t s: x = sin wt, y = 1/2 sin 2wt, z = 1, w = 1/sqrt(2) rad/s.
+    """Return p (3,), v (3,), q (4,) and the thrust in N of the eight at t s.
 
+    x = sin wt, y = 1/2 sin 2wt, z = 1, w = 1/sqrt(2) rad/s
     F/m = g e3 + a + (1/m) R A R^T v,  R e3 along F
     """
     w = math.sqrt(0.5)
@@ -227,7 +258,8 @@ def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
     v = w * np.array([c, c2, 0.0])
     pull = np.array([-w * w * s, -2.0 * w * w * s2, GRAVITY])
     r = rotation_from_flat(pull, yaw)
-    for _ in range(3):  # the drag depends on the attitude a little
+    # A fixed-point iteration: the drag depends a little on the attitude.
+    for _ in range(3):
         f = pull + r @ (np.array(PAPER.drag) * (r.T @ v)) / PAPER.mass
         r = rotation_from_flat(f, yaw)
     return (
@@ -239,7 +271,7 @@ def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
 
 
 def _euler(q: Vec) -> tuple[float, float, float]:
-    """Roll, pitch, yaw, rad."""
+    """Return roll, pitch and yaw, rad."""
     x, y, z, w = q.tolist()
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     return roll, math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)), yaw_of(q)

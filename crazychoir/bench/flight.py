@@ -1,4 +1,4 @@
-"""How much faster than real time one core flies a swarm with the whole stack, and which room takes the time."""
+"""Speed of a whole swarm on one core, as a multiple of real time, and the share of each room."""
 
 import math
 import signal
@@ -34,22 +34,25 @@ CASES: tuple[tuple[int, Plant], ...] = (
     (100, "motors"),
     (1000, "lightweight"),
 )
-"""Drones and engine of each row."""
+"""Number of drones and engine of each row."""
 QUICK = CASES[:2]
+"""Rows of a quick run."""
 URI: dict[Plant, str] = {"lightweight": LIGHTWEIGHT, "motors": MOTORS}
+"""The uri of the drones, by engine."""
 PLATFORM: dict[Plant, str] = {"lightweight": "paper", "motors": "cf21"}
+"""Platform of the drones, by engine."""
 MANY = 300
-"""Drones beyond which one flight of shorter windows is enough."""
+"""Number of drones beyond which one flight with shorter windows is enough."""
 SPACING = 0.7
-"""m between neighbours on the ring."""
+"""Distance between neighbours on the ring, m."""
 SETTLE = 0.5
-"""s of the law before the clock of the measurement starts."""
+"""Seconds of the law before the measurement begins."""
 WINDOW = 5.0
-"""s of simulated time that one figure is about."""
+"""Simulated seconds of one measurement."""
 WINDOWS = 3
-"""Figures a flight, one after the other."""
+"""Measurements in a flight, one after the other."""
 SAMPLE = 0.001
-"""s of processor time between two samples of a profile."""
+"""Processor time between two samples of a profile, s."""
 ROOMS = (
     "bus",
     "runtime",
@@ -62,12 +65,18 @@ ROOMS = (
     "swarm",
     "planning",
 )
+"""Rooms of the package that are counted in a profile."""
 
 Say = Callable[[str], None]
 
 
 def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
-    """{"rows": [one a flight], "worlds": [one an engine]}; raises Refused if a swarm does not land in good order."""
+    """Return {"rows": [one a flight], "worlds": [one an engine]}.
+
+    quick: fewer rows
+    say: called with a text that says what is being measured
+    Raises Refused if a flight fails.
+    """
     rows = [
         _row(n, plant, 1 if quick or n > MANY else 2, say)
         for n, plant in (QUICK if quick else CASES)
@@ -96,12 +105,12 @@ def _row(n: int, plant: Plant, flights: int, say: Say) -> dict[str, Any]:
 
 
 def tables(result: dict[str, Any]) -> Group:
-    """Flights and worlds, for people."""
+    """Return the flights and the worlds as tables."""
     return Group(table(result), bench_worlds.table(result["worlds"]))
 
 
 def table(result: dict[str, Any]) -> Table:
-    """The flights."""
+    """Return the flights as a table."""
     shown = Table(title="The whole stack in virtual time, one core")
     for name in (
         "drones",
@@ -129,9 +138,13 @@ def fly(
     window: float = WINDOW,
     watch: Callable[[bool], None] = lambda on: None,
 ) -> list[tuple[float, float]]:
-    """One flight in virtual time; returns (wall, processor) seconds of each window.
+    """Fly once in virtual time; return the (wall, processor) seconds of each window.
 
-    watch: called with True when the first window begins and with False when the last one has ended.
+    drones: number of drones
+    plant: simulated engine
+    window: s of simulated time
+    watch: called with True when the first window begins, and with False when the last one has ended
+    Raises Refused if the flight fails.
     """
     config = ring(drones, plant, window)
 
@@ -153,9 +166,10 @@ def fly(
 
 
 def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmConfig:
-    """n drones on the corners of a regular polygon, each hears its two neighbours; two opposite ones lead.
+    """Return a ring of n drones on the corners of a regular polygon.
 
-    They take off into the shape, so the law only has to hold it against the noise of the cameras.
+    Each drone hears its two neighbours, and two opposite drones lead. They take off into the
+    shape, so the law only has to hold it against the noise of the cameras.
     """
     radius = SPACING / (2.0 * math.sin(math.pi / n))
     angles = [2.0 * math.pi * k / n for k in range(n)]
@@ -188,7 +202,7 @@ def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmC
 
 
 class Meter(Actor):
-    """Measures the windows, once everybody flies the law."""
+    """Measures the windows as soon as all drones fly the law."""
 
     name = "meter"
 
@@ -224,7 +238,10 @@ class Meter(Actor):
 
 
 def profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
-    """Share of each room in the processor time of a flight; what a room calls outside of the house counts for it."""
+    """Return the share of each room in the processor time of a flight.
+
+    Code outside of the package counts for the room that calls it.
+    """
     seen: Counter[str] = Counter()
     with sampling(seen) as watch:
         fly(drones, plant, watch=watch)
@@ -234,7 +251,10 @@ def profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
 
 @contextmanager
 def sampling(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
-    """Count the room of the running code every SAMPLE s of processor time, between watch(True) and watch(False)."""
+    """Count the room of the running code every SAMPLE s of processor time.
+
+    Yields a function that starts the counting with True and stops it with False.
+    """
 
     def sampled(number: int, frame: FrameType | None) -> None:
         seen[room_of(frame)] += 1
@@ -254,7 +274,7 @@ HOUSE = Path(crazychoir.__file__).parent
 
 
 def room_of(frame: FrameType | None) -> str:
-    """The room of the innermost frame that belongs to one; missions count for guidance."""
+    """Return the room of the innermost frame that lies in a room; missions count for guidance."""
     while frame is not None:
         path = Path(frame.f_code.co_filename)
         if (

@@ -1,6 +1,7 @@
-"""How fast formations form up at motor level: many seeds, the worst one counts.
+"""Times in which formations form up at motor level: the worst of many seeds counts.
 
-A time is that since the law began, after which every drone stays within 1 cm of its place, by the truth.
+The time begins with the law. It ends when every drone stays within 1 cm of its place, measured
+by the true positions.
 """
 
 from collections.abc import Callable
@@ -16,29 +17,35 @@ from crazychoir.guidance.mission import Mission, load
 from crazychoir.launch.flight import fly_fast
 
 LOSSY = {"loss": 0.2, "delay": 0.02}
+"""Network of the lossy cases: share of lost messages and delay in s."""
 GRID_GAINS = {"kp": 2.0, "kv": 2.5}
-"""1/s2, 1/s: of the paper's law on the grid, whose drones have up to eight neighbours."""
+"""Gains of the paper's law on the grid, where drones have up to eight neighbours: 1/s2 and 1/s."""
 SCATTER: dict[int, list[float]] = {4: [1.0, 1.0, 1.0], 30: [0.2, 0.2, 0.2]}
-"""m an axis, by which starts are moved at most."""
+"""Largest displacement of a start, m an axis, by number of drones."""
 FLIGHT = {
     "takeoff_height": 1.2,
     "speed_limit": 3.0,
     "acceleration_limit": 4.0,
     "landing_speed": 1.0,
 }
+"""The table [flight] of the swarm: m, m/s, m/s2."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A team, its law, its network, and the s that the worst seed may need."""
+    """One row: a team, its law and its network."""
 
     drones: int
+    """Number of drones."""
     law: str
+    """Name of the law."""
     network: str
+    """"perfect" or "lossy"."""
     limit: float
+    """Seconds that the worst seed may need."""
 
     def config(self, mission: Mission, seed: int) -> SwarmConfig:
-        """The mission's own swarm, of Crazyflies with motors, scattered by this seed."""
+        """Return the mission's own swarm, of Crazyflies with motors, scattered by this seed."""
         config = mission.swarm(self.drones)
         given: dict[str, Any] = {"scatter": SCATTER[self.drones]}
         if self.law == "paper" and self.drones == 30:
@@ -86,7 +93,7 @@ CASES = (
 def times(
     case: Case, seeds: range, say: Callable[[str], None] = lambda line: None
 ) -> list[float | None]:
-    """s to 1 cm of each seed; None: not at all, or the flight failed."""
+    """Return the s to 1 cm of each seed; None if it was not reached or the flight failed."""
     mission = load("bearing_formation")
     found = []
     for seed in seeds:
@@ -103,7 +110,7 @@ def run(
     cases: tuple[Case, ...] = CASES,
     say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
-    """The worst and the median of each case."""
+    """Return the worst and the median time of each case."""
     return {
         "seeds": len(seeds),
         "rows": [summary(case, times(case, seeds, say)) for case in cases],
@@ -111,7 +118,10 @@ def run(
 
 
 def summary(case: Case, found: list[float | None]) -> dict[str, Any]:
-    """Of the seeds that settled; worst_s is None if one did not."""
+    """Return the row of a case.
+
+    found: s of each seed, None if it did not settle; worst_s is then None
+    """
     settled = [s for s in found if s is not None]
     worst = max(settled) if len(settled) == len(found) else None
     reached = worst is not None and worst <= case.limit
@@ -125,7 +135,7 @@ def summary(case: Case, found: list[float | None]) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> Table:
-    """What is printed."""
+    """Return the result as a table."""
     shown = Table(
         title=f"time to 1 cm, motor level, {result['seeds']} seeds", box=box.SIMPLE_HEAD
     )

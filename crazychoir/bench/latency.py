@@ -1,8 +1,9 @@
-"""crazychoir bench latency: how late the control tick is while the same process solves, and from pose to command.
+"""crazychoir bench latency: delay of the control tick beside a solver, and from pose to command.
 
-Both are measured in one process in real time. Late is a tick's start after its due time; `added_p99_ms` is the p99
-while solving less the p99 alone, of blocks that alternate in this run. From pose to command is from a pose in the
-pilot's mailbox to the command on the link, with all drones of the process hovering.
+Both are measured in one process in real time. The delay of a tick is its start minus its due
+time. `added_p99_ms` is the p99 while solving minus the p99 without, from blocks that alternate
+in this run. The time from pose to command begins when the pose is in the pilot's mailbox and
+ends when the command is on the link, with all drones of the process hovering.
 """
 
 import asyncio
@@ -37,26 +38,29 @@ from crazychoir.solve.solving import solve_here
 from crazychoir.types import Acceleration, Command, Heard, State
 
 RATE = 100.0
-"""Hz of the control tick."""
+"""Rate of the control tick, Hz."""
 WARM_UP = 0.3
-"""s at the start of a block that are not counted: the loop itself starts."""
+"""Seconds at the start of a block that do not count, because the loop itself starts."""
 
 
 @dataclass(frozen=True)
 class Lateness:
-    """One row: quantiles in ms over all samples of this name."""
+    """The delays of one row."""
 
     name: str
+    """Name of the row."""
     drones: int
+    """Number of drones."""
     samples_ns: tuple[int, ...]
+    """All samples, ns."""
 
     @property
     def p99_ms(self) -> float:
-        """The 99th percentile."""
+        """The 99th percentile, ms."""
         return self._quantile(99.0)
 
     def to_json(self) -> dict[str, Any]:
-        """As `--json` prints it."""
+        """Return the row as `--json` prints it: quantiles in ms."""
         return {
             "name": self.name,
             "drones": self.drones,
@@ -74,7 +78,7 @@ class Lateness:
 
 
 async def watched(clock: Clock, work: Awaitable[Any], late_ns: list[int]) -> Any:
-    """Await the work with a control tick beside it."""
+    """Await the work with a control tick beside it; the delays are appended to `late_ns`."""
     ticks = asyncio.create_task(_tick(clock, late_ns), name="control tick")
     try:
         return await work
@@ -97,14 +101,17 @@ async def _tick(clock: Clock, late_ns: list[int]) -> None:
 
 
 def tick_alone(seconds: float) -> Lateness:
-    """The control tick in a process that does nothing else."""
+    """Measure the control tick in a process that does nothing else."""
     late_ns: list[int] = []
     run_wall(lambda clock: watched(clock, clock.sleep(seconds + WARM_UP), late_ns))
     return Lateness("tick alone", 1, tuple(late_ns))
 
 
 def tick_while_solving(instance: Instance, seconds: float) -> Lateness:
-    """The control tick while all robots of an instance solve it in the same process, again and again."""
+    """Measure the control tick while all robots solve an instance in the same process.
+
+    They solve it again and again until the time is over.
+    """
     late_ns: list[int] = []
     ends = time.perf_counter() + seconds
     while time.perf_counter() < ends:
@@ -118,7 +125,7 @@ def tick_while_solving(instance: Instance, seconds: float) -> Lateness:
 
 
 def added_p99_ms(alone: Lateness, solving: Lateness) -> float:
-    """What solving adds to the p99."""
+    """Return what solving adds to the p99, ms."""
     return round(solving.p99_ms - alone.p99_ms, 4)
 
 
@@ -126,7 +133,12 @@ def added_p99_ms(alone: Lateness, solving: Lateness) -> float:
 
 
 class StopwatchLink:
-    """A link that notes how long ago the cameras have seen all drones when the command of its drone leaves."""
+    """A link that notes the age of the newest poses when it sends a command.
+
+    pilot: pilot of the drone
+    owner: owner of the world, which says when the cameras last saw all drones
+    elapsed_ns: list of the ages, ns
+    """
 
     def __init__(self, pilot: Pilot, owner: WorldOwner, elapsed_ns: list[int]) -> None:
         self.pilot = pilot
@@ -135,25 +147,28 @@ class StopwatchLink:
         self.elapsed_ns = elapsed_ns
 
     def send(self, command: Command) -> None:
-        """Pass it on, then look at the clock."""
+        """Send the command, then note the time."""
         self.link.send(command)
         if self.pilot.mode is Mode.FOLLOW:
             self.elapsed_ns.append(self.pilot.clock.now_ns() - self.owner.looked_ns)
 
     def cut(self) -> None:
-        """Pass it on."""
+        """Cut the motors."""
         self.link.cut()
 
 
 class Hold(CFDistributedFeedback):
-    """u = kp (p_0 - p) - kv v, beside the cost of hearing two neighbours."""
+    """A law that holds its place, with the cost of hearing two neighbours.
+
+    u = kp (p_0 - p) - kv v
+    """
 
     def __init__(self, seconds: float) -> None:
         self.duration = seconds
         self.place: np.ndarray | None = None
 
     def step(self, me: State, heard: Heard) -> Acceleration:
-        """Back to where the law began."""
+        """Return the acceleration back to the place where the law began."""
         self.place = me.p if self.place is None else self.place
         return Acceleration(2.0 * (self.place - me.p) - 2.5 * me.v)
 
@@ -165,12 +180,15 @@ class HoldMission:
         self.seconds = seconds
 
     def guidance(self, i: int, config: SwarmConfig) -> CFGuidance:
-        """The same law for every drone."""
+        """Return the same law for every drone."""
         return Hold(self.seconds)
 
 
 def pose_to_command(drones: int, seconds: float) -> Lateness:
-    """All drones in one process and in the air, each with a law at 100 Hz on its neighbours' states."""
+    """Measure with all drones hovering in one process, each with a law at 100 Hz.
+
+    The law hears the states of its neighbours.
+    """
     elapsed_ns: list[int] = []
     mission = cast(Mission, HoldMission(seconds))
 
@@ -192,8 +210,12 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
 def measure(
     instance: Instance, drones: int, seconds: float, repeats: int
 ) -> dict[str, Any]:
-    """Alternate the blocks; the medians over `repeats` of what solving adds, and of pose to command."""
-    solve_here(instance)  # kernels are compiled or loaded
+    """Alternate the blocks.
+
+    Returns the medians, over `repeats` blocks, of what solving adds and of the time from pose to
+    command.
+    """
+    solve_here(instance)  # compiles or loads the kernels
     blocks = [
         (tick_alone(seconds), tick_while_solving(instance, seconds))
         for _ in range(repeats)
@@ -214,7 +236,7 @@ def measure(
 
 
 def pooled(blocks: list[Lateness]) -> Lateness:
-    """All samples of one name."""
+    """Return all samples of one name as one row."""
     return Lateness(
         blocks[0].name,
         blocks[0].drones,
@@ -238,7 +260,7 @@ def latency(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """How late the control tick is beside the solver, and from pose to command."""
+    """Measure the delay of the control tick beside a solver, and from pose to command."""
     try:
         problem = ten_robots() if instance is None else Instance.load(instance)
         result = measure(problem, drones, seconds, repeats)
@@ -251,7 +273,7 @@ def latency(
 
 
 def ten_robots() -> Instance:
-    """Ten robots and fifteen tasks in a room of 10 m, flights of at most 25 m."""
+    """Return ten robots and fifteen tasks in a room of 10 m, with routes of at most 25 m."""
     return random_instance(
         10, 15, seed=1, loads=(1, 1), capacities=(2, 3), route_length_limit=25.0
     )

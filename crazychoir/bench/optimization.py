@@ -1,7 +1,8 @@
-"""`crazychoir bench optimization`: rounds of distributed algorithms a second, beside DISROPT's pattern, in one run.
+"""`crazychoir bench optimization`: rounds a second of distributed algorithms, and a peer.
 
-Both run the same algorithm on the same graph with the same solver of the local problem; what differs is how agents are
-spread over processes, how messages travel, and how many exchanges a round needs.
+The peer is DISROPT's pattern. Both run the same algorithm on the same graph with the same solver
+of the local problem, in one run. They differ in how agents are divided among processes, how
+messages travel, and how many exchanges a round needs.
 """
 
 import importlib.util
@@ -17,7 +18,7 @@ from crazychoir.bench.exchange import INSTALL, Row, measure
 
 ALGORITHMS = ("consensus", "dual decomposition")
 PROMISED = {"consensus": 10.0, "dual decomposition": 3.0}
-"""Times DISROPT's pattern, at least."""
+"""Smallest ratio to DISROPT's pattern that the project promises, by algorithm."""
 PATTERN = "DISROPT's pattern"
 
 
@@ -27,7 +28,13 @@ def run(
     quick: bool = False,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Measure all rows in turns; seconds: of one window; quick: one turn of short windows, 10 agents."""
+    """Measure all rows in turns.
+
+    seconds: s: length of one window
+    repeats: number of windows of each row
+    quick: one turn of short windows, 10 agents
+    say: called with a text that says what is being measured
+    """
     if quick:
         seconds = 0.5
         repeats = 1
@@ -76,7 +83,10 @@ def _rows(agents: tuple[int, ...]) -> list[Row]:
 
 
 def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each algorithm and size the better of ours over the pattern, and what is promised."""
+    """Return for each algorithm and size the ratio of our better row to the pattern.
+
+    Each ratio comes with the smallest one that is promised.
+    """
     found = []
     for n, algorithm in dict.fromkeys(
         (row["agents"], row["algorithm"]) for row in rows
@@ -107,7 +117,7 @@ def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def table(result: dict[str, Any]) -> Table:
-    """The rows, for people."""
+    """Return the rows as a table."""
     title = "Distributed algorithms on a ring: medians of one run"
     made = Table(title=title, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for name in (

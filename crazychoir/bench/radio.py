@@ -1,4 +1,4 @@
-"""How late the event loop of a process of a swarm is while owners of dongles keep twenty links, and connect another."""
+"""Delay of the event loop of a process while dongle owners serve twenty links and open another."""
 
 import contextlib
 import os
@@ -22,19 +22,23 @@ from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import LinkStatus
 
-LINKS, PER_DONGLE = 20, 4
+LINKS = 20
+"""Number of links of the second phase."""
+PER_DONGLE = 4
+"""Links of one dongle."""
 RATE = 100.0
-"""Hz, of the ticks whose lateness is measured."""
+"""Rate of the measured ticks, Hz."""
 PATIENCE = 60.0
-"""s that all links get to be up."""
+"""Seconds within which all links must be up."""
 PHASES = ("idle", "20 links", "a 21st connects")
+"""The phases of a run, in order."""
 
 
 def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
-    """ms by which ticks are late, 50 and 99 of 100 and the worst, in the phases of one run, in this order.
+    """Return the delays of ticks in the phases of one run, in ms: p50, p99 and worst.
 
-    This process looks on as an agent does: it hears the poses and links of all drones over Zenoh. The further drone is
-    connected with an empty cache, by an owner that starts meanwhile.
+    This process observes as an agent does: it receives the poses and link states of all drones
+    over Zenoh. The last drone connects with an empty cache, by an owner that starts meanwhile.
     """
     seconds = 5.0 if quick else 20.0
 
@@ -80,7 +84,7 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
 
 
 def _swarm() -> SwarmConfig:
-    """Twenty drones on five dongles, one more on a sixth."""
+    """Return twenty drones on five dongles, and one more on a sixth."""
     with contextlib.ExitStack() as kept:
         first = _free_ports(LINKS + 2, kept)
     drones = [
@@ -104,7 +108,7 @@ def _swarm() -> SwarmConfig:
 
 
 def _free_ports(count: int, kept: contextlib.ExitStack) -> int:
-    """The first of so many UDP ports in a row."""
+    """Return the first of `count` free UDP ports in a row."""
     for first in range(30_000, 60_000, 100):
         probes = [
             kept.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
@@ -155,7 +159,7 @@ def _running(words: list[str], environment: dict[str, str]) -> Iterator[None]:
 
 
 def _nothing(value: Any, age: float) -> None:
-    """Heard."""
+    """Ignore a value that is only received."""
 
 
 def _note(found: dict[int, str], i: int, status: LinkStatus) -> None:
@@ -171,7 +175,7 @@ async def _until(clock: Clock, holds: Callable[[], bool]) -> None:
 
 
 async def _lateness(clock: Clock, seconds: float) -> dict[str, float]:
-    """ms by which ticks were late."""
+    """Return the delays of ticks, ms."""
     ticks = clock.ticks(RATE)
     late = list[float]()
     async for _ in ticks:
@@ -187,7 +191,7 @@ async def _lateness(clock: Clock, seconds: float) -> dict[str, float]:
 
 
 def table(result: dict[str, Any]) -> Table:
-    """One row a phase."""
+    """Return a table with one row a phase."""
     found = Table(
         "", "p50", "p99", "worst", title="ms by which a tick of the event loop is late"
     )

@@ -1,7 +1,8 @@
-"""`crazychoir bench routing`: the team beside VROOM, OR-tools, the arc-flow MILP, auctions and DISROPT's rule.
+"""`crazychoir bench routing`: the team beside VROOM, OR-tools, the arc-flow MILP and others.
 
-All solve the same random instances, one after the other on an idle machine; costs are those of the routes as they are
-flown, checked by the package's own checker.
+The others are auctions and DISROPT's rule. All solve the same random instances, one after the
+other on an idle machine. The cost is that of the routes as they are flown, checked by the
+package's own checker.
 """
 
 import importlib.util
@@ -37,36 +38,47 @@ from crazychoir.team.graph import named
 SIZES = {"tiny": (3, 5), "small": (10, 20), "middle": (20, 40), "large": (50, 100)}
 """Robots and tasks, in a room of 10 m by 10 m, with routes of at most LIMIT m."""
 INSTANCES = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
-"""Of each size, where the command line does not say how many."""
+"""Number of instances of each size, if the command line does not give it."""
 MOST_INSTANCES = 1000
+"""Largest number of instances of a size."""
 DEFAULT = "small:20,middle:5,large:5"
+"""Sizes and numbers of instances, if the command line does not give them."""
 PROVABLE = ("tiny", "small", "middle")
+"""Sizes for which a proof may end in reasonable time."""
 LIMIT = 25.0
-OURS, PROOF = "crazychoir", "crazychoir, proof"
-LOSS, PROCESSES = 0.1, 2
+"""Largest length of a route, m."""
+OURS = "crazychoir"
+PROOF = "crazychoir, proof"
+LOSS = 0.1
+"""Share of the team's messages that is lost."""
+PROCESSES = 2
+"""Number of processes of the team."""
 PATIENCE = 300.0
-"""s that a peer gets at most."""
+"""Seconds that a peer gets at most."""
 LEGEND = """
 Medians over the instances that are done, that is, solved. opt.: proven optimal.
 gap, worst: % over the proven optimum, else over the bound. wall, CPU: s.
 path: s, of the critical path. wins: of the team, p: that it is better."""
 CLOSED = 1e-6
-"""Relative: a plan that is this close to its bound is proven optimal."""
+"""Relative gap up to which a plan counts as proven optimal."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """A program that solves an instance: its module, what must be installed, what it is told, and for which sizes.
-
-    covers: its model lets robots serve a task that another serves, too.
-    """
+    """A program that solves an instance."""
 
     name: str
+    """Name of the program."""
     module: str
+    """Its module in crazychoir.bench.peers."""
     extra: str = ""
+    """Package that must be installed; empty for none."""
     options: dict[str, Any] = field(default_factory=dict)
+    """Its options."""
     sizes: tuple[str, ...] = tuple(SIZES)
+    """Sizes that it solves."""
     covers: bool = False
+    """Whether its model lets several robots serve the same task."""
 
 
 PEERS = (
@@ -99,8 +111,14 @@ def run(
 ) -> dict[str, Any]:
     """Measure all solvers on the instances 1, 2, ... of each size.
 
-    sizes: as "small:20,middle";  prove: the team tries to prove an optimum, too, in a run of its own, of every instance
-    of the sizes where that may end;  quick: two tiny instances, OR-tools for 1 s.
+    sizes: sizes and numbers of instances, such as "small:20,middle"
+    graph: communication graph of the team
+    method: method of the team, None for the default
+    prove: whether the team also tries to prove an optimum, in a run of its own, for the sizes in
+        PROVABLE
+    quick: two tiny instances, and OR-tools for 1 s
+    say: called with a text that says what is being measured
+    Raises ConfigError for an unknown size, graph or method.
     """
     chosen = {"tiny": 2} if quick else instances(sizes)
     method = method or METHODS[0]
@@ -136,7 +154,10 @@ def _tell(say: Callable[[str], None], where: str, what: str) -> None:
 
 
 def instances(sizes: str) -> dict[str, int]:
-    """How many of each size "small:20,middle" means; ConfigError for what is none."""
+    """Return the number of instances of each size of a text such as "small:20,middle".
+
+    Raises ConfigError for a text that is not valid.
+    """
     chosen: dict[str, int] = {}
     for word in sizes.split(","):
         size, _, count = word.strip().partition(":")
@@ -163,7 +184,7 @@ def _rows(
     quick: bool,
     say: Callable[[str], None],
 ) -> Iterator[dict[str, Any]]:
-    """One instance, every solver."""
+    """Yield the row of each solver for one instance."""
     instance = _instance(size, seed)
     head = _head(size, seed)
     robots = instance.robots
@@ -217,7 +238,7 @@ def _rows(
 def _proof(
     size: str, seed: int, graph: str, method: str, say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """The team once more, until it has proven what it can."""
+    """Return the row of the team when it runs until it has proven what it can."""
     say(f"{size} {seed}: proof")
     instance = _instance(size, seed)
     settings = Settings(prove=True)
@@ -249,7 +270,7 @@ def _head(size: str, seed: int) -> dict[str, Any]:
 
 
 def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[str, Any]:
-    """What a peer makes of the instance; why it made nothing is its note."""
+    """Return the row of a peer; if it has no result, the note says why."""
     if peer.extra and importlib.util.find_spec(peer.extra) is None:
         return _nothing(INSTALL)
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
@@ -275,9 +296,11 @@ def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[st
 def judged(
     instance: Instance, answer: dict[str, Any], covers: bool = False
 ) -> dict[str, Any]:
-    """The row of a peer's answer: its routes as they are flown, and what is wrong with them.
+    """Return the row of a peer's answer: its routes as they are flown, and their faults.
 
-    covers: a task that several serve is remarked, and no fault.
+    instance: the instance
+    answer: answer of the peer
+    covers: whether a task served by several robots is only noted, not a fault
     """
     if answer["routes"] is None:
         return _nothing(answer["note"]) | {
@@ -318,7 +341,7 @@ def _route(instance: Instance, robot: int, nodes: list[int]) -> Route:
 
 
 def _team(instance: Instance, solve: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """The row of the team's own result."""
+    """Return the row of the team's own result."""
     try:
         result = solve()
     except CrazyChoirError as error:
@@ -352,9 +375,10 @@ def _nothing(note: str) -> dict[str, Any]:
 
 
 def rated(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of one instance with gap_percent to the `reference`: its proven optimum, else the best exact bound.
+    """Return the rows of one instance, each with its gap_percent to the `reference`.
 
-    A plan that costs less than that bound breaks it: then there is no gap, and the reference says so.
+    The reference is the proven optimum, else the best exact bound. A plan that costs less than
+    that bound disproves it: then there is no gap, and the reference is "broken bound".
     """
     bounds = [row["lower_bound"] for row in rows if row["bound_exact"]]
     best = min((row["cost"] for row in rows if row["feasible"]), default=None)
@@ -374,7 +398,10 @@ def rated(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a size and solver, over the instances that it solved: spreads, and the test against the team."""
+    """Return a row a size and solver over the instances that it solved.
+
+    The row has the spreads of the figures and the test against the team.
+    """
     found = []
     for size, name in dict.fromkeys((row["size"], row["name"]) for row in rows):
         mine = [row for row in rows if (row["size"], row["name"]) == (size, name)]
@@ -416,7 +443,7 @@ def _is_optimal(row: dict[str, Any]) -> bool:
 
 
 def table(result: dict[str, Any]) -> Shown:
-    """The summary, for people: a table a size, so that each fits into 80 columns."""
+    """Return the summary as tables, one a size, so that each fits into 80 columns."""
     head = f"Pickup and delivery: {result['method']} on {result['graph']}, {result['loss']:.0%} lost"
     summed = result["summary"]
     tables: list[Table | str] = []
@@ -491,7 +518,7 @@ def _median(figures: dict[str, float] | None) -> str:
 
 
 def _short(figure: float) -> str:
-    """Three figures, and hundredths at most."""
+    """Return a figure with three digits and at most two decimals."""
     return (
         f"{figure:.2f}"
         if figure < 9.995
@@ -502,7 +529,7 @@ def _short(figure: float) -> str:
 
 
 def _graph(graph: str, robots: int) -> str:
-    """The graph that is asked for, where the team is large enough for it."""
+    """Return the requested graph, or a complete one if the team is too small for it."""
     return "complete" if graph == "k-regular:4" and robots <= 4 else graph
 
 

@@ -1,14 +1,14 @@
-"""`crazychoir bench scale`: what 10 to 1000 agents in 1 to 8 processes cost, and a model of it for more of them.
+"""`crazychoir bench scale`: cost of 10 to 1000 agents in 1 to 8 processes, and a model for more.
 
-Each agent exchanges with four neighbours, scattered over all processes, as fast as it goes. A model is fitted to
-the cells by non-negative least squares of relative errors:
+Each agent exchanges with four neighbours, scattered over all processes, as fast as possible.
+A model is fitted to the cells by non-negative least squares of relative errors:
 
     processor    s a second = steps/s * step + messages/s to others * far + frames/s * frame
     memory       B of all = processes * process + agents * agent + ends of links * link
     start        s = once + processes * process + ends of links * link
     bytes        B/s over the network = messages/s to others * message + frames/s * head
 
-A step has four messages; `far` is what one to another process costs beyond one to the own.
+A step has four messages. `far` is the additional cost of a message to another process.
 """
 
 import json
@@ -35,61 +35,91 @@ from crazychoir.launch.network import held_ports
 from crazychoir.solve.group import Group
 from crazychoir.team.graph import k_regular
 
-AGENTS, PROCESSES = (10, 30, 100, 300, 1000), (1, 2, 4, 8)
+AGENTS = (10, 30, 100, 300, 1000)
+"""Numbers of agents."""
+PROCESSES = (1, 2, 4, 8)
+"""Numbers of processes."""
 QUICK = (10, 40), (1, 2)
+"""Numbers of agents and of processes of a quick run."""
 DEGREE = 4
-START_DEADLINE, WARM = 120.0, 0.5
-HOSTS, EACH, RATE = 100, 100, 10.0
-"""What the model is asked for: hosts, agents on each, rounds/s."""
-CORES, NETWORK = 8, 125e6
-"""Of each host: cores, B/s of its network."""
+"""Neighbours of each agent."""
+START_DEADLINE = 120.0
+"""Seconds until all processes must have found each other."""
+WARM = 0.5
+"""Seconds of exchange before the measured window."""
+HOSTS = 100
+"""Number of hosts in the estimate."""
+EACH = 100
+"""Agents on each of these hosts."""
+RATE = 10.0
+"""Rounds a second in the estimate."""
+CORES = 8
+"""Cores of each host."""
+NETWORK = 125e6
+"""Speed of each host's network, B/s."""
 TERMS = {
     "processor": ("step", "far", "frame"),
     "memory": ("process", "agent", "link"),
     "start": ("once", "process", "link"),
     "bytes": ("message", "head"),
 }
+"""Coefficients of each model."""
 
 
 @dataclass
 class Cell:
-    """So many agents in so many processes; of all processes together, a second where nothing else is said.
+    """One measurement: some agents in some processes.
 
-    rounds: of the slowest agent;  steps: of all agents;  near, far: messages to the own process, and to others;
-    cpu: s;  frames, bytes: over the network;  memory: B;  start: s until all had found each other;  threads: of one.
+    Figures are sums over all processes and rates a second, unless the field says otherwise.
     """
 
     agents: int
+    """Number of agents."""
     processes: int
+    """Number of processes."""
     rounds: float
+    """Rounds of the slowest agent."""
     steps: float
+    """Steps of all agents."""
     near: float
+    """Messages within a process."""
     far: float
+    """Messages to other processes."""
     frames: float
+    """Frames over the network."""
     bytes: float
+    """Bytes over the network."""
     cpu: float
+    """Processor time, s."""
     memory: float
+    """Memory, B, not a rate."""
     start: float
+    """Seconds until all processes had found each other."""
     threads: int
+    """Threads of a single process, the largest number."""
 
     def ends(self) -> int:
-        """Of links: each process has one to each other."""
+        """Return the number of link ends: each process has a link to each other one."""
         return self.processes * (self.processes - 1)
 
 
 @dataclass
 class Fit:
-    """A model of one figure: its coefficients, and how far it is off, as shares.
-
-    error, worst: in the cells that it was fitted to, median and most;  left_out, left_out_worst: in cells of a number
-    of agents, or of processes, that it was not fitted to, None where there are too few.
-    """
+    """A model of one figure, with its relative errors as shares."""
 
     coefficients: dict[str, float]
+    """Coefficients, by term."""
     error: float
+    """Median error in the cells that it was fitted to."""
     worst: float
+    """Largest error in these cells."""
     left_out: float | None
+    """Median error in cells of a number of agents, or of processes, that was left out of the fit.
+
+    None if there are too few cells.
+    """
     left_out_worst: float | None
+    """Largest error in these cells; None if there are too few."""
 
 
 def run(
@@ -97,7 +127,10 @@ def run(
 ) -> dict[str, Any]:
     """Measure all cells and fit the model.
 
-    namespaces: each process has a network of its own;  repeats: medians of so many.
+    quick: fewer cells, one measurement each
+    namespaces: whether each process has a network of its own
+    repeats: measurements of each cell; its figures are medians
+    say: called with a text that says what is being measured
     """
     agents, processes = QUICK if quick else (AGENTS, PROCESSES)
     cells = []
@@ -138,8 +171,15 @@ def run(
 
 
 def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
-    """One window of one cell; raises TimeoutError where they do not find each other."""
-    ids = random.Random(1).sample(range(n), n)  # noqa: S311 - who is where
+    """Measure one window of one cell.
+
+    n: number of agents
+    p: number of processes
+    seconds: s: length of the window
+    namespaces: whether each process has a network of its own
+    Raises TimeoutError if the processes do not find each other.
+    """
+    ids = random.Random(1).sample(range(n), n)  # noqa: S311 - scatters the agents
     graph = k_regular(n, DEGREE)
     neighbors = {
         ids[i]: sorted(ids[j] for j in graph.in_neighbors(i)) for i in range(n)
@@ -189,7 +229,10 @@ def commands(
     addresses: dict[str, str],
     base: int,
 ) -> list[list[str]]:
-    """One a process, each with a contiguous part of the agents, on a port from `base` on."""
+    """Return one command a process, each with a contiguous part of the agents.
+
+    The processes use the ports from `base` on.
+    """
     n = len(neighbors)
     at = list(addresses.values()) if hosts is not None else [LOCAL] * p
     ends = [f"tcp/{address}:{base + k}" for k, address in enumerate(at)]
@@ -225,7 +268,7 @@ def commands(
 
 
 def features(name: str, cell: Cell) -> list[float]:
-    """What the terms of a model count in a cell."""
+    """Return the factors of a model's coefficients in a cell."""
     match name:
         case "processor":
             return [cell.steps, cell.far, cell.frames]
@@ -238,7 +281,7 @@ def features(name: str, cell: Cell) -> list[float]:
 
 
 def figure(name: str, cell: Cell) -> float:
-    """What a model is of."""
+    """Return the measured figure that a model predicts."""
     return {
         "processor": cell.cpu,
         "memory": cell.memory,
@@ -248,7 +291,7 @@ def figure(name: str, cell: Cell) -> float:
 
 
 def solved(name: str, cells: list[Cell]) -> np.ndarray:
-    """Coefficients >= 0 with the least squares of relative errors."""
+    """Return the coefficients >= 0 with the least squares of relative errors."""
     from scipy.optimize import nnls
 
     y = np.array([figure(name, cell) for cell in cells])
@@ -258,7 +301,7 @@ def solved(name: str, cells: list[Cell]) -> np.ndarray:
 
 
 def off(name: str, coefficients: np.ndarray, cells: list[Cell]) -> list[float]:
-    """Relative errors."""
+    """Return the relative errors of a model in these cells."""
     return [
         abs(float(coefficients @ features(name, cell)) / figure(name, cell) - 1.0)
         for cell in cells
@@ -266,7 +309,7 @@ def off(name: str, coefficients: np.ndarray, cells: list[Cell]) -> list[float]:
 
 
 def fit(name: str, cells: list[Cell]) -> Fit:
-    """The model of a figure, and what it says of cells that it has not seen."""
+    """Return the model of a figure, with its errors in cells of the fit and in other cells."""
     cells = [cell for cell in cells if figure(name, cell) > 0.0]
     coefficients = solved(name, cells)
     inside = off(name, coefficients, cells)
@@ -286,10 +329,11 @@ def fit(name: str, cells: list[Cell]) -> Fit:
 
 
 def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
-    """Of HOSTS hosts with EACH agents each, at RATE rounds/s, in one process a host, and in one a core.
+    """Return what HOSTS hosts with EACH agents each need at RATE rounds/s.
 
-    All neighbours are on other hosts, and no two messages share a frame: nothing is better than that, much is worse
-    than need be.
+    The first row has one process a host, the second one process a core.
+    All neighbours are on other hosts, and no two messages share a frame. This is the worst case:
+    real swarms need less.
     """
     rows = []
     for p in (1, CORES):
@@ -324,12 +368,12 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
 
 
 def share(error: float | None) -> str:
-    """In per cent."""
+    """Return a share in per cent, "-" for None."""
     return "-" if error is None else f"{error:.0%}"
 
 
 def table(result: dict[str, Any]) -> RenderableType:
-    """Cells, model, and what it says of more."""
+    """Return the cells, the model and its estimate as tables."""
     columns = (
         "agents",
         "proc",

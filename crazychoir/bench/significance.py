@@ -1,4 +1,4 @@
-"""Figures of a benchmark as a paper gives them: medians, quartiles, worst cases, and a paired test."""
+"""Statistics of a benchmark for a paper: medians, quartiles, worst cases, and a paired test."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from scipy.stats import wilcoxon
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:
-    """Median, quartiles, least and largest."""
+    """Return the median, the quartiles, the least and the largest value."""
     least, lower, median, upper, most = np.percentile(
         np.asarray(values, float), [0, 25, 50, 75, 100]
     ).tolist()
@@ -22,9 +22,11 @@ def spread(values: Sequence[float]) -> dict[str, float]:
 
 
 def paired(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
-    """Both on the same instances: how often ours costs less, and Wilcoxon's signed-rank test that it does.
+    """Compare costs on the same instances: number of wins, and Wilcoxon's signed-rank test.
 
-    p: one-sided, exact where no two differences are equal; None where all are 0. Of n pairs it is at least 2^-n.
+    The alternative hypothesis is that ours costs less.
+    p: one-sided, exact if no two differences are equal, None if all are 0; with n pairs it is at
+    least 2^-n
     """
     gap = np.asarray(theirs, float) - np.asarray(ours, float)
     level = np.abs(gap) <= 1e-6 * np.abs(np.asarray(ours, float))
@@ -39,5 +41,5 @@ def paired(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
 
 
 def relative(cost: float, reference: float) -> float:
-    """How much more it costs, in per cent of the reference."""
+    """Return how much more a plan costs, in per cent of the reference."""
     return 100.0 * (cost / reference - 1.0)

@@ -1,4 +1,4 @@
-"""How exactly a drone flies a path: the controllers alone behind two plants, and the whole stack in virtual time."""
+"""Tracking errors of a drone on a path: controllers alone with two plants, and the whole stack."""
 
 import asyncio
 import math
@@ -30,19 +30,21 @@ from crazychoir.simulation.engines import worlds
 from crazychoir.types import Command, FullState, State, Vec
 
 TICK = 0.01
+"""Period of the control law, s."""
 SETTLE = 4.0
-"""s at full speed that do not count."""
+"""Seconds at full speed that do not count."""
 SECONDS = 20.0
-"""s that do."""
+"""Seconds that count."""
 RAMP = 4.0
-"""s from rest to full speed."""
+"""Seconds from rest to full speed."""
 DELAY = 0.02
-"""s until a command is obeyed, at the motor level."""
+"""Delay of a command at the motor level, s."""
 LOST = 1.0
-"""m from the reference at which a flight is given up."""
+"""Distance from the reference at which the drone counts as lost, m."""
 NOMINAL = "nominal"
 URI = {"lightweight": "sim://", "motors": "sim://motors"}
 CAMERAS = {"noise": 0.0005, "noise_angle": math.radians(0.25), "latency": 0.01}
+"""Errors of the cameras: m, rad, s."""
 
 Say = Callable[[str], None]
 Errors = list[Vec]
@@ -52,18 +54,18 @@ PATHS: tuple[Path, ...] = ("circle", "eight-1", "eight-2")
 
 @dataclass(frozen=True)
 class Corner:
-    """A drone that is not what its controllers believe.
-
-    thrust, mass: shares of error;  tilt: (roll, pitch) deg, by which the cameras see it tilted.
-    """
+    """A drone that differs from the model of its controllers."""
 
     thrust: float
+    """Relative error of its thrust."""
     mass: float
+    """Relative error of its mass."""
     tilt: tuple[float, float]
+    """Error of its attitude in the cameras: roll and pitch, deg."""
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The corner in words."""
         axis, angle = (
             ("roll", self.tilt[0]) if self.tilt[0] else ("pitch", self.tilt[1])
         )
@@ -80,20 +82,22 @@ CORNERS = [
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of the table: rmse_mm None if the drone was lost."""
+    """One row of the table."""
 
     plant: str
     path: str
     controller: str
     corner: str
     rmse_mm: float | None
+    """Root mean square distance from the reference, mm; None if the drone was lost."""
     peak_mm: float | None
+    """Largest distance from the reference, mm; None if the drone was lost."""
 
 
 def row(
     plant: str, name: str, controller: str, corner: str, errors: Errors | None
 ) -> Row:
-    """The root mean square and the largest distance from the reference."""
+    """Return a row with the root mean square and the largest distance from the reference."""
     if not errors:
         return Row(plant, name, controller, corner, None, None)
     distances = 1e3 * np.linalg.norm(errors, axis=1)
@@ -108,7 +112,11 @@ def row(
 
 
 def shape(name: Path) -> dict[str, Any]:
-    """The circle of 0.4 m in 40 s; the eight of 2 m by 1 m at a peak of 1 or 2 m/s: options of the mission `figure`."""
+    """Return the options of the mission `figure` for a path.
+
+    The circle has a radius of 0.4 m and takes 40 s. The eight measures 2 m by 1 m, with a peak
+    speed of 1 or 2 m/s.
+    """
     period = (
         40.0 if name == "circle" else 2.0 * math.pi * math.sqrt(2.0) / float(name[-1])
     )
@@ -123,7 +131,7 @@ def shape(name: Path) -> dict[str, Any]:
 
 
 def path(name: Path) -> Figure:
-    """The same as a trajectory, around (0, 0, 1)."""
+    """Return the path as a trajectory around (0, 0, 1)."""
     chosen = shape(name)
     size = chosen.pop("size")
     kind = chosen.pop("figure")
@@ -136,7 +144,7 @@ def path(name: Path) -> Figure:
 
 
 def counts(t: float) -> bool:
-    """Whether this instant of a path is at full speed and settled."""
+    """Return whether the drone is at full speed and settled at t s of a path."""
     return RAMP + SETTLE <= t <= RAMP + SETTLE + SECONDS
 
 
@@ -146,7 +154,13 @@ def swarm(
     home: tuple[float, float, float],
     corner: Corner | None = None,
 ) -> SwarmConfig:
-    """One Crazyflie 2.1 with the mission `figure`, in still air."""
+    """Return one Crazyflie 2.1 with the mission `figure`, in still air.
+
+    plant: simulated engine
+    name: path
+    home: (3,) m, world
+    corner: errors of its model, None for none
+    """
     exact = {"command_delay": DELAY if plant == "motors" else 0.0, "rate_lag": 0.0}
     off = (
         {}
@@ -176,9 +190,10 @@ def swarm(
 
 
 def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
-    """Errors of a flight whose controllers see the truth, from the start of the path; None if the drone is lost.
+    """Return the errors of a flight with controllers that see the true state; None if it is lost.
 
-    A lightweight drone obeys at once, one at the motor level DELAY s late.
+    They are counted from the start of the path. A lightweight drone obeys at once, a drone at the
+    motor level DELAY s later.
     """
     figure = path(name)
     [world] = worlds(swarm(plant, name, tuple(figure.sample(0.0).p.tolist())), (0,))
@@ -205,7 +220,10 @@ def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
 
 
 def original(plant: Plant) -> Controls:
-    """The flatness controller with the gains of CrazyChoir's Webots simulation, nothing fed forward early or learnt."""
+    """Return the flatness controller with the gains of CrazyChoir's Webots simulation.
+
+    It has no early feed-forward and learns nothing.
+    """
     m = 0.038
     gains = Gains(
         (0.4 / m, 0.4 / m, 1.25 / m), (0.2 / m, 0.2 / m, 0.4 / m), (16.0, 16.0, 0.2)
@@ -218,7 +236,7 @@ def original(plant: Plant) -> Controls:
 
 
 def ours(plant: Plant) -> Controls:
-    """The standard."""
+    """Return the standard controllers."""
     return controls(
         platform=CRAZYFLIE_21,
         plant=plant,
@@ -231,7 +249,10 @@ def ours(plant: Plant) -> Controls:
 
 
 def whole(name: Path, corner: Corner | None = None) -> Errors | None:
-    """Errors of the mission `figure` flown by an agent; None if the drone is lost, or has not flown all that counts."""
+    """Return the errors of the mission `figure` flown by an agent.
+
+    None if the drone is lost, or if it has not flown all the time that counts.
+    """
     config = swarm("motors", name, (0.0, 0.0, 0.0), corner)
 
     async def main(clock: Clock) -> Errors | None:
@@ -250,7 +271,7 @@ def whole(name: Path, corner: Corner | None = None) -> Errors | None:
 
 
 class Meter(Actor):
-    """Looks at the truth in each tick in which drone 0 flies its figure."""
+    """Compares the true place with the reference at each tick in which drone 0 flies its figure."""
 
     name = "meter"
 
@@ -262,7 +283,7 @@ class Meter(Actor):
         agent.bus.subscribe(REFERENCE, 0, 0, Call(agent.clock, self._flown))
 
     async def run(self) -> None:
-        """References call it."""
+        """Wait for ever: the subscription to references does the work."""
         await asyncio.get_running_loop().create_future()
 
     def _flown(self, reference: FullState, age: float) -> None:
@@ -277,7 +298,10 @@ class Meter(Actor):
 
 
 def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
-    """{"rows": [...]}: {plant, path, controller, corner, rmse_mm, peak_mm}, rmse_mm null where the drone was lost."""
+    """Return {"rows": [...]}, each {plant, path, controller, corner, rmse_mm, peak_mm}.
+
+    rmse_mm is None if the drone was lost.
+    """
     return {"rows": [asdict(row) for row in _rows(quick, say)]}
 
 
@@ -306,7 +330,7 @@ def _rows(quick: bool, say: Say) -> Iterator[Row]:
 
 
 def table(result: dict[str, Any]) -> Table:
-    """The rows, for people."""
+    """Return the rows as a table."""
     shown = Table(title="Distance from the reference, mm, at full speed after 4 s")
     for name in ("plant", "path", "controller", "corner", "RMS", "largest"):
         shown.add_column(

@@ -1,4 +1,4 @@
-"""What the step of a simulated world costs alone, beside other simulators of quadrotors."""
+"""Cost of one step of a simulated world alone, beside other simulators of quadrotors."""
 
 import importlib
 import importlib.util
@@ -24,13 +24,18 @@ from crazychoir.simulation.motor_level.motors import MotorWorld
 from crazychoir.types import Mat
 
 COUNTS = (100, 1000)
+"""Numbers of drones."""
 TICK = 0.01
-"""s, of one step."""
+"""Length of one step, s."""
 REPEATS = 7
+"""Repetitions of a measurement; the median counts."""
 PATIENCE = 300.0
-"""s that a program of others gets."""
+"""Seconds that another simulator gets."""
 REFRESH = 40
-"""Steps after which set-points are sent again: before the firmware takes the silence for a lost radio."""
+"""Steps after which set-points are sent again.
+
+This is before the firmware takes the silence for a lost radio.
+"""
 WIND = Wind((0.5, 0.0, 0.0), 0.2)
 
 Step = Callable[[], object]
@@ -38,7 +43,7 @@ Engine = Callable[[int], Step]
 
 
 def places(n: int) -> Mat:
-    """n places in a lattice 0.8 m wide, 1 m above the floor and higher: as dense as drones fly."""
+    """Return n places in a lattice of 0.8 m, from 1 m above the floor: as dense as drones fly."""
     side = int(np.ceil(np.cbrt(n)))
     lattice = np.stack(
         np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1
@@ -47,22 +52,25 @@ def places(n: int) -> Mat:
 
 
 def lightweight(n: int) -> Step:
-    """The paper's model."""
+    """Return the step of the paper's model."""
     return CFIntegrator(range(n), places(n)).step
 
 
 def motors(n: int) -> Step:
-    """Everything of the motor level, wind and gusts, with held motor commands."""
+    """Return the step of the whole motor level, with wind, gusts and constant motor commands."""
     return MotorWorld(range(n), places(n), wind=WIND).step
 
 
 def crazyflies(n: int) -> Step:
-    """The same with the firmware on board of every drone, flying body rates."""
+    """Return the step of the motor level with the firmware on board, flying body rates."""
     return _hovering(CrazyflieWorld(range(n), places(n), wind=WIND), n)
 
 
 def crazyflies_in_mujoco(n: int) -> Step:
-    """The same in MuJoCo, with contacts; what is not installed raises ModuleNotFoundError."""
+    """Return the step of the same drones in MuJoCo, with contacts.
+
+    Raises ModuleNotFoundError if MuJoCo is not installed.
+    """
     importlib.import_module("mujoco")
     from crazychoir.simulation.mujoco.world import MujocoWorld
 
@@ -70,7 +78,7 @@ def crazyflies_in_mujoco(n: int) -> Step:
 
 
 def _hovering(world: CrazyflieWorld, n: int) -> Step:
-    """The step of a world whose drones have been armed, and are sent their weight as thrust."""
+    """Return the step of a world with armed drones that get their weight as thrust."""
     steps = 0
     links = [world.link(i, "fpqr") for i in range(n)]
     for link in links:
@@ -92,7 +100,10 @@ def _hovering(world: CrazyflieWorld, n: int) -> Step:
 
 
 def in_mujoco(n: int) -> Step:
-    """MuJoCo: n free bodies in one model, 1 kHz, wrenches held for 10 ms; without contacts, as nothing touches."""
+    """Return the step of n free bodies in one model of MuJoCo, at 1 kHz, without contacts.
+
+    Wrenches are held for 10 ms. Contacts are off because nothing touches.
+    """
     mujoco: Any = importlib.import_module("mujoco")
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.001
@@ -116,7 +127,10 @@ def in_mujoco(n: int) -> Step:
 
 
 def in_crazyflow(n: int, calls: int) -> float:
-    """s of a step of crazyflow, in a process of its own; raises ModuleNotFoundError."""
+    """Return the s of a step of crazyflow, in a process of its own.
+
+    Raises ModuleNotFoundError if it is not installed.
+    """
     if importlib.util.find_spec("crazyflow") is None:
         raise ModuleNotFoundError("crazyflow")
     program = Path(__file__).with_name("peers") / "crazyflow_peer.py"
@@ -149,7 +163,10 @@ CRAZYFLOW = "crazyflow"
 def run(
     counts: tuple[int, ...] = COUNTS, say: Callable[[str], None] = lambda line: None
 ) -> list[dict[str, Any]]:
-    """Rows {engine, drones, real_time_factor, ns_per_drone_ms}, medians; with a note where it is not installed."""
+    """Return rows {engine, drones, real_time_factor, ns_per_drone_ms} of medians.
+
+    The note of a row says if the simulator is not installed.
+    """
     return [_row(name, n, say) for n in counts for name in (*ENGINES, CRAZYFLOW)]
 
 
@@ -178,7 +195,7 @@ def _row(name: str, n: int, say: Callable[[str], None]) -> dict[str, Any]:
 
 
 def _seconds(step: Step, calls: int) -> float:
-    """Of one call: the median over repeats of so many."""
+    """Return the s of one call: the median over repeats, each with `calls` calls."""
     took = []
     for _ in range(REPEATS):
         start = time.perf_counter()
@@ -189,7 +206,7 @@ def _seconds(step: Step, calls: int) -> float:
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """The rows, for people."""
+    """Return the rows as a table."""
     shown = Table(title="The step of a world alone, one core")
     for name in ("engine", "drones", "times real time", "ns/drone/ms"):
         shown.add_column(name, justify="left" if name == "engine" else "right")

@@ -1,1 +1,1 @@
-"""Command lines: crazychoir and crazychoir-agent."""
+"""The command lines crazychoir, crazychoir-agent and those of the other processes of a flight."""

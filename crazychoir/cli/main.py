@@ -1,4 +1,4 @@
-"""crazychoir: run missions, solve instances, look into a running swarm."""
+"""crazychoir: fly missions, solve instances, inspect and command a running swarm."""
 
 import time
 from contextlib import nullcontext
@@ -90,7 +90,7 @@ def crazychoir(
         ),
     ] = False,
 ) -> None:
-    """Swarms that optimise and fly together."""
+    """Swarms of drones that optimise and fly together."""
 
 
 @app.command(
@@ -98,9 +98,10 @@ def crazychoir(
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )
 def bench(context: typer.Context) -> None:
-    """Measure, against peers of the same run."""
+    """Measure speed and accuracy, beside other programs in the same run."""
+    # The import takes 1 s, for which other commands need not wait.
     from crazychoir.cli.compute.bench import (
-        app as benches,  # its commands, options and help; 1 s that others need not wait
+        app as benches,
     )
 
     benches(context.args, prog_name=context.command_path)
@@ -160,7 +161,7 @@ def run(
     """Fly a mission on this machine; Ctrl-C lands the drones."""
     set_up_logging()
     with LATER.checks_first():
-        from crazychoir.cli.shared.chosen_swarm import (  # kernels and network: 1 s that --help does not need
+        from crazychoir.cli.shared.chosen_swarm import (  # takes 1 s, which --help does not need
             check_options,
             named_file,
             to_run,
@@ -259,8 +260,10 @@ def run(
 def _drawn(
     mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None
 ) -> str | None:
-    """Draw the picture of the mission; of one that draws none, what was flown. Returns its path, None if none is asked,
-    and where the mission's own picture has not been drawn.
+    """Draw the picture of the mission; a mission without a picture gets the flown paths.
+
+    Returns the path of the picture, or None if no picture is requested or the mission's own
+    picture() did not write the file.
     """
     if path is None:
         return None
@@ -283,7 +286,10 @@ def _drawn(
 
 
 def _version(path: Path) -> tuple[int, ...] | None:
-    """What changes when a file is written; None without one."""
+    """Return values that change when the file is written: inode, size and ns of its last change.
+
+    Returns None if there is no file.
+    """
     if not path.exists():
         return None
     about = path.stat()
@@ -298,7 +304,7 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line."""
     ending.run(app)
 
 

@@ -267,7 +267,7 @@ class FlatnessPositionCtrl(Tuned):
         It is F/m after its limits, without gravity, drag and trim.
         """
         a = self._out[COMMANDED:].copy()
-        a.setflags(False)  # by position: faster than by name, in each tick
+        a.setflags(False)  # type: ignore[call-arg]  # faster by position than by name, in each tick
         return a
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:

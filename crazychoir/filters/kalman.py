@@ -572,7 +572,7 @@ class KalmanFilter:
         )
         if speed < 0.0:
             return self._refuse(pose, now, doubtful=speed < -1.5)
-        out.setflags(False)  # by position: faster than by name, in each tick
+        out.setflags(False)  # type: ignore[call-arg]  # faster by position than by name, in each tick
         self.speed = speed
         self.measured = now - age
         self._doubted = 0

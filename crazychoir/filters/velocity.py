@@ -142,7 +142,7 @@ class VelocityFilter:
         t = age if age < self.horizon else self.horizon
         speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:
-            out.setflags(False)  # by position: faster than by name, in each tick
+            out.setflags(False)  # type: ignore[call-arg]  # faster by position than by name, in each tick
             self.speed = speed
             self.measured = now - age
             self._state = state = State(out, age)

@@ -1,1 +1,1 @@
-"""Many drones on this machine: one process in virtual time, or processes of agents in real time; and the score."""
+"""Start a swarm on this machine, in virtual or in real time, and score its flight."""

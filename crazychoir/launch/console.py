@@ -1,4 +1,4 @@
-"""What people see: tables, live progress, errors."""
+"""What a command shows to the user: tables, live progress, errors."""
 
 import contextlib
 import json
@@ -31,14 +31,23 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 STDERR = Console(stderr=True, markup=False, emoji=False)
-"""For what goes on, and what goes wrong. A text is printed as it is: names may look like the markup of rich."""
+"""Console for progress and errors.
+
+A text is printed as it is, because names may look like the markup of rich.
+"""
 
 
 class Answers(Console):
-    """Standard output, for what a command answers. Where that cannot be written, it goes to standard error."""
+    """Standard output, for the answers of commands.
+
+    If standard output cannot be written, the answer goes to standard error.
+    """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """As rich prints."""
+        """Print as rich does.
+
+        Exits with 1 after an error of standard output.
+        """
         try:
             super().print(*objects, **options)
         except BrokenPipeError:
@@ -50,24 +59,27 @@ class Answers(Console):
 
 
 STDOUT = Answers(markup=False, emoji=False)
-"""For what a command answers."""
+"""Console for the answers of commands."""
 REFRESH = 4
-"""Tables a second."""
+"""Updates of a live table, Hz."""
 WIDE = 100
-"""Columns of a terminal from which tables show everything."""
+"""Width of a terminal, in columns, from which on tables show all counters."""
 PICTURES = (".png", ".pdf", ".svg")
-"""Kinds of pictures that are drawn."""
+"""Suffixes of the pictures that can be drawn."""
 
 
 class TracesOnce(logging.Formatter):
-    """Thirty drones whose law fails in the same way say so each; how it came there is shown once."""
+    """Formats log records, and prints each traceback only once.
+
+    If thirty drones fail in the same law, each reports its failure, but the traceback appears once.
+    """
 
     def __init__(self) -> None:
         super().__init__("%(message)s")
         self._shown: set[tuple[object, ...]] = set()
 
     def formatException(self, ei: Any) -> str:
-        """The traceback, or nothing if one of the same lines was shown."""
+        """Return the traceback; empty if a traceback with the same lines was printed before."""
         places = traceback.extract_tb(ei[2])
         key = (ei[0], *((place.filename, place.lineno) for place in places))
         if key in self._shown:
@@ -77,7 +89,7 @@ class TracesOnce(logging.Formatter):
 
 
 def set_up_logging(level: int = logging.WARNING) -> None:
-    """Logs go to standard error, those of the network too."""
+    """Send all logs to standard error, those of the network too."""
     handshakes.overhear()
     if sys.stderr.isatty():
         from rich.logging import RichHandler
@@ -89,15 +101,16 @@ def set_up_logging(level: int = logging.WARNING) -> None:
         handler = logging.StreamHandler()
     handler.setFormatter(TracesOnce())
     logging.basicConfig(level=level, handlers=[handler], force=True)
-    logging.getLogger("matplotlib").setLevel(
-        logging.ERROR
-    )  # it says where it keeps its list of fonts
+    # Matplotlib otherwise logs the place of its list of fonts.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 @contextlib.contextmanager
 def prints_aside() -> Iterator[None]:
-    """Standard output is for what a command answers: what missions, and programs that they start, print goes aside,
-    to standard error.
+    """Redirect standard output to standard error.
+
+    Standard output is for the answer of the command. This concerns what missions print, and the
+    programs that they start.
     """
     with (
         contextlib.redirect_stdout(sys.stderr),
@@ -118,7 +131,7 @@ def _aside() -> Iterator[None]:
 
 
 def write_json(value: Any) -> None:
-    """One line of JSON on standard output, at once."""
+    """Write a value as one line of JSON to standard output, and flush."""
     line = json.dumps(plain(value), default=str) + "\n"
     try:
         sys.stdout.write(line)
@@ -132,7 +145,7 @@ def write_json(value: Any) -> None:
 
 
 def _give_up_on_output(error: OSError) -> None:
-    """Say that standard output takes nothing, as on a full disk, and forget what it still holds."""
+    """Report that standard output cannot be written, as on a full disk, and drop its buffer."""
     text = f"standard output: {error.strerror}: the answer is printed here. Name another file, or make room."
     STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
     with contextlib.suppress(OSError, ValueError):
@@ -142,13 +155,21 @@ def _give_up_on_output(error: OSError) -> None:
 
 
 def require_drawable(path: Path | None) -> None:
-    """Raise ConfigError, before anything is computed, for a picture of a kind that there is not, or in no folder."""
+    """Raise ConfigError, before anything is computed, if the picture cannot be drawn.
+
+    The reason is an unknown suffix, or a folder that does not exist.
+    """
     if path is not None:
         require_writable_file(path, "--picture", PICTURES)
 
 
 def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
-    """Raise ConfigError for a drone that no radio reaches; which: a text that says which swarm it is."""
+    """Raise ConfigError for a drone that no radio reaches.
+
+    config: the swarm
+    which: text that says where the swarm comes from
+    drone: id of the drone
+    """
     if drone not in config.reached:
         do = (
             ""
@@ -161,9 +182,11 @@ def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
 
 
 class Outputs:
-    """Writes what a command was asked to write beside its answer: what fails is said, and the answer is printed still.
+    """Writes the files that a command must write beside its answer.
 
-    failed: by option, why it is not there.
+    If a file fails, this is reported and the answer is still printed.
+
+    failed: the reason for each option with a failed file
     """
 
     def __init__(self) -> None:
@@ -171,7 +194,10 @@ class Outputs:
 
     @contextlib.contextmanager
     def writing(self, option: str) -> Iterator[None]:
-        """Note whatever is raised in the block: a full disk, values that cannot be drawn, a mission's own code."""
+        """Note every exception of the block as the failure of this option.
+
+        Examples are a full disk, values that cannot be drawn, and errors in a mission's own code.
+        """
         try:
             yield
         except Exception as error:
@@ -184,7 +210,7 @@ class Outputs:
             log.debug("%s", option, exc_info=error)
 
     def say(self) -> None:
-        """One line on standard error for each that is not there."""
+        """Print a line to standard error for each file that was not written."""
         for option, why in self.failed.items():
             text = why if why.startswith(option) else f"{option}: {why}"
             STDERR.print(
@@ -197,26 +223,25 @@ class Outputs:
 
     @property
     def told(self) -> dict[str, Any]:
-        """What a JSON answer says of it: `not_written`, if something is not."""
+        """The part of a JSON answer about failed files: `not_written`, or nothing."""
         return {"not_written": self.failed} if self.failed else {}
 
 
 def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
-    """Say what is wrong, and end with exit code 2."""
+    """Print the error and exit with 2."""
     if as_json:
         write_json(
             {"success": False, "error": str(error), "kind": type(error).__name__}
         )
     STDERR.print(Text.assemble((type(error).__name__, "bold red"), ": "), end="")
-    text = (
-        f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)
-    )  # its name is said already
+    # The text of Refused would repeat the name of the class.
+    text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)
     STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)
 
 
 def interrupted(as_json: bool) -> NoReturn:
-    """Say that Ctrl-C has ended what flew nothing real, and end as the shell expects it."""
+    """Report that Ctrl-C has ended a command that flies no real drone, and exit with 130."""
     text = "Ctrl-C: the run ends here, without a result"
     if as_json:
         write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
@@ -225,7 +250,12 @@ def interrupted(as_json: bool) -> NoReturn:
 
 
 def warn_of(recording: "Recording", left: str) -> None:
-    """Say what a recording lacks: its end, and `left`, what is done with the rest; messages lost or missed."""
+    """Warn about what a recording lacks.
+
+    recording: the recording
+    left: text that says what happens with the part that is there
+    The warnings concern the end of the recording, and messages that were lost or missed.
+    """
     said = [f"the recording was {recording.fault}: {left}"] if recording.fault else []
     said += (
         [f"messages lost while it was recorded: {recording.lost}"]
@@ -248,7 +278,7 @@ def warn_of(recording: "Recording", left: str) -> None:
 
 
 def result_table(results: dict[Any, dict[str, Any]]) -> Table:
-    """One row a drone."""
+    """Return a table with one row a drone."""
     table = Table("drone", "success", "detail")
     for i, result in results.items():
         rest = ", ".join(
@@ -262,7 +292,7 @@ def result_table(results: dict[Any, dict[str, Any]]) -> Table:
 
 
 def _of(i: Any, reason: Any) -> str:
-    """A reason beside the name of its drone, which it may begin with."""
+    """Return the reason of drone i without "drone i: " at its beginning."""
     return str(reason).removeprefix(f"drone {i}: ")
 
 
@@ -272,7 +302,10 @@ def _short(value: Any) -> str:
 
 
 def status_table(score: "Score") -> Group:
-    """The live view of a swarm: a line a drone, and below what troubles any. Narrow ones leave out two counters."""
+    """Return the live view of a swarm: one line a drone, and the notes of the drones below.
+
+    A narrow terminal leaves out two counters.
+    """
     counters = ("sent", "lost", "resent") if STDERR.width >= WIDE else ("lost",)
     columns = ("drone", "phase", "task", "round", "cost", *counters, "silent")
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
@@ -308,7 +341,10 @@ def status_table(score: "Score") -> Group:
 
 
 def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
-    """Whom a drone misses, without those that are back on the ground: they have ended and owe nobody a word."""
+    """Return the drones that this drone does not hear, as text.
+
+    Drones that have ended on the ground are left out: they need not send any more.
+    """
     from crazychoir.agent.drone import WAITING
 
     ended = [
@@ -319,7 +355,7 @@ def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
 
 
 def _clocks(statuses: Iterable["Status"]) -> list[str]:
-    """How far the clocks of hosts are apart, a line a pair."""
+    """Return the difference between the clocks of each two hosts, a line a pair."""
     said: dict[frozenset[str], str] = {}
     for status in statuses:
         for host, offset, error in zip(
@@ -334,12 +370,16 @@ def _clocks(statuses: Iterable["Status"]) -> list[str]:
 
 
 def _line(text: str) -> Text:
-    """A text that stays on one line, cut where there is no room."""
+    """Return a text that stays on one line and is cut if the terminal is too narrow."""
     return Text(text, no_wrap=True, overflow="ellipsis")
 
 
 class Progress(Generic[T]):
-    """A live table of what it is called with, REFRESH times a second, and lines above it."""
+    """A live table, updated REFRESH times a second, with lines above it.
+
+    table: makes the table from the newest state
+    enabled: whether the table is shown
+    """
 
     def __init__(self, table: Callable[[T], RenderableType], enabled: bool) -> None:
         from rich.live import Live
@@ -353,14 +393,14 @@ class Progress(Generic[T]):
         self._due = 0.0
 
     def __call__(self, seen: T) -> None:
-        """Show the newest state, when it is time."""
+        """Show the newest state if an update is due."""
         if self.live is None or time.perf_counter() < self._due:
             return
         self._due = time.perf_counter() + 1.0 / REFRESH
         self.live.update(self.table(seen))
 
     def say(self, line: str) -> None:
-        """A line above the table."""
+        """Print a line above the table."""
         STDERR.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def __enter__(self) -> Self:
@@ -380,7 +420,7 @@ def _verdict(run: dict[str, Any]) -> str:
 
 
 def summary_table(run: dict[str, Any]) -> Table:
-    """The result of a run, one row a figure."""
+    """Return the result of a run, one row a figure."""
     table = Table("figure", "value", title=f"{_flown(run)}: {_verdict(run)}")
     shown = [
         ("drones", "{}"),
@@ -406,9 +446,8 @@ def summary_table(run: dict[str, Any]) -> Table:
     ]
     if len(run["here"]) < run["drones"]:
         table.add_row("started here", ", ".join(map(str, run["here"])))
-    same = (
-        () if run.get("digest") else ("simulated_s", "real_time_factor")
-    )  # on the wall clock they say nothing
+    # In real time the simulated time is the wall time, so these two figures say nothing.
+    same = () if run.get("digest") else ("simulated_s", "real_time_factor")
     for key, form in shown:
         if run.get(key) is not None and key not in same:
             table.add_row(
@@ -432,13 +471,13 @@ def summary_table(run: dict[str, Any]) -> Table:
 
 
 def _flown(run: dict[str, Any]) -> str:
-    """The mission, without the folder of its file; and the swarm, where that has a file of its own."""
+    """Return the mission without its folder, and the name of the swarm if it has its own file."""
     mission = Path(run["mission"]).name
     return f"swarm {run['swarm']}, {mission}" if "swarm" in run else mission
 
 
 def _recording(recording: dict[str, Any]) -> str:
-    """Where it is, and what is not in it."""
+    """Return where the recording is, and what it lacks."""
     text = f"{recording['file']}: {recording['messages']} messages"
     error = recording["error"]
     text += "".join(
@@ -448,7 +487,10 @@ def _recording(recording: dict[str, Any]) -> str:
 
 
 def _figures(value: Any) -> str:
-    """What a mission reports, on one line: empty where it is a list of more than figures, which only JSON has."""
+    """Return a value of a mission's report on one line.
+
+    Empty for a list with other entries than figures and texts: only JSON shows these.
+    """
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, dict):
         return _pairs(value)

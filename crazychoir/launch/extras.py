@@ -1,4 +1,4 @@
-"""What is not installed here: said once, before any process is started."""
+"""Check that the optional packages of a run are installed, before any process is started."""
 
 import importlib.util
 from collections.abc import Iterable
@@ -14,10 +14,11 @@ WITHOUT_EXTRA = ("virtual", "replay")
 
 
 def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> None:
-    """Raise ConfigError for an extra that the processes of a run on this machine need and that is not installed.
+    """Raise ConfigError for an extra that this run needs on this machine and that is not installed.
 
-    owners: those that this run starts.
-    fast: whether it flies in this process, in virtual time.
+    config: the swarm
+    owners: owner processes that this run starts
+    fast: whether it flies in this process, in virtual time
     """
     started = {owner.name for owner in owners}
     in_mujoco = [drone.id for drone in config.drones if drone.uri.startswith(MUJOCO)]
@@ -30,6 +31,7 @@ def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> 
 
 
 def _require(where: str, module: str, extra: str) -> None:
+    """Raise ConfigError if a module of this extra is not installed."""
     if importlib.util.find_spec(module) is None:
         do = f"pip install 'crazychoir[{extra}]'."
         raise ConfigError(

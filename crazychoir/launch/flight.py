@@ -1,4 +1,4 @@
-"""A mission flown by all its drones, in virtual time or in real time; and the object that `run --json` prints."""
+"""Fly a mission with all its drones, in virtual or real time, and return the result of the run."""
 
 import logging
 import time
@@ -34,7 +34,7 @@ HELD = {
     "at_fence_s": "held at the fence for {:g} s",
     "apart": "at its end the {}",
 }
-"""What has kept a drone from where it wanted to be, by the key of its result."""
+"""Text for each key of a result that says what has kept the drone from its target."""
 NO_RESULT = "its process has ended without a result; the log says how"
 NOBODY_MOVED = (
     "the law returned None in every step of every drone: all hovered, nobody moved"
@@ -48,7 +48,14 @@ def fly_fast(
     watch: Watch | None = None,
     file: RecordingFile | None = None,
 ) -> dict[str, Any]:
-    """The whole swarm in this process, in virtual time; recorded into `file`."""
+    """Fly the whole swarm in this process, in virtual time.
+
+    config: the swarm
+    mission: its mission
+    watch: called with the score at every tick, None for no view
+    file: recording of the flight, None for none
+    Returns the object of `summary`, with the figures of the whole flight.
+    """
     began = time.perf_counter()
 
     async def main(clock: Clock) -> dict[str, Any]:
@@ -61,7 +68,8 @@ def fly_fast(
             watch or (lambda score: None),
         )
         agent.services.append(score)
-        outcome = lambda: {"digest": trace.digest()}  # noqa: E731 - of the whole flight, when the drones have ended
+        # A function, because the digest is complete only when the drones have ended.
+        outcome = lambda: {"digest": trace.digest()}  # noqa: E731
         recorder = (
             Recorder(agent.bus, config.ids, file, outcome=outcome) if file else None
         )
@@ -97,9 +105,17 @@ def fly_real(
     started: tuple[int, ...] | None = None,
     file: RecordingFile | None = None,
 ) -> dict[str, Any]:
-    """One process a group of the swarm file, over Zenoh; this process looks on, and records into `file`.
+    """Fly a swarm in real time: one process a group of the swarm file, connected by Zenoh.
 
-    path: the file of `config`, for the processes;  started: the drones to start, None for all: whole groups.
+    This process observes the swarm and records it into `file`.
+    path: file of `config`, for the processes
+    config: the swarm
+    mission: its mission
+    options: further options for the processes
+    watch: called with the score at every tick, None for no view
+    say: called with each line that a process prints
+    started: drones to start, None for all; a group with one of them starts as a whole
+    file: recording of the flight, None for none
     """
     groups = [
         group
@@ -160,11 +176,17 @@ def summary(
     wall: float,
     started: tuple[int, ...] | None = None,
 ) -> dict[str, Any]:
-    """The object that `run --json` prints; what the mission reports is added to the figures of the run.
+    """Return the object that `run --json` prints: the figures of the run and the mission's report.
 
-    wall: s, from GO; before it drones are made, and laws are compiled if they were not: `startup_s`.
-    started: the drones that were started here, None for all: they decide on the success. What is measured from outside
-    is of the whole swarm. The mission's own report needs the results of all drones, and is left out without them.
+    config: the swarm
+    mission: its mission
+    results: result of each drone that has one
+    score: what the observer measured, which covers the whole swarm
+    simulated: s of flight
+    wall: s on the wall clock, in real time since GO; `startup_s` is the time before, in which
+        drones are made and laws may be compiled
+    started: drones that were started here, None for all; the success depends on these
+    The mission's own report needs the results of all drones. It is left out if some are missing.
     """
     started = config.ids if started is None else started
     ended = {i: r[ENDED] for i, r in sorted(results.items()) if ENDED in r}
@@ -232,7 +254,10 @@ def summary(
 
 
 def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
-    """Those that are started here: with all drones, or with the lowest one of their host."""
+    """Return the owner processes to start here.
+
+    An owner starts with all drones, or with the lowest drone of its host.
+    """
     found = (
         [WORLD_OWNER]
         if config.owned and _starts(config, config.world.host, started)
@@ -255,7 +280,7 @@ def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
 
 
 def dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[int]:
-    """Those whose owners are started here."""
+    """Return the dongles with an owner that starts here."""
     return [
         k for k in config.dongles if _starts(config, config.dongle_host(k), started)
     ]
@@ -270,14 +295,14 @@ def _starts(
 
 
 def all_wait(config: SwarmConfig, score: Score) -> bool:
-    """Whether every drone must be there for the start, and none is known to have begun."""
+    """Return whether the start needs every drone, and no drone is known to have begun."""
     return config.start == "all" and all(
         status.task == WAITING for status in score.statuses.values()
     )
 
 
 def hindrances(results: Results) -> dict[int, list[str]]:
-    """What has kept each drone from where it wanted to be, of those that something has."""
+    """Return for each hindered drone the texts that say what has kept it from its target."""
     told = {
         i: [text.format(r[key]) for key, text in HELD.items() if key in r]
         for i, r in sorted(results.items())
@@ -286,18 +311,24 @@ def hindrances(results: Results) -> dict[int, list[str]]:
 
 
 def unended(results: Results) -> Results:
-    """The results as the mission's report sees them: a drone that its operator has ended did not do its part."""
+    """Return the results for the mission's report.
+
+    A drone that its operator has ended counts as failed.
+    """
     return {i: {**r, "success": False} if ENDED in r else r for i, r in results.items()}
 
 
 def excused(
     off: Mapping[int, object], ended: Mapping[int, str]
 ) -> tuple[bool, dict[int, object], dict[int, str]]:
-    """Take the consequences of an operator's end from the reasons of a report that is no success.
+    """Remove the drones that their operator has ended from the reasons of a failed report.
 
-    off: the report's reasons, by drone;  ended: by drone, how its operator has ended it.
-    Returns whether no reason is left; the reasons that are left, of drones that were not ended; and `ended` with the
-    reasons that were taken.
+    off: reason of the report for each drone
+    ended: for each drone that its operator has ended: the text that says how
+    Returns
+    - whether no reason is left
+    - the reasons that are left, of drones that were not ended
+    - `ended`, with the removed reasons added to its texts
     """
     others = {i: text for i, text in off.items() if i not in ended}
     words = {
@@ -312,7 +343,12 @@ def failures(
     touching: Mapping[tuple[int, int], float],
     started: tuple[int, ...],
 ) -> dict[int, str]:
-    """Why each drone has failed: by its own result, or because it came near enough to others to touch them."""
+    """Return why each failed drone has failed: its own result, or a distance that is too small.
+
+    results: result of each drone that has one
+    touching: m: least distance of each pair that came nearer than TOUCHING
+    started: drones that were started here
+    """
     reasons = {
         i: [spoken(r.get("reason"), NO_REASON)]
         for i, r in sorted(results.items())

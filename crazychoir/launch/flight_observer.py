@@ -1,4 +1,4 @@
-"""What an observer makes of a swarm that flies: distances, lengths, how well a formation stands."""
+"""Observe a flying swarm: distances, lengths of paths, errors of a formation."""
 
 import math
 from collections import deque
@@ -24,37 +24,54 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State, Status, Vec
 
 SETTLED = 0.01
-"""m, from the goal: a formation is settled when every drone stays within it."""
+"""Distance from the goal, m: a formation is settled while every drone is nearer."""
 COMPARABLE = 0.15
-"""s: places that are older are not compared. Moved on by their velocity, two that brake with 2 m/s2 each are 0.05 m off
-by then: enough to tell whether drones touch."""
-DRAWN, LONGEST = 0.1, 2000
-"""s between two places of a track, at first; and how many are kept: beyond that every other one goes."""
+"""Age of a place, s, up to which distances are computed from it.
+
+Places are extrapolated by their velocity. Two drones that brake with 2 m/s2 each are then
+0.05 m off, which is precise enough to tell whether drones touch.
+"""
+DRAWN = 0.1
+"""Seconds between two places of a track, at first."""
+LONGEST = 2000
+"""Largest number of places in a track.
+
+Beyond that every second place is removed, and the time between two places doubles.
+"""
 LOGGED = 1000
-"""Log lines that a score keeps: the newest."""
+"""Number of log lines that a score keeps: the newest."""
 
 Watch = Callable[["Score"], None]
 
 
 @dataclass
 class Score(Actor):
-    """What an observer sees of a swarm: states, statuses, distances, lengths flown, distance from a goal.
+    """What an observer measures of a swarm: states, distances, lengths flown, distance from a goal.
 
-    It is as large after an hour as after a minute.
-    errors: (s since the law began, m of the drone that is farthest from its goal), the last time that anybody was
-    beyond SETTLED, and the newest;  touching: {(i, j): m}, the least distance of pairs that came
-    nearer than TOUCHING;  source: the address that says a topic of a drone;  unseen: drones that
-    alone say where they are.
+    Its memory does not grow with the duration of the flight.
+
+    statuses: last status of each drone
+    touching: m: least distance of each pair (i, j) that came nearer than TOUCHING
+    errors: (s since the law began, m of the drone that is farthest from its goal), at the last time
+        with a drone beyond SETTLED, and at the newest time
     """
 
     bus: Bus
+    """Bus of this process."""
     ids: tuple[int, ...]
+    """Drones of the swarm."""
     goal: dict[int, Vec] = field(default_factory=dict)
+    """(3,) m, world: goal of each drone; empty for a mission without one."""
     watch: Watch = lambda score: None
+    """Called with this score at every tick."""
     name: str = "score"
+    """Name of this actor."""
     address: int = OBSERVER
+    """Address on the bus at which it listens."""
     source: Callable[[Topic, int], int] = lambda topic, i: i
+    """Returns the address that publishes a topic of a drone."""
     unseen: Collection[int] = ()
+    """Drones that no cameras see: their place is only their own estimate."""
 
     def __post_init__(self) -> None:
         self.statuses: dict[int, Status] = {}
@@ -66,13 +83,12 @@ class Score(Actor):
         self.errors: list[tuple[float, float]] = []
         self._tracks: dict[int, list[tuple[float, ...]]] = {i: [] for i in self.ids}
         self._apart = dict.fromkeys(self.ids, DRAWN)
-        self._truth: dict[
-            int, tuple[Vec, Vec, float]
-        ] = {}  # p, v, and when they were so
+        # For each drone: p in m, v in m/s, and the time in s at which they were true.
+        self._truth: dict[int, tuple[Vec, Vec, float]] = {}
         self._law_began: float | None = None
         self._law_ended = False
         self.go_at: float | None = None
-        """s of its clock, when a drone was first heard to have begun."""
+        """s on the observer's clock at which a drone was first known to have begun."""
         if self.address not in self.bus.ports:
             self.bus.port(self.address)
         for i in self.ids:
@@ -88,7 +104,7 @@ class Score(Actor):
         )
 
     async def run(self) -> None:
-        """Look at the whole swarm as often as truth comes."""
+        """Compare the drones as often as the true states arrive."""
         async for _ in self.bus.clock.ticks(TRUTH.rate):
             self._look()
             self.watch(self)
@@ -101,7 +117,7 @@ class Score(Actor):
         self._keep(i, self.bus.clock.now() - age, state.p)
 
     def _keep(self, i: int, t: float, p: Vec) -> None:
-        """A place of the track, if it is time for one."""
+        """Add a place to the track if the time for one has come."""
         track = self._tracks[i]
         if track and t - track[-1][0] < self._apart[i] - 1e-6:
             return
@@ -112,28 +128,31 @@ class Score(Actor):
 
     @property
     def flown(self) -> dict[int, float]:
-        """m: how far each drone has moved, in truth; 0 for one that stands, however what it takes for that drifts."""
+        """Length flown by each drone, in truth, m.
+
+        It is 0 for a drone that has never taken off and that no cameras see: its estimate drifts.
+        """
         return {
             i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()
         }
 
     def _stands(self, i: int) -> bool:
-        """Whether it has never taken off, as it says, and nobody but itself sees where it is."""
+        """Return whether the drone says that it has never taken off, and no cameras see it."""
         return i in self.statuses and i not in self._flew and i in self.unseen
 
     @property
     def places(self) -> dict[int, Vec]:
-        """(3,) m, world: where each drone was last seen, in truth."""
+        """True place at which each drone was last seen: (3,) m, world."""
         return {i: p for i, (p, _, _) in self._truth.items()}
 
     @property
     def tracks(self) -> dict[int, list[tuple[float, ...]]]:
-        """Rows t s, p m, world, of each drone, in truth."""
+        """True track of each drone: rows of t in s and p in m, world."""
         return self._tracks
 
     @property
     def law_s(self) -> float | None:
-        """s since the law began; None before and after it."""
+        """Seconds since the law began; None before and after the law."""
         began = self._law_began
         return (
             None if began is None or self._law_ended else self.bus.clock.now() - began
@@ -168,7 +187,10 @@ class Score(Actor):
             self.errors = [*beyond[-1:], (now - self._law_began, far)]
 
     def _compare(self, now: float) -> None:
-        """Distances of any two, of which something was heard lately, at one time, unless both have never flown."""
+        """Compute the distances of all pairs with recent places, extrapolated to now.
+
+        Pairs that have both never flown are left out.
+        """
         ids = [i for i in self.ids if now - self._truth[i][2] <= COMPARABLE]
         if len(ids) < 2:
             return
@@ -188,7 +210,12 @@ class Score(Actor):
                     self.touching[pair] = min(gap, self.touching.get(pair, math.inf))
 
     def formation(self) -> dict[str, float | None]:
-        """formation_error_m at the end of the law, settling_s until all stay within 1 cm of the goal (null: never)."""
+        """Return the final error of the formation and its settling time.
+
+        formation_error_m: m: largest distance from the goal at the end of the law
+        settling_s: s: time until all drones stay within 1 cm of the goal, None if they never do
+        Empty for a mission without a goal.
+        """
         if not self.errors:
             return {}
         late = [t for t, far in self.errors if far > SETTLED]
@@ -196,7 +223,7 @@ class Score(Actor):
         return {"formation_error_m": self.errors[-1][1], "settling_s": settled}
 
     def messages(self) -> dict[str, int]:
-        """Totals over the drones, from their last statuses."""
+        """Return the totals of the message counters over all drones, from their last statuses."""
         of = self.statuses.values()
         return {
             name: sum(getattr(status, name) for status in of)
@@ -205,7 +232,7 @@ class Score(Actor):
 
 
 def goal_of(mission: Mission, config: SwarmConfig) -> dict[int, Vec]:
-    """Where the drones are to be, if the mission says so."""
+    """Return the goals of the drones; empty if the mission has none."""
     return (
         {i: np.asarray(p) for i, p in mission.goal(config).items()}
         if has(mission, "goal")

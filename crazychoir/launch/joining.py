@@ -1,10 +1,10 @@
-"""How a process that was started with others waits for those that it has neighbours in."""
+"""Wait for the other processes of a computation that was started in several processes."""
 
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.team.graph import Graph
 
 LOOK = 0.01
-"""s between two looks at who is there."""
+"""Seconds between two checks of the connections."""
 
 
 async def joined(link: ZenohLink, links: Graph) -> None:

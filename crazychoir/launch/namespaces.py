@@ -1,6 +1,7 @@
-"""Workstations on this machine: network namespaces on one switch, to try a swarm of hosts; Linux, root, iproute2.
+"""Simulated workstations on one machine, to test a swarm of several hosts.
 
-Each has an address and a loopback of its own and sees the others through `DEVICE`, and nothing else.
+They are network namespaces on one switch. This needs Linux, root and iproute2.
+Each namespace has an address and a loopback of its own. It sees the others through `DEVICE` only.
 """
 
 import contextlib
@@ -14,35 +15,39 @@ from typing import Final
 from crazychoir.errors import ConfigError
 
 DEVICE: Final = "veth0"
-"""The network of each workstation."""
+"""Name of the network device of each workstation."""
 SWITCH: Final = "bridge0"
+"""Name of the bridge that connects the workstations."""
 
 
 @dataclass(frozen=True)
 class Switched:
-    """Namespaces by the names of their hosts;  switch: the namespace that has their switch."""
+    """The namespaces of the hosts."""
 
     switch: str
+    """Name of the namespace with the switch."""
     names: dict[str, str] = field(default_factory=dict)
+    """Name of the namespace of each host, by host."""
 
     def command(self, host: str) -> list[str]:
-        """What a command line begins with to run there."""
+        """Return the words that begin a command line to run it on this host."""
         return ["ip", "netns", "exec", self.names[host]]
 
     def cut(self, host: str) -> None:
-        """From now on no packet reaches it or leaves it."""
+        """Cut the link of a host: from now on no packet reaches it or leaves it."""
         ip("-n", self.names[host], "link", "set", DEVICE, "down")
 
     def mend(self, host: str) -> None:
-        """Its link is back."""
+        """Restore the link of a host."""
         ip("-n", self.names[host], "link", "set", DEVICE, "up")
 
 
 @contextlib.contextmanager
 def switched(addresses: Mapping[str, str]) -> Iterator[Switched]:
-    """One namespace a host, with its IPv4 address (network of 24 bits), made here and gone afterwards.
+    """Make one namespace a host with its IPv4 address (network of 24 bits); delete all at the end.
 
-    Their names are their own, so that two runs side by side never meet. Raises ConfigError where this cannot be.
+    The names are random, so that two runs at the same time do not meet.
+    Raises ConfigError if namespaces cannot be made.
     """
     token = secrets.token_hex(3)
     hosts = Switched(f"cc-{token}-switch")
@@ -61,7 +66,7 @@ def switched(addresses: Mapping[str, str]) -> Iterator[Switched]:
 
 @contextlib.contextmanager
 def namespace(name: str) -> Iterator[str]:
-    """One with a loopback."""
+    """Make a namespace with a loopback, and delete it at the end."""
     ip("netns", "add", name)
     try:
         ip("-n", name, "link", "set", "lo", "up")
@@ -71,7 +76,7 @@ def namespace(name: str) -> Iterator[str]:
 
 
 def cable(one: tuple[str, str], other: tuple[str, str]) -> None:
-    """Two devices (namespace, name) joined, and up."""
+    """Connect two devices, each given as (namespace, name), and bring them up."""
     (here, device), (there, peer) = one, other
     ip(
         "link",
@@ -92,7 +97,10 @@ def cable(one: tuple[str, str], other: tuple[str, str]) -> None:
 
 
 def ip(*arguments: str) -> None:
-    """Raises ConfigError with what iproute2 says."""
+    """Run iproute2.
+
+    Raises ConfigError with its message if it fails or is not installed.
+    """
     where = "network namespaces"
     needed = "They need Linux, root and iproute2."
     program = shutil.which("ip")

@@ -1,4 +1,4 @@
-"""The network of a swarm as who looks on sees it; and names, ports and files so that two runs never meet."""
+"""The network of a swarm as an observer sees it; names, ports and files for runs side by side."""
 
 import asyncio
 import contextlib
@@ -26,18 +26,28 @@ from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 
 REPLAY = "Replay"
-"""The host of what a recording says: no host of a swarm file can have this name."""
+"""Host name of a replayed recording; no host of a swarm file can have this name."""
 LOWEST = 10_000
-"""Of the ports that are drawn: below it are those of well-known services, and the default base_port."""
+"""Lowest port that is drawn.
+
+Below it are the ports of well-known services and the default base_port.
+"""
 TIME_WAIT = 6  # state of a closed connection, in /proc/net/tcp
 HIGHEST_PORT = 65_535
-ATTEMPTS = 200  # draws below the ports of connections
-FILES_BESIDE, FILES_PER_PROCESS = 256, 4
-"""Open files of a run: a port, two pipes and a process handle for each process, and what else it needs."""
+"""Largest number of a port."""
+ATTEMPTS = 200
+"""Attempts to find a base port below the ports that the system gives to connections."""
+FILES_BESIDE = 256
+"""Open files of a run, beside those for its processes."""
+FILES_PER_PROCESS = 4
+"""Open files for each process of a run: a port, two pipes and a process handle."""
 
 
 def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
-    """The link of an observer under a name and an address of its own: many may look on at once, from many hosts."""
+    """Return the link of an observer.
+
+    Its name and address are random, so that many observers on many hosts can join a swarm.
+    """
     draw = random.SystemRandom()
     host = own_name(config)
     bus = Bus(
@@ -48,7 +58,10 @@ def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
 
 
 def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
-    """The network as an observer sees it: connected to every process of the swarm file, listening nowhere known."""
+    """Return the network as an observer sees it.
+
+    The link connects to every process of the swarm file. It listens at a free port of this machine.
+    """
     return ZenohLink(
         bus,
         config.name,
@@ -63,7 +76,11 @@ def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
 
 
 def own_name(config: SwarmConfig) -> str:
-    """Whose certificate an observer shows: an operator's, if one is here, else that of a host; raises ConfigError."""
+    """Return the name on the certificate that an observer shows.
+
+    This is an operator's, if its keys are here, else that of a host.
+    Raises ConfigError if there are no keys.
+    """
     if not config.secured:
         return "observer"
     names = list(dict.fromkeys([*config.security.operators, *config.hosts]))
@@ -83,14 +100,14 @@ def own_name(config: SwarmConfig) -> str:
 
 @contextlib.asynccontextmanager
 async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
-    """On the network, with these actors at work; afterwards all have stopped."""
+    """Connect the link and run the actors; at the end stop all of them."""
     link.open()
     serving = asyncio.create_task(
         Supervisor(link.bus.clock, "observer").run([link, *actors])
     )
-    await link.bus.clock.sleep(
-        0.0
-    )  # it has begun: one that is cancelled before closes nothing, and the process stays
+    # Let the task begin. A task that is cancelled before it begins would not close the link,
+    # and the process would not end.
+    await link.bus.clock.sleep(0.0)
     try:
         yield
     finally:
@@ -100,7 +117,7 @@ async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
 
 @contextlib.contextmanager
 def swarm_file(config: SwarmConfig) -> Iterator[Path]:
-    """The swarm as a file, while it flies: for its processes, and for who wants to look into it."""
+    """Write the swarm into a temporary file for its processes and observers, and yield the path."""
     with scratch_folder(f"crazychoir-{config.name}-") as folder:
         path = folder / "swarm.json"
         path.write_text(config.dumps(), encoding="utf-8")
@@ -108,7 +125,10 @@ def swarm_file(config: SwarmConfig) -> Iterator[Path]:
 
 
 def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
-    """The same swarm under a name and on ports of its own, in so many processes: two runs side by side never meet."""
+    """Return the same swarm with a name and ports of its own, in `processes` processes.
+
+    Two runs side by side then do not meet. None keeps the processes of the swarm file.
+    """
     with set_apart(config, processes) as changed:
         return changed
 
@@ -117,10 +137,12 @@ def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
 def set_apart(
     config: SwarmConfig, processes: int | None, *, keeps_port: bool = False
 ) -> Iterator[SwarmConfig]:
-    """Give a swarm a name and ports of its own, in so many processes, and hold the ports for them meanwhile.
+    """Yield the swarm with a name and ports of its own, and hold these ports meanwhile.
 
-    keeps_port: whether a base_port of the swarm file is used, if it is another than the default. Raises ConfigError if
-    one of its ports is taken.
+    config: the swarm
+    processes: number of processes, None to keep those of the swarm file
+    keeps_port: whether to keep the base_port of the swarm file, unless it is the default
+    Raises ConfigError if one of its ports is taken.
     """
     groups = (
         [list(map(int, part)) for part in np.array_split(config.ids, processes)]
@@ -144,14 +166,16 @@ def set_apart(
 def held_ports(
     places: Mapping[int, str], given: int | None = None, highest: int = 0
 ) -> Iterator[int]:
-    """Choose a base port such that base + offset is free for each offset, and hold these ports meanwhile.
+    """Choose a base port such that base + offset is free for each offset, and hold these ports.
 
-    places: the address for each offset;  given: the base port to use, None to choose one;
-    highest: offset, of which no process listens, and that must be a port, too.
+    places: address for each offset
+    given: base port to use, None to choose one
+    highest: largest offset that must still give a valid port, even if no process listens there
 
-    While a socket is bound to a port, no connection of this machine is given that port, and no other run chooses it.
-    The socket does not listen and may be shared (SO_REUSEADDR), so that the process that the port is for can listen on
-    it, and can do so again if it is started again. Raises ConfigError if no block of ports is free.
+    While a socket is bound to a port, the system gives that port to no connection of this machine,
+    and no other run chooses it. The socket does not listen, and it can be shared (SO_REUSEADDR).
+    So the process for which the port is held can listen on it, also after it is started again.
+    Raises ConfigError if no block of ports is free.
     """
     _allow_files(len(places))
     for base in _bases([*places, highest]) if given is None else [given]:
@@ -192,10 +216,11 @@ def _no_block(count: int) -> ConfigError:
 
 
 def _bases(offsets: list[int]) -> Iterator[int]:
-    """Base ports to try: first some below the ports that the system gives to connections, then all that there are.
+    """Yield base ports to try.
 
-    Below, because a port that is held is one less for connections. Where the system gives them from 1024 on, only
-    root could listen below, so there every port may be chosen.
+    First come some ports below the range that the system gives to connections, then all ports. A
+    held port below costs no port for connections. If this range begins at 1024, only root could
+    listen below it, so every port may be chosen.
     """
     draw = random.SystemRandom()
     lowest = LOWEST_PORT - min(0, *offsets)
@@ -220,7 +245,10 @@ def _first_of_connections() -> int:
 
 
 def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
-    """Bind a port, until the stack is left; False if it is taken. An address of another machine is not held."""
+    """Bind a port until the stack is left; return False if it is taken.
+
+    A port at an address of another machine is not held, and the result is True.
+    """
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     holder = kept.enter_context(socket.socket(family, socket.SOCK_STREAM))
     try:
@@ -234,9 +262,9 @@ def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
             return False
         holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         holder.bind((address, port))
-    holder.setsockopt(
-        socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
-    )  # not before: bound like this it could be shared
+    # Only after bind: with the option set before, bind would succeed on a port that another
+    # socket with this option holds.
+    holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     return True
 
 
@@ -253,12 +281,15 @@ def _is_left_behind(port: int) -> bool:
 
 
 def _address(endpoint: str) -> str:
-    """The address of an endpoint such as tcp/127.0.0.1:7460."""
+    """Return the address of an endpoint such as tcp/127.0.0.1:7460."""
     return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
 
 
 def _allow_files(processes: int) -> None:
-    """Let this process open as many files as a run of so many processes needs: a port and pipes for each of them."""
+    """Raise the limit of open files of this process to the number that this many processes need.
+
+    Raises ConfigError if the hard limit is too low.
+    """
     needed = FILES_BESIDE + FILES_PER_PROCESS * processes
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= needed:

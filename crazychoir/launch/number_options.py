@@ -1,6 +1,6 @@
-"""Numbers on the command line: each option names its limits, and refuses what is not finite.
+"""Numeric options of the command line: each option names its limits and refuses infinite numbers.
 
-An option that is refused says what was found, what is allowed, and what was probably meant.
+The error says what was found, what is allowed, and what was probably meant.
 """
 
 import math
@@ -17,15 +17,17 @@ if TYPE_CHECKING:
     from crazychoir.team.graph import Graph
 
 YEAR = 31_536_000.0
-"""s: the longest time that an option takes."""
+"""Longest time that an option takes, s."""
 LARGEST_SEED = 2**63 - 1
+"""Largest seed."""
 LARGEST_COUNT = 1_000_000
+"""Largest count."""
 LARGEST_SWARM = 10_000
-"""Drones."""
+"""Largest number of drones."""
 LARGEST_TEAM = 1_000_000
-"""Simulated agents."""
+"""Largest number of simulated agents."""
 FACTORS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
-"""s, by the unit that users write."""
+"""Length in s of the units that users may write."""
 _WITH_UNIT = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(ms|s|min|h)", re.IGNORECASE)
 
 
@@ -34,14 +36,19 @@ class Real:
     """Reads a finite number within limits."""
 
     least: float = -math.inf
+    """Lower limit."""
     most: float = math.inf
+    """Upper limit."""
     open_below: bool = False
     """Whether `least` itself is not allowed."""
     unit: str = ""
-    """"share" or "s", for a hint at what was meant; else empty."""
+    """"share" or "s", used to suggest what was probably meant; else empty."""
 
     def __call__(self, text: str | float) -> float:
-        """Return the number; raise typer.BadParameter, which names the option, with what is allowed."""
+        """Return the number.
+
+        Raises typer.BadParameter, which names the option, with the allowed numbers.
+        """
         try:
             number = float(text)
         except ValueError:
@@ -94,10 +101,15 @@ class Whole:
     """Reads a whole number within limits."""
 
     least: int
+    """Lower limit."""
     most: int
+    """Upper limit."""
 
     def __call__(self, text: str | int) -> int:
-        """Return the number; raise typer.BadParameter, which names the option, with what is allowed."""
+        """Return the number.
+
+        Raises typer.BadParameter, which names the option, with the allowed numbers.
+        """
         allowed = f"a whole number, {self.least} to {self.most}"
         try:
             number = int(text)
@@ -123,7 +135,11 @@ def real(
 ) -> Any:
     """Return an option that takes a finite number.
 
-    text: its help;  names: as "--speed", if not the parameter's.
+    text: its help
+    names: its names, such as "--speed"; without any, that of the parameter
+    least: lower limit
+    most: upper limit
+    open_below: whether `least` itself is not allowed
     """
     return _option(text, names, Real(least, most, open_below))
 
@@ -150,7 +166,7 @@ def whole(text: str, *names: str, least: int = 1, most: int = LARGEST_COUNT) -> 
 
 
 def size(text: str, *names: str) -> Any:
-    """Return an option that takes a number of drones, or of what there is at most one of for each drone."""
+    """Return an option for a number of drones, or of things with at most one for each drone."""
     return whole(text, *names, most=LARGEST_SWARM)
 
 
@@ -174,7 +190,10 @@ def _option(text: str, names: tuple[str, ...], reader: Real | Whole) -> Any:
 
 
 def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph":
-    """Return the graph of --graph, of so many drones; raise ConfigError, which names the option."""
+    """Return the graph that --graph names, for `size` drones.
+
+    Raises ConfigError, which names the option.
+    """
     from crazychoir.team.graph import named  # numerics: --help does not need them
 
     try:
@@ -186,7 +205,10 @@ def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph"
 def finite_numbers(
     text: str, where: str, allowed: str, count: int | None = None
 ) -> list[float]:
-    """Return the numbers of a text such as "1,0.5,1.2"; raise ConfigError where they are not finite, or not `count`."""
+    """Return the numbers of a text such as "1,0.5,1.2".
+
+    Raises ConfigError if a number is not finite, or if there are not `count` numbers.
+    """
     try:
         found = [float(word) for word in text.strip().strip("[]()").split(",")]
     except ValueError:
@@ -208,7 +230,7 @@ def _is_number(text: str) -> bool:
 
 
 def _whole(text: str) -> str:
-    """Return how a whole number that is written otherwise is written here."""
+    """Return how to write a whole number that has another form; empty for other texts."""
     if _is_number(text) and float(text).is_integer() and abs(float(text)) < 1e15:
         return f"Write {float(text):.0f}."
     return ""

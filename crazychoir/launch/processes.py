@@ -1,4 +1,4 @@
-"""The agents of a run as processes of this machine: started, listened to, ended; and how their results get here."""
+"""The agents of a run as processes of this machine: start, output, end, and results."""
 
 import asyncio
 import contextlib
@@ -25,19 +25,30 @@ from crazychoir.runtime.worker_thread import add_signal_handler
 from crazychoir.types import FullState
 
 GRACE = 20.0
-"""s that processes get to end after SIGTERM beside the time of their landings, before they are killed."""
+"""Seconds beside the time for landing that processes get to end after SIGTERM.
+
+Then they are killed.
+"""
 ORPHANED = 8.0
-"""s that agents get after the end of their world's owner: they notice within 3 s and end, but for those that have never
-heard of it and wait."""
-STARTS_AGAIN, WITHIN = 5, 600.0
-"""How often in so many s an owner is started again that ends before it is told to."""
+"""Seconds that agents get after the end of their owner process.
+
+They notice it within 3 s and end. Agents that have never heard of the owner wait longer.
+"""
+STARTS_AGAIN = 5
+"""How often within WITHIN an owner is started again that has ended too early."""
+WITHIN = 600.0
+"""Seconds in which these starts are counted."""
 REFUSED = 2
-"""Exit code of a program that has refused what the user wrote."""
+"""Exit code of a program that has refused its input."""
 CHUNK = 1 << 16
-"""Bytes read at once of what a process says; a line may be of any length, and is passed on in parts if very long."""
+"""Bytes of output read at once."""
 LONGEST = 1 << 20
+"""Largest length of a line, bytes; a longer line is passed on in parts."""
 LARGEST = 1 << 30
-"""Bytes of the results of one process: each is limited by the codec, their number by the swarm file."""
+"""Largest size of the results of one process, bytes.
+
+The codec limits the size of each result, and the swarm file limits their number.
+"""
 
 Say = Callable[[str], None]
 Results = dict[int, dict[str, Any]]
@@ -46,17 +57,24 @@ Children = dict[tuple[int, ...], Process]
 
 @dataclass(frozen=True)
 class Owner:
-    """A process that owns what agents need: who it is, its module, and its options.
-
-    again: whether it is started again if it ends before them: what it owns is still there;  ids: drones that need it,
-    None: all. Agents of no others end with it for good.
-    """
+    """A process that owns something which agents need: a world, the cameras or a dongle."""
 
     name: str
+    """Name for the user."""
     module: str
+    """Module that is run."""
     options: tuple[str, ...] = ()
+    """Its options on the command line."""
     again: bool = False
+    """Whether it is started again if it ends before its agents.
+
+    This makes sense if what it owns, such as a dongle, still exists.
+    """
     ids: tuple[int, ...] | None = None
+    """Drones that need it, None for all.
+
+    If the owner ends for good, agents that fly only such drones are ended too.
+    """
 
 
 WORLD_OWNER = Owner("world", "crazychoir.cli.fly.world")
@@ -71,11 +89,17 @@ async def run_children(
     all_wait: Callable[[], bool] = lambda: False,
     owners: Sequence[Owner] = (),
 ) -> Results:
-    """One process a group, until all have ended; their results, of those that had one.
+    """Start one process a group, wait until all have ended, and return the results of their drones.
 
-    path: the swarm file; results lie beside it while this runs;  all_wait: whether they still wait for each other:
-    then one that ends without a result ends all, for nobody would come that they could wait for;  owners: of their
-    world, cameras and dongles, that are started here too.
+    groups: drones of each process
+    path: the swarm file; the results lie beside it during the run
+    config: the swarm
+    options: further options for the processes
+    say: called with each line that a process prints
+    all_wait: returns whether all drones still wait for the start; if a process then ends without a
+        result, all are ended, because the start would never come
+    owners: owners of the world, the cameras and the dongles, which are started too
+    A drone without a result is missing in the answer.
     """
     say = _once(say)
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
@@ -105,7 +129,7 @@ async def _run_agents(
     say: Say,
     all_wait: Callable[[], bool],
 ) -> None:
-    """Start one a file, and stay until all have ended."""
+    """Start one process for each result file, and wait until all have ended."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         add_signal_handler(number, _signal, children.values(), number)
 
@@ -132,7 +156,7 @@ async def _run_agents(
 async def _owner(
     owner: Owner, path: Path, agents: Children, say: Say
 ) -> AsyncIterator[None]:
-    """An owner that the agents need: it is there before them and ends after them."""
+    """Run an owner process during the block: it starts before the agents and ends after them."""
     command = (owner.module, "--swarm", str(path), *owner.options, "--child")
     child = await _start(*command)
     over = asyncio.Event()
@@ -140,7 +164,7 @@ async def _owner(
 
     async def watch() -> None:
         nonlocal child
-        starts = [-math.inf] * STARTS_AGAIN  # s, of the last ones
+        starts = [-math.inf] * STARTS_AGAIN  # times of the last starts, s
         await _listen(child, say)
         while (
             owner.again
@@ -156,9 +180,8 @@ async def _owner(
             await _listen(child, say)
         if over.is_set():
             return
-        refused = (
-            child.returncode == REFUSED and starts[-1] == -math.inf
-        )  # before it ever had a drone
+        # Refused at the first start: none of its drones has ever flown.
+        refused = child.returncode == REFUSED and starts[-1] == -math.inf
         say(
             f"{owner.name}: its owner {_end_of(child)}: its drones {'do not fly' if refused else 'stop'}"
         )
@@ -185,9 +208,10 @@ async def _owner(
 
 
 def write_results(path: Path, results: Results) -> None:
-    """What a process has come to, for who started it: as messages travel, and apart from what its mission prints.
+    """Write the results of a process for its parent, in the encoding of messages.
 
-    Raises ProcessFailed where there is no room for it.
+    A file of its own keeps them apart from the output of the mission.
+    Raises ProcessFailed if there is no room for it.
     """
     try:
         path.write_bytes(encode(results, LARGEST))
@@ -197,7 +221,7 @@ def write_results(path: Path, results: Results) -> None:
 
 
 def read_results(path: Path) -> Results:
-    """The results that a process has left there; none if it has not got so far."""
+    """Return the results that a process has written; empty if it has not come so far."""
     try:
         results: Results = decode(path.read_bytes(), LARGEST)
     except (OSError, CodecError):
@@ -206,7 +230,11 @@ def read_results(path: Path) -> Results:
 
 
 def patience(config: SwarmConfig) -> float:
-    """s that processes get to land their drones and end: from the top of the fence down, and what may delay that."""
+    """Return the seconds that processes get to land their drones and end.
+
+    The landing may begin at the top of the fence, and may be delayed by up to LANDING_DEADLINE.
+    GRACE is added for the end of the processes.
+    """
     flight = config.flight
     height = config.fence.max[2] - flight.ground
     top = FullState.at((0.0, 0.0, height))
@@ -246,12 +274,13 @@ async def _start(module: str, *words: str) -> Process:
         stdout=PIPE,
         stderr=STDOUT,
         env=child_environment(),
-        start_new_session=True,  # Ctrl-C reaches this process alone, which passes it on once
+        # Ctrl-C then reaches only this process, which passes it on once.
+        start_new_session=True,
     )
 
 
 async def _listen(child: Process, say: Say) -> None:
-    """Pass on what a process says, line by line, until it ends."""
+    """Pass on the output of a process, line by line, until it ends."""
     assert child.stdout is not None  # noqa: S101 - it was asked for
     rest = b""
     while chunk := await child.stdout.read(CHUNK):
@@ -267,7 +296,11 @@ async def _listen(child: Process, say: Say) -> None:
 
 
 def _once(say: Say) -> Say:
-    """Pass on lines that all processes say for one reason from the first of them: of each cache what it lacks."""
+    """Return a function that passes on lines but drops repetitions.
+
+    All processes may report the same missing compiled code. Of these lines only the first of each
+    cache is passed on, and the line about compiling appears once.
+    """
     told: list[str] = []
 
     def passed(line: str) -> None:
@@ -284,7 +317,7 @@ def _once(say: Say) -> Say:
 
 
 def _end_of(child: Process) -> str:
-    """How it has ended, in words."""
+    """Return how a process has ended, in words."""
     code = child.returncode
     if code is None or code >= 0:
         return f"ended with code {code}"
@@ -301,7 +334,7 @@ def _signal(children: Iterable[Process], number: signal.Signals) -> None:
 
 
 async def _end(children: list[Process], seconds: float) -> None:
-    """Ask every child to land and exit; kill what does not within so long."""
+    """Ask every process to land and exit; kill those still running after `seconds`."""
     if not children:
         return
     _signal(children, signal.SIGTERM)

@@ -1,4 +1,7 @@
-"""The file that a run is recorded into: made before anybody flies, so that what is wrong with it is said then."""
+"""The recording file of a run.
+
+It is made before the flight, so that an error with the file is reported before take-off.
+"""
 
 import contextlib
 import hashlib
@@ -21,14 +24,17 @@ from crazychoir.recording.analysis.figures import UNSEEN
 from crazychoir.recording.mcap.file import RecordingFile
 
 FILES = "files"
-"""What a recording's `about` calls the digests of files, as JSON."""
+"""Key of a recording's `about` for the digests of files, as JSON."""
 
 
 @contextlib.contextmanager
 def recording_file(
     path: Path | None, config: SwarmConfig, mission: Mission, virtual: bool
 ) -> Iterator[RecordingFile | None]:
-    """A new file for a flight of this swarm, closed afterwards; None without a path. Raises ConfigError."""
+    """Yield a new file for a flight of this swarm, and close it at the end; None without a path.
+
+    Raises ConfigError if the file cannot be made.
+    """
     if path is None:
         yield None
         return
@@ -39,22 +45,26 @@ def recording_file(
 def new_recording(
     path: Path, config: SwarmConfig, mission: Mission | None, virtual: bool
 ) -> RecordingFile:
-    """A new file for a flight of this swarm; raises ConfigError."""
+    """Return a new file for a flight of this swarm.
+
+    Raises ConfigError if it cannot be made.
+    """
     told = about(config, virtual) | {FILES: json.dumps(digests(config, mission))}
     return RecordingFile(path, told, config.dumps(), not virtual, text_of(mission))
 
 
 def text_of(mission: Mission | None) -> str:
-    """The text of a mission's file; empty without one."""
+    """Return the text of a mission's file; empty if there is none."""
     path = Path(getattr(mission, "__file__", None) or "")
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
 def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:
-    """SHA-256 of what a flight depends on beside the mission's text, as far as it is there; no name has a path of here.
+    """Return the SHA-256 of each file that a flight depends on, beside the mission's own file.
 
-    The files that the swarm file names, by its keys; and by their paths within the mission's folder the modules that
-    were imported from there.
+    They are the files that the swarm file names, by their keys, and the modules imported from the
+    mission's folder, by their paths in that folder. So no name holds a path of this machine.
+    Files that cannot be read are left out.
     """
     found = {
         name: _digest(path) for name, path in (config.files | _modules(mission)).items()
@@ -65,7 +75,10 @@ def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:
 def other_files(
     told: Mapping[str, str], config: SwarmConfig, mission: Mission
 ) -> dict[str, str]:
-    """Which of the files with these digests are others now, and how."""
+    """Return the files that have changed since these digests, each with the kind of change.
+
+    told: SHA-256 by name
+    """
     named = config.files
     folder = _folder(mission)
     now = {name: _digest(named.get(name, folder / name)) for name in told}
@@ -77,7 +90,10 @@ def other_files(
 
 
 def _modules(mission: Mission | None) -> dict[str, Path]:
-    """The files beside a mission's, or below, from which modules were imported; none of the package or of libraries."""
+    """Return the modules that were imported from the mission's folder or below, by their paths.
+
+    Modules of this package and of libraries do not count.
+    """
     if not (name := getattr(mission, "__file__", None)):
         return {}
     folder = _folder(mission)
@@ -103,7 +119,7 @@ def _folder(mission: Mission | None) -> Path:
 
 
 def _digest(path: Path) -> str:
-    """Empty for a file that cannot be read."""
+    """Return the SHA-256 of a file; empty if it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -111,7 +127,7 @@ def _digest(path: Path) -> str:
 
 
 def about(config: SwarmConfig, virtual: bool) -> dict[str, str]:
-    """What is flown, and by what."""
+    """Return what is flown: swarm, mission, seed, drones, kind of time, versions."""
     return {
         "swarm": config.name,
         "mission": config.mission or "",
@@ -124,7 +140,10 @@ def about(config: SwarmConfig, virtual: bool) -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """What a flight in virtual time depends on, beside the swarm file and the mission."""
+    """Return the versions that a flight in virtual time depends on.
+
+    They are those of this package, Python, the numeric libraries and the processor.
+    """
     return {
         "version": VERSION,
         "python": platform.python_version(),

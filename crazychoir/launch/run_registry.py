@@ -1,7 +1,8 @@
-"""The runs on this machine: each leaves a record while it flies, so that other shells of its user find its swarm.
+"""The registry of runs on this machine: other shells of the same user find a running swarm in it.
 
-A record lies in the private folder of the user, which is the same in every environment of that user. Root finds the
-runs of all users, as it may have to end them: its own first, then those of the user of `sudo`, then all others.
+Each run leaves a record in the private folder of the user while it flies. The folder is the
+same in every environment of that user. Root finds the runs of all users, because root may have
+to end them: first its own, then those of the user of `sudo`, then all others.
 """
 
 import contextlib
@@ -29,27 +30,30 @@ from crazychoir.files.user_folders import (
 
 log = logging.getLogger(__name__)
 LARGEST_RECORD = 1 << 16  # bytes
+"""Largest size of a record, bytes."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One `crazychoir run`.
-
-    swarm: the name that its swarm flies under;  what: what was to be run;  source: the swarm file that was named,
-    resolved, None without one;  file: the swarm file that it flies by, with its own name and ports.
-    """
+    """One `crazychoir run`."""
 
     swarm: str
+    """Name that the swarm flies under."""
     what: str
+    """Mission or file given to the command."""
     source: str | None
+    """Resolved path of the swarm file that was named, None without one."""
     file: str
+    """Swarm file of this flight, with its own name and ports."""
 
 
 @contextlib.contextmanager
 def recorded(run: Run) -> Iterator[None]:
-    """Others find this run, until it ends however it ends: its record is locked, and a lock dies with its process.
+    """Keep a record of this run until it ends, so that other shells find it.
 
-    Where no record can be written it flies, with a warning. Raises ConfigError where the folder is another user's.
+    The record is locked. The lock ends with the process, even if the process crashes.
+    If no record can be written, the run flies with a warning.
+    Raises ConfigError if the folder belongs to another user.
     """
     with contextlib.ExitStack() as kept:
         try:
@@ -67,7 +71,10 @@ def recorded(run: Run) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _record(run: Run) -> Iterator[None]:
-    """The record of a run; raises OSError if it cannot be written."""
+    """Write and lock the record of a run, and delete it at the end.
+
+    Raises OSError if it cannot be written.
+    """
     folder = runtime_folder()
     path, hidden = (
         folder / f"{prefix}{run.swarm}-{os.getpid()}" for prefix in ("", ".")
@@ -79,7 +86,7 @@ def _record(run: Run) -> Iterator[None]:
         fcntl.flock(file, fcntl.LOCK_EX)
         json.dump(asdict(run), file)
         file.flush()
-        hidden.rename(path)  # seen by nobody before it is locked and whole
+        hidden.rename(path)  # visible only when it is locked and complete
         yield
 
 
@@ -91,7 +98,8 @@ def _remove(path: Path) -> None:
 def runs() -> list[Run]:
     """Return the runs that a command without a swarm file may mean, in the order of names.
 
-    Those of this user; for root, where there are none, those of the user of `sudo`; where there are none, all.
+    These are the runs of this user. If root has none, they are those of the user of `sudo`, and
+    if there are none either, all runs.
     Several runs of one swarm, each with some of its drones, count once.
     """
     for group in _runs_by_user():
@@ -107,13 +115,13 @@ def every_run() -> list[Run]:
 
 
 def of_file(path: str | Path) -> list[Run]:
-    """Those that fly that swarm file."""
+    """Return the runs that fly this swarm file."""
     source = str(Path(path).resolve())
     return [run for run in every_run() if run.source == source]
 
 
 def _runs_by_user() -> Iterator[list[Run]]:
-    """The runs of this user, and for root those of the user of `sudo`, then those of all other users."""
+    """Yield the runs of this user; for root also those of the user of `sudo`, then all others."""
     try:
         folder = existing_runtime_folder()
         yield _runs_in(folder, os.getuid()) if folder else []
@@ -138,12 +146,15 @@ def _runs_by_user() -> Iterator[list[Run]]:
 
 @cache
 def _warn_once(text: str) -> None:
-    """A command that waits for a swarm looks at the runs again and again."""
+    """Log a warning once: a command that waits for a swarm reads the registry many times."""
     log.warning("%s", text)
 
 
 def _runs_of(uid: int) -> list[Run]:
-    """The runs of another user; what lies there and is not of that user is left alone."""
+    """Return the runs of another user.
+
+    A folder or record that does not belong to that user is ignored.
+    """
     folder = private_folder_of(uid)
     try:
         return [] if owner_fault(folder, uid) else _runs_in(folder, uid)
@@ -157,7 +168,7 @@ def _runs_in(folder: Path, uid: int) -> list[Run]:
 
 
 def _read(path: Path, uid: int) -> Run | None:
-    """The run of a record, None if it has ended: then the record goes."""
+    """Return the run of a record; None if it has ended, and then delete the record."""
     if path.name.startswith("."):
         return None
     try:
@@ -187,7 +198,7 @@ def _is_sound(run: Run, uid: int) -> bool:
 
 
 def _open_file(path: str, flags: int) -> int:
-    """Open what may be another user's: no symbolic link is followed, and no pipe is waited for."""
+    """Open a file of any user: follow no symbolic link, and do not wait for a pipe."""
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 

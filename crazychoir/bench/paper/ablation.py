@@ -1,6 +1,7 @@
-"""What loss, graph, size and method cost a team: pickup and delivery in virtual time, the same on every machine.
+"""Influence of loss, graph, size and method on a team that solves pickup and delivery.
 
-Only CPU figures depend on the machine; rounds, bytes, plans and the time of communication are functions of the seed.
+All runs are in virtual time. Only CPU figures depend on the machine; rounds, bytes, plans and
+the time of communication are functions of the seed.
 """
 
 import math
@@ -28,16 +29,25 @@ GRAPHS: dict[str, Callable[[int], str]] = {
     ),
     "complete": lambda n: "complete",
 }
-"""By name, for n robots; the random ones twice and three times as dense as they must be to be connected at all."""
+"""Name of the graph for n robots, by the name in the table.
+
+The random graphs are two and three times as dense as needed to be connected.
+"""
 LOSSES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+"""Shares of messages that are lost."""
 BURSTS = (None, 4.0)
-"""Messages that are lost in a row, in the mean; None: each is lost by itself."""
+"""Mean number of messages lost in a row; None: each message is lost independently."""
 SIZES = (6, 10, 20, 30, 50, 100)
+"""Numbers of robots."""
 DELAY = 0.002
-"""s that a message is on its way."""
+"""Delay of a message, s."""
 LIMIT = 25.0
+"""Largest length of a route, m."""
 LARGE = 30
-"""Robots above which one seed must do, and nobody hears everybody: each round would be 2450 messages and more."""
+"""Number of robots above which there is only one seed and no complete graph.
+
+On a complete graph each round of 50 robots would need 2450 messages.
+"""
 FIGURES = (
     "cost",
     "rounds",
@@ -47,23 +57,34 @@ FIGURES = (
     "cpu_s_a_robot",
     "critical_path_s",
 )
+"""Figures of the summary."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run: a team of `robots` with as many tasks, on a graph, with a method; `loss` of its messages are lost."""
+    """One run of a team."""
 
     study: str
+    """Study that the run belongs to: "loss", "size" or "method"."""
     robots: int
+    """Number of robots, equal to the number of tasks."""
     graph: str
+    """Communication graph, a key of GRAPHS."""
     method: str
+    """Method of the team."""
     loss: float
+    """Share of messages that is lost."""
     burst: float | None
+    """Mean number of messages lost in a row; None: each message is lost independently."""
     seed: int
+    """Seed of the instance, the graph and the network."""
 
 
 def cases(quick: bool = False, seeds: int = 3) -> list[Case]:
-    """Of three studies: loss by graph and pattern, size by graph, and method by size."""
+    """Return the cases of three studies.
+
+    They are loss by graph and pattern, size by graph, and method by size.
+    """
     if quick:
         return [
             *_loss(6, ("ring", "complete"), (0.0, 0.3), 1),
@@ -108,14 +129,14 @@ def _seeds(count: int) -> range:
 
 
 def instance_of(case: Case) -> Instance:
-    """Its instance: a function of the size and the seed alone."""
+    """Return the instance of a case, which depends on its size and seed only."""
     return random_instance(
         case.robots, case.robots, case.seed, route_length_limit=LIMIT
     )
 
 
 def measured(case: Case) -> dict[str, Any]:
-    """The row of a case: what it was, and its figures."""
+    """Run a case and return its row: the case and its figures."""
     links = named(GRAPHS[case.graph](case.robots), case.robots, case.seed)
     instance = instance_of(case)
     n = case.robots
@@ -158,7 +179,11 @@ def measured(case: Case) -> dict[str, Any]:
 def run(
     of: list[Case], say: Callable[[str], None] = lambda text: None
 ) -> list[dict[str, Any]]:
-    """All rows; what is lost must not change a plan, and the rows say whether it has."""
+    """Run all cases and return their rows.
+
+    Loss must not change a plan. The key `same_plan` says whether the plan equals that of the first
+    run with the same robots, graph, method and seed.
+    """
     rows = []
     for number, case in enumerate(of):
         say(
@@ -175,7 +200,7 @@ def run(
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a cell: of each figure the median, quartiles, least and largest over the seeds."""
+    """Return a row a cell: median, quartiles, least and largest of each figure over the seeds."""
     keys = ("study", "robots", "graph", "method", "loss", "burst")
     cells: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for row in rows:

@@ -1,4 +1,4 @@
-"""`crazychoir bench paper`: the tables and pictures of an article on the routing, all in one folder."""
+"""`crazychoir bench paper`: the tables and pictures of an article on the routing, in one folder."""
 
 import csv
 import json
@@ -22,7 +22,13 @@ def run(
     peers: bool = True,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
-    """Measure and write all; peers: the other solvers too, in real time, which takes most of the time."""
+    """Measure and write all tables and pictures.
+
+    folder: folder for the files
+    quick: fewer cases
+    peers: whether to run the other solvers too, in real time, which takes most of the time
+    say: called with a text that says what is being measured
+    """
     require_writable_folder(folder, "--out")
     rows = bench_ablation.run(bench_ablation.cases(quick), say)
     cells = bench_ablation.summary(rows)
@@ -58,7 +64,7 @@ def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path
 
 
 def write_csv(path: Path, rows: Rows) -> Path:
-    """A table with a head; all rows have the keys of any."""
+    """Write the rows as a table with a header that has the keys of all rows."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     with (
         written_file(path, "--out") as place,
@@ -71,7 +77,7 @@ def write_csv(path: Path, rows: Rows) -> Path:
 
 
 def flat(row: dict[str, Any]) -> dict[str, Any]:
-    """Nested figures as columns: gap_percent_median, ..."""
+    """Return the row with nested figures as columns: gap_percent_median, ..."""
     plain: dict[str, Any] = {}
     for name, value in row.items():
         if isinstance(value, dict):
@@ -84,7 +90,7 @@ def flat(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> Text:
-    """What was written."""
+    """Return a text that lists the written files."""
     end = (
         "Loss changed no plan."
         if result["same_plans"]

@@ -1,4 +1,7 @@
-"""The benchmarks' pictures for a column of a paper: lines told apart by colour, dash and mark."""
+"""Pictures of the benchmarks for a column of a paper.
+
+Lines differ in colour, dash and mark.
+"""
 
 import math
 from collections.abc import Callable, Iterable
@@ -19,14 +22,14 @@ if TYPE_CHECKING:
 
 MARKS = "os^vDPX"
 TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
-"""%, on a scale that is linear up to 1."""
+"""Ticks in per cent, on a scale that is linear up to 1."""
 Rows = list[dict[str, Any]]
 
 
 def draw(
     name: str, height: float, folder: Path, picture: Callable[["Figure"], None]
 ) -> Path:
-    """One picture of a column's width, as PNG."""
+    """Draw one picture of a column's width, as PNG; height: inches."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -41,7 +44,7 @@ def draw(
 
 
 def draw_ablation(rows: Rows, folder: Path) -> list[Path]:
-    """Loss, size and method, from the rows of `bench_ablation.summary`."""
+    """Draw loss, size and method, from the rows of `ablation.summary`."""
     of = {
         study: [row for row in rows if row["study"] == study]
         for study in ("loss", "size", "method")
@@ -54,7 +57,7 @@ def draw_ablation(rows: Rows, folder: Path) -> list[Path]:
 
 
 def _draw_loss(figure: "Figure", rows: Rows) -> None:
-    """Time of communication and kB a robot over the loss, for independent losses and for bursts."""
+    """Draw communication time and kB a robot over the loss, for independent losses and bursts."""
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
     patterns = [
         ("independent", None),
@@ -86,7 +89,7 @@ def _draw_loss(figure: "Figure", rows: Rows) -> None:
 
 
 def _draw_size(figure: "Figure", rows: Rows) -> None:
-    """Rounds, kB and CPU a robot over the size of the team."""
+    """Draw rounds, kB and CPU a robot over the size of the team."""
     axes = figure.subplots(3, 1, sharex=True)
     figures = [
         ("rounds", 1.0, "rounds"),
@@ -106,7 +109,7 @@ def _draw_size(figure: "Figure", rows: Rows) -> None:
 
 
 def _draw_method(figure: "Figure", rows: Rows) -> None:
-    """How much more than the best method's plan a method's costs, and what it sends, by the size of the team."""
+    """Draw the excess cost over the best method, and the bytes sent, by the size of the team."""
     axes = figure.subplots(2, 1, sharex=True)
     best = {
         n: min(r["cost_median"] for r in rows if r["robots"] == n)
@@ -136,7 +139,7 @@ def _draw_method(figure: "Figure", rows: Rows) -> None:
 
 
 def draw_routing(rows: Rows, folder: Path) -> list[Path]:
-    """Anytime curves of the largest instances, and gaps by size, from the rows of `bench_routing`."""
+    """Draw anytime curves of a largest instance, and gaps by size, from rows of `bench.routing`."""
     largest = max((row["tasks"] for row in rows), default=0)
     at = min(row["seed"] for row in rows)
     one = [
@@ -151,7 +154,7 @@ def draw_routing(rows: Rows, folder: Path) -> list[Path]:
 
 
 def _draw_anytime(figure: "Figure", rows: Rows) -> None:
-    """Cost of the best plan over time; each line goes on until its solver has ended."""
+    """Draw the cost of the best plan over time; each line goes on until its solver has ended."""
     axes = figure.add_subplot()
     for number, row in enumerate(rows):
         times, costs = zip(*row["curve"], strict=True)
@@ -175,7 +178,10 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
 
 
 def _draw_solvers(figure: "Figure", rows: Rows) -> None:
-    """How much more than the best plan of the run each solver's plan costs: a point an instance, a bar the median."""
+    """Draw the excess cost of each solver over the best plan of the run.
+
+    A point is an instance, a bar the median.
+    """
     axes = figure.add_subplot()
     over = _over_best([row for row in rows if row["feasible"]])
     names = list(dict.fromkeys(name for name, _ in over))
@@ -213,7 +219,7 @@ def _draw_solvers(figure: "Figure", rows: Rows) -> None:
 
 
 def _over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
-    """{(solver, tasks): per cent over the best plan of each instance}."""
+    """Return {(solver, tasks): per cent over the best plan of each instance}."""
     best: dict[tuple[int, int], float] = {}
     for row in rows:
         best[_key(row)] = min(row["cost"], best.get(_key(row), math.inf))
@@ -239,7 +245,17 @@ def _line(
     y_scale: float,
     quartiles: bool = True,
 ) -> None:
-    """Medians of the rows with key = value, with a bar from quartile to quartile."""
+    """Draw the medians of the rows with key = value, with a bar from quartile to quartile.
+
+    axes: axes to draw on
+    rows: rows of a summary
+    of: the key and its value
+    x: key of the x values
+    x_scale: factor of the x values
+    y: figure on the y axis
+    y_scale: factor of the y values
+    quartiles: whether to draw the bars
+    """
     key, value = of
     mine = sorted((row for row in rows if row[key] == value), key=lambda row: row[x])
     number = [*GRAPHS, *METHODS].index(value) % len(GRAPHS)
@@ -254,7 +270,7 @@ def _line(
 
 
 def _logarithmic(axes: "Axes", which: str = "y") -> None:
-    """A logarithmic scale of x or y that is marked 1, 2, 5, 10, ... in plain figures."""
+    """Set a logarithmic scale of x or y with ticks at 1, 2, 5, 10, ... in plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     axes.set(**{f"{which}scale": "log"})

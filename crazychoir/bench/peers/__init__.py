@@ -1,1 +1,1 @@
-"""The programs that crazychoir is compared with, one file a peer."""
+"""The programs that benchmarks run as processes of their own: our own and the peers."""

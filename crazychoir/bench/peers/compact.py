@@ -1,4 +1,4 @@
-"""The whole problem as one arc-flow MILP in HiGHS."""
+"""Solve the whole problem as one arc-flow MILP in HiGHS."""
 
 import contextlib
 import json
@@ -13,7 +13,7 @@ from crazychoir.routing.pricing.arc_flow import solve_compact
 
 
 def main() -> None:
-    """Until it is proven optimal, or so many nodes have been searched."""
+    """Solve until the plan is proven optimal, or the limit of nodes is reached."""
     end_with_parent()
     spec = json.loads(sys.argv[1])
     instance = Instance.load(spec["instance"])

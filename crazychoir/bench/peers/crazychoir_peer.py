@@ -1,4 +1,4 @@
-"""Ours: drones of one process exchange with `neighbors_exchange`; processes are joined by Zenoh."""
+"""Our program: drones of a process use `neighbors_exchange`; Zenoh connects the processes."""
 
 import asyncio
 from typing import Any
@@ -30,7 +30,7 @@ async def start(
     spec: dict[str, Any],
     rounds: dict[int, int],
 ) -> None:
-    """Find the other processes, say so, wait for the word; from then on `rounds` are counted."""
+    """Find the other processes, report ready, and wait for go; then start to count `rounds`."""
     if spec["connect"]:
         endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
         link = ZenohLink(
@@ -45,7 +45,7 @@ async def start(
 
 
 async def main(clock: Clock) -> None:
-    """Join, wait for the word, exchange until killed."""
+    """Join, wait for go, and exchange until killed."""
     spec: dict[str, Any] = specification()
     bus = Bus(clock, process=spec["process"], host="bench")
     team = Graph.from_neighbors(spec["neighbors"])

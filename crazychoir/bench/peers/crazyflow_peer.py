@@ -1,6 +1,8 @@
-"""crazyflow: s that a step of 10 ms of N drones takes, as one JSON line; its default model and control, at 500 Hz.
+"""crazyflow: s of a step of 10 ms with N drones, as one JSON line.
 
-A program of its own, started by its path: crazyflow wants to be imported before everything that imports scipy.
+It uses the default model and control of crazyflow, at 500 Hz.
+This is a program of its own that is started by its path, because crazyflow must be imported
+before everything that imports scipy.
 """
 
 import importlib
@@ -10,10 +12,16 @@ import sys
 import time
 
 TICK = 0.01
+"""Length of a step, s."""
 
 
 def main(n: int, calls: int, repeats: int) -> None:
-    """Steps once to compile, then the median over repeats of so many calls."""
+    """Step once to compile, then measure the median over repeats, each with `calls` steps.
+
+    n: number of drones
+    calls: steps of a repeat
+    repeats: number of repeats
+    """
     sim = importlib.import_module("crazyflow.sim").Sim(n_worlds=1, n_drones=n)
     sim.reset()
 

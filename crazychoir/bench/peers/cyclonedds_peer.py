@@ -1,6 +1,7 @@
-"""CycloneDDS: each agent writes a topic and reads those of its neighbours, as ROS 2 nodes do; a listener wakes uvloop.
+"""CycloneDDS: each agent writes a topic and reads those of its neighbours, as ROS 2 nodes do.
 
-Reliable, the last 16 values kept, discovery by unicast on the loopback interface.
+A listener wakes uvloop. The topics are reliable and keep the last 16 values. Discovery is by
+unicast on the loopback interface.
 """
 
 import asyncio
@@ -21,7 +22,7 @@ SETTINGS = """<CycloneDDS><Domain>
 
 
 def state_type() -> type[Any]:
-    """The IDL struct of a message: source, round, six numbers."""
+    """Return the IDL struct of a message: source, round, six numbers."""
     idl = importlib.import_module("cyclonedds.idl")
     kinds = importlib.import_module("cyclonedds.idl.types")
     fields = {
@@ -39,7 +40,7 @@ def state_type() -> type[Any]:
 
 
 class Inbox:
-    """The rounds of one agent: who waits for round k gets all of it."""
+    """The messages of one agent, by round."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, size: int) -> None:
         self.loop = loop
@@ -49,7 +50,7 @@ class Inbox:
         self.waiter: asyncio.Future[None] | None = None
 
     def put(self, message: Any) -> None:
-        """A message has come."""
+        """Store a message, and wake the reader if the round is complete."""
         box = self.rounds.setdefault(message.k, {})
         box[message.source] = message
         if (
@@ -61,7 +62,7 @@ class Inbox:
             self.waiter.set_result(None)
 
     async def get(self, k: int) -> dict[int, Any]:
-        """All messages of round k."""
+        """Wait for all messages of round k and return them."""
         self.k = k
         if len(self.rounds.setdefault(k, {})) < self.size:
             self.waiter = self.loop.create_future()
@@ -128,7 +129,7 @@ class Participant:
             inbox.put(message)
 
     def matched(self) -> bool:
-        """Whether all our readers and writers have found each other's ends."""
+        """Return whether all our readers and writers have found their partners."""
         needs = {i: len(js) for i, js in self.spec["neighbors"].items()}
         heard = all(
             len(writer.get_matched_subscriptions()) >= needs[i]
@@ -150,7 +151,7 @@ class Participant:
 
 
 async def main() -> None:
-    """Find the others, wait for the word, exchange until killed."""
+    """Find the others, wait for go, and exchange until killed."""
     spec = specification()
     participant = Participant(spec, asyncio.get_running_loop())
     rounds = dict.fromkeys(spec["mine"], 0)

@@ -1,7 +1,8 @@
-"""DISROPT's rule for pickup and delivery: primal decomposition, then every robot serves what it has a share of.
+"""DISROPT's rule for pickup and delivery: primal decomposition, then each robot serves its shares.
 
-Prices, columns and weights are ours, which favours it: DISROPT's own local problem is the arc-flow MILP, and its step,
-without weights, diverges on dense graphs.
+A robot serves every task in which it has a share. Prices, columns and weights are ours, which
+favours the rule: DISROPT's own local problem is the arc-flow MILP, and its step, without
+weights, diverges on dense graphs.
 """
 
 import json
@@ -19,11 +20,14 @@ from crazychoir.types import Vec
 
 
 class ShareRule(Program[tuple[int, ...]]):
-    """Robot i after T rounds:  min c_i'z  s.t.  visits(z) >= y_i - rho_i,  rho_i the least for which some route does.
+    """The choice of robot i after T rounds.
 
-    Visits are 0 or 1, so that it serves every task j with y_ij > rho_i, and rho_i > 0 where no route serves all tasks
-    of which it has a share. The result is the tasks that it serves.
-    Source: the recovery of Camisa, Notarnicola & Notarstefano 2021, arXiv 2010.14446, without restriction.
+        min c_i'z  s.t.  visits(z) >= y_i - rho_i,  rho_i the least for which some route does
+
+    Visits are 0 or 1. So the robot serves every task j with y_ij > rho_i. rho_i > 0 if no route
+    serves all tasks in which the robot has a share. The result is the tasks that it serves.
+    Source: the recovery of Camisa, Notarnicola & Notarstefano 2021, arXiv 2010.14446, without
+    restriction.
     """
 
     def __init__(self, member: Member) -> None:
@@ -31,7 +35,7 @@ class ShareRule(Program[tuple[int, ...]]):
         super().__init__()
 
     def run(self) -> Exchange[tuple[int, ...]]:
-        """Prices, then the robot's own choice."""
+        """Run the prices, then the robot's own choice."""
         prices = PriceRounds(self._member)
         yield from prices.run()
         return served(
@@ -41,7 +45,12 @@ class ShareRule(Program[tuple[int, ...]]):
 
 
 def served(y: Vec, columns: list[Column]) -> tuple[int, ...]:
-    """The tasks of the cheapest column that serves every task with a share above the least possible rho."""
+    """Return the tasks of the first column that serves every task with a share above rho.
+
+    rho is the least value for which such a column exists.
+    y: (M,) shares of the robot
+    columns: its columns
+    """
     missing = [
         max((float(y[j]) for j in range(len(y)) if j not in column.tasks), default=0.0)
         for column in columns
@@ -53,7 +62,7 @@ def served(y: Vec, columns: list[Column]) -> tuple[int, ...]:
 
 
 def main() -> None:
-    """All robots in one loop."""
+    """Run all robots in one loop."""
     end_with_parent()
     spec = json.loads(sys.argv[1])
     instance = Instance.load(spec["instance"])

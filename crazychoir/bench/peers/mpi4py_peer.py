@@ -1,4 +1,4 @@
-"""MPI: one rank an agent, pickled isend and recv with each neighbour, as DISROPT's communicator does."""
+"""MPI: one rank an agent, pickled isend and recv with each neighbour, as in DISROPT."""
 
 import importlib
 
@@ -8,7 +8,7 @@ from crazychoir.bench.peers.peers import report, say, specification
 
 
 def main() -> None:
-    """Meet at a barrier, exchange until ended."""
+    """Meet at a barrier, then exchange until killed."""
     importlib.import_module("mpi4py").rc.thread_level = "funneled"
     world = importlib.import_module("mpi4py.MPI").COMM_WORLD
     wait_all = importlib.import_module("mpi4py.MPI").Request.waitall

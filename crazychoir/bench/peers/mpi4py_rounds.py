@@ -1,7 +1,8 @@
-"""DISROPT's pattern: one MPI rank an agent, dill, Isend to the neighbours, and a loop that probes until all have come.
+"""DISROPT's pattern: one MPI rank an agent, dill, Isend to the neighbours, and a probing loop.
 
-The loop gives its processor away between two probes, which DISROPT's own does not, but its MPI does where ranks share
-processors; without that nothing goes on with more ranks than processors.
+The loop probes until all messages have come. It yields its processor between two probes.
+DISROPT's own loop does not, but its MPI does where ranks share processors. Without it, a run
+with more ranks than processors makes no progress.
 """
 
 import importlib
@@ -20,7 +21,10 @@ Exchange = Callable[..., dict[int, Any]]
 
 
 def communicator(neighbors: Neighbors) -> Exchange:
-    """Sends the data, dumped once for all, with `each` to each neighbour its own; returns what has come from each."""
+    """Return a function that sends data to the neighbours and returns what has come from each.
+
+    With `each` the data of each neighbour differs; without it the data is serialised once for all.
+    """
     mpi = importlib.import_module("mpi4py.MPI")
     dill = importlib.import_module("dill")
     world = mpi.COMM_WORLD
@@ -50,7 +54,7 @@ def communicator(neighbors: Neighbors) -> Exchange:
 def consensus(
     i: int, neighbors: dict[int, Neighbors], exchange: Exchange
 ) -> Callable[[], None]:
-    """x_i <- sum_j w_ij x_j."""
+    """Return a step of consensus, x_i <- sum_j w_ij x_j."""
     row = weights(neighbors, i)
     x = start(i)
 
@@ -65,7 +69,10 @@ def consensus(
 def dual_decomposition(
     i: int, neighbors: dict[int, Neighbors], exchange: Exchange
 ) -> Callable[[], None]:
-    """Multipliers on edges: x_i = argmin f_i + x'sum_j (l_ij - l_ji),  l_ij += a (x_i - x_j);  in two exchanges."""
+    """Return a step of dual decomposition with multipliers on edges, in two exchanges.
+
+    x_i = argmin f_i + x'sum_j (l_ij - l_ji),  l_ij += a (x_i - x_j)
+    """
     local = problem(i)
     multipliers: dict[int, Vec] = {j: np.zeros(local.n) for j in neighbors[i]}
 
@@ -82,7 +89,7 @@ def dual_decomposition(
 
 
 def main() -> None:
-    """Meet at a barrier, run until ended."""
+    """Meet at a barrier, then run until killed."""
     importlib.import_module("mpi4py").rc.thread_level = "funneled"
     world = importlib.import_module("mpi4py.MPI").COMM_WORLD
     spec = specification()

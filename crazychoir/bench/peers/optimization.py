@@ -1,4 +1,7 @@
-"""What `bench optimization` runs, by both programs: consensus, and dual decomposition with the same local solver."""
+"""The problems of `bench optimization` for both programs: consensus, and dual decomposition.
+
+Dual decomposition uses the same local solver in both.
+"""
 
 import importlib
 from typing import TYPE_CHECKING, Any
@@ -12,28 +15,27 @@ if TYPE_CHECKING:
     from crazychoir.optimization.problems.problems import CostCoupled
 
 SIZE = 3
-"""Entries of x."""
+"""Number of entries of x."""
 STEP = 0.05
-"""Of dual decomposition."""
+"""Step size of dual decomposition."""
 
 
 def start(i: int) -> Vec:
-    """Where agent i begins consensus."""
+    """Return the initial x of agent i for consensus."""
     return np.random.default_rng(i).normal(size=SIZE)
 
 
 def weights(neighbors: dict[int, tuple[int, ...]], i: int) -> dict[int, float]:
-    """Row i of the Metropolis weights."""
+    """Return row i of the Metropolis weights."""
     return metropolis(Graph.from_neighbors(neighbors))[i]
 
 
 def problem(i: int) -> "CostCoupled":
-    """f_i(x) = x'Q_i x / 2 + c_i'x over a box, Q_i positive definite."""
+    """Return f_i(x) = x'Q_i x / 2 + c_i'x over a box, Q_i positive definite."""
     from crazychoir.optimization.problems.problems import CostCoupled
 
-    cp = importlib.import_module(
-        "cvxpy"
-    )  # as a user models it; 1 s, which consensus need not wait for
+    # The problem is modelled as users do. The import takes 1 s, which consensus does not need.
+    cp = importlib.import_module("cvxpy")
     draw = np.random.default_rng(i)
     half: Mat = draw.normal(size=(SIZE, SIZE))
     x = cp.Variable(SIZE)
@@ -44,7 +46,7 @@ def problem(i: int) -> "CostCoupled":
 
 
 def algorithm(name: str, neighbors: dict[int, tuple[int, ...]], i: int) -> Any:
-    """Our agent i."""
+    """Return agent i of our program."""
     if name == "consensus":
         from crazychoir.optimization.algorithms.consensus import Consensus
 

@@ -1,4 +1,7 @@
-"""OR-tools' routing library: transit matrices, guided local search, from the better of two first plans."""
+"""OR-tools' routing library: transit matrices and guided local search from two first plans.
+
+The better result counts.
+"""
 
 import importlib
 import time
@@ -9,14 +12,15 @@ import numpy as np
 from crazychoir.bench.peers.routing import Best, Problem, Routes, answer
 
 SCALE = 10_000.0
-"""1/m, of its whole numbers."""
+"""Units of its whole numbers, 1/m."""
 PATIENCE = 3.0
-"""Of the clock on the wall, in times of the CPU that it gets."""
+"""Limit on the wall clock, as a multiple of the CPU time that it gets."""
 FIRST = ("PARALLEL_CHEAPEST_INSERTION", "LOCAL_CHEAPEST_INSERTION")
+"""Strategies for the first plan."""
 
 
 def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
-    """`seconds` of CPU from each first plan: it computes in one thread."""
+    """Search for `seconds` of CPU from each first plan, in one thread; return the costs as text."""
     found = [
         f"{first.lower()}: {_cost(search(problem, first, spec['seconds'], best))}"
         for first in FIRST
@@ -25,7 +29,7 @@ def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
 
 
 def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
-    """One search; returns the cost in m of its best plan, inf if it has none."""
+    """Run one search; return the cost of its best plan in m, inf if it has none."""
     c = importlib.import_module("ortools.constraint_solver.pywrapcp")
     enums = importlib.import_module("ortools.constraint_solver.routing_enums_pb2")
     n = problem.robots

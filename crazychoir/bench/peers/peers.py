@@ -1,6 +1,7 @@
-"""What the programs of `bench exchange` share: a window of time in which a process counts its rounds and its CPU.
+"""Shared code of the programs of `bench exchange`: count rounds and CPU in a window of time.
 
-Every program gets one JSON argument, says {"ready": true}, starts at a line "go" and answers with one JSON line.
+Every program gets one JSON argument, prints {"ready": true}, starts at a line "go" and answers
+with one JSON line.
 """
 
 import json
@@ -11,13 +12,14 @@ import time
 from typing import Any
 
 PATIENCE = 150.0
-"""s after which a program that nobody ends ends itself."""
+"""Seconds after which a program ends itself."""
 
 
 def specification() -> dict[str, Any]:
-    """The argument: neighbors, warm, seconds, and what the program needs; from here on `PATIENCE` counts.
+    """Return the argument of the program: neighbors, warm, seconds, and what the program needs.
 
-    core: which this process is bound to, with all threads that it will have.
+    From this call on `PATIENCE` counts. If the argument has a `core`, this process and all its
+    later threads are bound to it.
     """
     giving_up = threading.Timer(PATIENCE, os._exit, (1,))
     giving_up.daemon = True
@@ -30,13 +32,13 @@ def specification() -> dict[str, Any]:
 
 
 def say(answer: dict[str, Any]) -> None:
-    """One line to the bench."""
+    """Print one line for the bench."""
     sys.stdout.write(json.dumps(answer) + "\n")
     sys.stdout.flush()
 
 
 def wait_for_go() -> None:
-    """Block until the bench says go; from then on, its end ends us."""
+    """Block until the bench says go; from then on, end when the bench ends."""
     if not sys.stdin.readline():
         os._exit(1)
     threading.Thread(
@@ -45,7 +47,10 @@ def wait_for_go() -> None:
 
 
 def report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
-    """In a thread: after `warm` s count the rounds and the CPU of `seconds` s, and say so."""
+    """Start a thread that waits `warm` s, then counts rounds and CPU for `seconds` s.
+
+    It prints the result.
+    """
     thread = threading.Thread(target=_report, args=(rounds, spec), daemon=True)
     thread.start()
 

@@ -1,4 +1,4 @@
-"""Ours: agents of one process run a distributed algorithm; processes are joined by Zenoh."""
+"""Our program: agents of a process run a distributed algorithm; Zenoh connects the processes."""
 
 import asyncio
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from crazychoir.team.graph import Graph
 
 
 class Counted:
-    """An algorithm whose rounds are counted; it never ends."""
+    """An algorithm that counts its rounds and never ends."""
 
     done = False
 
@@ -27,13 +27,13 @@ class Counted:
         self.message = agent.message
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """One round more."""
+        """Run one round and count it."""
         self.agent.step(heard)
         self.rounds[self.i] += 1
 
 
 async def main(clock: Clock) -> None:
-    """Join, wait for the word, run until killed."""
+    """Join, wait for go, and run until killed."""
     spec: dict[str, Any] = specification()
     neighbors = spec["neighbors"]
     bus = Bus(clock, process=spec["process"], host="bench")

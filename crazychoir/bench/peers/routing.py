@@ -1,7 +1,7 @@
-"""What the solvers of `bench routing` share: the instance as they take it, and their answer.
+"""Shared code of the solvers of `bench routing`: the instance in their form, and their answer.
 
-A solver gets one JSON argument (instance: a file, and what it needs) and answers with one JSON line. It imports nothing
-else of crazychoir: OR-tools and HiGHS cannot share a process.
+A solver gets one JSON argument (instance: a file, and options) and answers with one JSON line.
+It imports nothing else of crazychoir, because OR-tools and HiGHS cannot share a process.
 """
 
 import json
@@ -19,22 +19,30 @@ import numpy.typing as npt
 
 Ints = npt.NDArray[np.int64]
 Routes = dict[int, list[int]]
-"""Of each robot its stops: j is the pickup of task j, M + j its delivery."""
+"""The stops of each robot: j is the pickup of task j, M + j its delivery."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """distance: (N + 2M, N + 2M) m, rows: homes, pickups, deliveries;  load: (M,), capacity: (N,);  limit: m."""
+    """An instance of N robots and M tasks."""
 
     distance: npt.NDArray[np.float64]
+    """(N + 2M, N + 2M) m; rows: homes, pickups, deliveries."""
     load: Ints
+    """(M,) load of each task."""
     capacity: Ints
+    """(N,) capacity of each robot, in the unit of load."""
     capability: npt.NDArray[np.bool_]
+    """(N, M): whether the robot can serve the task."""
     limit: float
+    """Largest length of a route, m."""
 
     @classmethod
     def load_from(cls, path: str) -> "Problem":
-        """From an instance file; loads and capacities must be whole numbers there, as these solvers have them."""
+        """Read an instance file.
+
+        Its loads and capacities must be whole numbers, because these solvers need that.
+        """
         raw = json.loads(Path(path).read_text(encoding="utf-8"))
         points = np.array([*raw["home"], *raw["pickup"], *raw["delivery"]])
         limit = raw.get("route_length_limit")
@@ -48,25 +56,31 @@ class Problem:
 
     @property
     def robots(self) -> int:
-        """N."""
+        """Number N of robots."""
         return len(self.capacity)
 
     @property
     def tasks(self) -> int:
-        """M."""
+        """Number M of tasks."""
         return len(self.load)
 
     def whole(self, scale: float) -> Ints:
-        """The distances in 1 / scale m, rounded up: a route that keeps the limit in them keeps it."""
+        """Return the distances in 1 / scale m, rounded up.
+
+        So a route that keeps the limit in these units keeps the true limit.
+        """
         return np.ceil(self.distance * scale - 1e-9).astype(np.int64)
 
     def longest(self, scale: float) -> int:
-        """The limit in 1 / scale m, rounded down; without one, more than any route is long."""
+        """Return the limit in 1 / scale m, rounded down.
+
+        Without a limit, return more than the length of any route.
+        """
         limit = min(self.limit, 2.0 * float(self.distance.max()) * (self.tasks + 1))
         return int(np.floor(limit * scale + 1e-9))
 
     def cost(self, routes: Routes) -> float:
-        """m, of closed tours."""
+        """Return the length of closed tours, m."""
         return sum(self._length(i, stops) for i, stops in routes.items() if stops)
 
     def _length(self, i: int, stops: list[int]) -> float:
@@ -74,12 +88,15 @@ class Problem:
         return float(self.distance[tour[:-1], tour[1:]].sum())
 
     def serves_all(self, routes: Routes) -> bool:
-        """Whether every task is in some route."""
+        """Return whether every task is in some route."""
         return sum(map(len, routes.values())) == 2 * self.tasks
 
 
 class Best:
-    """The best plan so far, and when each better one came: curve, [[s, m], ...]."""
+    """The best plan so far.
+
+    curve: [[s, m], ...]: time and cost of each better plan
+    """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -89,11 +106,11 @@ class Best:
         self._began = time.perf_counter()
 
     def elapsed(self) -> float:
-        """s since the start."""
+        """Return the s since the start."""
         return time.perf_counter() - self._began
 
     def offer(self, routes: Routes) -> None:
-        """Keep it if it serves all tasks and costs less."""
+        """Keep the plan if it serves all tasks and costs less."""
         cost = self.problem.cost(routes)
         if self.problem.serves_all(routes) and cost < self.cost:
             self.routes = routes
@@ -102,14 +119,14 @@ class Best:
 
 
 def end_with_parent() -> None:
-    """From here on the end of standard input is ours."""
+    """End this process when its standard input ends."""
     threading.Thread(
         target=lambda: os._exit(len(sys.stdin.read())), daemon=True
     ).start()
 
 
 def answer(solve: Callable[[dict[str, Any], Problem, Best], str]) -> None:
-    """Solve the instance of the argument; `solve` returns what there is to remark."""
+    """Solve the instance of the argument and print the answer; `solve` returns the note."""
     end_with_parent()
     spec = json.loads(sys.argv[1])
     problem = Problem.load_from(spec["instance"])

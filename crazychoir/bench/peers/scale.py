@@ -1,4 +1,7 @@
-"""What `bench scale` measures: agents of one process exchange with four neighbours each, most of them elsewhere."""
+"""The program of `bench scale`: agents of a process exchange with four neighbours each.
+
+Most neighbours are in other processes.
+"""
 
 import asyncio
 import os
@@ -28,7 +31,7 @@ async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
 
 
 def private() -> int:
-    """Bytes that are this process's alone."""
+    """Return the bytes of memory that only this process uses."""
     lines = Path("/proc/self/smaps_rollup").read_text(encoding="utf-8").splitlines()
     return 1024 * sum(
         int(line.split()[1]) for line in lines if line.startswith("Private_")
@@ -38,7 +41,7 @@ def private() -> int:
 def looked_at(
     bus: Bus, link: ZenohLink | None, rounds: dict[int, int]
 ) -> dict[str, float]:
-    """What has been counted until now."""
+    """Return the counters up to now."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     found = {
         "t": time.perf_counter(),
@@ -59,7 +62,7 @@ def looked_at(
 
 
 async def main(clock: Clock) -> None:
-    """Join, wait for the word, exchange, and say what a window of it has cost."""
+    """Join, wait for go, exchange, and print the cost of a window."""
     spec: dict[str, Any] = specification()
     bus = Bus(clock, process=spec["process"], host=spec["host"])
     link = None

@@ -1,4 +1,7 @@
-"""VROOM: restarted from random orders of robots and tasks, and random scales of its whole numbers; the best counts."""
+"""VROOM, restarted from random orders of robots and tasks, and random scales of its whole numbers.
+
+The best result counts.
+"""
 
 import importlib
 from typing import Any
@@ -8,11 +11,14 @@ import numpy as np
 from crazychoir.bench.peers.routing import Best, Problem, Routes, answer
 
 SCALES = (100.0, 10_000.0)
-"""1/m, of the whole numbers that VROOM computes with; its plans depend on it by some per cent."""
+"""Range of the scale of VROOM's whole numbers, 1/m; its plans depend on it by some per cent."""
 
 
 def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
-    """Until `seconds` are over, and at least `restarts` times; returns how often some task stayed unserved."""
+    """Run until `seconds` are over, and at least `restarts` times.
+
+    Returns a note with the number of runs, and of runs that left a task unserved.
+    """
     vroom = importlib.import_module("vroom")
     draw = np.random.default_rng(spec["seed"])
     runs = unserved = 0
@@ -31,7 +37,14 @@ def once(
     exploration: int,
     threads: int,
 ) -> Routes:
-    """One run."""
+    """Run VROOM once.
+
+    vroom: its module
+    problem: the instance
+    draw: random generator
+    exploration: exploration level
+    threads: number of threads
+    """
     n = problem.robots
     m = problem.tasks
     low, high = np.log(SCALES)

@@ -1,4 +1,4 @@
-"""crazychoir bench: speed and accuracy, against peers where there are some, in one run."""
+"""crazychoir bench: measure speed and accuracy, beside other programs in the same run."""
 
 import json
 import sys
@@ -30,7 +30,7 @@ Say = Callable[[str], None]
 
 @app.command()
 def exchange(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Rounds a second of the neighbours' exchange, beside CycloneDDS and MPI."""
+    """Measure rounds a second of the exchange between neighbours, beside CycloneDDS and MPI."""
     from crazychoir.bench import exchange as bench_exchange
 
     _show(
@@ -50,7 +50,10 @@ def scale(
     ] = False,
     repeats: Annotated[int, options.whole("Medians of so many.")] = 3,
 ) -> None:
-    """What 10 to 1000 agents in 1 to 8 processes cost, and a model of it: what 10 000 on 100 hosts need."""
+    """Measure the cost of 10 to 1000 agents in 1 to 8 processes.
+
+    A model of the cost then says what 10 000 agents on 100 hosts need.
+    """
     from crazychoir.bench import scale as bench_scale
 
     _show(
@@ -62,7 +65,10 @@ def scale(
 
 @app.command()
 def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """How much faster than real time one core flies 10 to 1000 drones, where the time goes, and worlds alone."""
+    """Measure how much faster than real time one core flies 10 to 1000 drones.
+
+    Shows where the time goes, and the speed of the simulated worlds alone.
+    """
     from crazychoir.bench import flight as bench_flight
 
     _show(lambda say: bench_flight.run(quick, say), bench_flight.tables, as_json)
@@ -70,7 +76,11 @@ def flight(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def radio(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """How late the event loop of an agent is while owners of dongles keep twenty links, and connect another."""
+    """Measure the delay of an agent's event loop while dongle owners serve twenty
+    links.
+
+    They also open one more link meanwhile.
+    """
     from crazychoir.bench import radio as bench_radio
 
     _show(lambda say: bench_radio.run(quick, say), bench_radio.table, as_json)
@@ -78,7 +88,7 @@ def radio(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """How far the velocities of the filters are off, beside those of the original's difference equation."""
+    """Measure the velocity errors of the filters, beside the original's difference equation."""
     from crazychoir.bench import filters as bench_filters
 
     seeds = bench_filters.SEEDS[:1] if quick else bench_filters.SEEDS
@@ -91,7 +101,10 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 
 @app.command()
 def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """How exactly a drone flies a circle and an eight: controllers alone, and the whole stack with its errors."""
+    """Measure how exactly a drone flies a circle and an eight.
+
+    First with the controllers alone, then with the whole stack and its errors.
+    """
     from crazychoir.bench import tracking as bench_tracking
 
     _show(lambda say: bench_tracking.run(quick, say), bench_tracking.table, as_json)
@@ -104,7 +117,10 @@ def formation(
     seeds: Annotated[int, options.whole("Of the starts.")] = 50,
     drones: Annotated[int | None, options.size("4 or 30 alone.")] = None,
 ) -> None:
-    """How fast four and thirty drones with motors form up by bearings: the worst of many starts."""
+    """Measure how fast four and thirty drones with motors form up by bearings.
+
+    The result is the worst of many starts.
+    """
     from crazychoir.bench import formation as bench_formation
 
     cases = tuple(
@@ -139,7 +155,10 @@ def routing(
         typer.Option(help="A further run of the team that tries to prove an optimum."),
     ] = False,
 ) -> None:
-    """Plans of pickups and deliveries: the team beside VROOM, OR-tools, MILP, auctions and DISROPT's rule."""
+    """Compare plans of pickups and deliveries: the team beside other solvers.
+
+    They are VROOM, OR-tools, MILP, auctions and DISROPT's rule.
+    """
     from crazychoir.bench import routing as bench_routing
 
     measure = partial(
@@ -150,7 +169,10 @@ def routing(
 
 @app.command()
 def optimization(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Rounds a second of consensus and dual decomposition, beside DISROPT's pattern of MPI ranks."""
+    """Measure rounds a second of consensus and dual decomposition.
+
+    The peer is DISROPT's pattern of MPI ranks.
+    """
     from crazychoir.bench import optimization as bench_optimization
 
     _show(
@@ -171,7 +193,11 @@ def paper(
     as_json: JsonOption = False,
     quick: QuickOption = False,
 ) -> None:
-    """Tables (CSV) and pictures (PNG): what loss, graph, size and method cost a team, and the other solvers."""
+    """Write tables (CSV) and pictures (PNG) for a paper.
+
+    They show what loss, graph, size and method cost a team, and what other
+    solvers find.
+    """
     from crazychoir.bench.paper import paper as bench_paper
 
     _show(
@@ -181,7 +207,10 @@ def paper(
 
 @app.command(name="all")
 def everything(quick: QuickOption = False) -> None:
-    """All of them but formation, routing and paper, which take long, one after the other."""
+    """Run the short benches one after the other.
+
+    They are exchange, flight, tracking, filters, optimization and latency.
+    """
     exchange(quick=quick)
     flight(quick=quick)
     tracking(quick=quick)
@@ -195,7 +224,10 @@ def _show(
     table: Callable[[dict[str, Any]], RenderableType],
     as_json: bool,
 ) -> None:
-    """Measure under a line that says what is measured, or one line each where nobody looks on, then print."""
+    """Measure while a line shows the progress, then print the result.
+
+    Without a terminal each step of the progress is printed as a line of its own.
+    """
     set_up_logging()
     try:
         if STDERR.is_terminal:

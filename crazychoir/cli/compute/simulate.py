@@ -1,4 +1,4 @@
-"""crazychoir simulate: a distributed algorithm on simulated agents, over a bad network, without flying."""
+"""crazychoir simulate: run a distributed algorithm over a network that loses messages."""
 
 import time
 from collections.abc import Mapping
@@ -34,15 +34,19 @@ if TYPE_CHECKING:
     Seen = tuple[str, Mapping[int, Any]]
 
 SHOWN_AGENTS = 20
+"""Largest number of agents that a table shows."""
 ENTRIES = 6
-"""Of an array that a table shows."""
+"""Number of entries of an array that a table shows."""
 QUIET = 10.0
-"""s without a word, where no live table can be; then twice as long, and so on."""
+"""Seconds without output before the first progress line, where no live table is possible.
+
+The interval doubles after each line.
+"""
 INTERRUPTED = "Ctrl-C: the run ends here, with what there is"
 WIDEST = 60
-"""Characters of what is no array."""
+"""Largest number of characters shown of a value that is not an array."""
 SMALL = 1e-6
-"""Of a violation: a solver's tolerance, which none that is meant is below."""
+"""Constraint violations up to this are tolerances of a solver, and are not reported."""
 
 
 def simulate(
@@ -94,18 +98,20 @@ def simulate(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Run a distributed algorithm on simulated agents, over a network that loses messages.
+    """Run a distributed algorithm on simulated agents, over a network that loses
+    messages.
 
-    The file defines agent(i, graph), which returns agent i: an object with `message()`, `step(heard)` and `done`, as
-    those of crazychoir.optimization. Its attribute x, if it has one, is what is recorded, unless --record names others;
-    its `result` is shown at the end.
+    The file defines agent(i, graph), which returns agent i: an object with
+    `message()`, `step(heard)` and `done`, like the agents of
+    crazychoir.optimization. Its attribute x, if there is one, is recorded, unless
+    --record names others. Its `result` is shown at the end.
     """
     set_up_logging()
     with LATER.checks_first():
         from crazychoir.optimization.history import require_suffix
         from crazychoir.solve import (
             simulate as simulation,
-        )  # numerics: 1 s that --help does not need
+        )  # takes 1 s, which --help does not need
 
     outputs = Outputs()
     asked = (
@@ -183,7 +189,10 @@ def simulate(
 
 
 class _Watch:
-    """Shows a simulation that is on its way: a live table on a terminal, else a line now and then, ever more rarely."""
+    """Shows the progress of a simulation: a live table on a terminal, else a line now and then.
+
+    The time between two lines doubles.
+    """
 
     def __init__(self, progress: "Progress[Seen]", rounds: int | None) -> None:
         self.progress = progress
@@ -205,14 +214,20 @@ class _Watch:
             self.progress.say(self._now(team))
 
     def _now(self, team: "Mapping[int, Any]") -> str:
-        """Asynchronous agents make different numbers of steps: of these, the mean."""
+        """Return the present round as text.
+
+        Asynchronous agents make different numbers of steps: of these it is the mean.
+        """
         return f"round {self.steps // len(team)}, {self.end}"
 
 
 def _team(
     file: Path, agents: int, graph: str, seed: int, directed: bool
 ) -> "tuple[Graph, dict[int, Round]]":
-    """The graph, and the agents that the file makes for it."""
+    """Return the graph and the agents that the file makes for it.
+
+    Raises ConfigError if the file defines no agent(i, graph), or if it returns no agent.
+    """
     from crazychoir.guidance.mission import from_file
     from crazychoir.guidance.user_hook import Hook
     from crazychoir.team.round import Round
@@ -251,7 +266,7 @@ def _draw(
 
 
 def _progress_table(seen: "Seen") -> Group:
-    """The round, and one row an agent."""
+    """Return the round and a table with one row an agent."""
     now, team = seen
     table = Table("agent", "x")
     for i, agent in list(team.items())[:SHOWN_AGENTS]:
@@ -260,7 +275,7 @@ def _progress_table(seen: "Seen") -> Group:
 
 
 def _with_the_rest(table: Table, agents: int) -> Table:
-    """How many are not shown."""
+    """Add the number of agents that the table leaves out."""
     if agents > SHOWN_AGENTS:
         table.caption = f"and {agents - SHOWN_AGENTS} more agents"
     return table
@@ -309,7 +324,7 @@ def _tables(history: "History", name: str) -> Group:
 
 
 def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table | None:
-    """One row an agent, one column a name; None without any."""
+    """Return a table with one row an agent and one column a name; None if there are no names."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     table = Table("agent", *names, title=title)
     for i, row in list(rows.items())[:SHOWN_AGENTS]:
@@ -320,7 +335,10 @@ def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table 
 
 
 def _violation(history: "History") -> str | Text:
-    """The largest, and whose they are if they are not small: the agents' x are then no answer. "" if there is none."""
+    """Return the largest constraint violation, and which agents it concerns if it is not small.
+
+    The x of these agents is not feasible, so it is no solution. Returns "" if none is known.
+    """
     if history.violation is None:
         return ""
     over = [i for i, violation in history.violations.items() if not violation <= SMALL]

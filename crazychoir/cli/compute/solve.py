@@ -1,4 +1,4 @@
-"""crazychoir solve: a pickup-and-delivery instance by its robots, without flying."""
+"""crazychoir solve: a team of robots solves a pickup-and-delivery instance, without flight."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from crazychoir.solve.team import Progress as TeamProgress
 
 SHOWN_ROBOTS = 20
-"""While they solve; the plan shows all."""
+"""Number of robots shown while they solve; the plan shows all."""
 
 
 def solve(
@@ -70,19 +70,24 @@ def solve(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Solve an instance: every robot with its own part of it.
+    """Solve an instance: each robot solves its own part of it.
 
-    The file is one JSON object of N robots and M tasks, in metres: home (N points of 2 or 3 numbers), pickup and
-    delivery (M points), load (M numbers), capacity (N numbers, in the unit of load); agents/data/lab6.json is one.
-    If you like: route_length_limit (m), capability (N rows of M booleans), initial_load (N numbers), end (N points),
-    open_tours (boolean), distance (N + 2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
-    service_time (s), time_windows and release (s), penalty (of refusing a task), priority, fixed_cost, objective
-    (total, makespan, or both in order, or vehicles and total); the README says how each is written. Files of Li and
-    Lim are read too: vehicles first, then the total.
+    The file is one JSON object of N robots and M tasks, in metres: home (N points
+    of 2 or 3 numbers), pickup and delivery (M points), load (M numbers), capacity
+    (N numbers, in the unit of load); agents/data/lab6.json is an example.
+    Optional keys: route_length_limit (m), capability (N rows of M booleans),
+    initial_load (N numbers), end (N points), open_tours (boolean), distance (N +
+    2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
+    service_time (s), time_windows and release (s), penalty (for refusing a task),
+    priority, fixed_cost, objective (total, makespan, or both in order, or
+    vehicles and total); the README describes each. Files of Li and Lim can be
+    read too: they minimise vehicles first, then the total.
 
-    lower_bound: m; no plan costs less, of plans with as few vehicles where these come first. bound_exact: that is
-    proven. A plan that costs its lower_bound is optimal.
-    bound_relaxation: the kind of routes that a bound which is not exact was priced by.
+    lower_bound: m; no plan costs less. If vehicles come first, this holds among
+    plans with as few vehicles.
+    bound_exact: whether this bound is proven. A plan that costs its lower_bound
+    is optimal.
+    bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
     from crazychoir.routing.distributed.member import Settings
@@ -90,7 +95,7 @@ def solve(
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
         solve_in_processes,
-    )  # kernels and solvers: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
 
     outputs = Outputs()
     try:
@@ -148,7 +153,7 @@ def _team_table(team: "Team") -> Table:
 
 
 def _progress_table(progress: "TeamProgress") -> Table:
-    """One row a robot, of the first ones: phase, round, cost."""
+    """Return a table of phase, round and cost of the first robots, one row a robot."""
     table = Table("robot", "phase", "round", "cost")
     for i, (phase, k, cost) in list(progress.items())[:SHOWN_ROBOTS]:
         table.add_row(str(i), phase, str(k), "" if cost is None else f"{cost:.3f}")
@@ -158,7 +163,7 @@ def _progress_table(progress: "TeamProgress") -> Table:
 
 
 def _tables(result: dict[str, Any]) -> Group:
-    """What came of it, and a row a trip."""
+    """Return the figures of the result and a table with one row a trip."""
     figures = Table(
         "figure",
         "value",
@@ -179,7 +184,7 @@ def _tables(result: dict[str, Any]) -> Group:
 
 
 def _figures(result: dict[str, Any]) -> dict[str, str]:
-    """The rows of the first table; what says nothing of this instance is left out."""
+    """Return the rows of the first table; rows without meaning for this instance are left out."""
     rows = {"cost": f"{result['cost']:.6g}{_unit(result)}"}
     if result["objective"][0] == "vehicles":
         bound = result["vehicles_bound"]
@@ -219,14 +224,17 @@ def _figures(result: dict[str, Any]) -> dict[str, str]:
 
 
 def _unit(result: dict[str, Any]) -> str:
-    """Of the cost, where it has one: penalties are of none."""
+    """Return the unit of the cost; empty if penalties, which have no unit, are part of it."""
     if result["penalties"]:
         return ""
     return " s" if result["objective"][0] == "makespan" else " m"
 
 
 def _trip_table(result: dict[str, Any]) -> Table:
-    """Trips are numbered where there are several, and times shown where they matter."""
+    """Return a table with one row a trip.
+
+    Trips are numbered if a robot makes several, and times are shown if they matter.
+    """
     several = any(trip["trip"] > 1 for trip in result["trips"])
     timed = result["timed"]
     made = Table()

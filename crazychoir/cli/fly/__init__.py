@@ -1,1 +1,1 @@
-"""Commands that start processes of a flight."""
+"""Commands that start the processes of a flight."""

@@ -1,4 +1,4 @@
-"""crazychoir-agent: one drone of a swarm, or a few, in this process."""
+"""crazychoir-agent: fly one or several drones of a swarm in this process."""
 
 import logging
 from pathlib import Path
@@ -68,7 +68,7 @@ def agent(
     with LATER.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (
             configured,
-        )  # kernels and network: 1 s that --help does not need
+        )  # takes 1 s, which --help does not need
         from crazychoir.guidance.mission import load, look_before
         from crazychoir.launch.process.process import run_agent
         from crazychoir.launch.processes import write_results
@@ -106,7 +106,7 @@ def agent(
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line."""
     ending.run(app)
 
 

@@ -1,4 +1,7 @@
-"""crazychoir-mocap: motion capture, in a process of its own, for drones whose agents are elsewhere."""
+"""crazychoir-mocap: the process that receives motion capture for the drones of a swarm.
+
+The agents of these drones run in other processes.
+"""
 
 import sys
 from pathlib import Path
@@ -43,7 +46,7 @@ def mocap(
         typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
     ] = False,
 ) -> None:
-    """Tell the drones of a swarm where they are; Ctrl-C ends it as soon as none of them has an agent."""
+    """Send each drone of a swarm its pose. Ctrl-C ends it as soon as no drone has an agent."""
     if child:
         ending.with_parent()
     set_up_logging()
@@ -51,7 +54,7 @@ def mocap(
     from crazychoir.launch.process.mocap_process import (
         mocap_table,
         run_mocap,
-    )  # kernels and network: 1 s
+    )  # takes 1 s, which --help does not need
 
     try:
         config, which = find_swarm(swarm)
@@ -72,7 +75,11 @@ def mocap(
 
 
 def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
-    """The swarm with another source: SYSTEM, SYSTEM@HOST, SYSTEM@HOST:PORT (of "virtual"), or the file of a replay."""
+    """Return the swarm with another source of motion capture.
+
+    source: SYSTEM, SYSTEM@HOST, SYSTEM@HOST:PORT (port for "virtual"), or a .csv file to replay
+    Raises ConfigError for a port that is not from 1 to 65535.
+    """
     if source is None:
         return config
     from msgspec import to_builtins  # --help does not need it
@@ -97,7 +104,10 @@ def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":
 
 
 def host_and_port(text: str) -> tuple[str, str]:
-    """The two parts of HOST:PORT or [IPv6]:PORT; the port is empty without one, as of an IPv6 address alone."""
+    """Return the two parts of HOST:PORT or [IPv6]:PORT.
+
+    The port is empty if there is none, also for an IPv6 address without brackets.
+    """
     if text.startswith("["):
         host, _, rest = text[1:].partition("]")
         return host, rest.removeprefix(":")
@@ -108,7 +118,7 @@ def host_and_port(text: str) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line."""
     ending.run(app)
 
 

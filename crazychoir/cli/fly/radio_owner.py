@@ -1,4 +1,7 @@
-"""crazychoir-radio: the owner of a dongle, in a process of its own; its drones' agents are elsewhere."""
+"""crazychoir-radio: the process that owns a dongle.
+
+The agents of its drones run in other processes.
+"""
 
 from typing import Annotated
 
@@ -36,13 +39,13 @@ def radios(
         typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
     ] = False,
 ) -> None:
-    """Own a dongle: the links to all its drones; Ctrl-C ends it as soon as nobody flies."""
+    """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone flies."""
     if child:
         ending.with_parent()
     set_up_logging()
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
-    )  # kernels and network: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
     from crazychoir.launch.process.process import run_radios
 
     try:
@@ -68,7 +71,7 @@ def radios(
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line."""
     ending.run(app)
 
 

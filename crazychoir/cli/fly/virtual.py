@@ -1,4 +1,4 @@
-"""crazychoir virtual: Crazyflies that are not there, for programs that speak to real ones."""
+"""crazychoir virtual: simulated Crazyflies for programs that speak to real ones."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from crazychoir.radio.virtual.setup import Hall
 
 FIRST_PORT = 19850
+"""Default UDP port of the first drone."""
 app = typer.Typer(
     help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them."
 )
@@ -85,7 +86,7 @@ def virtual(
     from crazychoir.launch.process.serving import serve
     from crazychoir.radio.virtual.drone import (
         RELEASE,
-    )  # kernels: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
     from crazychoir.radio.virtual.setup import known_decks, of_swarm, on_a_grid
     from crazychoir.runtime.clock import run_wall
 
@@ -132,7 +133,10 @@ def _shared(
 
 
 def _table(states: dict[int, Any]) -> Table:
-    """A line a drone; what it has hit and whether its LEDs are lit only if that is so, for 80 columns."""
+    """Return a table with one row a drone, for 80 columns.
+
+    The columns for impacts and LEDs appear only if a drone has hit something or its LEDs are lit.
+    """
     columns = [
         "drone",
         "port",
@@ -185,7 +189,7 @@ def fault(
     swarm: OfSwarm = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Change what is wrong with a drone that flies."""
+    """Change the faults of a drone in flight."""
     wanted = _wanted(changes, as_json)
     _ask({"faults": {drone: wanted}}, port, swarm, as_json)
     if as_json:
@@ -196,7 +200,7 @@ def fault(
 def faults(
     port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False
 ) -> None:
-    """List what can go wrong, and what does."""
+    """List the possible faults and the present ones."""
     from crazychoir.radio.virtual.faults import KNOBS
 
     answer = _ask({"ask": "faults"}, port, swarm, as_json)
@@ -223,7 +227,7 @@ def faults(
 def state(
     port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False
 ) -> None:
-    """Tell the truth about each drone."""
+    """Print the true state of each drone."""
     answer = _ask({"ask": "state"}, port, swarm, as_json)
     if as_json:
         write_json(answer)

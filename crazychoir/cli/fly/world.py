@@ -1,4 +1,7 @@
-"""crazychoir-world: the owner of a simulated world, in a process of its own; its drones' agents are elsewhere."""
+"""crazychoir-world: the process that owns a simulated world.
+
+The agents of its drones run in other processes.
+"""
 
 from typing import Annotated
 
@@ -27,13 +30,13 @@ def world(
         typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
     ] = False,
 ) -> None:
-    """Own the simulated world of a swarm; Ctrl-C ends it as soon as nobody flies."""
+    """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""
     if child:
         ending.with_parent()
     set_up_logging()
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
-    )  # kernels and network: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
     from crazychoir.launch.process.process import run_world
 
     try:
@@ -55,7 +58,7 @@ def world(
 
 
 def main() -> None:
-    """Entry point."""
+    """Run the command line."""
     ending.run(app)
 
 

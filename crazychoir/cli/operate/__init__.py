@@ -1,1 +1,1 @@
-"""Commands that look into a running swarm or steer it."""
+"""Commands that inspect a running swarm or control it."""

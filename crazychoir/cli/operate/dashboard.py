@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Window
 
 LOCAL = "127.0.0.1"
+"""Address of the loopback."""
 PASSWORD = "CRAZYCHOIR_PASSWORD"  # noqa: S105 - the name of a variable
 INSTALL = "the dashboard's packages: pip install 'crazychoir[dashboard]'"
 
@@ -46,7 +47,10 @@ def dashboard(
         ),
     ] = None,
 ) -> None:
-    """Serve the operator's web page: view, commands, drawing, network, log. The swarm flies on without it."""
+    """Serve the operator's web page: view, commands, drawing, network, log.
+
+    The swarm flies on without it.
+    """
     try:
         from crazychoir.dashboard.server import Served, serve
     except ImportError as error:
@@ -77,7 +81,7 @@ def dashboard(
 
 
 def _password(file: Path | None) -> str | None:
-    """From the file, else from the environment; None without."""
+    """Return the password from the file, else from the environment; None if there is none."""
     if file is None:
         return os.environ.get(PASSWORD)
     return read_text(file, "for --password-file, a text file that can be read").strip()

@@ -1,4 +1,4 @@
-"""Fly drones that wait for their operator, or are held: to a place, or along a drawing in a file."""
+"""crazychoir go-to and fly: fly waiting or held drones to a place, or along a drawing in a file."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
 LATE = 60.0
-"""s, beyond the time of a drawing, that drones get to be where it begins."""
+"""Seconds that drones get to reach the start of a drawing, beside the duration of the drawing."""
 DronesOption = Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")]
 OffsetOption = Annotated[
     str, typer.Option(help="From one drone to the next, as 0,0.5,0 (m).")
@@ -36,7 +36,10 @@ def go_to(
     wait: Annotated[float, options.seconds("s to wait until it is done.")] = 120.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly to a place: drones that wait in the air for their start, or are held. Exit code 0 only if all are there."""
+    """Fly drones to a place while they wait in the air for their start, or are held.
+
+    Exits with 0 only if every drone arrives.
+    """
     from crazychoir.agent.sketch import places  # kernels: 1 s that --help does not need
 
     p = _metres("PLACE", place)
@@ -76,7 +79,11 @@ def fly(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly along a drawing: drones that wait for their start, or are held; leaders in their formation, side by side."""
+    """Fly drones along a drawing, side by side.
+
+    The drones wait for their start or are held. Leaders may also fly it with
+    their formation.
+    """
     from crazychoir.agent.sketch import HAND, loaded_file, messages, planned
     from crazychoir.planning.drawing.drawing import Pen
 

@@ -1,4 +1,4 @@
-"""Look into a running swarm, and change its simulated network: topics, echo, hz, status, impair."""
+"""Inspect a running swarm and change its simulated network: topics, echo, hz, status, impair."""
 
 import signal
 from functools import partial
@@ -34,18 +34,21 @@ JsonOption = Annotated[
     bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")
 ]
 LONGEST = 1.0
-"""s that drones get to say how they are: they do so four times a second."""
+"""Seconds to wait for the status of every drone, which comes four times a second."""
 SecondsOption = Annotated[
     float, options.seconds("How long to look, in s.", open_below=True)
 ]
 
 
 def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
-    """Join the swarm as an observer, do the work, leave; ends with a clear error if there is no swarm."""
+    """Join the swarm as an observer, do the work and leave.
+
+    Ends the command with an error if there is no swarm.
+    """
     set_up_logging()
     from crazychoir.cli.shared import (
         observer as window,
-    )  # kernels and network: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
 
     try:
         return window.look(swarm, work)
@@ -54,7 +57,7 @@ def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
 
 
 def topics(as_json: JsonOption = False) -> None:
-    """The table of topics."""
+    """Print the table of topics."""
     from crazychoir.bus.topics import TOPICS
 
     rows = [
@@ -96,9 +99,8 @@ def echo(
 ) -> None:
     """Print the values of a topic, one JSON object a line."""
     chosen = _topic(topic)
-    signal.signal(
-        signal.SIGPIPE, signal.SIG_DFL
-    )  # end, as other programs do, when nobody reads on
+    # End quietly, as other programs do, when the reader of a pipe has ended.
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
 
     async def work(window: "Window") -> None:
         for i in await window.find() if drone is None else [drone]:
@@ -114,7 +116,7 @@ def hz(
     seconds: SecondsOption = 5.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Rates at which a topic arrives, drone by drone."""
+    """Measure the rates at which a topic arrives, drone by drone."""
     chosen = _topic(topic)
 
     async def work(window: "Window") -> dict[int, float]:
@@ -135,12 +137,11 @@ def status(
     watch: Annotated[bool, typer.Option(help="Go on.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """How the drones are."""
+    """Show the state of each drone."""
 
     async def work(window: "Window") -> "Score":
-        if (
-            watch and window.patience
-        ):  # its agents may be starting just now, on other hosts
+        # The agents may be starting just now on other hosts.
+        if watch and window.patience:
             window.patience = max(window.patience, window.config.start_deadline)
         there = await window.find()
         score = window.score()
@@ -191,9 +192,11 @@ def impair(
     clear: Annotated[bool, typer.Option(help="Take everything back first.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Change the simulated network while the swarm runs; partitions are set in the swarm file, under `network`.
+    """Change the simulated network of a running swarm.
 
-    It acts between drones from now on; what is not named stays as it is. --loss 0 takes loss back.
+    The change acts at once on messages between drones. Values without an option
+    stay as they are; --loss 0 removes loss. Set partitions in the swarm file,
+    under `network`.
     """
     effects: dict[str, Any] = {
         "loss": loss,
@@ -233,18 +236,17 @@ def impair(
 
 
 def _conclude(answers: "Answers", heads: tuple[str, str], as_json: bool) -> None:
-    """What each drone says; ends with exit code 1 unless all have obeyed."""
+    """Print the answer of each drone; exit with code 1 unless all have obeyed."""
     _print_pairs({i: said for i, (_, said) in answers.items()}, heads, as_json)
     raise typer.Exit(0 if all(done for done, _ in answers.values()) else 1)
 
 
 def _in_words(network: Any) -> str:
-    """What is set at a drone, in a line a rule."""
+    """Return the simulated network of a drone as text, one line a rule."""
     from crazychoir.config.network import in_words
 
-    return (
-        "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
-    )  # why it has not done it
+    # A drone that has refused gives its reason instead.
+    return "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
 
 
 def _edge(text: str | None) -> list[int] | None:

@@ -1,4 +1,4 @@
-"""Command the drones of a running swarm: take-off, start, hold, go, land, home, stop; some of them or all."""
+"""Command the drones of a running swarm: arm, take-off, start, hold, go, land, home, stop."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 DronesOption = Annotated[
     str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")
 ]
-DONE, ABSENT, SILENT = "done", "absent", "silent"
+DONE = "done"
+ABSENT = "absent"
+SILENT = "silent"
 LONGEST = {
     "arm": 5.0,
     "take-off": 30.0,
@@ -28,7 +30,7 @@ LONGEST = {
     "land": 60.0,
     "home": 120.0,
 }
-"""s to wait until each is done."""
+"""Default seconds to wait until a command is done, by command."""
 Rows = dict[int, dict[str, str]]
 TEXTS = {
     "arm": "Ask drones on the ground whether they could take off; motors that wait for it are armed.",
@@ -42,7 +44,7 @@ TEXTS = {
 
 
 def order(verb: str, seconds: float) -> Callable[..., None]:
-    """The command line of a verb that is done after at most about so many s."""
+    """Return the command line of a flight command; seconds: default of its option --wait."""
 
     def command(
         drones: DronesOption = None,
@@ -70,7 +72,11 @@ def stop(
     clear: Annotated[bool, typer.Option(help="Clear an emergency stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Emergency stop: motors off; that of all drones stays in force until cleared. Exit code 0 if all have obeyed."""
+    """Stop the motors at once (emergency stop). A stop of all drones stays in force
+    until cleared.
+
+    Exits with 0 if all have obeyed.
+    """
     chosen = numbers(drones)
 
     async def work(window: "Window") -> "Answers":
@@ -87,7 +93,7 @@ def stop(
 
 
 def conclude(answers: "Answers", as_json: bool) -> None:
-    """What each drone answers to a command that it was to do; exit code 0 only if all have done it."""
+    """Print what each drone answers to a flight command; exit with 0 only if all have done it."""
     _conclude({i: _row(said) for i, (_, said) in answers.items()}, as_json)
 
 
@@ -102,7 +108,7 @@ def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:
 
 
 def _conclude(rows: Rows, as_json: bool) -> None:
-    """What each drone answers; ends with exit code 1 unless all, and there are some, have done it."""
+    """Print the answers; exit with code 1 unless there is a drone and all are done."""
     if as_json:
         write_json(rows)
     else:
@@ -116,7 +122,7 @@ def _conclude(rows: Rows, as_json: bool) -> None:
 
 
 def numbers(text: str | None) -> list[int] | None:
-    """The drones of "3,5-7"; None: all."""
+    """Return the drones of a text such as "3,5-7"; None, for all drones, without a text."""
     if text is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""crazychoir param: read and change the parameters of drones that fly."""
+"""crazychoir param: read and change the parameters of flying drones."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,7 +30,7 @@ def read(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Print parameters, drone by drone."""
+    """Print the parameters of each drone."""
     _conclude(
         _asked(
             swarm,
@@ -51,7 +51,10 @@ def change(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Change a parameter while the drones fly, within its stable range; exit code 0 only if all have done so."""
+    """Change a parameter in flight, within its stable range.
+
+    Exits with 0 only if every drone has changed it.
+    """
     _conclude(
         _asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
         as_json,
@@ -72,7 +75,7 @@ def _asked(
 
 
 def _value(text: str) -> Any:
-    """A number, or a list of numbers."""
+    """Return the number in the text, or a list if there are several."""
     try:
         found = options.finite_numbers(text, "VALUE", "a number, or three as 8,8,4")
     except ConfigError as error:
@@ -81,7 +84,7 @@ def _value(text: str) -> Any:
 
 
 def _conclude(answers: "Answers", as_json: bool) -> None:
-    """What each drone says; exit code 1 unless all have answered well."""
+    """Print the answers; exit with code 1 unless every drone has done what was requested."""
     if as_json:
         write_json({i: said for i, (_, said) in answers.items()})
     else:
@@ -90,9 +93,10 @@ def _conclude(answers: "Answers", as_json: bool) -> None:
 
 
 def _table(answers: "Answers") -> Table:
-    """A row a parameter, a column a drone; a cell is empty where a drone has no such parameter.
+    """Return a table with a row a parameter and a column a drone.
 
-    A drone that refuses says why, below.
+    A cell is empty if the drone has no such parameter. The reason of a drone that refuses is
+    printed to standard error.
     """
     good = {
         i: said if isinstance(said, dict) else {"value": said}
@@ -115,7 +119,7 @@ def _table(answers: "Answers") -> Table:
 
 
 def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
-    """The parameters that any of the drones has: first those of the drone that has most, in its order."""
+    """Return all parameter names, first those of the drone that has the most parameters."""
     most_first = sorted(answers, key=len, reverse=True)
     return list(dict.fromkeys(name for said in most_first for name in said))
 

@@ -1,4 +1,4 @@
-"""crazychoir task: give a swarm that works in flight another task, or cancel one."""
+"""crazychoir task: add a task to a swarm in flight, or cancel one."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,7 +44,7 @@ def add(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Another task; prints its id, as `cancel` wants it."""
+    """Add a task and print its id, which `cancel` needs."""
     arguments = {
         "pickup": _place("--pickup", pickup),
         "delivery": None if delivery is None else _place("--delivery", delivery),
@@ -61,7 +61,7 @@ def cancel(
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Cancel a task; goods that are aboard by then are delivered all the same."""
+    """Cancel a task. Goods that are already aboard are still delivered."""
     _ask(swarm, drone, "task_cancel", as_json, {"id": task})
 
 
@@ -72,9 +72,10 @@ def _ask(
     as_json: bool,
     arguments: dict[str, Any],
 ) -> None:
-    """Ask one drone, or one after the other until one has done it; exit code 1 if none has.
+    """Ask one drone, or one after the other until one has done it; exit with code 1 if none has.
 
-    Who does not answer may have done it all the same: nobody else is asked then, or a task might be there twice.
+    A drone that does not answer may still have added the task. Then no other drone is asked,
+    because the task could exist twice.
     """
 
     async def work(window: "Window") -> "Answers":
@@ -107,7 +108,10 @@ def _ask(
 
 
 async def _found(window: "Window") -> list[int]:
-    """The drones that are there; raises Refused, with what to start, if nobody flies."""
+    """Return the drones that are there.
+
+    Raises Refused, with the command that starts a swarm, if no drone flies.
+    """
     try:
         return await window.find()
     except Refused as refused:
@@ -116,7 +120,7 @@ async def _found(window: "Window") -> list[int]:
 
 
 def _lines(answers: "Answers") -> list[str]:
-    """What each has answered, and once what several have."""
+    """Return the answers as lines: those of the drones that are done, else each reason once."""
     if done := [
         f"drone {i}: {_in_words(said)}" for i, (good, said) in answers.items() if good
     ]:

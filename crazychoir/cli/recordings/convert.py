@@ -1,4 +1,4 @@
-"""crazychoir convert: a recording for the tools of ROS 2."""
+"""crazychoir convert: turn a recording into a bag of ROS 2."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,15 +24,17 @@ def convert(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Make a bag of ROS 2 of standard messages, which needs none of our packages to be played.
+    """Make a bag of ROS 2 from a recording, with standard messages that need no
+    package of ours.
 
-    Of a recording that was cut off or is spoilt the bag has what lies before; the exit code is 1 then.
+    A recording that was cut off or is damaged gives a bag of what lies before,
+    and exit code 1.
     """
     set_up_logging()
     from crazychoir.recording.mcap.reading import header
     from crazychoir.recording.ros import (
         rosbag2 as bags,
-    )  # numerics: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
 
     try:
         recording = header(file)

@@ -1,4 +1,4 @@
-"""crazychoir plot: a recording as pictures, tables and figures."""
+"""crazychoir plot: draw a recording as pictures and tables."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,6 +35,7 @@ HEADS = {
     "tracking_max_m": "worst m",
     "estimation_rmse_m": "state RMSE m",
 }
+"""Heading of each figure in the table."""
 COMPARED = (
     "RMSE, worst: its place against the reference position, for so many seconds as there was one (a law that commands "
     "accelerations has none). State RMSE: truth against what the drone took for its position."
@@ -53,12 +54,16 @@ def plot(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages, convergence; with tables (CSV)."""
+    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages,
+    convergence.
+
+    Writes tables (CSV) beside the pictures.
+    """
     set_up_logging()
     from crazychoir.bus.topics import (
         RESULT,
         STATUS,
-    )  # numerics: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
     from crazychoir.recording.analysis.activity import work_of
     from crazychoir.recording.analysis.communication import talk_of
     from crazychoir.recording.analysis.figures import TOPICS, flight_of
@@ -112,7 +117,10 @@ def plot(
 def _pictures(
     file: Path, flight: "Flight", work: "Work", talk: "Talk"
 ) -> "tuple[Pictures, Reasons]":
-    """What can be drawn, and why the rest cannot; raises ConfigError where nothing can."""
+    """Return the pictures that can be drawn, and for each other picture the reason.
+
+    Raises ConfigError if nothing can be drawn.
+    """
     from crazychoir.recording.analysis.plots import of_flight
     from crazychoir.recording.analysis.team_plots import of_team
     from crazychoir.recording.mcap.reading import FLIGHT
@@ -139,7 +147,7 @@ def _write(
     folder: Path,
     files: list[Path],
 ) -> None:
-    """Draw and write into the folder; `files` grows with each that is there."""
+    """Draw and write the files into the folder; each written file is appended to `files`."""
     from crazychoir.recording.analysis.plots import draw
 
     tables = {f"drone{track.drone}": track.write for track in flight.tracks}

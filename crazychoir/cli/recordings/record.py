@@ -1,4 +1,4 @@
-"""crazychoir record: what a swarm that flies says, into a file, by who looks on."""
+"""crazychoir record: record the messages of a running swarm into a file, as an observer."""
 
 import contextlib
 import math
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from crazychoir.recording.recorder import Recorder
 
 LOOK = 0.25
-"""s between two looks at who is still there."""
+"""Seconds between two checks for drones that are still there."""
 
 
 def record(
@@ -33,7 +33,7 @@ def record(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Record a running swarm, until its drones have gone, or Ctrl-C."""
+    """Record a running swarm until its drones have gone, or until Ctrl-C."""
     recorders: list[Recorder] = []
     try:
         chosen = _topics(topics)
@@ -104,20 +104,22 @@ def record(
 
 
 def _nothing(named: str | None) -> str:
-    """Why there is no message, and what to do."""
+    """Return why the recording has no message, and what to do."""
     of = f" of {named}" if named else ""
     do = "Record for longer, or more topics; a result is said only at the end of a mission."
     return f"no message{of} came while it was recorded. {do}"
 
 
 async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> str:
-    """Until the file has failed, so many s are over, or no drone was there for longer than a network may be gone.
+    """Wait until the file fails, the time is over, or no drone has been there for too long.
 
-    Returns which it was.
+    seconds: s after which the recording ends
+    The limit without a drone is longer than the network may be interrupted.
+    Returns a text that says which of the three it was.
     """
     from crazychoir.cli.shared.running_swarm import (
         DISCOVERY,
-    )  # the network: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
 
     clock = window.clock
     patience = window.config.lost_after + DISCOVERY

@@ -1,4 +1,4 @@
-"""crazychoir render: a recorded flight, drawn by MuJoCo as a picture or a video."""
+"""crazychoir render: draw a recorded flight as a picture or a video, with MuJoCo."""
 
 import re
 from pathlib import Path
@@ -61,7 +61,7 @@ def render(
 ) -> None:
     """Draw a recorded flight as it looked; needs the extra `mujoco`."""
     set_up_logging()
-    import numpy as np  # 1 s that --help does not need
+    import numpy as np  # takes 1 s, which --help does not need
 
     from crazychoir.bus.topics import STATE, TRUTH
     from crazychoir.config.swarm_config import SwarmConfig
@@ -86,7 +86,7 @@ def render(
             raise ConfigError(str(file), "no two places of any drone", FLIGHT, DO)
         from crazychoir.recording.reenactment import (
             Reenactment,
-        )  # says what to do where there is no MuJoCo
+        )  # raises an error with instructions if MuJoCo is missing
 
         shown = Reenactment(flight, config, scene, enlarge, trail)
         times = np.arange(flight.times[0], flight.times[-1], speed / fps)
@@ -140,7 +140,7 @@ def _check(picture: Path | None, video: Path | None) -> None:
 
 
 def _moment(at: float | None, times: Any) -> float:
-    """The time of the picture, s of the recording."""
+    """Return the time of the picture, in s of the recording; at: s, None for the middle."""
     first = float(times[0])
     last = float(times[-1])
     if at is None:

@@ -1,4 +1,4 @@
-"""crazychoir replay: a recorded flight said again, as a swarm of its own that others look at."""
+"""crazychoir replay: publish a recorded flight again, as a swarm of its own that others observe."""
 
 import contextlib
 import math
@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from crazychoir.recording.replayer import Step
     from crazychoir.runtime.clock import Clock
 
-LOOK, SETTLE = 0.1, 1.0
-"""s between two looks at who is there, and for who has come to say what it wants."""
+LOOK = 0.1
+"""Seconds between two looks for observers."""
+SETTLE = 1.0
+"""Seconds that an observer which has just joined gets to subscribe, at most."""
 LINGER = 1.0
-"""s for which the swarm stays after the last message."""
+"""Seconds for which the swarm stays after the last message."""
 
 
 def replay(
@@ -55,13 +57,13 @@ def replay(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Say a recorded flight again: status, echo, hz and record see it as they see a swarm that flies."""
+    """Publish a recorded flight again: status, echo, hz and record see it like a flying swarm."""
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.network import (
         set_apart,
         swarm_file,
-    )  # kernels and network: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
     from crazychoir.launch.run_registry import Run, recorded
     from crazychoir.recording.mcap.reading import header
     from crazychoir.runtime.clock import run_wall
@@ -100,7 +102,7 @@ def replay(
 
 
 def _here(config: "SwarmConfig") -> "SwarmConfig":
-    """The same swarm on this machine alone."""
+    """Return the same swarm on this machine alone: without hosts and keys."""
     import msgspec
 
     if not config.hosts:
@@ -121,7 +123,13 @@ async def _replay(
     step: float | None,
     wait: float,
 ) -> dict[str, Any]:
-    """As one process that has all drones."""
+    """Publish the recording as one process that holds all drones.
+
+    speed: how many times faster than recorded
+    step: s that each press of Enter advances, None to run through
+    wait: s to wait for the first observer
+    Returns the number of messages and the s of flight.
+    """
     import random
 
     from crazychoir.bus.network.hello import VERSION
@@ -161,7 +169,10 @@ async def _replay(
 
 
 def _asked(step: float) -> "Step":
-    """Steps at the lines of standard input; its end lets the flight go on to its end."""
+    """Return a function that gives the next step, in s, as read from standard input.
+
+    At the end of the input the step is infinite: the flight runs to its end.
+    """
     at = 0.0
 
     async def next_step() -> float:
@@ -193,7 +204,10 @@ def _asked(step: float) -> "Step":
 
 
 async def _line() -> bytes:
-    """The next line of standard input, empty at its end. Who waits may be cancelled, and the program may end."""
+    """Return the next line of standard input, empty at its end.
+
+    A daemon thread reads, so that the caller can be cancelled and the program can end meanwhile.
+    """
     import asyncio
     import threading
 
@@ -206,9 +220,8 @@ async def _line() -> bytes:
 
     def read() -> None:
         found = sys.stdin.buffer.readline()
-        with contextlib.suppress(
-            RuntimeError
-        ):  # the loop is closed: nobody waits any more
+        # RuntimeError: the loop is closed, so no caller waits any more.
+        with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(hand_over, found)
 
     threading.Thread(target=read, name="standard input", daemon=True).start()

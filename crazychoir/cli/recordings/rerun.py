@@ -1,4 +1,4 @@
-"""crazychoir rerun: a recorded flight in virtual time once more, and whether it was the same."""
+"""crazychoir rerun: fly a recorded flight in virtual time again, and compare the two."""
 
 import contextlib
 import json
@@ -41,12 +41,15 @@ def rerun(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Fly a recorded flight in virtual time again, and say whether it is the same, or where it first differs."""
+    """Fly a recorded flight in virtual time again, and compare the two.
+
+    Says whether they are the same, or where they first differ.
+    """
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.guidance.mission import (
         load,
-    )  # kernels: 1 s that --help does not need
+    )  # takes 1 s, which --help does not need
     from crazychoir.launch.flight import fly_fast
     from crazychoir.launch.recording import FILES, other_files, recording_file, text_of
     from crazychoir.recording.analysis.comparison import first_difference
@@ -118,7 +121,7 @@ def _check(recording: "Recording") -> None:
 
 @contextlib.contextmanager
 def _into(record: Path | None) -> Iterator[Path]:
-    """The file for the repetition: that one, or one that nobody keeps."""
+    """Yield the file for the repetition: the given one, or a temporary file."""
     from crazychoir.files.private_folder import scratch_folder
 
     with scratch_folder("crazychoir-rerun-") as folder:
@@ -126,7 +129,7 @@ def _into(record: Path | None) -> Iterator[Path]:
 
 
 def _other_versions(recording: "Recording") -> dict[str, str]:
-    """What is another than when it was recorded, and may round otherwise."""
+    """Return the versions that have changed since the recording and may round differently."""
     from crazychoir.launch.recording import versions
 
     pairs = {

@@ -1,4 +1,7 @@
-"""crazychoir ros: a swarm that flies, for RViz and other programs of ROS 2 that use rmw_zenoh. Experimental."""
+"""crazychoir ros: publish a running swarm for RViz and other ROS 2 programs that use rmw_zenoh.
+
+Experimental.
+"""
 
 from collections import deque
 from functools import partial
@@ -16,11 +19,15 @@ if TYPE_CHECKING:
     from crazychoir.types import State, Vec
 
 ROUTER = "tcp/127.0.0.1:7447"
+"""Endpoint of `rmw_zenohd`."""
 NODE = "crazychoir"
-PATH_POINTS, PATH_EVERY = 600, 10
-"""Places of a path, and messages between two paths."""
+"""Name of the ROS node."""
+PATH_POINTS = 600
+"""Largest number of places in a path."""
+PATH_EVERY = 10
+"""Publish a path with every tenth pose."""
 READ = 2.0
-"""Places of a drone that are asked for, at least, within the time after which one is too old to be said."""
+"""Smallest number of places to read within STATE.max_age, the age limit of a published place."""
 
 
 def ros(
@@ -49,7 +56,10 @@ def ros(
 async def serve(
     window: "Window", bridge: "Bridge", ids: list[int], rate: float, seconds: float
 ) -> None:
-    """Say where these drones are, until all have gone, or so many s are over."""
+    """Publish the places of these drones until all have gone, or until `seconds` have passed.
+
+    rate: Hz of each topic
+    """
     from crazychoir.bus.topics import STATE
     from crazychoir.runtime.clock import SECOND
 
@@ -69,7 +79,12 @@ async def serve(
 
 
 class Bridge:
-    """The node: its publishers, and what they have said; outside: the session with ROS."""
+    """The ROS node: its publishers and their message counters.
+
+    outside: session with the ROS network
+    domain: ROS_DOMAIN_ID
+    ids: drones to publish
+    """
 
     def __init__(self, outside: "Outside", domain: int, ids: list[int]) -> None:
         from crazychoir.recording.ros.rmw_zenoh import Publisher, node_token
@@ -95,7 +110,11 @@ class Bridge:
         self._count = 0
 
     def publish(self, places: "Places", now_ns: int) -> None:
-        """What is known now, ns after 1970; a drone whose place is too old is taken out of the picture."""
+        """Publish the known states; remove the marker of a drone with a state that is too old.
+
+        places: for each drone its state and the time of that state, ns after 1970
+        now_ns: ns after 1970
+        """
         from crazychoir.bus.topics import STATE
         from crazychoir.recording.ros import rviz
         from crazychoir.runtime.clock import SECOND

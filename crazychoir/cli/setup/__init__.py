@@ -1,1 +1,1 @@
-"""Commands that prepare hosts, keys, radios and motion capture."""
+"""Commands that prepare hosts, radios, keys and motion capture for a flight."""

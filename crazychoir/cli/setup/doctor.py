@@ -1,4 +1,4 @@
-"""crazychoir doctor: is this host ready to fly its part of a swarm?"""
+"""crazychoir doctor: check whether this host is ready to fly its part of a swarm."""
 
 import sys
 from dataclasses import asdict
@@ -31,7 +31,11 @@ def doctor(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Is this host ready to fly? Says what is wrong, and the command that mends it; exit code 1 if something is."""
+    """Check whether this host is ready to fly.
+
+    Prints each fault with the command that repairs it. Exits with 1 if there is a
+    fault.
+    """
     rows = machine() + of_swarm(swarm, host)
     if as_json:
         write_json(
@@ -43,7 +47,7 @@ def doctor(
 
 
 def machine(sys_folder: Path = Path("/sys")) -> list[Row]:
-    """What does not depend on a swarm."""
+    """Return the checks that do not depend on a swarm; sys_folder: for tests."""
     from crazychoir.cli.setup import host_checks, host_facts
 
     needed = host_facts.needed()
@@ -61,7 +65,11 @@ def machine(sys_folder: Path = Path("/sys")) -> list[Row]:
 
 
 def of_swarm(swarm: str | None, host: str | None) -> list[Row]:
-    """What the swarm file wants of this host."""
+    """Return the checks of what the swarm file needs on this host.
+
+    swarm: path of the swarm file, None to search it
+    host: name of this host in [hosts], None to find it by its addresses
+    """
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.errors import ConfigError
 
@@ -84,7 +92,7 @@ def of_swarm(swarm: str | None, host: str | None) -> list[Row]:
 
 
 def mission(config: "SwarmConfig") -> Row:
-    """Whether it can be loaded."""
+    """Return the check that the mission can be loaded."""
     from crazychoir.errors import CrazyChoirError
     from crazychoir.guidance.mission import load
 
@@ -109,7 +117,7 @@ def mission(config: "SwarmConfig") -> Row:
 
 
 def files(config: "SwarmConfig") -> list[Row]:
-    """What else the swarm file names."""
+    """Return a fault for each file that the swarm file names and that is missing."""
     lost = {key: path for key, path in config.files.items() if not path.is_file()}
     do = "Copy it here: crazychoir push"
     return [
@@ -119,7 +127,10 @@ def files(config: "SwarmConfig") -> list[Row]:
 
 
 def network(config: "SwarmConfig", host: str | None) -> list[Row]:
-    """Addresses, ports, other hosts, keys, radios, and memory for the processes of this host."""
+    """Return the checks of the network and the devices of this host.
+
+    They concern addresses, ports, other hosts, keys, radios, and memory for its processes.
+    """
     from crazychoir.cli.setup import host_checks, host_facts
 
     own = [name for name, address in config.hosts.items() if host_facts.is_own(address)]
@@ -135,9 +146,8 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
         if not host_facts.is_free(address, port)
     }
     rows += host_checks.ports({port: name for port, (_, name) in names.items()}, held)
-    others = (
-        config.hosts if config.router is None else [config.router]
-    )  # it passes on what the rest say
+    # With a router a host connects to nothing else.
+    others = config.hosts if config.router is None else [config.router]
     for name in (name for name in others if name not in own):
         port = min(listeners(config, [name]), default=config.base_port)
         address = config.hosts[name]
@@ -165,7 +175,10 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
 
 
 def listeners(config: "SwarmConfig", hosts: list[str]) -> dict[int, tuple[str, str]]:
-    """The ports of these hosts: address, and what listens there; of a swarm with a router that does alone."""
+    """Return the ports of these hosts, each with its address and the process that listens there.
+
+    In a swarm with a router only the router listens.
+    """
     from crazychoir.cli.setup.systemd_units import ROUTER, name_of
 
     found = {}
@@ -178,7 +191,7 @@ def listeners(config: "SwarmConfig", hosts: list[str]) -> dict[int, tuple[str, s
 
 
 def certificates(config: "SwarmConfig", hosts: list[str]) -> list[Row]:
-    """Of this machine, for each of its names in [hosts]."""
+    """Return the checks of the keys of this machine, for each of its names in [hosts]."""
     from crazychoir.bus.network import authority
     from crazychoir.cli.setup import host_checks
     from crazychoir.errors import ConfigError

@@ -1,4 +1,4 @@
-"""What a host needs to fly drones: each check is given what was read, and says what it found and how to mend it."""
+"""The checks of `crazychoir doctor`: each gets facts and returns what is wrong and the repair."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -7,8 +7,9 @@ from typing import Literal
 
 State = Literal["ok", "warning", "wrong", "not here"]
 PYTHONS = ((3, 11), (3, 14))
-"""The first that is allowed, and the first that no longer is."""
+"""First supported version of Python, and the first version that is not supported any more."""
 BOOTLOADER = "1915:0101"
+"""USB vendor and product of a Crazyradio PA in its bootloader."""
 CRAZYRADIOS = ("1915:7777", BOOTLOADER, "35f0:bad2")
 """USB vendor and product: Crazyradio PA, its bootloader, Crazyradio 2.0."""
 UDEV = (
@@ -16,44 +17,56 @@ UDEV = (
     "sudo tee /etc/udev/rules.d/99-crazyradio.rules && sudo udevadm control --reload && sudo udevadm trigger; "
     "sudo usermod -aG plugdev $USER, which counts from the next login"
 )
+"""Commands that let users of the group plugdev write to Crazyradios."""
 PROCESS_MB = 300.0
-"""Of memory that an agent takes."""
+"""Memory of one agent, MB."""
 DISK_MB = 1000.0
-"""A recording of a long flight of many drones."""
+"""Size of the recording of a long flight of many drones, MB."""
 FILES = 1024
-"""Open files and sockets: a process has a link to each other one."""
+"""Open files and sockets that a process needs: it has a link to each other process."""
 LATE_MS = 5.0
-"""Half a period of the control law at 100 Hz."""
+"""Latest wake-up allowed, ms: half a period of the control law at 100 Hz."""
 SOON = 30
-"""Days before the end of a certificate."""
+"""Days before the end of a certificate from which on there is a warning."""
 _OURS = re.compile(
     r"process \d+: (\S+ (-\S+ )*)?(\S*/)?(crazychoir(-\w+)?|crazychoir(\.\w+)+)( |$)"
 )
-"""The program itself, or what an interpreter runs; not a word of its arguments."""
+"""Matches a command line of our own processes.
+
+The name must be the program itself or the module that an interpreter runs. A word of its
+arguments does not count.
+"""
 _REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)>=([\d.]+)")
 
 
 @dataclass(frozen=True)
 class Row:
-    """One thing of a host: how it is, what was found, how to mend it."""
+    """The result of one check."""
 
     what: str
+    """Name of the thing that was checked."""
     state: State
+    """Result of the check."""
     found: str
+    """Text that says what was found."""
     mend: str = ""
+    """How to repair it; empty if nothing is wrong."""
 
 
 @dataclass(frozen=True)
 class Usb:
-    """A device on the USB: "1915:7777", its file in /dev, and whether we may write to it."""
+    """A device on the USB."""
 
     kind: str
+    """USB vendor and product, such as "1915:7777"."""
     path: str
+    """Its file in /dev."""
     writable: bool
+    """Whether this user may write to the file."""
 
 
 def python(version: tuple[int, ...]) -> Row:
-    """Version: as sys.version_info."""
+    """Check the version of Python; version: as in sys.version_info."""
     first, last = PYTHONS
     found = ".".join(map(str, version[:3]))
     if first <= version[:2] < last:
@@ -67,7 +80,11 @@ def python(version: tuple[int, ...]) -> Row:
 
 
 def packages(needed: Iterable[str], installed: Mapping[str, str]) -> list[Row]:
-    """needed: lines of our metadata, as "numpy>=2.4";  installed: their versions; what is missing is not in it."""
+    """Check that the required packages are installed, in a version that is new enough.
+
+    needed: lines of our metadata, such as "numpy>=2.4"
+    installed: version of each package that is installed, by name
+    """
     rows = []
     good = []
     for line in needed:
@@ -98,8 +115,12 @@ def own_host(
     meant: str | None,
     inward: Mapping[str, str],
 ) -> Row:
-    """hosts: names and addresses;  own: names whose address this machine has;  meant: the name that it should have;
-    inward: those that mean the loopback here, and it.
+    """Check that [hosts] has an address of this machine, which other machines can reach.
+
+    hosts: address of each host, by name
+    own: names with an address of this machine
+    meant: the name that this machine should have, None for any
+    inward: for each of its names that resolves to the loopback here: that loopback address
     """
     if not hosts:
         return Row("own host", "ok", "a swarm of this machine alone: no [hosts]")
@@ -130,7 +151,11 @@ def own_host(
 
 
 def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
-    """names: of the processes that listen on them;  held: those that are taken, by which command line."""
+    """Check that the ports of this host are free, or are held by our own processes.
+
+    names: the process that listens on each port, by port
+    held: command line that holds the port, for each port that is taken
+    """
     if not names:
         return [
             Row("ports", "not here", "no process of the swarm listens on this host")
@@ -156,7 +181,13 @@ def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
 
 
 def reachable(host: str, address: str, answer: str, stranger: str = "") -> Row:
-    """answer: "connected", "refused", or why nothing came back;  stranger: why a process there does not let us in."""
+    """Check that another host answers.
+
+    host: its name
+    address: its address
+    answer: "connected", "refused", or the reason for no answer
+    stranger: why a process there does not accept our keys; empty if it does
+    """
     what = f"host {host}"
     if stranger:
         do = f"Copy the folders of both hosts again from where the authority is, and start all anew on {host}"
@@ -173,7 +204,13 @@ def reachable(host: str, address: str, answer: str, stranger: str = "") -> Row:
 
 
 def keys(host: str, fault: str, do: str, days: float) -> Row:
-    """fault: what `checked` holds against its folder, and what to do;  days: until the certificate ends."""
+    """Check the keys of a host.
+
+    host: its name
+    fault: what is wrong with its folder, empty if nothing is
+    do: how to repair that
+    days: days until its certificate ends
+    """
     what = f"keys of {host}"
     if fault:
         return Row(what, "wrong", fault, do)
@@ -184,7 +221,11 @@ def keys(host: str, fault: str, do: str, days: float) -> Row:
 
 
 def clock(synchronised: bool | None, worst: float) -> Row:
-    """synchronised: by the kernel, None if it does not say;  worst: s, its estimated error."""
+    """Check that the clock is synchronised.
+
+    synchronised: as the kernel says, None if it does not say
+    worst: s: its estimated error
+    """
     if synchronised is None:
         return Row(
             "clock", "not here", "the kernel does not say whether it is synchronised"
@@ -201,7 +242,11 @@ def clock(synchronised: bool | None, worst: float) -> Row:
 
 
 def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
-    """devices: Crazyradios on the USB;  needed: numbers of the dongles that the swarm file gives to this host."""
+    """Check the Crazyradios of this host.
+
+    devices: Crazyradios on the USB
+    needed: numbers of the dongles that the swarm file gives to this host
+    """
     wanted = list(needed)
     rows = []
     for device in devices:
@@ -242,7 +287,10 @@ def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
 
 
 def governor(governors: Mapping[str, str]) -> Row:
-    """governors: of each processor, from /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor."""
+    """Check that the processors run at full speed.
+
+    governors: by processor, from /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor
+    """
     slow = [cpu for cpu, name in governors.items() if name != "performance"]
     if not governors:
         return Row(
@@ -260,7 +308,11 @@ def governor(governors: Mapping[str, str]) -> Row:
 
 
 def memory(free_mb: float, processes: int) -> Row:
-    """free_mb: MB;  processes: of the swarm on this host."""
+    """Check the memory.
+
+    free_mb: MB that are free
+    processes: number of processes of the swarm on this host
+    """
     needed = PROCESS_MB * processes
     if free_mb >= needed:
         return Row("memory", "ok", f"{free_mb:.0f} MB free for {processes} process(es)")
@@ -274,7 +326,7 @@ def memory(free_mb: float, processes: int) -> Row:
 
 
 def disk(free_mb: float, folder: str) -> Row:
-    """free_mb: MB where recordings go."""
+    """Check the disk; free_mb: MB that are free in the folder of recordings."""
     state: State = "ok" if free_mb >= DISK_MB else "warning"
     return Row(
         "disk",
@@ -285,7 +337,7 @@ def disk(free_mb: float, folder: str) -> Row:
 
 
 def files(limit: int) -> Row:
-    """limit: of open files, of a process."""
+    """Check the limit of open files of a process."""
     state: State = "ok" if limit >= FILES else "warning"
     return Row(
         "open files",
@@ -296,7 +348,7 @@ def files(limit: int) -> Row:
 
 
 def timer(late_ms: float) -> Row:
-    """late_ms: ms, the latest of some wake-ups."""
+    """Check the delay of wake-ups; late_ms: ms: the worst delay of several."""
     if late_ms <= LATE_MS:
         return Row("timer", "ok", f"wakes at most {late_ms:.2f} ms late")
     return Row(
@@ -308,7 +360,7 @@ def timer(late_ms: float) -> Row:
 
 
 def multicast() -> Row:
-    """It is never used."""
+    """Return that multicast is not needed: it is never used."""
     return Row(
         "multicast",
         "ok",
@@ -317,5 +369,5 @@ def multicast() -> Row:
 
 
 def is_wrong(rows: Iterable[Row]) -> bool:
-    """Whether something must be mended before a flight."""
+    """Return whether a fault must be repaired before a flight."""
     return any(row.state == "wrong" for row in rows)

@@ -1,4 +1,4 @@
-"""What this machine is like: read from the kernel and the network, for the checks of `crazychoir doctor`."""
+"""Facts about this machine, read from the kernel and the network, for `crazychoir doctor`."""
 
 import contextlib
 import ctypes
@@ -14,15 +14,19 @@ from pathlib import Path
 
 from crazychoir.cli.setup.host_checks import CRAZYRADIOS, Usb
 
-SYS, DEV, PROC = Path("/sys"), Path("/dev/bus/usb"), Path("/proc")
+SYS = Path("/sys")
+DEV = Path("/dev/bus/usb")
+PROC = Path("/proc")
 DEADLINE = 1.0
-"""s that another host gets to answer."""
-_UNSYNCHRONISED, _ERROR = 0x40, 5
+"""Seconds that another host gets to answer."""
+_UNSYNCHRONISED = 0x40  # STA_UNSYNC, a flag in the status of adjtimex(2)
+_ERROR = 5  # TIME_ERROR, a return value of adjtimex(2)
 _LISTENS = "0A"
+"""State of a listening socket in /proc/net/tcp."""
 
 
 class _Timex(ctypes.Structure):
-    """The kernel's struct timex, see adjtimex(2); only its beginning is read."""
+    """The beginning of the kernel's struct timex, see adjtimex(2)."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -36,12 +40,12 @@ class _Timex(ctypes.Structure):
 
 
 def needed() -> list[str]:
-    """The requirements of this package, as its metadata state them."""
+    """Return the requirements of this package, as its metadata state them."""
     return requires("crazychoir") or []
 
 
 def installed(names: Iterable[str]) -> dict[str, str]:
-    """The versions of those packages that are there."""
+    """Return the versions of those packages that are installed."""
     found = {}
     for name in names:
         with contextlib.suppress(PackageNotFoundError):
@@ -50,7 +54,7 @@ def installed(names: Iterable[str]) -> dict[str, str]:
 
 
 def is_own(address: str) -> bool:
-    """Whether an interface of this machine has the address."""
+    """Return whether an interface of this machine has the address."""
     with contextlib.suppress(OSError):
         family, kind, protocol, _, where = socket.getaddrinfo(
             address, 0, type=socket.SOCK_STREAM
@@ -62,7 +66,10 @@ def is_own(address: str) -> bool:
 
 
 def loopback(name: str) -> str:
-    """The address of the loopback that a name of this machine means here, as 127.0.1.1 in /etc/hosts; else empty."""
+    """Return the loopback address that a host name has here, such as 127.0.1.1 in /etc/hosts.
+
+    Empty for an address, for localhost, and for a name with another address.
+    """
     with contextlib.suppress(ValueError):
         ipaddress.ip_address(name)
         return ""
@@ -73,7 +80,7 @@ def loopback(name: str) -> str:
 
 
 def is_free(address: str, port: int) -> bool:
-    """Whether a process could listen there now."""
+    """Return whether a process could listen there now."""
     family, kind, protocol, _, where = socket.getaddrinfo(
         address, port, type=socket.SOCK_STREAM
     )[0]
@@ -87,7 +94,10 @@ def is_free(address: str, port: int) -> bool:
 
 
 def holder(port: int, proc: Path = PROC) -> str:
-    """The command line of who listens on a port, with its process id; empty for another user's."""
+    """Return the process id and command line that hold a port.
+
+    Empty for a process of another user.
+    """
     inodes: dict[str, None] = {}
     for table in ("tcp", "tcp6"):
         with contextlib.suppress(OSError):
@@ -110,7 +120,12 @@ def holder(port: int, proc: Path = PROC) -> str:
 
 
 def answer(address: str, port: int, deadline: float = DEADLINE) -> str:
-    """What another host says to a connection: "connected", "refused" (then it is there, too), or why it does not."""
+    """Return the answer of another host to a connection.
+
+    This is "connected", "refused" (the host is there, but no process listens), or the reason for
+    no answer.
+    deadline: s
+    """
     try:
         socket.create_connection((address, port), deadline).close()
     except ConnectionRefusedError:
@@ -123,9 +138,12 @@ def answer(address: str, port: int, deadline: float = DEADLINE) -> str:
 
 
 def handshake(address: str, port: int, keys: Path, deadline: float = DEADLINE) -> str:
-    """Why a process there and the keys in this folder, of this host, do not get on; empty if they do.
+    """Return why a TLS connection to a process fails; empty if it succeeds.
 
-    In TLS 1.3 who is refused hears it once it reads; who is not hears nothing.
+    keys: folder with the keys of this host
+    deadline: s
+    In TLS 1.3 a client learns that it is refused only when it reads. If it is accepted, the read
+    times out.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
@@ -148,7 +166,10 @@ def handshake(address: str, port: int, keys: Path, deadline: float = DEADLINE) -
 
 
 def clock() -> tuple[bool | None, float]:
-    """Whether the kernel's clock is synchronised, None where it does not say; and s, how wrong it may be."""
+    """Return whether the kernel's clock is synchronised, and its largest error in s.
+
+    The first value is None if the kernel does not say.
+    """
     libc = ctypes.CDLL(None)
     timex = _Timex()
     state = libc.adjtimex(ctypes.byref(timex))
@@ -158,7 +179,7 @@ def clock() -> tuple[bool | None, float]:
 
 
 def crazyradios(sys: Path = SYS, dev: Path = DEV) -> list[Usb]:
-    """Those on the USB, in the order of their places."""
+    """Return the Crazyradios on the USB, in the order of their paths."""
     found = []
     for device in sorted((sys / "bus/usb/devices").glob("*")):
         with contextlib.suppress(OSError, ValueError):
@@ -176,13 +197,13 @@ def crazyradios(sys: Path = SYS, dev: Path = DEV) -> list[Usb]:
 
 
 def governors(sys: Path = SYS) -> dict[str, str]:
-    """Of each processor that has one."""
+    """Return the frequency governor of each processor that has one."""
     files = sorted(sys.glob("devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     return {file.parent.parent.name: file.read_text().strip() for file in files}
 
 
 def memory_mb(proc: Path = PROC) -> float:
-    """MB that processes may take without swapping."""
+    """Return the MB that processes may take without swapping."""
     lines = (proc / "meminfo").read_text().splitlines()
     return next(
         int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable")
@@ -190,17 +211,17 @@ def memory_mb(proc: Path = PROC) -> float:
 
 
 def disk_mb(folder: Path) -> float:
-    """MB that are free there."""
+    """Return the MB that are free in the folder."""
     return shutil.disk_usage(folder).free / 1e6
 
 
 def files() -> int:
-    """Open files that a process may have."""
+    """Return how many files a process may have open."""
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
 def late_ms(times: int = 50, period: float = 0.01) -> float:
-    """ms, the latest of some wake-ups of our clock; period: s."""
+    """Return the delay of the latest of some wake-ups of our clock, in ms; period: s."""
     from crazychoir.runtime.clock import Clock, run_wall
 
     async def main(clock: Clock) -> float:

@@ -1,4 +1,4 @@
-"""crazychoir identify: which of the drones on the bench is it?"""
+"""crazychoir identify: find a drone among others by its LEDs."""
 
 from functools import partial
 from typing import Annotated
@@ -29,7 +29,7 @@ def identify(
     ] = 5.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio has its dongle."""
+    """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio uses its dongle."""
     set_up_logging()
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.radio import identify as leds  # cflib: --help does not need it

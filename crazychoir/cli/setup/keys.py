@@ -1,4 +1,4 @@
-"""crazychoir keys: the authority of a lab, and a certificate for each of its hosts."""
+"""crazychoir keys: make the authority of a lab and a certificate for each of its hosts."""
 
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -31,7 +31,7 @@ NEXT = "It counts for a process from its next start: copy each folder to its hos
 def init(
     folder: Folder = HERE, days: Days = CERTIFICATE_DAYS, as_json: Json = False
 ) -> None:
-    """Make an authority, once for a lab; its key stays on this machine."""
+    """Make an authority, once for a lab. Its key stays on this machine."""
     from crazychoir.bus.network import authority
 
     try:
@@ -73,7 +73,11 @@ def revoke(
     days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
 ) -> None:
-    """Take a host out: all others get a new authority and new certificates, which count from their next start."""
+    """Exclude a host.
+
+    All others get a new authority and new certificates, which count from their
+    next start.
+    """
     from crazychoir.bus.network import authority
 
     try:
@@ -90,7 +94,7 @@ def revoke(
 
 @app.command(name="list")
 def held(folder: Folder = HERE, as_json: Json = False) -> None:
-    """Who has a certificate, and until when."""
+    """List the hosts that have a certificate, and how long it is valid."""
     from crazychoir.bus.network import authority
     from crazychoir.runtime.clock import today
 

@@ -1,4 +1,7 @@
-"""crazychoir push: a swarm onto its hosts, by ssh: program, swarm file, what that names, keys, systemd units."""
+"""crazychoir push: copy a swarm to its hosts by ssh.
+
+It copies the program, the swarm file and the files that it names, the keys and systemd units.
+"""
 
 import shlex
 import subprocess
@@ -16,22 +19,27 @@ if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
 
 FOLDER = "choir"
-"""In the home of the user there."""
+"""Folder on the host, in the home of the user."""
 DEADLINE = 60.0
-"""s a step; INSTALL: s of that which installs packages."""
+"""Seconds for a step."""
 INSTALL = 900.0
+"""Seconds for a step that installs packages."""
 SSH = ("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10")
 SCP = ("scp", "-q", "-p", "-r", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10")
 UNITS = ".config/systemd/user"
+"""Folder of the user's systemd units on the host."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One command of this machine; what it is for; deadline: s."""
+    """One command that runs on this machine."""
 
     what: str
+    """What it does, for the log."""
     command: tuple[str, ...]
+    """The words of its command line."""
     deadline: float = DEADLINE
+    """Seconds that it may take."""
 
 
 def push(
@@ -53,7 +61,7 @@ def push(
         bool, typer.Option("--dry-run", help="Print the commands, do nothing.")
     ] = False,
 ) -> None:
-    """Put a swarm onto its hosts, into ~/choir: by ssh and scp, with your ssh keys."""
+    """Copy a swarm to its hosts, into ~/choir: by ssh and scp, with your ssh keys."""
     from crazychoir.config.swarm_config import SwarmConfig
 
     try:
@@ -85,7 +93,10 @@ def push(
 
 
 def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[str]:
-    """The hosts to push to; raises ConfigError for one that there is not."""
+    """Return the hosts to push to.
+
+    Raises ConfigError for a host that [hosts] does not have.
+    """
     names = ", ".join(config.hosts) or "none"
     if not config.hosts:
         raise ConfigError(
@@ -108,9 +119,11 @@ def steps(
     package: Path | None,
     units: Path | None,
 ) -> Iterator[Step]:
-    """What is done for one host, in order. Raises ConfigError for files that are not here, or would lie elsewhere.
+    """Yield the steps for one host, in order.
 
-    The swarm file is ~/choir/swarm.toml there, and what it names lies beside it as it does here.
+    The swarm file becomes ~/choir/swarm.toml on the host. The files that it names lie beside it as
+    they do here.
+    Raises ConfigError for files that are missing or lie outside the folder of the swarm file.
     """
     from importlib.metadata import version
 
@@ -162,7 +175,7 @@ def steps(
         what = f"{FOLDER}/{package.name}"
     install = f"{FOLDER}/venv/bin/pip install --quiet"
     yield Step("installed", (*SSH, at, f"{install} {shlex.quote(what)}"), INSTALL)
-    if package is not None:  # pip leaves what is there of the same version
+    if package is not None:  # pip does not replace a package of the same version
         again = f"{install} --force-reinstall --no-deps {shlex.quote(what)}"
         yield Step("installed anew", (*SSH, at, again), INSTALL)
     # Compile the kernels once, before the agents of the host start together and wait for them.
@@ -171,7 +184,10 @@ def steps(
 
 
 def reached(address: str, user: str | None) -> tuple[str, str]:
-    """A host as ssh wants it, and as scp does, which takes what is before the first colon for it, but for brackets."""
+    """Return a host as ssh and as scp want it.
+
+    scp takes the text before the first colon for the host. So an IPv6 address stands in brackets.
+    """
     before = f"{user}@" if user else ""
     return (
         f"{before}{address}",
@@ -180,7 +196,10 @@ def reached(address: str, user: str | None) -> tuple[str, str]:
 
 
 def services(folder: Path) -> list[Path]:
-    """The systemd units of a folder; raises ConfigError where there is none."""
+    """Return the systemd units of a folder.
+
+    Raises ConfigError if there is none.
+    """
     found = sorted(folder.resolve().glob("*.service"))
     if not found:
         raise ConfigError(
@@ -193,7 +212,7 @@ def services(folder: Path) -> list[Path]:
 
 
 def named(config: "SwarmConfig") -> list[Path]:
-    """The files beside the swarm file that a flight needs."""
+    """Return the files beside the swarm file that a flight needs."""
     files = list(config.files.values())
     if config.mission is not None and config.mission.endswith(".py"):
         files.append(Path(config.mission))
@@ -203,7 +222,10 @@ def named(config: "SwarmConfig") -> list[Path]:
 
 
 def within(swarm: Path, path: Path) -> Path:
-    """Where it lies, from the folder of the swarm file; raises ConfigError if that is outside of it."""
+    """Return the path relative to the folder of the swarm file.
+
+    Raises ConfigError if the path lies outside of it.
+    """
     folder = swarm.resolve().parent
     place = path.resolve()
     if not place.is_relative_to(folder):
@@ -215,7 +237,10 @@ def within(swarm: Path, path: Path) -> Path:
 
 
 def run(host: str, step: Step) -> None:
-    """Do it; raises ProcessFailed with what it says."""
+    """Run the command of a step.
+
+    Raises ProcessFailed with the last line of its output.
+    """
     try:
         done = subprocess.run(
             step.command,

@@ -1,4 +1,4 @@
-"""crazychoir radio: which channels are quiet, and how long the way to a drone takes."""
+"""crazychoir radio: find quiet channels, and measure the round trip to a drone."""
 
 import contextlib
 import time
@@ -40,19 +40,25 @@ app = typer.Typer(
     help="Which channels are quiet, and how long the way to a drone takes.",
 )
 DRONE = "radio://0/80/2M/E7E7E7E7E7"
-"""A Crazyflie as it comes from the shop."""
+"""Address of a new Crazyflie."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the command line asks for. dongles: {name: drones' uris} of the swarm file."""
+    """The request of the command line."""
 
     channels: tuple[int, ...]
+    """Candidate channels."""
     count: int
+    """How many channels to pick."""
     spacing: int
+    """MHz between two of them, at least."""
     dongles: Mapping[str, Sequence[str]]
+    """The uris of the drones of each dongle in the swarm file, by dongle."""
     drone: str
+    """The uri of the drone that answers."""
     simulated: int | None
+    """Seed of the simulated radio; None for a real one."""
 
 
 @app.command()
@@ -99,15 +105,19 @@ def survey(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find quiet channels: one drone, on the ground where it will fly, answers on each.
+    """Find quiet channels: one drone, on the ground where it will fly, answers on
+    each.
 
-    Passes are interleaved, so that a burst of WiFi hits all channels alike, and a channel is as good as its worst pass.
-    It takes some minutes, by default on channels 2 to 82: what reaches below 2400 MHz, or lies above channel 83, is
-    outside the licence-free band of many countries.
+    Passes are interleaved, so that a burst of WiFi hits all channels alike. A
+    channel is as good as its worst pass.
+    The survey takes some minutes. By default it covers channels 2 to 82: what
+    lies below 2400 MHz or above channel 83 is outside the licence-free band of
+    many countries.
 
-    Then the k channels are picked whose worst is best, with so much spacing. With --write each radio:// drone of the
-    swarm file gets the channel of its dongle, and nothing else in the file is changed. The drones themselves keep
-    theirs until you change it there too, as with Bitcraze's client.
+    It then picks the k channels with the best worst pass, with the given spacing.
+    With --write each radio:// drone of the swarm file gets the channel of its
+    dongle, and nothing else in the file changes. The drones keep their old
+    channels until you change them there too, for example with Bitcraze's client.
     """
     set_up_logging()
     outputs = Outputs()
@@ -157,7 +167,7 @@ def _wanted(
     write: bool,
     simulated: int | None,
 ) -> Wanted:
-    """The options, checked against each other before anything is measured."""
+    """Return the request, after a check of the options against each other."""
     from crazychoir.radio.protocol.channels import (
         LEAST_SPACING,
         LICENSED,
@@ -175,9 +185,8 @@ def _wanted(
             f"{len(those)}, or leave it out: that is how many the file has",
         )
     candidates = parse_channels(channels)
-    pick(
-        dict.fromkeys(candidates, (0.0, 0.0)), count, spacing
-    )  # whether there is room for so many
+    # Raises ConfigError if the candidates have no room for so many channels.
+    pick(dict.fromkeys(candidates, (0.0, 0.0)), count, spacing)
     if simulated is not None and drone is not None:
         raise ConfigError(
             "--drone",
@@ -197,7 +206,10 @@ def _wanted(
 
 
 def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
-    """Of a swarm file that is as it must be, and that can be written if it is to be."""
+    """Return the dongles of a valid swarm file, each with the uris of its drones.
+
+    Raises ConfigError if the file must be written and cannot be.
+    """
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.radio.protocol.addresses import dongles, read_text, require_writable
 
@@ -210,7 +222,10 @@ def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
 def _surveyed(
     wanted: Wanted, passes: int, packets: int, as_json: bool
 ) -> "tuple[Survey, dict[int, float]]":
-    """Measure, and show how it gets on; with the true share of each channel, if the radio is a simulated one."""
+    """Measure while a live table shows the progress.
+
+    Returns the survey and, for a simulated radio, the true share of each channel.
+    """
     from crazychoir.radio.survey.survey import Survey
     from crazychoir.radio.survey.survey import survey as measure
 
@@ -226,7 +241,10 @@ def _surveyed(
 def _result(
     wanted: Wanted, found: "Survey", expected: dict[int, float]
 ) -> dict[str, Any]:
-    """The JSON object; a success if something came through in each pass on each channel that is picked."""
+    """Return the JSON object.
+
+    The survey succeeds if some packets came through in each pass on each picked channel.
+    """
     chosen = found.pick(wanted.count, wanted.spacing)
     rows = found.measured()
     worst = min(row.worst for row in rows if row.channel in chosen)
@@ -271,9 +289,10 @@ def ping(
     ] = 20.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how long the way to drones and back takes, all at once, by echoes; exit code 0 only if none is lost.
+    """Measure the round trip to drones by echoes, all at once. Exits with 0 only if
+    none is lost.
 
-    It opens links of its own: not to a drone that flies.
+    It opens links of its own, so do not use it on a drone in flight.
     """
     set_up_logging()
     from crazychoir.radio.survey import ping as echo
@@ -308,7 +327,7 @@ def _link(one: "Echoes") -> dict[str, Any]:
 
 
 def _ping_table(found: "Sequence[Echoes]") -> Group:
-    """A row a drone, and what was wrong."""
+    """Return a table with one row a drone, and the errors."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("drone")
     for name in ("sent", "lost", "50 %", "95 %", "99 %"):

@@ -1,4 +1,4 @@
-"""What `crazychoir radio survey` shows and says."""
+"""The tables and texts of `crazychoir radio survey`."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -14,13 +14,15 @@ if TYPE_CHECKING:
     from crazychoir.radio.survey.survey import Measured, Survey, Visit
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
-"""Of the live picture: shares of acknowledged packets, from none to all."""
-GOOD, FAIR = 0.95, 0.8
-"""Shares from which a channel is shown in green, and in yellow."""
+"""Blocks of the live picture: the share of acknowledged packets, from none to all."""
+GOOD = 0.95
+"""Smallest share of acknowledged packets that is shown in green."""
+FAIR = 0.8
+"""Smallest share of acknowledged packets that is shown in yellow."""
 
 
 def progress_table(seen: "tuple[Survey, Visit]") -> Group:
-    """How far it is, and the worst pass of each channel so far as a row of blocks."""
+    """Return the progress, and the worst pass of each channel so far as a row of blocks."""
     found, visit = seen
     rows = found.measured()
     done = sum(len(row.passes) for row in rows) / (found.passes * len(found.channels))
@@ -39,7 +41,7 @@ def _colour(share: float) -> str:
 def row_of(
     row: "Measured", chosen: Sequence[int], expected: Mapping[int, float]
 ) -> dict[str, Any]:
-    """A channel in the JSON object; expected: {channel: true share}, of a simulated radio."""
+    """Return a channel as a JSON object; expected: true share by channel, of a simulated radio."""
     p50, p95 = row.round_trip or (None, None)
     mean, std = row.rssi or (None, None)
     known = (
@@ -63,7 +65,7 @@ def row_of(
 
 
 def survey_table(rows: "Sequence[Measured]", result: Mapping[str, Any]) -> Group:
-    """A row a channel, and what came of it."""
+    """Return a table with one row a channel, and the result as text."""
     chosen = result["chosen"]
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     heads = (
@@ -106,7 +108,7 @@ def _cells(row: "Measured", chosen: bool) -> tuple[str | Text, ...]:
 
 
 def _lines(result: Mapping[str, Any]) -> list[str]:
-    """What is picked, for whom, and where it is written."""
+    """Return lines with the picked channels, their dongles and the files written."""
     worst = result["worst_ack_rate"]
     names = ", ".join(
         f"{channel} ({frequency(channel)} MHz)" for channel in result["chosen"]

@@ -1,4 +1,4 @@
-"""crazychoir mocap: which bodies the cameras see, whose they are, and how they sit on their drones."""
+"""crazychoir mocap: find which tracked body belongs to which drone, and how it is mounted."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -42,6 +42,7 @@ WriteOption = Annotated[
 ]
 Changes = dict[int, dict[str, object]]
 DIGITS = 5
+"""Decimals of the numbers in the swarm file."""
 
 
 @app.command()
@@ -52,12 +53,15 @@ def names(
     write: WriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List what the cameras see now, and propose whose body is whose: drones stand at their homes."""
+    """List the bodies that the cameras see, and propose the drone of each.
+
+    The drones must stand at their homes.
+    """
     set_up_logging()
     from crazychoir.mocap.naming import (
         bodies,
         matched,
-    )  # numerics: --help does not need them
+    )  # takes long, and --help does not need it
 
     outputs = Outputs()
     try:
@@ -122,7 +126,11 @@ def calibrate(
     write: WriteOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find how a body sits on its drone: at rest at home, level, its rotation and height; by a --turn, its offset."""
+    """Find how a body is mounted on its drone.
+
+    A drone at rest at home, level, gives the rotation and height of its body;
+    --turn its offset.
+    """
     set_up_logging()
     outputs = Outputs()
     try:
@@ -157,7 +165,10 @@ def calibrate(
 def _gathered(
     swarm: str | None, source: str | None, seconds: float, drone: int | None = None
 ) -> "tuple[SwarmConfig, list[Frame]]":
-    """The swarm, and what its cameras see for so long."""
+    """Return the swarm, and the frames that its cameras see for `seconds`.
+
+    drone: the drone to calibrate, None for all drones that motion capture sees
+    """
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.mocap.gathering import gather
     from crazychoir.mocap.process import source_of, view_of
@@ -174,9 +185,8 @@ def _gathered(
             do,
         )
     if drone is not None:
-        require_reached(
-            config, which, drone
-        )  # one that flies by its own estimate has a body too
+        # A drone that flies by its own estimate may have a body too.
+        require_reached(config, which, drone)
     STDERR.print(
         f"looking for {seconds:g} s ({which}, source {config.mocap.source})",
         highlight=False,
@@ -189,7 +199,10 @@ def _gathered(
 
 
 def _file(swarm: str | None, write: bool) -> Path:
-    """The swarm file; ConfigError, before anything is measured, if it is to be written and cannot be."""
+    """Return the swarm file.
+
+    Raises ConfigError, before anything is measured, if it must be written and cannot be.
+    """
     file = Path(swarm or "swarm.toml")
     if write:
         if not file.is_file():
@@ -204,7 +217,7 @@ def _file(swarm: str | None, write: bool) -> Path:
 
 
 def _poses(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> tuple[Any, Any]:
-    """(k,) s and (k, 7) of its body."""
+    """Return the times and poses of the drone's body: (k,) s and (k, 7)."""
     import numpy as np
 
     name = config.body_name(drone)
@@ -244,7 +257,7 @@ def _from_turn(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> "Tur
 
 
 def _keys(config: "SwarmConfig", drone: int, found: "Rest | Turn") -> dict[str, object]:
-    """The keys of [[drones]] that it is about."""
+    """Return the keys of [[drones]] that the measurement determines."""
     from crazychoir.mocap.calibration import Turn
 
     if isinstance(found, Turn):
@@ -314,7 +327,7 @@ def _table(seen: "list[Seen]", matches: "list[Match]") -> Table:
 
 
 def _say_left(config: "SwarmConfig", matches: "list[Match]") -> None:
-    """Drones for which there is no body near their homes."""
+    """Say which drones have no body near their homes."""
     from crazychoir.mocap.naming import FAR
 
     sure = {m.drone: m.name for m in matches if m.sure}

@@ -1,4 +1,4 @@
-"""crazychoir router: passes on what the processes of a swarm say whose hosts do not reach each other."""
+"""crazychoir router: forward messages between hosts of a swarm that cannot reach each other."""
 
 import signal
 from typing import Annotated
@@ -9,6 +9,7 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch.console import STDERR, fail, set_up_logging
 
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end the router."""
 
 
 def router(
@@ -20,11 +21,10 @@ def router(
         typer.Option(help="Zenoh endpoint, as tcp/0.0.0.0:7441, instead of its own."),
     ] = None,
 ) -> None:
-    """Run a Zenoh router for a swarm whose hosts do not reach each other, until Ctrl-C."""
+    """Run a Zenoh router for a swarm with hosts that cannot reach each other, until Ctrl-C."""
     set_up_logging()
-    unmasked = signal.pthread_sigmask(
-        signal.SIG_BLOCK, ENDS
-    )  # for the threads of Zenoh, too: sigwait takes them
+    # The threads of Zenoh inherit this mask, so that only sigwait receives these signals.
+    unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
     from crazychoir.bus.network.zenoh_link import routing
     from crazychoir.config.swarm_config import find_swarm
 

@@ -1,16 +1,20 @@
-"""The processes of a swarm, as systemd runs them: their names, units and command lines."""
+"""The processes of a swarm under systemd: their names, units and command lines."""
 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
 
-WORLD, MOCAP, DONGLES, ROUTER = -1, -2, -3, -19
-"""As in config/swarm_config.py, which takes 1 s to import."""
+# Numbers of processes, equal to those in config/swarm_config.py, which takes 1 s to import.
+WORLD = -1
+MOCAP = -2
+DONGLES = -3
+"""Number of dongle 0; dongle k has the number DONGLES - k."""
+ROUTER = -19
 
 
 def name_of(process: int) -> str:
-    """What listens there, in words."""
+    """Return the name of a process in words."""
     owners = {WORLD: "the world's owner", MOCAP: "motion capture", ROUTER: "the router"}
     if process >= 0:
         return f"drone {process}"
@@ -18,7 +22,7 @@ def name_of(process: int) -> str:
 
 
 def unit_of(process: int) -> str:
-    """The systemd unit of a process."""
+    """Return the systemd unit of a process."""
     owners = {
         WORLD: "crazychoir-world",
         MOCAP: "crazychoir-mocap",
@@ -30,7 +34,7 @@ def unit_of(process: int) -> str:
 
 
 def units(config: "SwarmConfig", host: str) -> list[str]:
-    """Those of a host; owners first: agents wait for them."""
+    """Return the units of a host, owners first, because agents wait for them."""
     return [
         unit_of(process)
         for process in config.endpoints()

@@ -1,1 +1,1 @@
-"""What several commands use: the chosen swarm and the observer of a running one."""
+"""Code that several commands share: the chosen swarm, and the observer of a running swarm."""

@@ -1,4 +1,4 @@
-"""The swarm and the mission that a command line means."""
+"""The swarm and the mission that a command line names."""
 
 import json
 from pathlib import Path
@@ -13,14 +13,19 @@ from crazychoir.guidance.mission import Mission, has, load
 from crazychoir.team.graph import span
 
 FEW = 4
-"""Drones of a mission that brings no swarm of its own."""
+"""Number of drones for a mission that brings no swarm of its own."""
 SWARM_FILES = (".toml", ".json")
 
 
 def configured(
     swarm: str | None, mission: str | None, loss: float | None, seed: int | None
 ) -> tuple[SwarmConfig, str]:
-    """The swarm file with what the command line says instead; without a file, the mission's own swarm."""
+    """Return the swarm with the values of the command line, and a text that says its source.
+
+    swarm: path of the swarm file, None for the mission's own swarm
+    mission, loss, seed: values that replace those of the swarm file, None to keep them
+    Raises ConfigError if neither the file nor the command line names a mission.
+    """
     config, which = chosen_swarm(swarm, mission)
     if mission is None and config.mission is None:
         raise ConfigError(
@@ -32,7 +37,11 @@ def configured(
 def chosen_swarm(
     swarm: str | None, mission: str | None = None
 ) -> tuple[SwarmConfig, str]:
-    """The swarm file; without one, the swarm of the mission, or of the demo's mission."""
+    """Return the swarm of the file and a text that says where it comes from.
+
+    Without a file this is the swarm of the mission. Without a mission it is the swarm of the
+    demo's mission.
+    """
     config, which = find_swarm(swarm)
     if which.startswith("the built-in demo"):
         found = load(str(mission or config.mission))
@@ -41,7 +50,7 @@ def chosen_swarm(
 
 
 def named_file(what: str, swarm: str | None) -> str | None:
-    """The swarm file that `crazychoir run` was given, resolved; None without one."""
+    """Return the resolved path of the swarm file given to `crazychoir run`; None without a file."""
     file = what if what.endswith(SWARM_FILES) else swarm
     return None if file is None else str(Path(file).resolve())
 
@@ -49,7 +58,7 @@ def named_file(what: str, swarm: str | None) -> str | None:
 def changed(
     config: SwarmConfig, loss: float | None, seed: int | None, mission: str | None
 ) -> SwarmConfig:
-    """The same swarm with other values where they are given."""
+    """Return the swarm with each value replaced that is not None."""
     changes: dict[str, Any] = {}
     if loss is not None:
         network = json.loads(config.dumps())["network"]
@@ -70,7 +79,11 @@ def to_run(
     loss: float | None,
     seed: int | None,
 ) -> tuple[SwarmConfig, Mission]:
-    """The swarm and the mission of `crazychoir run`."""
+    """Return the swarm and the mission of `crazychoir run`.
+
+    Raises ConfigError if a swarm file names no mission, or if the mission cannot fly this number
+    of drones.
+    """
     if what.endswith(SWARM_FILES):
         config = SwarmConfig.load(what)
         if config.mission is None:
@@ -96,9 +109,12 @@ def to_run(
 def check_options(
     what: str, swarm: str | None, only: str | None, given: dict[str, Any]
 ) -> None:
-    """Refuse options of `crazychoir run` that would say nothing beside the others.
+    """Raise ConfigError for options of `crazychoir run` that contradict each other.
 
-    given: options of a whole swarm on this machine, and their values.
+    what: mission or swarm file to run
+    swarm: value of --swarm
+    only: value of --only
+    given: value of each option that concerns a whole swarm on this machine, by option
     """
     own_file = swarm is not None or what.endswith(SWARM_FILES)
     if swarm is not None and what.endswith(SWARM_FILES):
@@ -120,7 +136,11 @@ def check_options(
 
 
 def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> None:
-    """Who starts some drones meets those that start the rest by the name and the ports of one swarm file."""
+    """Raise ConfigError if --only is given without a swarm file or with options for a whole swarm.
+
+    Several computers start the drones of one swarm. They find each other by the name and the ports
+    in the swarm file that they share.
+    """
     if not own_file:
         allowed = "a swarm file that all share who start its drones"
         do = f"For example `crazychoir run swarm.toml --only {only}`, or `crazychoir run {what} --swarm ...`."
@@ -135,7 +155,10 @@ def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> 
 
 
 def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
-    """The swarm whose drones wait for an operator, if `--wait` or its file says so; nobody commands virtual time."""
+    """Return the swarm with `operator = true` if `--wait` or the swarm file asks for it.
+
+    Raises ConfigError with --fast: no operator can command a swarm in virtual time.
+    """
     waits = wait or config.flight.operator
     if waits and fast:
         found = "--wait" if wait else "[flight] operator = true"
@@ -153,7 +176,11 @@ def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
 
 
 def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
-    """The drones that `--only` names, all without it; whole processes of the swarm file, for each has one endpoint."""
+    """Return the drones that `--only` names; all drones without it.
+
+    Raises ConfigError unless they are whole processes of the swarm file: each process has a single
+    endpoint.
+    """
     if only is None:
         return config.ids
     allowed = f"drones {span(config.ids)}, with commas between, as 3,5-7"

@@ -1,4 +1,4 @@
-"""An emergency stop by an operator: agents and bodies at once; who has obeyed is told, whoever is still waited for."""
+"""The emergency stop of an operator: stops agents and bodies at once and reports the progress."""
 
 import asyncio
 import logging
@@ -14,14 +14,14 @@ from crazychoir.team.graph import span
 
 ABSENT = "absent"
 OBEYS = 10.0
-"""s that an agent gets to obey from when it was found, unless its body has."""
+"""Seconds that an agent gets to obey after it was found, unless its body has obeyed."""
 TELL = 0.5
-"""s after which it is told who has obeyed, while others are waited for; and between two times."""
+"""Seconds before the first progress line, and between two of them."""
 log = logging.getLogger(__name__)
 
 
 class Place(Protocol):
-    """What a stop needs of the place from which it is given: see Window."""
+    """The part of Window that an emergency stop needs."""
 
     clock: Clock
     config: SwarmConfig
@@ -31,16 +31,20 @@ class Place(Protocol):
 
     @property
     def drones(self) -> list[int]:
-        """Drones whose agents were found."""
+        """Drones with an agent that was found."""
         ...
 
 
 class EmergencyStop:
-    """A stop, or its clearing, that is sent to the agents of these drones, and to their bodies at an owner.
+    """Sends an emergency stop, or its clearing, to the agents of some drones and to their bodies.
 
-    It ends when all have obeyed; DISCOVERY s after the last agent was found and the last body has obeyed; or, while
-    there is nobody, after the patience of its place. An agent that was found gets OBEYS s, unless its body has obeyed.
-    alone: see Commander.emergency_stop.
+    The bodies are reached at the owner of the world or of the radios. The stop ends
+    - when all have obeyed, or
+    - DISCOVERY s after the last agent was found and the last body has obeyed, or
+    - after the patience of its place, while no agent and no body has been found.
+    An agent that was found gets OBEYS s, unless its body has obeyed.
+
+    alone: as in Commander.emergency_stop
     """
 
     def __init__(
@@ -51,14 +55,17 @@ class EmergencyStop:
         self.clear = clear
         self.alone = alone
         self.owned = [i for i in place.config.elsewhere if i in meant]
-        self.found: dict[int, float] = {}  # s, when the agent of each drone was
+        self.found: dict[int, float] = {}  # time in s at which each agent was found
         self.obeyed: dict[int, None] = {}
         self._told = 0
         self._tells = 0.0
         self._waited = False
 
     async def run(self) -> dict[int, tuple[bool, str]]:
-        """By drone: whether it has obeyed, and what is known; raises Refused if there is nobody at all."""
+        """Return for each drone whether it has obeyed, and a text with what is known.
+
+        Raises Refused if no agent and no body was found.
+        """
         place = self.place
         targets = [*self.meant, *(BODIES + i for i in self.owned)]
         order = place.commander.emergency_stop(
@@ -78,7 +85,8 @@ class EmergencyStop:
         clock = self.place.clock
         news = 0
         began = clock.now()
-        # A world may be there without any agent, and nobody listens at their ports then.
+        # The owner of the bodies may run without any agent: then no port of an agent is open,
+        # and the patience of the place may be 0.
         ends = began + max(place.patience, DISCOVERY if self.owned else 0.0)
         self._tells = began + TELL
         while not sending.done():
@@ -95,18 +103,18 @@ class EmergencyStop:
         sending.result()
 
     def _may_obey(self, i: int, now: float) -> bool:
-        """Whether its agent is there, and is waited for."""
+        """Return whether the agent of drone i was found and still has time to obey."""
         return (
             not {i, BODIES + i} & self.obeyed.keys()
             and now < self.found.get(i, -math.inf) + OBEYS
         )
 
     def _bodies(self) -> list[int]:
-        """The drones whose bodies have obeyed."""
+        """Return the drones with a body that has obeyed."""
         return [i for i in self.owned if BODIES + i in self.obeyed]
 
     def _tell(self, now: float, began: float) -> None:
-        """Say who has obeyed so far, or that nobody is there yet."""
+        """Log the agents and bodies that have obeyed so far, or that none has been found yet."""
         name = self.place.config.name
         patience = self.place.patience
         if len(self.obeyed) > self._told and now >= self._tells:

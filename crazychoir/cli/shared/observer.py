@@ -1,4 +1,4 @@
-"""A look into a running swarm: the place of an observer and operator on its network."""
+"""Join a running swarm: the window through which an observer or operator sees its network."""
 
 import asyncio
 import logging
@@ -35,8 +35,10 @@ from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.team.graph import span
 
-READY, RETRY = 15.0, 0.3
-"""s for which drones that are not ready yet are asked again, and between two times."""
+READY = 15.0
+"""Seconds for which a command is repeated to a drone that is not ready yet."""
+RETRY = 0.3
+"""Seconds between two of these repetitions."""
 SILENT = "silent"
 log = logging.getLogger(__name__)
 
@@ -45,13 +47,17 @@ if TYPE_CHECKING:
 
 Work = Callable[["Window"], Awaitable[Any]]
 Answers = dict[int, tuple[bool, Any]]
-"""By drone: whether it has done what it was asked, and what it says, or why not."""
+"""For each drone: whether the request is done, and its answer or the reason for failure."""
 
 
 class Window:
     """An observer's place in a running swarm.
 
-    option: the swarm file that was named, None without one;  patience: s until the first process must be found.
+    clock: clock of this process
+    config: the swarm
+    link: connection to its network
+    option: the swarm file that was named, None without one
+    patience: s within which the first process must be found
     """
 
     def __init__(
@@ -76,16 +82,19 @@ class Window:
         return sorted(j for j in self.link.directory if j < OBSERVER)
 
     def is_there(self, i: int) -> bool:
-        """Whether anybody answers for drone i."""
+        """Return whether an agent of drone i was found."""
         return i in self.link.directory
 
     @property
     def replays(self) -> bool:
-        """Whether what is heard is a recording."""
+        """Whether the swarm is the replay of a recording."""
         return any(peer.host == REPLAY for peer in self.link.peers.values())
 
     async def find(self) -> list[int]:
-        """Wait until all drones are found, at most DISCOVERY s after the last one; raises Refused if none comes."""
+        """Wait until all drones are found, at most DISCOVERY s after the last one.
+
+        Returns the drones that were found. Raises Refused if there is none.
+        """
         await self.somebody()
         seen = 0
         ends = 0.0
@@ -99,7 +108,10 @@ class Window:
         return self.drones
 
     async def somebody(self) -> None:
-        """Wait until the first drone is found; raises Refused if none is, and soon after its run has ended."""
+        """Wait until the first drone is found.
+
+        Raises Refused if none is found in time, or soon after the run of the swarm has ended.
+        """
         began = self.clock.now()
         looked = self.clock.now()
         said = False
@@ -131,7 +143,10 @@ class Window:
         function: Callable[[Any, float], None],
         rate: float = 0.0,
     ) -> Call[Any]:
-        """Call the function with each value of drone i, and its age; at most `rate` times a second (0: all)."""
+        """Call the function with each value of drone i and its age in s.
+
+        rate: Hz: largest number of calls a second, 0 for every value
+        """
         box = Call(self.clock, function)
         self.link.bus.subscribe(
             topic, self.config.source(topic, i), self.address, box, rate
@@ -139,10 +154,10 @@ class Window:
         return box
 
     def score(self) -> "Score":
-        """The whole swarm, from now on."""
+        """Return a score that follows the whole swarm from now on."""
         from crazychoir.launch.flight_observer import (
             Score,
-        )  # laws and numerics: 1 s that an order does not wait
+        )  # takes 1 s, for which a command should not wait
 
         return Score(
             self.link.bus,
@@ -154,23 +169,25 @@ class Window:
     async def request(
         self, verb: str, drones: Iterable[int] | None = None, **arguments: Any
     ) -> Answers:
-        """Ask these drones; None: every drone of the swarm."""
+        """Send a request to these drones and return their answers; None means all drones."""
         return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
     async def order(
         self, verb: str, drones: Iterable[int] | None, seconds: float
     ) -> Answers:
-        """Command these drones in flight, None: all; a command that takes longer than so many s is left ACCEPTED.
+        """Send a flight command to these drones; None means all.
 
-        Who is not ready yet is asked again, for at most READY s. Says of each its answer and its words, as "refused"
-        and the reason.
+        A drone that is not ready yet is asked again, for at most READY s. A command that takes more
+        than `seconds` is left as ACCEPTED.
+        Returns for each drone whether it is done, and the kind of its answer with a text, such as
+        "refused" and the reason.
         """
         return await self._ask(lambda i: self._order(i, verb, seconds, {}), drones)
 
     async def command(
         self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float
     ) -> Answers:
-        """`order` with arguments, by drone."""
+        """Send a flight command as `order` does, with arguments for each drone."""
         return await self._ask(lambda i: self._order(i, verb, seconds, told[i]), told)
 
     async def _order(
@@ -188,9 +205,9 @@ class Window:
                     SILENT,
                     f"no answer within {seconds:g} s; is its agent running?",
                 )
-            if (
-                answer.kind == ACCEPTED
-            ):  # what was left for the last time that it was asked says nothing to who waited
+            # The detail of this answer names only the time left at the last request, which is
+            # not the time that the caller has waited. So we write our own text.
+            if answer.kind == ACCEPTED:
                 return False, (ACCEPTED, f"not done within {seconds:g} s")
             waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
             if not waits or self.clock.now() + RETRY >= asks:
@@ -200,11 +217,14 @@ class Window:
     async def emergency_stop(
         self, clear: bool, drones: Iterable[int] | None = None
     ) -> Answers:
-        """Stop these drones, None: the swarm; or clear the stop. Every body that a world's owner has is stopped too.
+        """Stop these drones, or clear their stop; None means the whole swarm.
 
-        So a drone falls whose agent is gone, or hangs: it has not obeyed, and it is said that its body has.
-        A stop of some drones is theirs alone; one of the swarm keeps all on the ground until it is cleared.
-        Raises Refused if nobody is there, no agent and no body.
+        The bodies that the owner of a world or of radios holds are stopped too. So a drone falls
+        even if its agent is gone or hangs. The answer then says that the agent has not obeyed but
+        the body has.
+        A stop of some drones concerns only those. A stop of the swarm keeps all drones on the
+        ground until it is cleared.
+        Raises Refused if there is no agent and no body, or if the keys here are not an operator's.
         """
         self._require_operator()
         meant = tuple(self.config.ids if drones is None else drones)
@@ -213,7 +233,10 @@ class Window:
         ).run()
 
     def _require_operator(self) -> None:
-        """Raise Refused where the keys are not those of an operator, whom alone drones and bodies answer."""
+        """Raise Refused unless the keys here are an operator's.
+
+        Drones and bodies obey operators only.
+        """
         host = self.link.bus.host
         operators = self.config.security.operators
         if self.config.secured and host not in operators:
@@ -239,7 +262,10 @@ class Window:
         ask: Callable[[int], Awaitable[tuple[bool, Any]]],
         drones: Iterable[int] | None = None,
     ) -> Answers:
-        """All at once, and each as soon as it is found: who is absent delays nobody."""
+        """Ask all drones at once, each as soon as it is found.
+
+        So an absent drone delays no other.
+        """
         self._require_operator()
         await self.somebody()
         asked = {
@@ -259,7 +285,7 @@ class Window:
 
 
 def look(swarm: str | None, work: Work) -> Any:
-    """Join the swarm as an observer, do the work, leave."""
+    """Join the swarm as an observer, do the work and leave; return the result of the work."""
 
     async def main(clock: Clock) -> Any:
         config = running_swarm(swarm)

@@ -1,4 +1,4 @@
-"""The swarm that a command beside it means, and how long its drones may take to be found."""
+"""The running swarm that a command means, and how long to wait for its drones."""
 
 import socket
 from pathlib import Path
@@ -9,15 +9,18 @@ from crazychoir.launch.run_registry import Run, every_run, of_file, runs
 
 LOCAL_FILE = "swarm.toml"
 DISCOVERY = 4.0
-"""s to find the processes of a swarm, from the last one that was found."""
+"""Seconds to find the next process of a swarm, counted from the last discovery."""
 STARTS = 180.0
-"""s that a run of this machine gets until the first of them is there: it may have to compile its laws first."""
+"""Seconds to find the first process if a run on this machine starts it.
+
+The run may have to compile its laws first.
+"""
 LOOK = 0.02
-"""s between two looks at who is there."""
+"""Seconds between two looks for new processes."""
 SOON = 2.0
-"""s after which it is said that somebody is waited for."""
+"""Seconds without any process before a line says that the command is waiting."""
 PROBE = 0.5
-"""s within which a process of this machine takes a connection."""
+"""Seconds within which a process of this machine must accept a connection."""
 NOT_YET = (
     "its run has not started them yet (a first run compiles its laws for a minute or two), "
     "or is ending; try again."
@@ -25,10 +28,12 @@ NOT_YET = (
 
 
 def running_swarm(option: str | None) -> SwarmConfig:
-    """The swarm to look into: the run of that swarm file; else the swarm of the file itself, started by its agents.
+    """Return the running swarm that a command means.
 
-    Without a file, that of ./swarm.toml; without that, the only run of this user, else the demo swarm, if its agents
-    are there. Raises Refused if several runs could be meant, or none.
+    With a swarm file, or ./swarm.toml, this is the run of that file on this machine. Without such
+    a run it is the swarm of the file itself, with agents started by hand. Without a file it is the
+    only run of this user, else the demo swarm if its agents are there.
+    Raises Refused if several runs are possible, or if there is none.
     """
     file = option or (LOCAL_FILE if Path(LOCAL_FILE).is_file() else None)
     found = runs() if file is None else of_file(file)
@@ -43,25 +48,27 @@ def running_swarm(option: str | None) -> SwarmConfig:
         raise nobody(demo, None)
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
-    )  # missions: 1 s that others need not wait
+    )  # takes 1 s, for which other commands need not wait
 
     return chosen_swarm(None)[0]
 
 
 def choose(found: list[Run]) -> str:
-    """How to name one of them."""
+    """Return a text that says how to name one of these runs."""
     return "Name one: " + "; ".join(f"--swarm {run.file} ({run.what})" for run in found)
 
 
 def runs_here(config: SwarmConfig) -> bool:
-    """Whether a run of this machine flies, or starts, this swarm."""
+    """Return whether a run on this machine flies or starts this swarm."""
     return any(run.swarm == config.name for run in every_run())
 
 
 def patience(config: SwarmConfig) -> float:
-    """s until the first process of this swarm must be found: longer where a run is starting it, 0 if nobody is there.
+    """Return the seconds within which the first process of this swarm must be found.
 
-    Who has no process on this machine that would listen, but on others, may be there all the same.
+    The time is longer while a run on this machine starts the swarm. It is 0 if all endpoints are
+    on this machine and none is open. If some are on other machines, the swarm may be there all the
+    same.
     """
     if runs_here(config):
         return STARTS
@@ -78,7 +85,7 @@ def patience(config: SwarmConfig) -> float:
 
 
 def nobody(config: SwarmConfig, option: str | None) -> Refused:
-    """The error of who finds no process of this swarm."""
+    """Return the error for a swarm without a process that can be found."""
     others = runs()
     if any(run.swarm == config.name for run in others):
         return Refused(
@@ -98,20 +105,20 @@ def nobody(config: SwarmConfig, option: str | None) -> Refused:
 
 
 def starting(config: SwarmConfig, seconds: float) -> str:
-    """What is said while nobody is there yet, who gets so many s."""
+    """Return the text shown while the first drone is awaited, for up to `seconds`."""
     return (
         f"swarm {config.name} is starting: waiting for its drones, up to {seconds:g} s"
     )
 
 
 def _at(config: SwarmConfig) -> str:
-    """Where it was looked for."""
+    """Return where the swarm was searched, as a text."""
     first, *more = config.endpoints().values()
     return f"at {first}{' ...' if more else ''}"
 
 
 def _listens(port: int) -> bool:
-    """Whether anybody takes a connection there, on this machine."""
+    """Return whether a process of this machine accepts connections at this port."""
     try:
         with socket.create_connection((LOCAL, port), PROBE):
             return True

@@ -1,1 +1,1 @@
-"""What the main functions of all processes share."""
+"""The main functions of the processes of a swarm."""

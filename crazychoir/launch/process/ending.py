@@ -1,4 +1,4 @@
-"""How a command's process ends, and with whom."""
+"""How the process of a command ends."""
 
 import ctypes
 import os
@@ -9,22 +9,25 @@ from collections.abc import Callable
 from crazychoir.runtime.outputs import let_outputs_take_any_text
 
 _PR_SET_PDEATHSIG = 1
+"""Option of prctl(2): the signal that this process gets when its parent ends."""
 
 
 def with_parent() -> None:
-    """A process that another one has started lands or ends by SIGHUP when that one is gone.
+    """Let this process land or end by SIGHUP when its parent process has ended.
 
-    Ctrl-C comes to it through its parent; before there is anything to land it ends at once, and says nothing.
+    Ctrl-C comes through the parent. Before there is anything to land, it ends this process at once
+    and without a message.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def run(app: Callable[[], None]) -> None:
-    """Run a command and end with its exit code, at once.
+    """Run a command and end at once with its exit code.
 
-    Who has had a Zenoh session has its threads, and maybe one that does not close: while the interpreter is being taken
-    down they may hang it, or abort the process, after its result is written and with another exit code.
+    A process that has had a Zenoh session has threads of Zenoh, and one of them may not close.
+    While the interpreter shuts down they may hang the process. They may also abort it with
+    another exit code after its result is written.
     """
     let_outputs_take_any_text()
     try:

@@ -1,4 +1,4 @@
-"""The process of motion capture: its place on the network, its signals, its live table."""
+"""The process of motion capture: its connection to the network, its signals, its live table."""
 
 import contextlib
 import math
@@ -25,12 +25,12 @@ from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
 
 SHOWS = 4.0
-"""Tables a second."""
+"""Updates of the live table, Hz."""
 Show = Callable[[MocapProcess], None]
 
 
 class Showing(Actor):
-    """Shows how it goes."""
+    """Shows the live table."""
 
     name = "table"
 
@@ -39,7 +39,7 @@ class Showing(Actor):
         self._show = show
 
     async def run(self) -> None:
-        """Some times a second."""
+        """Show the table SHOWS times a second."""
         async for _ in self._process.clock.ticks(SHOWS):
             self._show(self._process)
 
@@ -47,7 +47,13 @@ class Showing(Actor):
 def run_mocap(
     config: SwarmConfig, listen: str | None, record: Path | None, show: Show | None
 ) -> dict[str, Any]:
-    """Publish the poses of the drones that are seen, over Zenoh; returns what was seen."""
+    """Publish the poses of the tracked drones over Zenoh until a signal ends it; return a report.
+
+    config: the swarm
+    listen: Zenoh endpoint, None for that of the swarm file
+    record: CSV file to record the poses into, None for none
+    show: shows the state, None for no table
+    """
 
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
@@ -88,7 +94,7 @@ def run_mocap(
 
 
 def mocap_table(process: MocapProcess) -> Table:
-    """Body by body: whose it is, how often it is seen, how long ago, where, and in how many frames it was not."""
+    """Return a table of the bodies: drone, rate, age, place, number of frames without the body."""
     watch = process.watch
     now = process.clock.now()
     title = (
@@ -125,5 +131,5 @@ def _cells(sight: Sight, age: float) -> list[str | Text]:
 
 
 def _hertz(rate: float) -> str:
-    """A mean rate; nothing before there is one."""
+    """Return a mean rate as text; "-" if there is none yet."""
     return "-" if math.isnan(rate) else f"{rate:.0f}"

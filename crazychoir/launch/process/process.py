@@ -1,4 +1,4 @@
-"""One process of a swarm in real time: its drones, its place on the network, its signals."""
+"""One process of a swarm in real time: its drones, its connection to the network, its signals."""
 
 import logging
 import random
@@ -32,7 +32,7 @@ def run_agent(
     listen: str | None,
     connect: list[str] | None,
 ) -> dict[str, Any]:
-    """Fly these drones in real time, over Zenoh; returns results and counters."""
+    """Fly these drones in real time, over Zenoh; return their results and the counters."""
 
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
@@ -46,7 +46,7 @@ def run_agent(
             incarnation=incarnation,
             alone=False,
         )
-        _obey_signals(clock, agent)  # before others may find us, and end us
+        _obey_signals(clock, agent)  # before others can find this process and end it
         link = _link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
@@ -56,7 +56,7 @@ def run_agent(
         agent.services += [link, *(PublicCopies(link, i) for i in ids)]
         try:
             results = await agent.run()
-            await clock.sleep(0.3)  # the last statuses leave
+            await clock.sleep(0.3)  # time to send the last statuses
         finally:
             watchdog.stop()
         return {
@@ -77,7 +77,10 @@ def _link(
     listen: str | None,
     connect: list[str] | None,
 ) -> ZenohLink:
-    """Listen on the endpoint of the lowest drone; connect to every lower one: so each pair has one link."""
+    """Return the link: listen at the endpoint of the lowest drone, connect to every lower process.
+
+    So there is exactly one connection between two processes.
+    """
     host = config.endpoint(ids[0]).rsplit(":", 1)[0]
     own = f"{host}:{config.base_port + ids[0]}"
     lower = [
@@ -113,7 +116,7 @@ def _link(
 
 
 def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
-    """Own the simulated world of these drones in real time, over Zenoh; returns what it was like."""
+    """Own the simulated world of a swarm in real time, over Zenoh; return a report."""
 
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
@@ -150,7 +153,10 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
 
 
 def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str, Any]:
-    """Own a dongle and its links in real time, over Zenoh; returns how they were. Raises Refused if it is owned."""
+    """Own a dongle and its links in real time, over Zenoh; return a report.
+
+    Raises Refused if another process owns the dongle.
+    """
 
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
@@ -181,10 +187,10 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
 
 
 def _obey_signals(clock: Clock, agent: Agent) -> None:
-    """The first signal lands; a second within 2 s warns; a third cuts the motors.
+    """Land at the first signal, warn at a second within 2 s, cut the motors at a third.
 
-    SIGHUP only lands: it says that the terminal or the parent has gone, and a parent of many threads says so once a
-    thread, not that anybody insists.
+    SIGHUP only lands. It means that the terminal or the parent has ended. A parent with many
+    threads sends it once a thread, so a repetition does not mean that a user insists.
     """
     times: list[int] = []
 

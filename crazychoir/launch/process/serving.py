@@ -1,4 +1,4 @@
-"""The process of virtual Crazyflies: their server, its signals, what is seen of it."""
+"""The process of virtual Crazyflies: its server, its signals, its live table."""
 
 import asyncio
 import signal
@@ -14,9 +14,9 @@ from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.worker_thread import add_signal_handler
 
 LOOKS = 4.0
-"""Hz, of the live table."""
+"""Updates of the live table, Hz."""
 Shared = list[tuple[tuple[int, ...], float | None]]
-"""The drones of each dongle, and its capacity if somebody states one."""
+"""For each dongle: its drones and its capacity in packets/s, None if not given."""
 
 
 async def serve(
@@ -27,7 +27,15 @@ async def serve(
     release: str,
     progress: Progress[dict[int, Any]],
 ) -> dict[str, Any]:
-    """Until a signal; returns what became of the drones."""
+    """Serve virtual Crazyflies until a signal; return a report.
+
+    hall: the drones and their places
+    shared: drones and capacity of each dongle
+    seed: seed of all random draws
+    release: version of the firmware
+    progress: live table
+    Raises ConfigError if a port is taken.
+    """
     radios = [Dongle(clock, group, capacity) for group, capacity in shared]
     server = VirtualServer(
         clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed

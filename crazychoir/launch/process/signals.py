@@ -1,4 +1,4 @@
-"""How a process that owns something obeys signals: it ends when nobody needs it any more."""
+"""Signals of a process that owns something: it ends as soon as no drone needs it."""
 
 import signal
 from typing import Protocol
@@ -7,24 +7,28 @@ from crazychoir.runtime.clock import SECOND, Clock
 from crazychoir.runtime.worker_thread import add_signal_handler
 
 AGAIN = 2.0
-"""s within which signals count together."""
+"""Seconds within which a signal counts as a repetition of the one before."""
 NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
+"""Names of the signals, for the log."""
 
 
 class Owner(Protocol):
-    """What can be ended."""
+    """A process that can be ended."""
 
     def end(self, reason: str) -> None:
-        """As soon as nobody needs it."""
+        """End as soon as no drone needs it."""
         ...
 
     def abort(self, reason: str) -> None:
-        """Now."""
+        """End now."""
         ...
 
 
 def end_on_signals(clock: Clock, owner: Owner) -> None:
-    """The first signal lets those land who fly; a second of an operator within 2 s ends it where it is."""
+    """End the owner as soon as no drone needs it; end it at once at a second signal within 2 s.
+
+    SIGHUP never counts as the second signal.
+    """
     times: list[int] = []
 
     def on_signal(number: int) -> None:
