@@ -479,7 +479,7 @@ class Fields:
         most: float = 0.0,
         value: Any = None,
     ) -> Vec:
-        """Return (count,): one number for all, or a list; `default` if the key is absent or null."""
+        """Return (count,): one number for all, or a list; `default` if absent or null."""
         value = self._raw.get(key) if value is None else value
         if value is None:
             return np.full(count, default)

@@ -79,10 +79,12 @@ class Tasks:
         """(M,): weight of refusing each task when plans are compared; inf if it must be served.
 
             priority 0:  penalty_j
-            priority p:  penalty_j + W_p,   W_p = span + sum of all penalties + sum_{j of priority 1..p-1} W_(p_j)
+            priority p:  penalty_j + W_p
+            W_p = span + sum of all penalties + sum_{j of priority 1..p-1} W_(p_j)
 
         Plans are therefore compared first by the number of refused tasks of the highest priority,
-        then of the next priority, ..., then of priority 1, and then by the objective with the penalties.
+        then of the next priority, ..., then of priority 1. Then the objective with the penalties
+        decides.
         """
         cost = self.penalty.astype(float)
         refusable = np.isfinite(self.penalty)
@@ -235,7 +237,8 @@ class Instance:
 
         min  sum_i length_i + sum_{j refused} penalty_j
         s.t. every task not refused is picked up and then delivered by one robot i,
-             load on board + initial_load_i <= capacity_i,  each trip <= route_length_limit,  capability_ij,
+             load on board + initial_load_i <= capacity_i,
+             each trip <= route_length_limit,  capability_ij,
              each service in its window, after the service and the flight before it
     """
 
@@ -385,12 +388,14 @@ class Instance:
     def vehicle_weight(self) -> float:
         """m: cost of a vehicle in the linear programs if vehicles are counted first.
 
-            W >= 2 T,    T = 3M times the longest way, so that  T_a <= T  for the total T_a of every plan a
-            n_a < n_b  =>  W n_a + T_a < W n_b + T_b,      and  W n_a + T_a >= V  =>  n_a >= V / W - 1/2
+            W >= 2 T,    T = 3M times the longest way
+            T_a <= T  for the total T_a of every plan a
+            n_a < n_b           =>  W n_a + T_a < W n_b + T_b
+            W n_a + T_a >= V    =>  n_a >= V / W - 1/2
 
-        A plan has 2M stops and at most M trips, because each trip serves a task. It therefore has at
-        most 3M legs. W is a power of two, which keeps rounding errors small. Plans themselves are not
-        compared by W: they are compared by their vehicles and then by their totals.
+        A plan has 2M stops and at most M trips, because each trip serves a task. It therefore has
+        at most 3M legs. W is a power of two, which keeps rounding errors small. Plans themselves
+        are not compared by W: they are compared by their vehicles and then by their totals.
         """
         if self.distance is not None:
             longest = float(self.distance.max())
@@ -462,7 +467,7 @@ class Instance:
     def _span(self) -> float:
         """Return an upper bound on the cost of a plan without refusals.
 
-        The bound is the largest possible number of legs times the longest leg, with all fixed costs.
+        The bound is the largest possible number of legs times the longest leg, with fixed costs.
         """
         legs = 3 * len(self.tasks) + 2 * self.robots
         vehicles = [self.local(same[0]).vehicle for same in self.kinds()]

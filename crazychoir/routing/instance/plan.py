@@ -195,7 +195,8 @@ class Solution:
     vehicles_bound: int | None = None
     """If vehicles are counted first: no plan needs fewer vehicles. None if unknown.
 
-    `lower_bound` then holds for plans with that number of vehicles. It is None if this plan has more.
+    `lower_bound` then holds for plans with that number of vehicles. It is None if this plan has
+    more.
     """
 
     @property
@@ -230,6 +231,9 @@ def digest_of(routes: dict[int, str]) -> str:
 
 
 def sha256(value: Any) -> str:
-    """Return the SHA-256, in hex, of the canonical JSON of a value: sorted keys, no blanks, shortest floats."""
+    """Return the SHA-256, in hex, of the canonical JSON of a value.
+
+    Canonical: sorted keys, no blanks, shortest floats.
+    """
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -67,7 +67,7 @@ class Vehicle:
     For a robot in flight it is negative: minus the way to its end, which it flies in any case.
     """
     trips: int = 1
-    """Largest number of trips, at least 1. Between two trips the robot recharges at its end point."""
+    """Largest number of trips, at least 1. Between trips the robot recharges at its end point."""
     limit_again: float = inf
     """m: limit on the distance of each trip after the first."""
     robot: int = 0
