@@ -109,7 +109,7 @@ class Neighbors:
         )
 
     def nearness(self, routes: Stops) -> Mat:
-        """Return (N, N) m, small for robots whose routes run close together; rows by increasing id.
+        """Return (N, N) m, small if two routes run close together; rows by increasing id.
 
             d_ab = mean over the nodes u of a of min over the nodes v of b of distance(u, v)
             nearness = min(d_ab, d_ba)

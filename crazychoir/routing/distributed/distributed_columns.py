@@ -40,7 +40,7 @@ DISCLOSED: tuple[str, ...] = (
     "plans (stops of all robots)",
 )
 BETTER = 1e-9
-"""m: two plans whose costs differ by at most this count as equal."""
+"""m: costs of plans that differ by at most this count as equal."""
 
 
 class DistributedColumns:

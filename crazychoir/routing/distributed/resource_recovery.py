@@ -102,7 +102,7 @@ class ResourceRecovery:
     def _kept(self, owner: Ints, won: dict[int, int]) -> Exchange[dict[int, int]]:
         """Return the robot that keeps each task won.
 
-        A robot whose set is infeasible without the tasks it did not win keeps the best part of it.
+        If what a robot has won is infeasible without the tasks it lost, it keeps the best part.
         """
         if self._member.local.vehicle.metric:
             return won

@@ -147,7 +147,7 @@ class LocalProblem:
     start_time: float = 0.0
     """s, in flight: when the robot is at `start`."""
     aboard: npt.NDArray[np.bool_] | None = None
-    """(M,), in flight: tasks whose goods the robot carries."""
+    """(M,), in flight: tasks with goods on board of the robot."""
     left: float | None = None
     """m, in flight: what remains of the limit of the present trip."""
 

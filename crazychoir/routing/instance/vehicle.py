@@ -57,7 +57,7 @@ class Vehicle:
     capable: npt.NDArray[np.bool_]
     """(M,): tasks that the robot may serve."""
     aboard: npt.NDArray[np.bool_]
-    """(M,): tasks whose goods the robot carries from the start.
+    """(M,): tasks with goods on board from the start.
 
     Their pickup is not a stop, no other robot can serve them, and their load counts from the start.
     """
