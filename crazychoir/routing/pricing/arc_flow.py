@@ -98,17 +98,17 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
     """Return a proven optimal plan.
 
         min  sum_i [ sum_(j,k) d_i^jk x_i^jk + fixed (1 - stay_i) ] + sum_j penalty_j z_j
-        s.t. sum_i sum_k x_i^jk + z_j = 1                every pickup j: left once by one robot, or refused
+        s.t. sum_i sum_k x_i^jk + z_j = 1             pickup j: left once by one robot, or refused
              sum_k x_i^sk + stay_i = 1                   start s; s -> t flies there without a stop
              sum_j x_i^jt + stay_i = 1                   end t
              sum_j x_i^jk = sum_j x_i^kj                 flow, every stop k
              sum_k x_i^jk = sum_k x_i^(j+M)k             the same robot delivers
-             P_i^k >= P_i^j + 1 - 2M (1 - x_i^jk)        order of stops: no subtours, even of length 0
+             P_i^k >= P_i^j + 1 - 2M (1 - x_i^jk)        order: no subtours, even of length 0
              P_i^j + 1 <= P_i^(j+M)                      pickup before delivery
              Q_i^k >= Q_i^j + q_k - C' (1 - x_i^jk)      load on board, 0 <= Q <= C_i
              B_i^k >= B_i^j + t_i^jk - H (1 - x_i^jk)    begin of service, in its window
              sum d_i^jk x_i^jk <= route_length_limit
-             T >= B_i^t - H stay_i                       makespan, in place of the sum over the robots
+             T >= B_i^t - H stay_i                       makespan, in place of the sum over i
 
     A robot with several trips has a copy of x for each trip: B_i^s of the next trip is at least
     B_i^t of this one, and the next stays if this one does. If there are two objectives, the second
